@@ -236,7 +236,8 @@ def draw_figure9(joints: Sequence[str], virtual: np.ndarray, physical: np.ndarra
 def run(options: argparse.Namespace) -> None:
     """Do the task; Failure with a sentence."""
     namespace = "/" + options.namespace.strip("/")
-    rospy.init_node("matlab_global_node", anonymous=True, disable_signals=True)
+    # as twin.connect calls MATLAB's node
+    rospy.init_node("matlab", disable_signals=True)
     model = parse_urdf(rospy.get_param(f"{namespace}/robot_description"))
     chain = chain_joints(model, model.get_root(), options.tip)
     moving = [joint for joint in chain if joint.type != "fixed"]

@@ -12,12 +12,16 @@ function [robot, joints, linear] = connect(master, namespace, host)
 %   joints  names of the joints that move, in the order of a configuration
 %   linear  which of them are prismatic
 %
+%   This MATLAB's node is /matlab, the name that plans are shown with and auto_approve_sources takes. A second MATLAB that connects
+%   takes the name over, and the first one's node ends.
+%
 %   ROS Toolbox and Robotics System Toolbox. Pictures of the links are not found unless the package lies below one of the folders
 %   given to importrobot as "MeshPath"; a warning says so, and everything else works.
+  % without a name of its own MATLAB's node is called otherwise in every session
   if nargin < 3
-    rosinit(master);
+    rosinit(master, 'NodeName', '/matlab');
   else
-    rosinit(master, 'NodeHost', host);
+    rosinit(master, 'NodeHost', host, 'NodeName', '/matlab');
   end
   urdf = rosparam('get', [char(namespace) '/robot_description']);
   robot = importrobot(urdf, 'DataFormat', 'row');

@@ -157,6 +157,8 @@ class MoveitScene:
     world: dict[str, object] = field(default_factory=dict)
     attached: dict[str, object] = field(default_factory=dict)
     matrix: object = None
+    #: What move_group printed: `RobotState::getAttachedBody` an error, `processCollisionObjectRemove` a warning.
+    printed: list[str] = field(default_factory=list)
 
     def take(self, message) -> None:
         """Take a difference."""
@@ -165,7 +167,9 @@ class MoveitScene:
             thing = item.object
             if thing.operation == thing.REMOVE:
                 assert thing.id, "an empty name would detach everything"
-                if thing.id in self.attached:
+                if thing.id not in self.attached:
+                    self.printed.append(f"Attached body '{thing.id}' not found")
+                else:
                     self.world.setdefault(thing.id, self.attached.pop(thing.id).object)
                 continue
             assert thing.operation == thing.ADD and (thing.primitives or thing.meshes) and item.link_name
@@ -176,7 +180,8 @@ class MoveitScene:
         for thing in message.world.collision_objects:
             if thing.operation == thing.REMOVE:
                 assert thing.id, "an empty name would remove everything"
-                self.world.pop(thing.id, None)
+                if self.world.pop(thing.id, None) is None:
+                    self.printed.append(f"Tried to remove world object '{thing.id}', but it does not exist")
                 continue
             assert thing.operation == thing.ADD and (thing.primitives or thing.meshes)
             self.world[thing.id] = thing

@@ -6,6 +6,7 @@ Messages say what, where, the value, what was expected and what to do.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.units import for_people
@@ -361,6 +362,25 @@ class SegmentError(PlanningError):
     def __init__(self, number: int, name: str, cause: ConstructionTwinError):
         self.number, self.name, self.cause = number, name, cause
         super().__init__(f"segment {number} ({name[:80]!r}): {cause}")
+
+
+class FrameError(PlanningError):
+    """A frame is not known.
+
+    Attributes
+    ----------
+    frame : str
+    """
+
+    #: So many frames are listed; tf may know hundreds.
+    LISTED = 40
+
+    def __init__(self, frame: str, base: str, cause: str, known: Sequence[str]):
+        self.frame = frame
+        more = f" and {len(known) - self.LISTED} more" if len(known) > self.LISTED else ""
+        super().__init__(
+            f"no transform from frame {frame!r} to {base!r}: {cause}; known are {', '.join(known[: self.LISTED])}{more}"
+        )
 
 
 class EngagedError(PlanningError):

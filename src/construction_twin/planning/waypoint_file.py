@@ -7,6 +7,9 @@ The first line that is neither empty nor a comment (``#`` to the end of the line
 - ``<joint>_deg_s2`` and so on: accelerations, of all joints or none, only with velocities;
 - ``time_s``: optional.
 
+A single line of values is the goal of a straight joint motion from the present pose; its time is how long that takes, 0 s: as
+short as the speed allows.
+
 A file of numbers alone, such as MATLAB's ``writematrix`` writes, has no such line: its reader is told the columns in the same
 words. No unit is ever guessed. Columns are separated by commas, or by semicolons if the first line has one; numbers have a decimal
 point.
@@ -95,6 +98,10 @@ def parse_waypoints(text: str, robot: RobotModel, columns: str = "") -> Waypoint
     values = np.array([_numbers(number, line, separator, names) for number, line in lines])
     values = values.reshape(len(lines), len(names))
     by_name = dict(zip(names, values.T))
+    if len(lines) == 1 and not np.any(by_name.get(_TIME, 0.0)):
+        # the goal of a motion from the present pose, whose time says how long it takes: with 0 s it is not timed, nor is its speed
+        names = [name for name in names if name == _TIME or not _COLUMN.match(name)["rate"]]  # type: ignore[index]
+        by_name.pop(_TIME, None)
     units, positions = _joint_values(by_name, robot, "")
     derivatives = {
         kind: _joint_values(by_name, robot, rate)[1] if _given(names, rate) else None for rate, kind in _RATES.items()

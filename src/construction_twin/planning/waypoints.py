@@ -26,6 +26,12 @@ START_TOLERANCE_RAD = math.radians(0.05)
 START_TOLERANCE_M = 5e-4
 #: Largest velocity and acceleration that count as rest at both ends [rad/s, rad/s^2 or m/s, m/s^2].
 AT_REST = 1e-6
+#: An end counts as rest that was told late when no joint is faster there than its largest acceleration makes it in this time [s].
+#: Since 1.1.12 MoveIt's TOTG gives each point the velocity at the end of the step that the point lies in, and its steps are a tenth
+#: of the 0.1 s between its points.
+LATE_STEP = 0.01
+#: Rounding allowed on a velocity that was computed with the joint's largest acceleration, read from a file of decimals.
+LATE_ROUNDING = 1e-3
 #: Between points whose velocity is at the limit, the curve through them is up to so much faster.
 BETWEEN_POINTS = 1.1
 #: Rounding allowed on a fraction of a limit.
@@ -131,21 +137,20 @@ def from_points(
         arrays["velocity"] if timed else None,
         arrays["acceleration"] if timed else None,
     )
-    check_finite(waypoints, robot, least=1)
+    check_finite(waypoints, robot)
     return waypoints
 
 
-def check_finite(waypoints: Waypoints, robot: RobotModel, least: int = 2) -> None:
-    """Check that there are waypoints, `least` of them, and that every value is a finite number.
+def check_finite(waypoints: Waypoints, robot: RobotModel) -> None:
+    """Check that there is a waypoint, and that every value is a finite number.
 
     Raises
     ------
     WaypointsError
         Naming row, joint and value.
     """
-    if len(waypoints.positions) < least:
-        needed = "two, the first where the arm is" if least == 2 else "one, its goal"
-        raise WaypointsError(f"{len(waypoints.positions)} waypoints; a motion needs at least {needed}")
+    if not len(waypoints.positions):
+        raise WaypointsError("0 waypoints; a motion needs at least one, its goal")
     for name in ("positions", "velocities", "accelerations"):
         values = getattr(waypoints, name)
         wrong = np.argwhere(~np.isfinite(values)) if values is not None else np.empty((0, 2), dtype=int)
@@ -214,7 +219,11 @@ def plan_waypoints(
         )
     _check_times(waypoints, waypoints.times)
     bounds.check(float(waypoints.times[-1] - waypoints.times[0]))
-    _check_rest(waypoints, robot)
+    moves = _moving_end(waypoints, robot)
+    if moves is not None:
+        # what no other times would mend comes first
+        _check_given_velocities(waypoints, robot)
+        raise moves
     times = waypoints.times - waypoints.times[0]
     velocities, accelerations = _derivatives(times, positions, waypoints)
     try:
@@ -316,9 +325,16 @@ def _from_present(waypoints: Waypoints, present: np.ndarray, robot: RobotModel) 
     if np.any(away > tolerance):
         joint = int(np.argmax(away / tolerance))
         name, unit, value = robot.joint_names[joint], waypoints.units[joint], waypoints.positions[0, joint]
+        how = "plan a motion to it first"
+        if waypoints.times is not None and waypoints.times[0] > 0.0:
+            # as other controllers understand it: from wherever the arm is to the first point, in its time
+            how = (
+                f"put the arm's pose before it, at 0 s, and the motion to it in {waypoints.times[0]:.9g} s is part of the plan, or "
+                f"{how}"
+            )
         raise WaypointsError(
             f"{waypoints.place(0)}: {name} is {unit.text(value)}, but the arm is at {unit.text(present[joint])}; the first "
-            f"waypoint must be where the arm is within {unit.text(tolerance[joint])}, plan a motion to it first",
+            f"waypoint must be where the arm is within {unit.text(tolerance[joint])}, {how}",
             *(waypoints.rows[0], name, float(value), float(tolerance[joint])),
         )
     positions = waypoints.positions.copy()
@@ -335,21 +351,58 @@ def _check_times(waypoints: Waypoints, times: np.ndarray) -> None:
         raise WaypointsError(f"{message}; times must increase", waypoints.rows[row], "", float(time))
 
 
-def _check_rest(waypoints: Waypoints, robot: RobotModel) -> None:
-    for name, per in (("velocities", "/s"), ("accelerations", "/s^2")):
-        values = getattr(waypoints, name)
-        if values is None:
-            continue
-        for row in (0, len(values) - 1):
-            joint = int(np.argmax(np.abs(values[row])))
-            if abs(values[row, joint]) > AT_REST:
-                found = waypoints.units[joint].text(values[row, joint], per)
-                message = f"{waypoints.place(row)}: {robot.joint_names[joint]} moves there ({found})"
-                kind = WaypointTimesError if name == "accelerations" else WaypointsError
-                raise kind(
-                    f"{message}; the motion must begin and end at rest",
-                    *(waypoints.rows[row], robot.joint_names[joint], float(values[row, joint]), 0.0),
-                )
+def _moving_end(waypoints: Waypoints, robot: RobotModel) -> WaypointTimesError | None:
+    """Return why the times of a motion must be replaced whose ends are nearly at rest; None where both are.
+
+    Raises
+    ------
+    WaypointsError
+        If a joint moves at an end.
+    """
+    ends = [0, len(waypoints.rows) - 1]
+
+    def problem(row: int, joint: int, values: np.ndarray, per: str, late: str = "") -> tuple:
+        value = float(values[row, joint])
+        name, found = robot.joint_names[joint], waypoints.units[joint].text(value, per)
+        message = f"{waypoints.place(row)}: {name} moves there ({found}{late}); the motion must begin and end at rest"
+        return message, waypoints.rows[row], name, value, 0.0
+
+    found: WaypointTimesError | None = None
+    if waypoints.velocities is not None:
+        speeds = np.abs(waypoints.velocities[ends])
+        late = LATE_STEP * (1.0 + LATE_ROUNDING) * np.array(robot.acceleration)
+        for end, joint in np.argwhere(speeds > np.maximum(late, AT_REST))[:1].tolist():
+            raise WaypointsError(*problem(ends[end], joint, waypoints.velocities, "/s"))
+        if np.any(speeds > AT_REST):
+            end, joint = np.unravel_index(int(np.argmax(speeds)), speeds.shape)
+            told_late = f", no more than {LATE_STEP * 1e3:g} ms of its acceleration"
+            found = WaypointTimesError(*problem(ends[end], int(joint), waypoints.velocities, "/s", told_late))
+    if found is None and waypoints.accelerations is not None:
+        pushes = np.abs(waypoints.accelerations[ends])
+        if np.any(pushes > AT_REST):
+            end = int(np.argmax(np.any(pushes > AT_REST, axis=1)))
+            found = WaypointTimesError(
+                *problem(ends[end], int(np.argmax(pushes[end])), waypoints.accelerations, "/s^2")
+            )
+    return found
+
+
+def _check_given_velocities(waypoints: Waypoints, robot: RobotModel) -> None:
+    """Refuse times that need more than `BETWEEN_POINTS` times a joint's velocity, at a point or on average on the way to it."""
+    times = waypoints.times
+    assert times is not None  # only with times
+    needed = np.abs(np.diff(waypoints.positions, axis=0)) / np.diff(times)[:, None]
+    needed = np.vstack([np.zeros(needed.shape[1]), needed])
+    if waypoints.velocities is not None:
+        needed = np.maximum(needed, np.abs(waypoints.velocities))
+    limits = np.array(robot.velocity)
+    for row, joint in np.argwhere(needed > BETWEEN_POINTS * limits)[:1].tolist():
+        unit, value = waypoints.units[joint], float(needed[row, joint])
+        raise WaypointsError(
+            f"{waypoints.place(row)}: {robot.joint_names[joint]} has a velocity of {unit.text(value, '/s')}; its limit is "
+            f"{unit.text(limits[joint], '/s')}, give it more time",
+            *(waypoints.rows[row], robot.joint_names[joint], value, float(limits[joint])),
+        )
 
 
 def _derivatives(times: np.ndarray, positions: np.ndarray, waypoints: Waypoints) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,9 @@ from construction_twin.core.motion_errors import TrajectoryError
 from construction_twin.robot.segments import Segment, check_segments, segments_hash
 from construction_twin.robot.trajectory import Trajectory
 
+#: How the source of a plan begins that a client of the action FollowJointTrajectory asked for; its node's name follows.
+BY_ACTION = "follow_joint_trajectory from"
+
 
 @dataclass(frozen=True)
 class Clearance:

@@ -110,7 +110,7 @@ def planner_scene(bodies: RobotBodies, scene: Scene, self_collision: SelfCollisi
     )
 
 
-def scene_text(told: PlannerScene, name: str) -> tuple[str, tuple[str, ...]]:
+def scene_text(told: PlannerScene, name: str, beside: Iterable[PlannerObject] = ()) -> tuple[str, tuple[str, ...]]:
     """Return the objects that stand, in the text format that MoveIt's panel imports (`.scene`), and what is not in it.
 
     The format is MoveIt 1.1's, with the object's pose and subframes; poses are in the root of the URDF. It knows neither carried
@@ -121,6 +121,8 @@ def scene_text(told: PlannerScene, name: str) -> tuple[str, tuple[str, ...]]:
     told : PlannerScene
     name : str
         Of the scene.
+    beside : iterable of PlannerObject, optional
+        Of the other arm, in the root of the URDF.
 
     Returns
     -------
@@ -132,6 +134,8 @@ def scene_text(told: PlannerScene, name: str) -> tuple[str, tuple[str, ...]]:
     for item in told.objects:
         if not item.carried:
             _write_object(item, product(told.root_T_base, item.pose), out)
+    for item in beside:
+        _write_object(item, item.pose, out)
     print(".", file=out)
     left_out = tuple(
         f"{item.name!r} is carried by {item.frame}: the format has no carried objects, attach it in the panel"

@@ -122,6 +122,10 @@ def sample_self_collision(
     return SelfCollision(ignored, geometry_hash(bodies))
 
 
+#: How a robot gets its file. The name is the person's to choose: over another arm's file it would take away what that arm needs.
+WRITE = "rosrun construction_twin self_collision <urdf or xacro> <robot.yaml> <new file>"
+
+
 def _link_pairs(bodies: RobotBodies) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
     """Return the pairs of links that move against each other: those to sample, and the adjacent ones."""
     joints = {body.link: body.joint for body in bodies.bodies}
@@ -172,8 +176,8 @@ def load_self_collision(description: Mapping, bodies: RobotBodies, where: str) -
     if parsed.geometry != found:
         raise ConfigurationError(
             f"{where} geometry", parsed.geometry,
-            f"{found}, that of robot {bodies.robot.name}: its shapes, joints or ranges have changed; run "
-            f"`rosrun construction_twin self_collision <urdf or xacro> <robot.yaml> {where}`",
+            f"{found}, that of robot {bodies.robot.name}: the file is of another arm, which keeps it, or shapes, joints or ranges "
+            f"have changed since. Write a file for the arm as it is, under a name of its own, and give that: `{WRITE}`",
         )  # fmt: skip
     return SelfCollision(parsed.reasons, found)
 

@@ -18,6 +18,7 @@ from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.convex_hulls import hull_lines, mesh_hulls, write_proposal
 from construction_twin.scene.self_collision import SAMPLES, SEED, sample_self_collision, self_collision_yaml
+from construction_twin.scene.self_collision_file import parse_pairs, read_pairs_yaml
 
 #: Without a terminal a line is printed each time this part of the poses is done.
 _PART = 0.25
@@ -36,6 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         _check_folder(output)
         robot = read_robot_files(options.urdf, options.robot, options.robot_xacro_args)
+        _check_owner(output, robot)
         with progress(options.samples) as report:
             found = sample_self_collision(robot, options.samples, options.seed, processes, report)
         text = self_collision_yaml(robot, found, options.samples, options.seed)
@@ -72,6 +74,21 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--processes", type=int, metavar="N", help="work on at most so many cores [all]")
     parser.add_argument("--no-hulls", action="store_true", help="propose no hulls")
     return parser
+
+
+def _check_owner(output: Path | None, robot: RobotModel) -> None:
+    """Refuse to write over the file of another arm, which would no longer start."""
+    if output is None or not output.exists():
+        return
+    try:
+        owner = parse_pairs(read_pairs_yaml(output), str(output)).robot
+    except ConfigurationError:
+        # half a file, or one of an older version: that it is to be written is what was asked for
+        return
+    if owner != robot.name:
+        raise ConfigurationError(
+            str(output), f"the file of robot {owner}", f"a new file for {robot.name}, or one of its own"
+        )
 
 
 def cores() -> int:

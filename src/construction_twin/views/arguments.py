@@ -167,7 +167,10 @@ def _add_plan(plan: argparse.ArgumentParser) -> None:
     )
     plan.add_argument("--line", action="store_true", help="with --pose: move the tool on a straight line")
     plan.add_argument(
-        "--frame", default="", metavar="FRAME", help="with --pose: tf frame of the pose [the robot's base]"
+        "--frame",
+        default="",
+        metavar="FRAME",
+        help="with --pose: link of the robot or tf frame of the pose [the robot's base]",
     )
     plan.add_argument(
         "--configuration", default="", metavar="WORDS", help='with --pose, without --line: e.g. "front up positive"'
@@ -245,7 +248,9 @@ def _add_work(work: argparse.ArgumentParser, common: argparse.ArgumentParser) ->
         metavar=("X", "Y", "Z", "A", "B", "C"),
         help="pose of the element's frame: position [mm] and KUKA's angles [deg]",
     )
-    measured.add_argument("--frame", default="", metavar="FRAME", help="tf frame of the pose [the robot's base]")
+    measured.add_argument(
+        "--frame", default="", metavar="FRAME", help="link of the robot or tf frame of the pose [its base]"
+    )
     _add_person(measured)
 
 

@@ -12,6 +12,11 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.frames import abc_to_rotation
 
+#: A goal whose X, Y and Z are all below this lies inside of the robot's foot; in metres it is a place like any other [mm].
+NEAR_MM = 10.0
+#: Frames that stand where the robot does.
+_STANDING = ("", "base_link", "base", "world")
+
 
 def joint_goal(values: Sequence[float], robot: RobotModel) -> tuple[float, ...]:
     """Return joint values.
@@ -38,17 +43,33 @@ def joint_goal(values: Sequence[float], robot: RobotModel) -> tuple[float, ...]:
     return tuple(value / 1e3 if linear else math.radians(value) for value, linear in zip(values, robot.linear))
 
 
-def pose_goal(values: Sequence[float]) -> Pose:
+def pose_goal(values: Sequence[float], frame: str = "") -> Pose:
     """Return a pose.
 
     Parameters
     ----------
     values : sequence of float, length 6
         X, Y, Z [mm], A, B, C [deg]: KUKA's angles, about Z, the new Y, the new X.
+    frame : str, optional
+        What the values are given in; empty: the robot's base.
 
     Returns
     -------
     frame_T_tool : Pose
+
+    Raises
+    ------
+    ConfigurationError
+        If the place is so near to the robot's base or the world's origin that metres were probably meant. Never converted.
     """
     x, y, z, *angles = values
+    # in a frame on the tool or on an element a few mm are a goal like any other
+    if frame.rpartition("/")[2] in _STANDING and 0.0 < max(abs(x), abs(y), abs(z)) < NEAR_MM:
+        given = f"{x:g} {y:g} {z:g}"
+        raise ConfigurationError(
+            "--pose",
+            given,
+            f"X, Y, Z in mm: this is inside of the robot's foot, less than {NEAR_MM:g} mm from the origin of "
+            f"{frame or 'its base'}, and probably in metres. If so, give {x * 1e3:g} {y * 1e3:g} {z * 1e3:g}",
+        )
     return Pose(np.array((x, y, z)) / 1e3, abc_to_rotation(*map(math.radians, angles)))

@@ -50,6 +50,15 @@ def plan_lines(plan: Plan, linear: Sequence[bool], changes: Sequence[SceneChange
     ]
 
 
+def caller_line(client: str, connected: bool | None) -> str:
+    """Return the line about the program that sent the goal of a plan under review; None: nobody says whether it is connected."""
+    if connected is None:
+        return f"caller     {client}: the node follow_joint_trajectory does not say whether it is still connected"
+    if connected:
+        return f"caller     {client} is connected and waits for the result"
+    return f"caller     {client} is connected no more: nobody waits for the result, and it may not be wanted any longer"
+
+
 def segment_lines(plan: Plan, changes: Sequence[SceneChange] = ()) -> list[str]:
     """Return a work plan's task and a table of its segments: times, and what happens in each and at its end; nothing for others."""
     if not plan.segments:

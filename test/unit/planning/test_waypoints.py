@@ -281,6 +281,95 @@ def test_a_single_point_whose_time_needs_too_much_jerk_is_retimed_to_no_less_tha
     assert retime_waypoints(point, HOME, ROBOT).duration >= asked
 
 
+#: MoveIt's scaling factor, and the velocity that 1.1.16 gave joint_a1 at point 0 with moveit/config/kr120 [rad/s].
+LATE = [(0.1, 0.0027192), (0.5, 0.0135961), (1.0, 0.0271922)]
+
+
+def totg(scaling: float) -> dict[str, np.ndarray]:
+    """A motion of joint_a1 as MoveIt 1.1.12 to 1.1.16 times it.
+
+    Points every 0.1 s, and at each the velocity at the end of the 10 ms step that it lies in; the last point is exact.
+    """
+    a, v = scaling * ROBOT.acceleration[0], scaling * ROBOT.velocity[0]
+    way = np.zeros(6)
+    way[0] = 0.5
+    rise = min(v / a, math.sqrt(way[0] / a))
+    end = way[0] / (a * rise) + rise
+    t = np.append(np.arange(0.0, end, 0.1), end)
+    late = np.append(np.minimum(t[:-1] + 0.01, end), end)
+
+    def speed(at):
+        return np.minimum(np.minimum(a * at, a * rise), a * (end - at))
+
+    left = end - t
+    s = np.where(t < rise, a * t**2 / 2, np.where(left < rise, way[0] - a * left**2 / 2, a * rise * (t - rise / 2)))
+    push = np.where(t < rise, a, np.where(left <= rise, -a, 0.0))
+    unit = way / way[0]
+    return {
+        "positions": HOME + np.outer(s, unit),
+        "velocities": np.outer(speed(late), unit),
+        "accelerations": np.outer(push, unit),
+        "times": t,
+    }
+
+
+@pytest.mark.parametrize("with_accelerations", [True, False])
+@pytest.mark.parametrize(("scaling", "first"), LATE)
+def test_velocities_that_moveit_gives_one_step_late_are_timed_anew(scaling, first, with_accelerations):
+    given = totg(scaling)
+    assert given["velocities"][0, 0] == pytest.approx(first, abs=1e-7) and given["velocities"][-1, 0] == 0.0
+    if not with_accelerations:
+        del given["accelerations"]
+    points = from_points(ROBOT, NAMES, **given)
+    with pytest.raises(WaypointTimesError) as caught:
+        plan_waypoints(points, HOME, ROBOT)
+    assert str(caught.value) == (
+        f"point 0: joint_a1 moves there ({first:.6g} rad/s, no more than 10 ms of its acceleration); the motion must begin and end "
+        "at rest"
+    ).replace(f"{first:.6g}", f"{given['velocities'][0, 0]:.6g}")
+    motion = retime_waypoints(points, HOME, ROBOT)
+    assert motion.duration >= given["times"][-1] and not motion.velocities[[0, -1]].any()
+    assert motion.positions[-1].tobytes() == given["positions"][-1].tobytes()
+    use = limit_use(motion, ROBOT)
+    assert use.velocity <= 1.0 and use.acceleration <= 1.0 and use.jerk <= 1.0
+
+
+@pytest.mark.parametrize("row", [0, -1])
+def test_an_end_that_moves_more_than_moveit_s_step_is_refused_by_every_route(row):
+    """The end of a motion that goes on elsewhere: it must not become one that rests there."""
+    given = totg(1.0)
+    given["velocities"][row, 1] = 0.0101 * ROBOT.acceleration[1]
+    # the largest velocity there is that of another joint, within its own bound
+    assert row == -1 or given["velocities"][0, 0] > given["velocities"][0, 1]
+    with pytest.raises(WaypointsError, match="joint_a2 moves there") as caught:
+        plan_waypoints(from_points(ROBOT, NAMES, **given), HOME, ROBOT)
+    assert not isinstance(caught.value, WaypointTimesError)
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_times_for_another_arm_are_refused_also_where_the_ends_would_be_timed_anew(told):
+    """More than 1.1 times a joint's velocity is no matter of timing: it was meant for another arm."""
+    given = totg(1.0)
+    if told:
+        given["velocities"][3, 0] = 1.2 * ROBOT.velocity[0]
+    else:
+        given["times"] = given["times"] / 8.0
+    with pytest.raises(
+        WaypointsError, match="joint_a1 has a velocity of .*; its limit is .*, give it more time"
+    ) as caught:
+        plan_waypoints(from_points(ROBOT, NAMES, **given), HOME, ROBOT)
+    assert not isinstance(caught.value, WaypointTimesError)
+
+
+def test_a_first_point_elsewhere_and_later_is_refused_with_what_to_do():
+    error = refused([HOME + 0.2, HOME + 0.3], times=[2.5, 4.0])
+    assert str(error).endswith(
+        "put the arm's pose before it, at 0 s, and the motion to it in 2.5 s is part of the plan, or plan a motion to it first"
+    )
+    with_start = from_points(ROBOT, NAMES, [HOME, HOME + 0.2, HOME + 0.3], times=[0.0, 2.5, 4.0])
+    assert plan_waypoints(with_start, HOME, ROBOT).duration == 4.0
+
+
 def passing_times(motion, rows) -> np.ndarray:
     """When a motion along a straight line passes the rows on it."""
     way = rows[-1] - rows[0]

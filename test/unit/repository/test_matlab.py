@@ -163,7 +163,7 @@ assert(isequal(twin.solve_pose(robot, [1 0 0 2; 0 1 0 0; 0 0 1 0; 0 0 0 1], [0 1
 robot.Status = 'best available';
 try; twin.solve_pose(robot, eye(4), [0 1]); catch e; disp(e.message); end"""
     said = octave(code, tmp_path)
-    assert "rosinit http://pc:11311 NodeHost 10.0.0.2" in said
+    assert "rosinit http://pc:11311 NodeHost 10.0.0.2 NodeName /matlab" in said
     assert "importrobot get /kr120/robot_description DataFormat row" in said
     assert "no path was found" in said and "the pose was not reached (best available" in said
 

@@ -6,6 +6,7 @@ lists that were taken from moveit 1.1 (moveit_setup_assistant/templates, moveit_
 
 from __future__ import annotations
 
+import ast
 import os
 import subprocess
 from pathlib import Path
@@ -33,7 +34,6 @@ OURS = ("kr120", "kr120_track")
 #: Programs of packages that a PC with MoveIt has.
 STAND_INS = {
     "moveit_ros_move_group": ("move_group",),
-    "tf2_ros": ("static_transform_publisher",),
     "rviz": ("rviz",),
     "joint_state_publisher": ("joint_state_publisher",),
     "robot_state_publisher": ("robot_state_publisher",),
@@ -222,7 +222,7 @@ def test_one_command_starts_move_group_and_rviz_in_the_robot_s_namespace(with_mo
 @pytest.mark.parametrize("track, root", [("false", "base_link"), ("true", "track_base")])
 def test_tf_gets_the_frame_that_moveit_plans_in(track, root, with_moveit):
     words = ["--args", "/kr120/moveit_frame", "construction_twin", "move_group.launch", f"track:={track}"]
-    assert f" 0 0 0 0 0 0 kr120/twin/{root} {root} " in roslaunch(with_moveit, *words)
+    assert f"/moveit/scripts/fixed_frame kr120/twin/{root} {root} " in roslaunch(with_moveit, *words)
     srdf = ElementTree.parse(MOVEIT / "config" / ("kr120_track" if track == "true" else "kr120") / "robot.srdf")
     joint = srdf.getroot().find("virtual_joint")
     assert joint is not None and joint.get("child_link") == root
@@ -263,13 +263,14 @@ def test_moveit_waits_for_a_person_and_begins_where_the_planner_takes_it(beside_
     assert on_track[f"{prefix}allowed_start_tolerance"] == START_TOLERANCE_M < START_TOLERANCE_RAD
 
 
-def test_plans_are_timed_unless_that_is_switched_off(beside_bringup, with_moveit):
+def test_plans_are_always_timed(beside_bringup):
+    """MoveIt 1.1.12 and later skips a plan without times, and says SUCCESS."""
     name = "/kr120/move_group/planning_pipelines/ompl/request_adapters"
     first, *others = beside_bringup[name].split()
     assert first == "default_planner_request_adapters/AddTimeOptimalParameterization"
     assert "default_planner_request_adapters/FixWorkspaceBounds" in others
-    untimed = parameters(with_moveit, "move_group.launch", "time_parameterization:=false")[name]
-    assert untimed.split() == others
+    for file in LAUNCHES:
+        assert "time_parameterization" not in arguments(file), file
 
 
 @pytest.mark.parametrize("name, words", [("kr120", []), ("kr120_track", ["track:=true"])])
@@ -310,10 +311,29 @@ def test_another_arm_needs_a_folder_and_its_names(tmp_path, capsys, with_moveit)
     assert given["/ur_like/move_group/planning_pipelines/ompl/manipulator/projection_evaluator"] == "joints(pan,lift)"
 
 
-def test_nothing_in_it_needs_this_package_s_python():
+def test_nothing_in_it_needs_this_package_to_be_built():
     """The other PC's Python is an older one; roslaunch and a checkout are all that it needs."""
+    ours = {
+        node.get("type")
+        for path in LAUNCHES
+        for node in ElementTree.parse(path).iter("node")
+        if node.get("pkg") == "construction_twin"
+    }
+    assert ours == {"fixed_frame"} and all("rosrun" not in path.read_text() for path in LAUNCHES)
+    program = MOVEIT / "scripts/fixed_frame"
+    tree = ast.parse(program.read_text(), feature_version=(3, 8))
+    imported = {name.name for each in ast.walk(tree) if isinstance(each, ast.Import) for name in each.names}
+    imported |= {str(each.module) for each in ast.walk(tree) if isinstance(each, ast.ImportFrom)}
+    assert imported == {"sys", "rospy", "geometry_msgs.msg", "tf2_msgs.msg"} and os.access(program, os.X_OK)
+
+
+@pytest.mark.parametrize("file", ["move_group.launch", "demo.launch"])
+def test_nothing_is_started_that_debian_12_does_not_have(file, with_moveit):
+    """tf2_ros is there as a library; its programs are not."""
     for path in LAUNCHES:
-        assert 'pkg="construction_twin"' not in path.read_text() and "rosrun" not in path.read_text(), path
+        assert {node.get("pkg") for node in ElementTree.parse(path).iter("node")} <= {*STAND_INS, "construction_twin"}
+    for node in roslaunch(with_moveit, "--nodes", "construction_twin", file, "use_rviz:=false").split():
+        assert roslaunch(with_moveit, "--args", node, "construction_twin", file, "use_rviz:=false").split()[0]
 
 
 # -- alone

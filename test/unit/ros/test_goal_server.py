@@ -40,7 +40,8 @@ class World:
 
     def publisher(self, topic: str, *_, **__):
         """Return a publisher that keeps what it is given."""
-        return SimpleNamespace(publish=self.sent.setdefault(topic, []).append)
+        impl = SimpleNamespace(connections=[])
+        return SimpleNamespace(publish=self.sent.setdefault(topic, []).append, impl=impl)
 
     def send(self, name: str, stamp: genpy.Time = genpy.Time(1000)) -> None:
         """Let a client send a goal."""
@@ -109,3 +110,12 @@ def test_nor_one_that_comes_while_it_is_taken(world, monkeypatch):
     world.cancel("", genpy.Time(5000))
     other[0].join()
     assert len(world.goals) == 2 and world.sent["follow/result"] == []
+
+
+def test_a_client_is_connected_as_long_as_it_hears_the_status_of_its_goals(world):
+    connections = world.server.status_pub.impl.connections
+    assert not world.server.is_connected("/client")
+    connections += [SimpleNamespace(endpoint_id="/rostopic"), SimpleNamespace(endpoint_id="/client")]
+    assert world.server.is_connected("/client") and not world.server.is_connected("/client_2")
+    del connections[1]
+    assert not world.server.is_connected("/client")

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 import rospy
 from bridge_bench import Client, Refusals
+from construction_twin.msg import Plan, PlanCaller, Review
 from processes import wait_until
 from rospy.exceptions import TransportTerminated
 
@@ -324,3 +325,28 @@ def test_an_executor_that_is_not_there_is_told(pressing, error):
     answer = acks(pressing, "stop")[0]
     assert not answer["ok"] and "/kr120/stop does not answer" in answer["reason"]
     assert pressing.node.report().values == {"interventions not taken": 1}
+
+
+def shown(bench) -> dict | None:
+    """Return what screens see of the plan under review."""
+    payload = [payload for topic, payload in bench.client.published if topic.endswith("/plan")][-1]
+    return json.loads(payload) if payload else None
+
+
+@pytest.mark.parametrize("first", ["plan", "caller"])
+def test_a_screen_says_when_the_client_whose_plan_it_shows_is_gone(bench, first):
+    plan = Plan(id="p1", hash="cafe", source="follow_joint_trajectory from /matlab")
+    gone = PlanCaller(plan_id="p1", client="/matlab", connected=False)
+    (bench.node.on_plan if first == "plan" else bench.node.on_caller)(plan if first == "plan" else gone)
+    (bench.node.on_caller if first == "plan" else bench.node.on_plan)(gone if first == "plan" else plan)
+    assert shown(bench)["source"] == (
+        "follow_joint_trajectory from /matlab (connected no more: nobody waits for the result)"
+    )
+    bench.node.on_caller(PlanCaller(plan_id="p1", client="/matlab", connected=True))
+    assert shown(bench)["source"] == "follow_joint_trajectory from /matlab"
+    bench.node.on_caller(PlanCaller(plan_id="another", client="/x", connected=False))
+    assert shown(bench)["source"] == "follow_joint_trajectory from /matlab"
+    # a plan that was decided does not come back
+    bench.node.on_verdict(Review(plan_id="p1"))
+    bench.node.on_caller(gone)
+    assert shown(bench) is None

@@ -43,7 +43,9 @@ class Bench:
         monkeypatch.setattr(neighbour_node.rospy.Time, "now", staticmethod(self._now))
         monkeypatch.setattr(neighbour_node.rospy, "loginfo", lambda *_: None)
         conflict = SimpleNamespace(publish=self.did.append)
-        self.node = NeighbourNode(settings, self.own, self.other, self.judge, 2.9, conflict, self.latest)
+        self.moveit: list = []
+        told = SimpleNamespace(moves=lambda: self.moveit.append("moves"), stands=lambda *seen: self.moveit.append(seen))
+        self.node = NeighbourNode(settings, self.own, self.other, self.judge, 2.9, conflict, self.latest, told)
 
     def _now(self):
         self.did.append("time")
@@ -267,3 +269,22 @@ def test_a_plan_that_fails_because_the_other_arm_may_be_anywhere_says_so():
     )
     beside.unknown = ""
     assert handler.answer(blocked, None).sentence == "the start is in collision"
+
+
+def test_moveit_is_told_of_the_other_arm_where_it_stands_without_a_plan_and_is_known(bench):
+    bench.check()
+    assert bench.moveit == [(other().between(AWAY, AWAY), EMPTY.padding, STAMP)]
+    bench.moveit.clear()
+    bench.other.claim = object()
+    bench.check()
+    bench.other.claim, bench.other.unknown = None, "its pose is 3 s old"
+    bench.check()
+    bench.other.unknown, bench.own.scene = "", None
+    bench.check()
+
+    def unknown(**_):
+        raise NeighbourUnknownError("b", "its scene was not received")
+
+    bench.own.scene, bench.other.occupied = EMPTY, unknown
+    bench.check()
+    assert bench.moveit == ["moves"] * 4

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import rospy
+import tf2_ros
 import yaml
 from construction_twin.msg import Engagement, Signal, ToolSwitch, WorkSegment
 from construction_twin.srv import (
@@ -33,6 +34,7 @@ from construction_twin.ros.messages import convert
 from construction_twin.ros.messages.scene_convert import object_to_msg, scene_to_msg
 from construction_twin.ros.nodes import planner as module
 from construction_twin.ros.nodes.planner import PlannerNode, Settings
+from construction_twin.ros.shared.frames import Frames
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 
@@ -64,7 +66,11 @@ class Bench:
         patch(module, "LatestPose", lambda *_: SimpleNamespace(pose=lambda *_: self.pose))
         patch(module, "caller_of", lambda _: "a caller")
         patch(module, "now_ns", lambda: 7_000_000_000)
-        patch(module, "FrameListener", lambda _: None)
+        patch(
+            module,
+            "listen_to_frames",
+            lambda robot, prefix, *_: Frames(robot, prefix, tf2_ros.Buffer(debug=False).lookup_transform, str),
+        )
         patch(module.rospy, "resolve_name", lambda name: f"/kr120/{name}")
         patch(module.rospy.Time, "now", staticmethod(lambda: rospy.Time(7)))
         self.node = PlannerNode()

@@ -6,16 +6,22 @@ import io
 import sys
 from types import ModuleType
 
+import coal
 import genpy
 import numpy as np
+import pinocchio
 import pytest
 from moveit_messages import PART_MD5, PLANNING_SCENE_MD5, MoveitScene, md5_sums, message_types, modules
+from neighbour_cell import AWAY, BESIDE, STEP, TOWARDS, other
+from planning_cell import ROBOT
 from scene_samples import box_triangles, kr120, kr120_pairs, write_stl
 
 from construction_twin.kinematics.chain import Pose
 from construction_twin.ros.messages.planning_scene import MoveitTypes, moveit_types
-from construction_twin.ros.shared.planning_scene import PlanningScenePublisher
+from construction_twin.ros.shared.planning_scene import OtherArmPublisher, PlanningScenePublisher
 from construction_twin.scene.collision_bodies import RobotBodies
+from construction_twin.scene.neighbour import Neighbour, Obstacle
+from construction_twin.scene.neighbour_objects import neighbour_objects
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.planner_scene import planner_scene
 
@@ -117,12 +123,12 @@ def test_moveit_follows_an_object_that_is_lifted_put_down_and_removed():
     standing = Scene((TABLE, PART))
     carried = standing.attach("part", "tool0", IN_HAND)
     put_down = carried.detach("part", PART.pose)
-    scenes = (standing, carried, put_down, carried, put_down.remove("part"), standing)
-    messages = told(*scenes)
+    scenes = (standing, carried, put_down, carried, carried.remove("part"), standing)
     for count, scene in enumerate(scenes, 1):
-        seen = taken(messages[:count])
+        seen = taken(told(*scenes[:count]))
         assert set(seen.attached) == {item.name for item in scene.objects if item.link}
         assert set(seen.world) == {item.name for item in scene.objects if not item.link}
+        assert seen.printed == []
 
 
 def test_a_planner_that_comes_late_knows_as_much_from_the_latched_message_alone():
@@ -131,7 +137,20 @@ def test_a_planner_that_comes_late_knows_as_much_from_the_latched_message_alone(
     for scenes in ((standing, carried), (carried, standing), (carried, standing.remove("part")), (carried, Scene())):
         messages = told(*scenes)
         early, late = taken(messages), taken(messages[-1:])
+        assert early.printed == late.printed == []
         assert (early.world.keys(), early.attached.keys()) == (late.world.keys(), late.attached.keys())
+
+
+def test_what_was_removed_is_named_once_and_never_to_a_planner_that_comes_later():
+    """move_group prints an error for each object that it does not know and is to detach, and a warning where it is to remove."""
+    carried = Scene((TABLE, PART)).attach("part", "tool0", IN_HAND)
+    removed = carried.remove("part")
+    first, change, latched, later = told(carried, removed, removed)
+    seen = taken([first, change])
+    assert set(seen.world) == {"table"} and not seen.attached and seen.printed == []
+    for message in (latched, later):
+        alone = taken([message])
+        assert set(alone.world) == {"table"} and alone.printed == []
 
 
 def test_objects_that_only_the_planner_knows_stay():
@@ -144,3 +163,101 @@ def test_objects_that_only_the_planner_knows_stay():
 def test_the_robot_is_named_as_moveit_names_it():
     """Another name is a warning of MoveIt's in every message."""
     assert told(Scene())[0].robot_model_name == "kr120r2500"
+
+
+# -- the other arm
+
+
+def beside(*steps) -> list:
+    """Return what is published when the other arm is seen so, one check after the other; None: it moves."""
+    wire = Wire()
+    publisher = OtherArmPublisher(TYPES, kr120(), wire, 0.1)
+    for obstacles in steps:
+        if obstacles is None:
+            publisher.moves()
+        else:
+            publisher.stands(obstacles, 0.02, STAMP)
+    return wire.messages
+
+
+HERE, THERE = other().between(AWAY, AWAY), Neighbour("other", ROBOT, BESIDE, STEP).between(TOWARDS, TOWARDS)
+
+
+def test_the_other_arm_is_told_of_where_it_rests_and_only_then():
+    assert beside(HERE) == beside(HERE, THERE) == beside(HERE, None, HERE) == []
+    assert len(beside(HERE, HERE, HERE, None, HERE, HERE)) == 1
+    first, second = beside(HERE, HERE, None, THERE, THERE)
+    assert first.is_diff and not first.robot_model_name and not first.allowed_collision_matrix.entry_names
+    names = [thing.id for thing in first.world.collision_objects]
+    assert names == [thing.id for thing in second.world.collision_objects] and len(set(names)) == len(names)
+    assert {"other/link_0", "other/link_3"} <= set(names)
+    assert {thing.header.frame_id for thing in first.world.collision_objects} == {"base_link"}
+    seen = taken([*told(Scene((TABLE,))), first, second])
+    assert "table" in seen.world and seen.printed == [] and seen.matrix is not None
+
+
+def test_what_the_other_arm_no_longer_carries_is_taken_away_once():
+    load = SceneObject("load", "box", (0.2, 0.2, 0.2), link="tool0")
+    loaded = other().carrying([load]).between(AWAY, AWAY)
+    first, change, latched = beside(loaded, loaded, HERE, HERE)
+    seen = taken([first, change, latched])
+    assert "other/load" not in seen.world and len(seen.world) == len(HERE_PARTS) and seen.printed == []
+    assert taken([latched]).printed == []
+
+
+HERE_PARTS = neighbour_objects(HERE, "base_link", 0.12)
+
+
+def inside(item, point: np.ndarray) -> bool:
+    """Return whether a point in the root lies in an object."""
+    local = item.pose.rotation.T @ (point - item.pose.position)
+    if item.shape == "box":
+        return bool(np.all(np.abs(local) <= np.array(item.dimensions) / 2 + 1e-9))
+    if item.shape == "sphere":
+        return bool(np.linalg.norm(local) <= item.dimensions[0] + 1e-9)
+    if item.shape == "cylinder":
+        radius, length = item.dimensions
+        return bool(np.hypot(*local[:2]) <= radius + 1e-9 and abs(local[2]) <= length / 2 + 1e-9)
+    corners = item.vertices[item.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return bool(np.all(np.einsum("ij,ij->i", normals, local - corners[:, 0]) <= 1e-9))
+
+
+@pytest.mark.parametrize(
+    "geometry",
+    [coal.Box(0.4, 0.2, 0.6), coal.Sphere(0.2), coal.Cylinder(0.1, 0.5), coal.Capsule(0.1, 0.5), None],
+    ids=["box", "sphere", "cylinder", "capsule", "convex"],
+)
+def test_every_point_within_the_distance_to_keep_is_in_one_of_the_parts(geometry):
+    rng = np.random.default_rng(7)
+    if geometry is None:
+        cloud = coal.BVHModelOBBRSS()
+        cloud.beginModel(0, 40)
+        cloud.addVertices(rng.normal(size=(40, 3)) * (0.3, 0.2, 0.1))
+        cloud.endModel()
+        cloud.buildConvexHull(True, "Qt")
+        geometry = cloud.convex
+    rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    place = pinocchio.SE3(rotation * np.sign(np.linalg.det(rotation)), np.array([0.3, -0.2, 1.0]))
+    margin = 0.12
+    parts = neighbour_objects([Obstacle("other/x", place, geometry, 0.01)], "base_link", margin - 0.01)
+    assert [part.name for part in parts] == ["other/x", "other/x 2", "other/x 3"][: len(parts)]
+    point_shape, near, far = coal.Sphere(1e-6), 0, 0
+    for offset in rng.uniform(-0.6, 0.6, (3000, 3)):
+        point = place.translation + offset
+        result = coal.DistanceResult()
+        at = coal.Transform3s(np.eye(3), point)
+        distance = coal.distance(
+            geometry,
+            coal.Transform3s(place.rotation, place.translation),
+            point_shape,
+            at,
+            coal.DistanceRequest(),
+            result,
+        )
+        held = any(inside(part, point) for part in parts)
+        near += distance <= margin - 1e-5
+        far += not held
+        assert held or distance > margin - 1e-5, (offset, distance)
+    # both kinds were tried
+    assert near > 50 and far > 50

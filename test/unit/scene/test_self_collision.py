@@ -114,11 +114,26 @@ def test_the_hash_follows_shapes_joints_and_ranges_only():
     assert geometry_hash(RobotBodies(ghost)) == original
 
 
-def test_a_file_of_another_geometry_is_refused_with_the_command_to_run():
-    longer = replace(kr120(), urdf=kr120().urdf.replace('radius="0.37"', 'radius="0.38"'))
-    with pytest.raises(ConfigurationError, match="rosrun construction_twin self_collision") as caught:
+@pytest.mark.parametrize("name", ["kr120", "my_arm"])
+def test_a_file_of_another_geometry_is_refused_with_a_command_that_writes_over_nobody_s_file(name):
+    """A robot that was given no file has that of the KR 120, by name even its own: what is printed must leave it as it is."""
+    longer = replace(kr120(), name=name, urdf=kr120().urdf.replace('radius="0.37"', 'radius="0.38"'))
+    with pytest.raises(ConfigurationError) as caught:
         read_self_collision(SHIPPED, longer)
     assert caught.value.value == kr120_pairs().geometry_hash
+    assert str(caught.value).startswith(str(SHIPPED)) and str(caught.value).count(str(SHIPPED)) == 1
+    assert "`rosrun construction_twin self_collision <urdf or xacro> <robot.yaml> <new file>`" in str(caught.value)
+
+
+def test_the_command_does_not_write_over_another_arm_s_file(tmp_path):
+    theirs = tmp_path / "kr120_self_collision.yaml"
+    theirs.write_bytes(SHIPPED.read_bytes())
+    urdf, files = ROOT / "test/data/ur_like.urdf", ROOT / "test/data/ur_like.yaml"
+    with pytest.raises(
+        SystemExit, match="the file of robot kr120', expected a new file for ur_like, or one of its own"
+    ):
+        main([str(urdf), str(files), str(theirs), "--samples", "1"])
+    assert theirs.read_bytes() == SHIPPED.read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -101,9 +101,24 @@ def test_joint_goals_in_deg_and_mm():
 @settings(deadline=None)
 @given(st.tuples(*[st.floats(-5000.0, 5000.0)] * 3, ANGLES, ANGLES, ANGLES))
 def test_poses_in_mm_and_kuka_s_angles(values):
-    pose = pose_goal(values)
+    pose = pose_goal(values, "kr120/twin/tool0")
     np.testing.assert_allclose(pose.position * 1e3, values[:3], atol=1e-9)
     np.testing.assert_allclose(np.degrees(rotation_to_abc(pose.rotation)), values[3:], atol=1e-9)
+
+
+@pytest.mark.parametrize("frame", ["", "base_link", "kr120/twin/base_link", "world"])
+def test_a_pose_inside_of_the_robot_s_foot_is_refused_as_probably_metres_and_never_converted(frame):
+    with pytest.raises(ConfigurationError) as caught:
+        pose_goal([1.3, -0.3, 1.4, 0.0, 90.0, 0.0], frame)
+    said = str(caught.value)
+    assert said.startswith("--pose: found '1.3 -0.3 1.4', expected X, Y, Z in mm")
+    assert said.endswith("probably in metres. If so, give 1300 -300 1400")
+
+
+def test_few_millimetres_are_a_pose_in_a_frame_that_moves_or_where_one_coordinate_is_large():
+    assert pose_goal([1.3, -0.3, 1.4, 0.0, 0.0, 0.0], "tool0").position.tolist() == [1.3e-3, -0.3e-3, 1.4e-3]
+    assert pose_goal([1.3, -0.3, 1400.0, 0.0, 0.0, 0.0]).position[2] == 1.4
+    assert pose_goal([0.0] * 6).position.tolist() == [0.0] * 3
 
 
 # -- texts

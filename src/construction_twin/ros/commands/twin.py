@@ -6,6 +6,7 @@ import argparse
 import getpass
 import os
 import sys
+import time
 from functools import partial
 from pathlib import Path
 
@@ -13,31 +14,36 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused, SilenceError
 from construction_twin.core.files import write_whole
+from construction_twin.core.motion_errors import NeighbourUnknownError
 from construction_twin.msg import Execution
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.planning.waypoint_file import format_plan
 from construction_twin.robot.description import RobotModel
-from construction_twin.robot.plan import Plan
+from construction_twin.robot.plan import BY_ACTION, Plan
 from construction_twin.robot.urdf import parse_urdf
 from construction_twin.ros.commands.twin_work import WorkCommand
 from construction_twin.ros.commands.watch import watch
 from construction_twin.ros.messages.scene_convert import scene_from_msg
+from construction_twin.ros.shared.arm_listener import listen_to_other_arm, neighbour_settings
 from construction_twin.ros.shared.master import TO_DO, await_master, expect_publisher, publishing_nodes
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.shared.robot_listener import RobotListener
 from construction_twin.scene.collision_bodies import RobotBodies
+from construction_twin.scene.neighbour_objects import neighbour_objects
 from construction_twin.scene.objects import Scene
-from construction_twin.scene.planner_scene import planner_scene, scene_text
+from construction_twin.scene.planner_scene import PlannerObject, planner_scene, scene_text
 from construction_twin.scene.self_collision import SelfCollision
 from construction_twin.views.arguments import Exit, check, parser, split_lists
 from construction_twin.views.goals import joint_goal, pose_goal
-from construction_twin.views.texts import plan_lines, scene_lines, status_lines
+from construction_twin.views.texts import caller_line, plan_lines, scene_lines, status_lines
 
 #: States of the executor in which no plan is under way.
 _AT_REST = (Execution.WAITING, Execution.IDLE)
 #: How long to wait for a latched message that may not exist [s].
 LATCHED = 2.0
+#: Between two looks at what has been heard of the other arm [s].
+PAUSE = 0.05
 
 
 class Command:
@@ -70,9 +76,17 @@ class Command:
         elif options.joints is not None:
             print(client.plan_to_joints(joint_goal(options.joints, self._robot()), duration, scale))
         elif options.line:
-            print(client.plan_line(pose_goal(options.pose), options.frame, (options.tool_speed or 0.0) / 1e3, scale))
+            print(
+                client.plan_line(
+                    pose_goal(options.pose, options.frame), options.frame, (options.tool_speed or 0.0) / 1e3, scale
+                )
+            )
         else:
-            print(client.plan_to_pose(pose_goal(options.pose), options.frame, options.configuration, duration, scale))
+            print(
+                client.plan_to_pose(
+                    pose_goal(options.pose, options.frame), options.frame, options.configuration, duration, scale
+                )
+            )
         return Exit.DONE
 
     def _home(self) -> Exit:
@@ -164,16 +178,43 @@ class Command:
             print("\n".join(scene_lines(scene)))
             return Exit.DONE
         bodies = RobotBodies(self._robot())
-        text, remarks = scene_text(
-            planner_scene(bodies, scene, SelfCollision({}, "")), f"{self._options.robot} {scene.hash[:12]}"
-        )
-        for remark in remarks:
+        root = parse_urdf(bodies.robot.urdf).get_root()
+        told = planner_scene(bodies, scene, SelfCollision({}, ""))
+        beside, about = self._other_arm(bodies.robot, root, scene.padding)
+        text, remarks = scene_text(told, f"{self._options.robot} {scene.hash[:12]}", beside)
+        for remark in (*remarks, *about):
             print(f"twin: {remark}", file=sys.stderr)
         path = _write(self._options.moveit, text)
         if path is not None:
             objects = sum(not item.link for item in scene.objects)
-            print(f"{path}: {objects} objects, in {parse_urdf(bodies.robot.urdf).get_root()}")
+            arm = f" and {len(beside)} parts of the other arm" if beside else ""
+            print(f"{path}: {objects} objects{arm}, in {root}")
         return Exit.DONE
+
+    def _other_arm(self, robot: RobotModel, root: str, padding: float) -> tuple[tuple[PlannerObject, ...], list[str]]:
+        """Return the other arm of the cell where it is now as objects, and what there is to say about it."""
+        settings = neighbour_settings(f"{self._namespace}/")
+        if settings is None:
+            return (), []
+        refused: list[str] = []
+        other = listen_to_other_arm(
+            robot.name, settings, lambda _, sentence: refused.append(sentence), True, f"{self._namespace}/"
+        )
+        deadline = time.monotonic() + self._options.timeout
+        while True:
+            try:
+                obstacles = other.occupied(LATCHED)
+            except NeighbourUnknownError as error:
+                unknown = str(error)
+            else:
+                unknown = other.unknown
+            if not unknown or time.monotonic() > deadline:
+                break
+            rospy.sleep(PAUSE)
+        if unknown:
+            return (), [*refused, f"{settings.name} is not in it: {unknown}"]
+        moves = [f"{settings.name} follows a plan: in it is the rest of that path"] if other.claim is not None else []
+        return neighbour_objects(obstacles, root, settings.padding + padding), moves
 
     # -- what several of them need
 
@@ -227,7 +268,20 @@ class Command:
         return listener.newest(name) is not None
 
     def _print_plan(self, plan: Plan, listener: RobotListener) -> None:
-        print("\n".join(plan_lines(plan, self._robot().linear, listener.changes(plan.id))))
+        lines = plan_lines(plan, self._robot().linear, listener.changes(plan.id))
+        if plan.source.startswith(f"{BY_ACTION} "):
+            lines.append(self._caller_line(plan, listener))
+        print("\n".join(lines))
+
+    def _caller_line(self, plan: Plan, listener: RobotListener) -> str:
+        def told() -> bool:
+            newest = listener.newest("plan_caller")
+            return newest is not None and newest.plan_id == plan.id
+
+        if not listener.wait(told, min(LATCHED, self._options.timeout)):
+            return caller_line(plan.source.removeprefix(f"{BY_ACTION} "), None)
+        caller = listener.newest("plan_caller")
+        return caller_line(caller.client, caller.connected)
 
     def _verdict(self, plan: Plan, approve: bool) -> str:
         reviewer = self._options.reviewer or account_name()

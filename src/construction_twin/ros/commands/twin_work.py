@@ -85,7 +85,7 @@ class WorkCommand:
 
     def _measured(self) -> None:
         options = self._options
-        pose = PoseStamped(pose=pose_to_msg(pose_goal(options.pose)))
+        pose = PoseStamped(pose=pose_to_msg(pose_goal(options.pose, options.frame)))
         pose.header.frame_id = options.frame
         person = options.person or self._account
         request = {"element": options.element, "pose": pose, "person": person, "reason": options.reason}

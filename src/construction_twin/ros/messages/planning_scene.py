@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from types import ModuleType
 
@@ -59,9 +59,9 @@ def planning_scene_message(
         The URDF's name.
     stamp : genpy.Time
     gone : collection of str
-        Objects of earlier messages that are in the scene no more.
+        Objects of the last message that are in the scene no more. MoveIt complains of those that it does not know.
     put_down : collection of str
-        Objects that were carried in an earlier message and are not now.
+        Objects that were carried in the last message and are not now; likewise.
 
     Returns
     -------
@@ -84,14 +84,39 @@ def planning_scene_message(
             )
         else:
             message.world.collision_objects.append(thing)
-    for name in sorted(gone):
-        message.world.collision_objects.append(moveit.CollisionObject(id=name, operation=moveit.CollisionObject.REMOVE))
+    message.world.collision_objects += _removed(types, gone)
     matrix = message.allowed_collision_matrix
     matrix.entry_names = list(told.names)
     matrix.entry_values = [moveit.AllowedCollisionEntry(enabled=row.tolist()) for row in told.allowed]
     matrix.default_entry_names = list(told.fixed_links)
     matrix.default_entry_values = [True] * len(told.fixed_links)
     return message
+
+
+def beside_message(types: MoveitTypes, objects: Iterable[PlannerObject], stamp: genpy.Time, gone: Collection[str] = ()):
+    """Return objects that stand as a difference that changes nothing else: neither the robot's state nor who is checked with whom.
+
+    Parameters
+    ----------
+    types, stamp
+        As of `planning_scene_message`.
+    objects : iterable of PlannerObject
+    gone : collection of str
+        Objects of earlier messages that are there no more.
+
+    Returns
+    -------
+    message : moveit_msgs/PlanningScene
+    """
+    message = types.moveit.PlanningScene(is_diff=True)
+    message.robot_state.is_diff = True
+    message.world.collision_objects = [_object(types, item, stamp) for item in objects] + _removed(types, gone)
+    return message
+
+
+def _removed(types: MoveitTypes, names: Iterable[str]) -> list:
+    remove = types.moveit.CollisionObject.REMOVE
+    return [types.moveit.CollisionObject(id=name, operation=remove) for name in sorted(names)]
 
 
 def _object(types: MoveitTypes, item: PlannerObject, stamp: genpy.Time):

@@ -37,7 +37,8 @@ from construction_twin.execution.trajectory_goals import (
     TrajectoryGoals,
     Withdraw,
 )
-from construction_twin.msg import Execution, Feedback, Review
+from construction_twin.msg import Execution, Feedback, PlanCaller, Review
+from construction_twin.robot.plan import BY_ACTION
 from construction_twin.ros.messages.joint_goals import (
     LONGEST,
     GoalDefaults,
@@ -52,6 +53,7 @@ from construction_twin.ros.shared.params import read_parameters, robot_from_para
 from construction_twin.ros.transport.goal_server import GoalServer
 from construction_twin.ros.transport.joint_stream import JointSubscriber, from_time
 from construction_twin.ros.transport.persistent_service import NO_ANSWER
+from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 from construction_twin.srv import PlanTrajectory, ReviewPlan, StopPlan
 
@@ -120,6 +122,8 @@ class FollowJointTrajectoryNode:
         self._fed_back = 0.0
         self._taken = 0
         self._last = self._described = "no goal yet"
+        self._caller: tuple[str, bool] | None = None
+        self._caller_publisher = Publisher("plan_caller", PlanCaller, queue_size=5, latch=True)
         self._diagnostics = NodeDiagnostics(robot.name, self._report)
         refuse = self._diagnostics.refuse
         names = robot.joint_names
@@ -173,6 +177,7 @@ class FollowJointTrajectoryNode:
             sample, at_rest, settled = tracking.sample(), tracking.at_rest, tracking.settled
         now = time.monotonic()
         self._goals.tick(time.monotonic_ns(), sample, at_rest, settled)
+        self._tell_caller()
         goal = self._goals.goal
         if goal is None or sample is None or goal.id not in self._clients:
             return
@@ -184,6 +189,24 @@ class FollowJointTrajectoryNode:
             feedback.joint_names = [self._robot.joint_names[index] for index in client.order]
             fill_feedback(feedback, sample, self._goals.plan_start, client.order)
             client.handle.publish_feedback(feedback)
+
+    def _tell_caller(self) -> None:
+        """Tell whoever reviews whether the client of the plan under review is still there: it may have given up without a word."""
+        goals = self._goals
+        if goals.state is not GoalState.REVIEW or goals.goal is None or goals.plan is None:
+            return
+        client = goals.goal.client
+        connected = self._clients[goals.goal.id].server.is_connected(client)
+        if self._caller == (goals.plan.id, connected):
+            return
+        self._caller = (goals.plan.id, connected)
+        message = PlanCaller(plan_id=goals.plan.id, client=client, connected=connected)
+        message.header.stamp = rospy.Time.now()
+        self._caller_publisher.publish(message)
+        if not connected:
+            rospy.logwarn(
+                "goal of %s: it is connected no more, and plan %s still waits for review", client, goals.plan.id
+            )
 
     # -- subscriptions and actions: other threads
 
@@ -301,7 +324,7 @@ class FollowJointTrajectoryNode:
         try:
             rospy.wait_for_service("plan_trajectory", self._planner_timeout)
             planner = rospy.ServiceProxy("plan_trajectory", PlanTrajectory)
-            source = f"follow_joint_trajectory from {goal.client}"
+            source = f"{BY_ACTION} {goal.client}"
             answer = planner(trajectory=trajectory, retime=self._retime, source=source)
         except rospy.ROSInterruptException:
             return

@@ -437,7 +437,7 @@ class MqttBridge:
         """Wait as `_wait_for_arming` for the session that a person asked for; what fails is withdrawn, also at the gateway."""
         supervisor = self._supervisor
         armed, sentence = self._wait_for_arming(
-            halts, lambda: supervisor.session != before, functools.partial(supervisor.withdraw, number)
+            halts, lambda: supervisor.session != before, partial(supervisor.withdraw, number)
         )
         # who asks again at once must know of the stop with which it is withdrawn
         deadline = time.monotonic() + WITHDRAWAL

@@ -13,6 +13,7 @@ import time
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 
 import pydantic
 import rospy
@@ -35,7 +36,7 @@ from construction_twin.mqtt.client import Broker, make_client, subscriptions, un
 from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP
 from construction_twin.mqtt.messages import Topics, account_of
 from construction_twin.mqtt.plain_client import PlainClient
-from construction_twin.msg import Link, Plan, Review
+from construction_twin.msg import Link, Plan, PlanCaller, Review
 from construction_twin.robot.segments import segments_content
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
@@ -99,6 +100,8 @@ class MqttReview:
     ):
         self._settings = settings
         self._board = PlanBoard()
+        self._view: PlanView | None = None
+        self._gone = ""
         self._lock = threading.Lock()
         self._session: str | None = None
         self._seen = b""
@@ -160,13 +163,32 @@ class MqttReview:
     def on_plan(self, message: Plan) -> None:
         """Show a plan; a work plan whose hash is not that of what would be shown is refused."""
         try:
-            payload = plan_view(message).to_json(self._settings.path_points)
+            view = plan_view(message)
         except PlanningError as error:
             self._diagnostics.refuse("plan", str(error))
             return
         with self._lock:
-            self._board.on_plan(message.id, payload)
+            self._view = view
+            self._show()
         self._publish_plan()
+
+    def on_caller(self, message: PlanCaller) -> None:
+        """Say of the plan under review whether the program that asked for it is still connected."""
+        with self._lock:
+            self._gone = "" if message.connected else message.plan_id
+            if self._view is None or self._view.id != message.plan_id:
+                return
+            self._show()
+        self._publish_plan()
+
+    def _show(self) -> None:
+        """Put the newest plan on the board, unless it was decided."""
+        view = self._view
+        assert view is not None  # there is a plan
+        if view.id == self._gone:
+            # in the one text about who asked that every screen shows
+            view = replace(view, source=f"{view.source} (connected no more: nobody waits for the result)")
+        self._board.on_plan(view.id, view.to_json(self._settings.path_points))
 
     def on_verdict(self, message: Review) -> None:
         """Take a plan away that was approved or rejected."""
@@ -398,6 +420,7 @@ def start() -> MqttReview:
     node = MqttReview(settings, robot, broker, client, review_plan, interventions, diagnostics)
     node.connect()
     Subscriber("plan", Plan, node.on_plan, node.refuse, queue_size=5)
+    Subscriber("plan_caller", PlanCaller, node.on_caller, node.refuse, queue_size=5)
     Subscriber("review", Review, node.on_verdict, node.refuse, queue_size=10)
     Subscriber("link", Link, node.on_link, node.refuse, queue_size=5)
     return node

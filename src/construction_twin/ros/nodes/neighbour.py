@@ -17,6 +17,7 @@ from construction_twin.core.motion_errors import NeighbourUnknownError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.conflict_verdicts import VERDICT_TIMEOUT
 from construction_twin.msg import Conflict as ConflictMsg
+from construction_twin.ros.messages.planning_scene import moveit_types
 from construction_twin.ros.shared.arm_listener import (
     ArmListener,
     NeighbourSettings,
@@ -27,6 +28,7 @@ from construction_twin.ros.shared.arm_listener import (
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import robot_from_parameters
+from construction_twin.ros.shared.planning_scene import QUEUE, OtherArmPublisher
 from construction_twin.ros.transport.publisher import Publisher, Sink
 
 #: From the moment when a verdict counts no longer to the first braking setpoint, and from a pose to its reception, at most
@@ -75,6 +77,8 @@ class NeighbourNode:
     conflict : Publisher
     latest : Latest
         Where the state is put for `/diagnostics`.
+    moveit : OtherArmPublisher, optional
+        Is told where the other arm rests, where MoveIt's message types are installed.
     """
 
     def __init__(
@@ -86,6 +90,7 @@ class NeighbourNode:
         horizon: float,
         conflict: Sink,
         latest: Latest,
+        moveit: OtherArmPublisher | None = None,
     ):
         self._settings = settings
         self._own = own
@@ -94,6 +99,7 @@ class NeighbourNode:
         self._horizon = horizon
         self._publisher = conflict
         self._latest = latest
+        self._moveit = moveit
         self._checks, self._longest = 0, 0.0
         self._failure = ""
         self._said: dict[str, Said] = {}
@@ -135,6 +141,15 @@ class NeighbourNode:
                 self._publish(waiting.id, verdict, stamp)
         self._forget(verdicts)
         self._sum_up(verdicts, others)
+        if self._moveit is not None:
+            self._tell_moveit(self._moveit, others, stamp)
+
+    def _tell_moveit(self, moveit: OtherArmPublisher, others: Others | None, stamp: rospy.Time) -> None:
+        scene = self._own.scene
+        if others is None or others.claim is not None or others.unknown or scene is None:
+            moveit.moves()
+        else:
+            moveit.stands(others.obstacles, scene.padding, stamp)
 
     def _has_begun(self, plan_id: str) -> bool:
         try:
@@ -215,8 +230,12 @@ def start() -> NeighbourNode:
     horizon = braking_horizon(robot, other.robot, settings.max_pose_age, timeout, DELAY)
     judge = PathJudge(robot, settings.name, settings.watch_padding, settings.own_step, horizon)
     conflict = Publisher("conflict", ConflictMsg, queue_size=10)
+    types, moveit = moveit_types(), None
+    if types is not None:
+        told = Publisher("planning_scene", types.moveit.PlanningScene, queue_size=QUEUE, latch=True)
+        moveit = OtherArmPublisher(types, robot, told, settings.padding)
     rospy.loginfo("watches %s; a conflict is acted upon at least %.2f s ahead", settings.name, horizon)
-    return NeighbourNode(settings, own, other, judge, horizon, conflict, latest)
+    return NeighbourNode(settings, own, other, judge, horizon, conflict, latest, moveit)
 
 
 def main() -> None:

@@ -10,7 +10,6 @@ from typing import Annotated
 import numpy as np
 import pydantic
 import rospy
-import tf2_ros
 from geometry_msgs.msg import PoseStamped
 from std_srvs.srv import Trigger, TriggerResponse
 from trajectory_msgs.msg import JointTrajectory
@@ -29,7 +28,6 @@ from construction_twin.robot.plan import Plan
 from construction_twin.ros.messages.convert import (
     plan_to_msg,
     pose_from_msg,
-    pose_from_transform_msg,
     signal_from_msg,
     trajectory_from_msg,
 )
@@ -41,10 +39,10 @@ from construction_twin.ros.messages.plan_requests import (
     tool_waypoints,
     trajectory_waypoints,
 )
-from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
+from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.arm_listener import listen_to_other_arm, neighbour_settings
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.frame_listener import FrameListener
+from construction_twin.ros.shared.frames import listen_to_frames
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.shared.request_handler import OccupiedSpace, RequestHandler
@@ -108,7 +106,6 @@ class PlannerNode:
         self._chain = Chain(self._robot)
         self._beside = neighbour_settings()
         self._pipeline = self._make_pipeline()
-        self._base_frame = tf_frame(self._settings.tf_prefix, self._robot.base_link)
         self._plans = 0
         self._last = "no plan asked for yet"
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
@@ -118,7 +115,9 @@ class PlannerNode:
             beside, refuse = self._beside, self._diagnostics.refuse
             other = listen_to_other_arm(self._robot.name, beside, refuse, streams=False)
             self._space = OccupiedSpace(other, beside.name, beside.max_pose_age, beside.padding)
-        self._frames = FrameListener(self._diagnostics.refuse)
+        self._frames = listen_to_frames(
+            self._robot, self._settings.tf_prefix, self._settings.tf_timeout, self._diagnostics.refuse
+        )
         self._publisher = Publisher("plan", PlanMsg, queue_size=1, latch=True)
         self._outcome_publisher = Publisher("plan_outcome", PlanOutcome, queue_size=1, latch=True)
         refuse = self._diagnostics.refuse
@@ -202,7 +201,7 @@ class PlannerNode:
 
     def _on_plan_cartesian(self, request) -> PlanCartesianResponse:
         def plan(asked: PlanRequest) -> Plan:
-            path = tool_waypoints(request.waypoints, self._base_T(request.frame_id, rospy.Time(0)))
+            path = tool_waypoints(request.waypoints, self._frames.in_base(request.frame_id, rospy.Time(0)))
             return self._pipeline.along(self._present_pose(), path, request.speed or None, asked)
 
         answer = self._requests.answer(plan, self._request(request))
@@ -276,7 +275,7 @@ class PlannerNode:
 
     def _publish(self, plan: Plan, changes: Sequence[SceneChange]) -> str:
         tool_path = np.array([self._chain.forward(q).position for q in plan.trajectory.positions])
-        self._publisher.publish(plan_to_msg(plan, self._base_frame, tool_path, changes))
+        self._publisher.publish(plan_to_msg(plan, self._frames.base, tool_path, changes))
         self._plans += 1
         return _sentence(plan)
 
@@ -294,19 +293,8 @@ class PlannerNode:
         return self._twin.pose(oldest, oldest)
 
     def _goal_in_base(self, goal: PoseStamped) -> Pose:
-        """Return ``base_T_tool`` for a goal in any frame tf knows, at the goal's stamp (0: the latest)."""
-        return product(self._base_T(goal.header.frame_id, goal.header.stamp), pose_from_msg(goal.pose))
-
-    def _base_T(self, frame: str, stamp: rospy.Time) -> Pose:  # noqa: N802 (a transform's name)
-        """Return the pose of a frame in the robot's base; an empty name is the base itself."""
-        if frame in ("", self._base_frame):
-            return Pose(np.zeros(3), np.eye(3))
-        timeout = rospy.Duration(self._settings.tf_timeout)
-        try:
-            transform = self._frames.buffer.lookup_transform(self._base_frame, frame, stamp, timeout)
-        except tf2_ros.TransformException as error:
-            raise PlanningError(f"no transform from goal frame {frame!r} to {self._base_frame!r}: {error}") from error
-        return pose_from_transform_msg(transform.transform)
+        """Return ``base_T_tool`` for a goal in a link or any frame tf knows, at the goal's stamp (0: the latest)."""
+        return product(self._frames.in_base(goal.header.frame_id, goal.header.stamp), pose_from_msg(goal.pose))
 
     def _report(self) -> Report:
         scene = self._pipeline.scene

@@ -10,22 +10,20 @@ from typing import Annotated
 import pydantic
 import rosgraph
 import rospy
-import tf2_ros
 from std_srvs.srv import Trigger, TriggerResponse
 from visualization_msgs.msg import MarkerArray
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Scene as SceneMsg
-from construction_twin.ros.messages.convert import pose_from_msg, pose_from_transform_msg
+from construction_twin.ros.messages.convert import pose_from_msg
 from construction_twin.ros.messages.planning_scene import moveit_types
-from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg, tf_frame
+from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.frame_listener import FrameListener
+from construction_twin.ros.shared.frames import listen_to_frames
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters, ros_home
-from construction_twin.ros.shared.planning_scene import PlanningScenePublisher
+from construction_twin.ros.shared.planning_scene import QUEUE, PlanningScenePublisher
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.scene.collision_world import CollisionWorld
@@ -86,7 +84,6 @@ class SceneNode:
         settings = read_parameters(Settings)
         self._robot = robot_from_parameters()
         self._prefix = settings.tf_prefix.rstrip("/")
-        self._base_frame = tf_frame(self._prefix, self._robot.base_link)
         start = read_scene(settings.scene)
         self._file = _scene_file(start)
         scene = self._file.load()
@@ -101,7 +98,7 @@ class SceneNode:
         self._state = Report(WARN, "the twin's present pose is not known yet")
         self._edits = 0
         self._diagnostics = NodeDiagnostics(self._robot.name, lambda: self._state)
-        self._frames = FrameListener(self._diagnostics.refuse)
+        self._frames = listen_to_frames(self._robot, self._prefix, _PATIENCE, self._diagnostics.refuse)
         self._scene_publisher = Publisher("scene", SceneMsg, queue_size=1, latch=True)
         self._marker_publisher = Publisher("scene_markers", MarkerArray, queue_size=1, latch=True)
         self._planning_scene = self._for_moveit()
@@ -152,8 +149,8 @@ class SceneNode:
         item = object_from_msg(request.object)
         if item.link:
             raise SceneError(f"object {item.name!r} link", item.link, "an empty one; attach it once it is in the scene")
-        if request.frame_id not in ("", self._base_frame):
-            item = item.moved(product(self._base_T(request.frame_id), item.pose))
+        if self._frames.tf_name(request.frame_id) != self._frames.base:
+            item = item.moved(product(self._frames.in_base(request.frame_id, rospy.Time(0)), item.pose))
         known = item.name in self._world.scene.names
         scene = self._world.scene.add(item, request.replace)
         return scene, f"{'replaced' if known else 'added'} {item.shape} {item.name!r}"
@@ -201,16 +198,6 @@ class SceneNode:
         before, self._lasting = self._lasting, [str(contact) for contact in lasting_contacts(self._world)]
         return [sentence for sentence in self._lasting if sentence not in before]
 
-    def _base_T(self, frame: str) -> Pose:
-        """Return the latest pose of a tf frame in the base_link."""
-        try:
-            patience = rospy.Duration(_PATIENCE)
-            transform = self._frames.buffer.lookup_transform(self._base_frame, frame, rospy.Time(0), patience)
-        except tf2_ros.TransformException as error:
-            expected = f"a tf frame connected to {self._base_frame!r} ({error})"
-            raise SceneError("frame_id", frame, expected) from error
-        return pose_from_transform_msg(transform.transform)
-
     def _check(self) -> None:
         """Check the present pose; show where a contact begins or ends."""
         with self._busy:
@@ -245,7 +232,7 @@ class SceneNode:
         return ", ".join(f"{first} and {second}" for first, second in self._touching)
 
     def _publish_scene(self) -> None:
-        self._scene_publisher.publish(scene_to_msg(self._world.scene, rospy.Time.now(), self._base_frame))
+        self._scene_publisher.publish(scene_to_msg(self._world.scene, rospy.Time.now(), self._frames.base))
         if self._planning_scene is not None:
             self._planning_scene.publish(self._world.scene, rospy.Time.now())
         self._publish_markers()
@@ -258,7 +245,7 @@ class SceneNode:
                 "moveit_msgs is not installed: planning_scene is not published; `twin scene --moveit` writes a file"
             )
             return None
-        publisher = Publisher("planning_scene", types.moveit.PlanningScene, queue_size=1, latch=True)
+        publisher = Publisher("planning_scene", types.moveit.PlanningScene, queue_size=QUEUE, latch=True)
         return PlanningScenePublisher(types, self._robot, self._world.self_collision, publisher)
 
     def _publish_markers(self) -> None:

@@ -22,12 +22,12 @@ from typing import Annotated, Any
 
 import pydantic
 import rospy
-import tf2_ros
 from geometry_msgs.msg import TransformStamped
 from std_srvs.srv import Trigger, TriggerRequest
 from visualization_msgs.msg import MarkerArray
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.motion_errors import FrameError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.msg import Engagement, Execution, Plan, Review, Scene, ToolState, WorkTasks
 from construction_twin.robot.description import RobotModel
@@ -36,7 +36,7 @@ from construction_twin.ros.messages.scene_convert import tf_frame
 from construction_twin.ros.messages.work_convert import task_to_msg, work_segment_to_msg
 from construction_twin.ros.messages.work_marker_convert import work_marker_array
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.frame_listener import FrameListener
+from construction_twin.ros.shared.frames import listen_to_frames
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters, ros_home
 from construction_twin.ros.shared.private_files import PrivateFiles
@@ -120,7 +120,7 @@ class Inputs:
     twin_pose, arm_pose : callable
         Return the present joint positions [rad], [m]; raise PoseUnknownError or PayloadError.
     transform : callable
-        Takes a tf frame and a stamp; returns where that frame is in the base frame; raises tf2_ros.TransformException.
+        Takes a frame (a link, or a tf frame) and a stamp; returns where it is in the base frame; raises FrameError.
     """
 
     twin_pose: Callable[[], tuple[float, ...]]
@@ -468,8 +468,8 @@ class WorkNode:
             return pose
         try:
             transform = self._inputs.transform(frame, request.pose.header.stamp)
-        except tf2_ros.TransformException as error:
-            raise WorkRefused(f"no transform from {frame!r} to {self._base_frame!r}: {error}") from error
+        except FrameError as error:
+            raise WorkRefused(str(error)) from error
         return product(pose_from_transform_msg(transform.transform), pose)
 
     # -- reports
@@ -574,13 +574,8 @@ def start() -> WorkNode:
     markers = Publisher("work/markers", MarkerArray, queue_size=2, latch=True)
     measured = "physical/joint_states" if settings.arm != "none" else "twin/joint_states"
     twin, arm = (LatestPose(topic, robot.joint_names, refuse) for topic in ("twin/joint_states", measured))
-    frames = FrameListener(refuse)
-    base_frame = tf_frame(settings.tf_prefix, robot.base_link)
     age, timeout = settings.max_pose_age, settings.service_timeout
-
-    def transform(frame: str, stamp: rospy.Time) -> TransformStamped:
-        return frames.buffer.lookup_transform(base_frame, frame, stamp, rospy.Duration(timeout))
-
+    frames = listen_to_frames(robot, settings.tf_prefix, timeout, refuse)
     subscribers: dict[str, Subscriber] = {}
     heard = WorkListener(
         # asked only by the node and its services, which come after the subscribers
@@ -606,7 +601,7 @@ def start() -> WorkNode:
         worker,
         desk,
         heard,
-        Inputs(functools.partial(twin.pose, age, age), functools.partial(arm.pose, age, age), transform),
+        Inputs(functools.partial(twin.pose, age, age), functools.partial(arm.pose, age, age), frames.transform),
         Outputs(
             tasks,
             markers,

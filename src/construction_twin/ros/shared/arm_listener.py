@@ -68,21 +68,22 @@ class NeighbourSettings(NodeSettings):
         return self
 
 
-def neighbour_settings() -> NeighbourSettings | None:
-    """Return the settings of the robot in this namespace; None for a robot alone.
+def neighbour_settings(namespace: str = "") -> NeighbourSettings | None:
+    """Return the settings of the robot in a namespace (``/kr120/``), by default the node's own; None for a robot alone.
 
     Raises
     ------
     ConfigurationError
         With the parameter's name, its value and what was expected.
     """
-    values = rospy.get_param("neighbour", None)
+    name = f"{namespace}neighbour"
+    values = rospy.get_param(name, None)
     if values is None:
         return None
     try:
         return NeighbourSettings.model_validate(values)
     except pydantic.ValidationError as error:
-        raise configuration_error(error, NeighbourSettings, rospy.resolve_name("neighbour")) from error
+        raise configuration_error(error, NeighbourSettings, rospy.resolve_name(name)) from error
 
 
 @dataclass(frozen=True)
@@ -303,7 +304,9 @@ class OtherArm:
                 return
 
 
-def listen_to_other_arm(own: str, settings: NeighbourSettings, refused: Refuse, streams: bool) -> OtherArm:
+def listen_to_other_arm(
+    own: str, settings: NeighbourSettings, refused: Refuse, streams: bool, namespace: str = ""
+) -> OtherArm:
     """Return the other arm of the cell, listening to its topics.
 
     Parameters
@@ -315,6 +318,8 @@ def listen_to_other_arm(own: str, settings: NeighbourSettings, refused: Refuse, 
         As in `ArmListener`.
     streams : bool
         As in `ArmListener`.
+    namespace : str, optional
+        Of our robot, ``/kr120/``; the node's own by default.
 
     Raises
     ------
@@ -322,6 +327,6 @@ def listen_to_other_arm(own: str, settings: NeighbourSettings, refused: Refuse, 
         If the other robot's description is missing, or the cell does not hold both.
     """
     robot = robot_from_parameters(f"/{settings.name}/")
-    cell = load_cell(rospy.get_param("cell", None))
+    cell = load_cell(rospy.get_param(f"{namespace}cell", None))
     arm = Neighbour(settings.name, robot, cell.root_T_root(own, settings.name), settings.step)
     return OtherArm(ArmListener(robot, refused, streams), arm, settings.max_pose_age)

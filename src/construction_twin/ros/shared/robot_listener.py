@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.msg import Execution, Link, Plan, Review, Sync
+from construction_twin.msg import Execution, Link, Plan, PlanCaller, Review, Sync
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanValue
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
@@ -28,7 +28,14 @@ STREAMS = {"twin": "twin/joint_states", "physical": "physical/joint_states", "co
 #: Age from which a report counts as silent [s], and a node that publishes on /diagnostics. `execution` is published on change only.
 SILENT = {"link": 3.0, "sync": 1.0}
 SILENT_NODE = 5.0
-_REPORTS = {"link": Link, "sync": Sync, "execution": Execution, "plan": Plan, "review": Review}
+_REPORTS = {
+    "link": Link,
+    "sync": Sync,
+    "execution": Execution,
+    "plan": Plan,
+    "plan_caller": PlanCaller,
+    "review": Review,
+}
 
 
 class RobotListener:
@@ -86,7 +93,7 @@ class RobotListener:
         return True
 
     def newest(self, name: str):
-        """Return the newest message of ``link``, ``sync``, ``execution``, ``plan`` or ``review``; None before the first."""
+        """Return the newest message of a report, one of `_REPORTS`; None before the first."""
         return self._newest.get(name)
 
     def publishers(self, name: str) -> int:

@@ -60,6 +60,14 @@ class GoalServer(ActionServer):
         self.status_list_timeout = rospy.Duration(STATUS_KEPT)
         self.status_timer = rospy.Timer(rospy.Duration(1.0 / STATUS_RATE), self.publish_status_async)
 
+    def is_connected(self, node: str) -> bool:
+        """Return whether a node still hears the status of its goals.
+
+        The status goes out all the time, so the connection of a client that ended without a word is found to be closed. That to a
+        machine which was cut off stays for as long as TCP believes in it.
+        """
+        return any(connection.endpoint_id == node for connection in self.status_pub.impl.connections)
+
     def internal_cancel_callback(self, goal_id: GoalID) -> None:
         """Cancel what is there, and forget when.
 

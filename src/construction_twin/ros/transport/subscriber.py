@@ -25,6 +25,7 @@ PUBLISHERS = {
     "link": "mqtt_bridge",
     "sync": "pca_monitor",
     "plan": "planner",
+    "plan_caller": "follow_joint_trajectory",
     "scene": "scene",
     "execution": "executor",
     "engagement": "executor",
