@@ -1,4 +1,9 @@
-"""How a verdict is taken: examined, recorded, and only then carried out. Pure; recording is an argument."""
+"""How a verdict is taken: examined, recorded, and only then carried out. Pure; recording and the clock are arguments.
+
+An approval is void `core.freshness.LIFETIME` after the moment that its screen had shown, or after it was called where no screen
+says one: it is looked at when it comes, after its record was written, and until the first setpoint leaves. Then the plan stays
+under review. A rejection is never too old.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +12,8 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
-from construction_twin.core.errors import RecordError, ReviewError
+from construction_twin.core.errors import ExpiredError, RecordError, ReviewError
+from construction_twin.core.freshness import LIFETIME, Moment, staleness
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import Executor
 from construction_twin.review.queue import APPROVED, REFUSED, REJECTED, Ending, Verdict, prove_hash
@@ -71,30 +77,61 @@ class Approval:
         RecordError when it cannot be kept.
     lock : context manager
         Held around every use of the executor.
+    clock : callable
+        Returns the present moment.
     """
 
-    def __init__(self, executor: Executor, record: Callable[[Verdict | Ending], None], lock: AbstractContextManager):
+    def __init__(
+        self,
+        executor: Executor,
+        record: Callable[[Verdict | Ending], None],
+        lock: AbstractContextManager,
+        clock: Callable[[], Moment],
+    ):
         self._executor = executor
         self._record = record
         self._lock = lock
+        self._clock = clock
         # one verdict after the other: the record must keep the order in which verdicts took effect
         self._verdict = threading.RLock()
         # of the plan that waits, for `approve_by_itself`: its id, and when it was seen first [ns]
         self._waiting, self._waits_since = "", 0
 
-    def review(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "") -> Taken:
+    def review(
+        self,
+        plan_id: str,
+        plan_hash: str,
+        approve: bool,
+        reviewer: str,
+        reason: str = "",
+        seen: Moment | None = None,
+    ) -> Taken:
         """Record a verdict and carry it out.
+
+        Parameters
+        ----------
+        plan_id, plan_hash : str
+        approve : bool
+        reviewer : str
+        reason : str, optional
+        seen : Moment, optional
+            The newest that the reviewer's screen had received; without one this call counts.
 
         Raises
         ------
         ReviewError
             When it cannot be taken; a refused approval is recorded too.
+        ExpiredError
+            When it is too old to be carried out.
         RecordError
             When it cannot be recorded; then nothing happens.
         """
+        # before the verdicts that are waited for
+        asked = self._clock() if seen is None else seen
         with self._verdict:
             try:
                 if approve:
+                    self._demand_fresh(asked)
                     self._prove(plan_id)
                 with self._lock:
                     verdict = self._examine(plan_id, plan_hash, approve, reviewer, reason)
@@ -104,7 +141,7 @@ class Approval:
             self._record(verdict)
             try:
                 with self._lock:
-                    return Taken(verdict, self._carry_out(verdict))
+                    return Taken(verdict, self._carry_out(verdict, asked))
             except ReviewError as error:
                 # something happened while it was written down: the record is corrected
                 if verdict.approved and verdict.plan is not None:
@@ -155,13 +192,21 @@ class Approval:
             self._executor.check_start(plan)
         return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan)
 
-    def _carry_out(self, verdict: Verdict) -> str:
+    def _demand_fresh(self, asked: Moment) -> int:
+        """Return how long an approval may still wait for the first setpoint [ns]; ExpiredError when that is over."""
+        now = self._clock()
+        if problem := staleness(asked, now):
+            raise ExpiredError(f"the approval is {problem}")
+        return LIFETIME - (now.at - asked.at)
+
+    def _carry_out(self, verdict: Verdict, asked: Moment) -> str:
         """Apply a verdict that was recorded, if it still can be; return a sentence."""
+        left = self._demand_fresh(asked) if verdict.approved else 0
         self._examine(verdict.plan_id, verdict.plan_hash, verdict.approved, verdict.reviewer)
         plan = self._executor.queue.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
         if not verdict.approved:
             return f"plan {plan.id} rejected by {verdict.reviewer}"
-        self._executor.begin(plan, f"approved by {verdict.reviewer}")
+        self._executor.begin(plan, f"approved by {verdict.reviewer}", left)
         return f"plan {plan.id} approved by {verdict.reviewer}; it takes {plan.trajectory.duration:.3f} s"
 
     def _withdraw(self, plan_id: str, reason: str) -> None:

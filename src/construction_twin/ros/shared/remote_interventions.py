@@ -44,7 +44,7 @@ class RemoteInterventions:
     ----------
     topics : Topics
     services : mapping of str to callable
-        The executor's service per verb, as `rospy.ServiceProxy`.
+        The executor's service per verb, as `rospy.ServiceProxy`; that of `resume` takes `moment`.
     publish : callable
         Takes topic and payload.
     """
@@ -127,14 +127,16 @@ class RemoteInterventions:
         service = self._services[wanted.verb]
         try:
             rospy.wait_for_service(service.resolved_name, SERVICE_TIMEOUT)
-            answer = service()
+            answer = service(moment=wanted.moment) if wanted.verb == RESUME else service()
             ok, sentence = answer.success, answer.message
+            expired = wanted.verb == RESUME and answer.expired
         except (rospy.ROSException, *NO_ANSWER) as error:
-            ok, sentence = False, f"{service.resolved_name} does not answer: {error}; does the executor run?"
+            ok, expired = False, False
+            sentence = f"{service.resolved_name} does not answer: {error}; does the executor run?"
         with self._lock:
             self._counts["taken" if ok else "not taken"] += 1
         rospy.loginfo("%s by MQTT account %s: %s", wanted.verb, wanted.account, sentence)
-        self._answer(wanted.verb, wanted.id, wanted.account, ok, sentence)
+        self._answer(wanted.verb, wanted.id, wanted.account, ok, sentence, expired)
 
-    def _answer(self, verb: str, id_: str, account: str, ok: bool, sentence: str) -> None:
-        self._publish(self._acks[verb], intervention_answer(id_, account, EXECUTOR, ok, sentence))
+    def _answer(self, verb: str, id_: str, account: str, ok: bool, sentence: str, expired: bool = False) -> None:
+        self._publish(self._acks[verb], intervention_answer(id_, account, EXECUTOR, ok, sentence, expired))
