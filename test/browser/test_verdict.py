@@ -87,11 +87,23 @@ def test_a_stop_in_the_middle_of_a_motion_stops_it_and_says_by_whom(page_of, rob
 @pytest.mark.parametrize(
     ("language", "approval", "resume", "request_"),
     (
-        ("en", "too late after what this page had shown", "Resume was NOT carried out", "No plan: the request was too late"),
-        ("de", "zu spät nach dem, was diese Seite gezeigt hatte", "Weiter wurde NICHT ausgeführt", "Kein Plan: Die Anfrage kam zu spät"),
+        (
+            "en",
+            "too late after what this page had shown",
+            "Resume was NOT carried out",
+            "No plan: the request was too late",
+        ),
+        (
+            "de",
+            "zu spät nach dem, was diese Seite gezeigt hatte",
+            "Weiter wurde NICHT ausgeführt",
+            "Kein Plan: Die Anfrage kam zu spät",
+        ),
     ),
 )
-def test_what_lay_on_its_way_starts_nothing_and_who_looks_again_can_ask_anew(page_of, robot, language, approval, resume, request_):
+def test_what_lay_on_its_way_starts_nothing_and_who_looks_again_can_ask_anew(
+    page_of, robot, language, approval, resume, request_
+):
     page = page_of("reviewer-ada", f"?language={language}")
     plan = robot.show_plan(duration=60.0)
     robot.delay = 6.0

@@ -35,7 +35,14 @@ STATUS = {
 }  # fmt: skip
 #: What a view said; repeated by whatever starts something.
 MOMENT = "c0ffee00-81234"
-REVIEW = {"plan_id": "p1", "plan_hash": "0" * 64, "verdict": "approved", "reviewer": "Ada", "reason": "", "moment": MOMENT}
+REVIEW = {
+    "plan_id": "p1",
+    "plan_hash": "0" * 64,
+    "verdict": "approved",
+    "reviewer": "Ada",
+    "reason": "",
+    "moment": MOMENT,
+}
 JOINTS = Joints(tuple(f"joint_a{k}" for k in range(1, 7)), (False,) * 6)
 _POSE = {"position": [1.2, 0.1, 1.4], "orientation": [0.0, 0.7071067811865476, 0.0, 0.7071067811865476]}
 #: What a console asks for, each kind once.
@@ -85,7 +92,10 @@ def mqtt_codecs(count: int, seed: int, progress: Callable[[int], None] = lambda 
         (json.dumps(REVIEW).encode(), lambda data: parse_review(data, False, "kr120-reviewer-ada")),
         (b'{"id": "17"}', lambda data: parse_intervention(STOP, "kr120-stopper-bob", data, False)),
         (b'{"id": "18"}', lambda data: parse_intervention(PAUSE, "kr120-stopper-bob", data, False)),
-        (json.dumps({"id": "19", "moment": MOMENT}).encode(), lambda data: parse_intervention(RESUME, "kr120-stopper-bob", data, False)),
+        (
+            json.dumps({"id": "19", "moment": MOMENT}).encode(),
+            lambda data: parse_intervention(RESUME, "kr120-stopper-bob", data, False),
+        ),
         (json.dumps(IK).encode(), lambda data: _finite(parse_ik(read_request(data, False, "ik"), JOINTS))),
         (json.dumps(MOTION).encode(), lambda data: parse_trajectory(read_document(data, False, 1 << 20), JOINTS)),
         (b"kr120-planner-pia", lambda data: checked_sender(data.decode(errors="replace"))),

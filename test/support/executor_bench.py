@@ -188,7 +188,9 @@ class Bench:
         self.executor.on_scene(SCENE)
         self.records = []
         self.record = self.records.append
-        self.approval = Approval(self.executor, lambda record: self.record(record), nullcontext(), lambda: self.present())
+        self.approval = Approval(
+            self.executor, lambda record: self.record(record), nullcontext(), lambda: self.present()
+        )
         #: What tells the age of verdicts [ns]; it stands still unless a test moves it.
         self.clock = NANOSECONDS
         self.stamp = 1000 * CYCLE_NS

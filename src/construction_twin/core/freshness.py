@@ -1,4 +1,4 @@
-"""How old a person's request is: it repeats the newest moment of the robot that its screen had received. Pure; standard library only.
+"""How old a person's request is: it repeats the newest moment of the robot that its screen had received. Pure; standard library.
 
 A request may lie in a broker, in a socket or behind a disk until nobody looks any more. So what starts motion, or the work for it,
 is void `LIFETIME` after that moment. The moment is read on a clock of the robot's computer that nobody sets, and comes back as it
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.units import NANOSECONDS
 
-#: A request is void so long after the moment that it repeats [ns]: 1 s for the oldest picture that the page shows as the present, 1 s
-#: for a wireless network that sends twice again, 1 s for the record's disk. Longer than that nobody still looks at what was shown.
+#: A request is void so long after the moment that it repeats [ns]: 1 s for the oldest picture that the page shows as the present,
+#: 1 s for a wireless network that sends twice again, 1 s for the record's disk. What was shown longer ago is not what is there.
 LIFETIME = 3 * NANOSECONDS
 #: A moment in text is whole milliseconds.
 _MILLISECOND = NANOSECONDS // 1000
@@ -57,7 +57,9 @@ def parse_moment(text: object) -> Moment:
     found = _TEXT.fullmatch(text) if isinstance(text, str) else None
     if found is None:
         shown = "nothing" if text is None or text == "" else repr(text)[:60]
-        raise PayloadError("moment", f"found {shown} as moment; expected the text moment of the newest view, as it came")
+        raise PayloadError(
+            "moment", f"found {shown} as moment; expected the text moment of the newest view, as it came"
+        )
     return Moment(found[1], int(found[2]) * _MILLISECOND)
 
 

@@ -2,7 +2,8 @@
 
 A request becomes a plan for review by the planner's own services, or a sentence; nothing here moves anything. Poses are those of
 `tool0` in the robot's base_link. A request for a plan repeats the newest moment that its screen had received (`core.freshness`); a
-pose that is dragged is only answered, and needs none. SI: m, rad, s. What is not exactly as docs/reference/mqtt.md says is refused (PayloadError).
+pose that is dragged is only answered, and needs none. SI: m, rad, s. What is not exactly as docs/reference/mqtt.md says is refused
+(PayloadError).
 """
 
 from __future__ import annotations
@@ -158,7 +159,7 @@ def plan_answer(
     request: str, account: str, kind: str, ok: bool, reason: str,
     plan_id: str = "", plan_hash: str = "", duration: float = 0.0, expired: bool = False,
 ) -> bytes:  # fmt: skip
-    """Return the payload for `plan_request/ack`; `ok`: a plan is under review, `reason`: one sentence, `expired`: it was too old."""
+    """Return the payload for `plan_request/ack`; `ok`: a plan is under review, `reason`: a sentence, `expired`: it was too old."""
     answer = {"id": request, "account": account, "kind": kind, "ok": ok, "reason": reason}
     plan = {"plan_id": plan_id, "plan_hash": plan_hash, "duration": duration}
     return json.dumps(answer | plan | {"expired": expired}).encode()

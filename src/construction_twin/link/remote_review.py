@@ -1,6 +1,7 @@
 """`plan` and `review` on MQTT: what a tablet gets to see, and what it may answer. Pure; standard library only.
 
-SI: m, rad, s. An approval repeats the newest moment that its screen had received (`core.freshness`). A review is refused (PayloadError) unless it is exactly as written here; what is under review decides the rest.
+SI: m, rad, s. An approval repeats the newest moment that its screen had received (`core.freshness`). A review is refused
+(PayloadError) unless it is exactly as written here; what is under review decides the rest.
 """
 
 from __future__ import annotations
@@ -73,8 +74,8 @@ def parse_review(payload: bytes, retained: bool, account: str = "") -> RemoteRev
     Parameters
     ----------
     payload : bytes
-        JSON object with `plan_id`, `plan_hash`, `verdict`, `reviewer`, `moment` and, if wanted, `reason`; with an account `reviewer`
-        may be left out, of a rejection `moment`.
+        JSON object with `plan_id`, `plan_hash`, `verdict`, `reviewer`, `moment` and, if wanted, `reason`; with an account
+        `reviewer` may be left out, of a rejection `moment`.
     retained : bool
         The message's retain flag.
     account : str, optional

@@ -60,8 +60,8 @@ def parse_intervention(verb: str, account: str, payload: bytes, retained: bool) 
             "retained", f"retained {verb}: it is unknown when it was given; publish it without the retain flag"
         )
     document = parse_object(payload, verb, MAX_BYTES)
-    id_ = document.get("id")
-    if not {"id"} <= set(document) <= {"id", "moment"} or not is_short_text(id_) or not id_.strip():
+    id_ = document.get("id", "")
+    if not set(document) <= {"id", "moment"} or not is_short_text(id_) or not id_.strip():
         expected = "id, a text of 1 to 64 characters, " + ("and moment" if verb == RESUME else "alone")
         raise PayloadError(
             verb,

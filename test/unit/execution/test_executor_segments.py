@@ -21,8 +21,8 @@ from executor_bench import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.errors import ExecutionError, ReviewError
+from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.execution.boundary import FIRE_TIMEOUT, LEAD, SCENE_TIMEOUT
 from construction_twin.execution.executor import ExecutorState

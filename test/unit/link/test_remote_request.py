@@ -58,7 +58,9 @@ def test_every_kind_is_read_with_all_that_belongs_to_it():
     assert read["line"] == RemoteRequest("7", "line", MOMENT, (), (1.5, 0.0, 2.0), (0.0, 0.0, 0.0, 1.0), speed=0.1)
     assert read["way_back"] == RemoteRequest("7", "way_back", MOMENT)
     assert read["work_task"].task == "2O2Fr$t4X7Zf8NOew3FLOH"
-    assert parse_plan_request({"id": "8", "kind": "work_task", "moment": str(MOMENT)}, JOINTS).task == "", "the next one"
+    assert parse_plan_request({"id": "8", "kind": "work_task", "moment": str(MOMENT)}, JOINTS).task == "", (
+        "the next one"
+    )
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,9 @@ MOMENT = "c0ffee00-5000"
 
 
 def payload(**changes) -> bytes:
-    return json.dumps({key: value for key, value in (REVIEW | {"moment": MOMENT} | changes).items() if value is not ...}).encode()
+    return json.dumps(
+        {key: value for key, value in (REVIEW | {"moment": MOMENT} | changes).items() if value is not ...}
+    ).encode()
 
 
 def refusal(data: bytes, retained: bool = False) -> str:
@@ -70,7 +72,9 @@ def test_only_one_word_approves(verdict, approves):
 
 
 @pytest.mark.parametrize("account", ["", "kr120-reviewer-ada"])
-@pytest.mark.parametrize("moment, reason", [(..., "moment"), ("", "moment"), ("c0ffee00", "moment"), ("x" * 65, "review"), (5.0, "review")])
+@pytest.mark.parametrize(
+    "moment, reason", [(..., "moment"), ("", "moment"), ("c0ffee00", "moment"), ("x" * 65, "review"), (5.0, "review")]
+)
 def test_an_approval_that_does_not_say_what_its_screen_had_shown_is_refused(account, moment, reason):
     with pytest.raises(PayloadError) as caught:
         parse_review(payload(moment=moment), False, account)
@@ -135,7 +139,12 @@ def test_a_verdict_is_taken_only_with_every_field_a_text(document):
 
 def test_the_answer_names_what_it_answers():
     review = parse_review(payload(), False)
-    assert json.loads(review_answer(review, False, "why")) == REVIEW | {"account": "", "ok": False, "reason": "why", "expired": False}
+    assert json.loads(review_answer(review, False, "why")) == REVIEW | {
+        "account": "",
+        "ok": False,
+        "reason": "why",
+        "expired": False,
+    }
     unread = json.loads(review_answer(None, False, "no JSON"))
     assert unread == dict.fromkeys(REVIEW, "") | {"account": "", "ok": False, "reason": "no JSON", "expired": False}
 

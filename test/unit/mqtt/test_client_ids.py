@@ -85,7 +85,9 @@ def test_whoever_has_learned_an_id_takes_the_connection_away_once_and_that_is_sa
     with Program(bridge, ID) as program:
         first = thief(viewer, ID)
         wait_until(lambda: program.welcomes == 2, what="the bridge's return")
-        assert "lost: the broker or the network has closed it" in program.said[0] and SECRET not in "".join(program.said)
+        assert "lost: the broker or the network has closed it" in program.said[0] and SECRET not in "".join(
+            program.said
+        )
         second = thief(viewer, ID)
         # the broker has closed the thief's own former connection, and nothing else
         wait_until(lambda: not first.is_connected(), what="the end of the first thief")
@@ -248,7 +250,9 @@ class Rude:
 def test_no_log_of_the_broker_has_the_random_part_of_an_id(site, kind, tmp_path):
     """What mosquitto 2.0.11 writes lines about, one after the other, with what demo and site let it write."""
     file = ROOT / "config/mosquitto.conf" if kind == "demo" else site.folder / "broker/mosquitto.conf"
-    written = [line for line in file.read_text().splitlines() if line.split(" ")[0] in ("connection_messages", "log_type")]
+    written = [
+        line for line in file.read_text().splitlines() if line.split(" ")[0] in ("connection_messages", "log_type")
+    ]
     config = ["allow_anonymous true", "max_queued_messages 10", "max_inflight_messages 1", *written]
     with mosquitto("\n".join(config), tmp_path / "log") as port:
         provoke(port)

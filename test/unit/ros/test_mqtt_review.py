@@ -20,7 +20,6 @@ from construction_twin.ros.nodes.mqtt_review import WAITING, MqttReview, Setting
 from construction_twin.ros.shared import remote_interventions
 from construction_twin.ros.shared.remote_interventions import RemoteInterventions
 
-
 #: What the newest view said.
 MOMENT = "c0ffee00-5000"
 
@@ -189,7 +188,14 @@ def test_what_is_pressed_is_carried_out_and_answered(pressing, verb, ack):
     press(pressing, verb, "7")
     wait_until(lambda: acks(pressing, ack), what="an answer")
     assert acks(pressing, ack) == [
-        {"id": "7", "account": "kr120-stopper-bob", "ok": True, "reason": "as the executor says", "by": "executor", "expired": False}
+        {
+            "id": "7",
+            "account": "kr120-stopper-bob",
+            "ok": True,
+            "reason": "as the executor says",
+            "by": "executor",
+            "expired": False,
+        }
     ]
     assert pressing.pressed == [verb]
     assert pressing.node.report().values == {"interventions taken": 1}

@@ -105,7 +105,9 @@ class Bench:
 
     def ask(self, account: str = ADA, retained: bool = False, **document) -> dict:
         """Send a wish, and have it carried out; return the newest answer."""
-        self.desk.on_plan_request(account, json.dumps({"id": "7", "moment": str(self.moment())} | document).encode(), retained)
+        self.desk.on_plan_request(
+            account, json.dumps({"id": "7", "moment": str(self.moment())} | document).encode(), retained
+        )
         self.line.run()
         self.steady += 1.1
         topic, answer = self.published[-1]

@@ -1,6 +1,7 @@
 """executor: plays the approved plan as `next/joint_states` at 250 Hz; serves `review_plan`, the stops, `pause`, `resume`.
 
-`review_from_screen` and `resume_from_screen` are the same for people at screens elsewhere. Of a work plan also `tool_command`, from what `tool` says; `engagement`, and the service `release_engagement`.
+`review_from_screen` and `resume_from_screen` are the same for people at screens elsewhere. Of a work plan also `tool_command`, from
+what `tool` says; `engagement`, and the service `release_engagement`.
 """
 
 from __future__ import annotations

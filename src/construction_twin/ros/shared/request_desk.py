@@ -186,12 +186,11 @@ class RequestDesk:
             made = self._make(asked, account, arrived)
         except PayloadError as error:
             self._refuse(error.reason, str(error))
-            made = _Made(False, str(error), expired=True)
+            made = _Made(False, str(error), expired=error.reason == _TOO_OLD)
         self._count("plan_requests under review" if made.ok else "plan_requests no plan")
         rospy.loginfo("plan_request %r (%s) from %s: %s", asked.id, asked.kind, account, made.sentence)
-        return plan_answer(  # type: ignore[arg-type]
-            asked.id, account, asked.kind, made.ok, made.sentence, **made.plan, expired=made.expired
-        )
+        told = {**made.plan, "expired": made.expired}
+        return plan_answer(asked.id, account, asked.kind, made.ok, made.sentence, **told)  # type: ignore[arg-type]
 
     def _demand_fresh(self, asked: RemoteRequest) -> None:
         """Refuse a wish (PayloadError) that is too old to be begun."""
