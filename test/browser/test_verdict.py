@@ -85,6 +85,61 @@ def test_a_stop_in_the_middle_of_a_motion_stops_it_and_says_by_whom(page_of, rob
 
 
 @pytest.mark.parametrize(
+    ("language", "approval", "resume", "request_"),
+    (
+        (
+            "en",
+            "too late after what this page had shown",
+            "Resume was NOT carried out",
+            "No plan: the request was too late",
+        ),
+        (
+            "de",
+            "zu spät nach dem, was diese Seite gezeigt hatte",
+            "Weiter wurde NICHT ausgeführt",
+            "Kein Plan: Die Anfrage kam zu spät",
+        ),
+    ),
+)
+def test_what_lay_on_its_way_starts_nothing_and_who_looks_again_can_ask_anew(
+    page_of, robot, language, approval, resume, request_
+):
+    page = page_of("reviewer-ada", f"?language={language}")
+    plan = robot.show_plan(duration=60.0)
+    robot.delay = 6.0
+    page.look()
+    page.hold_approve()
+    expect(page.notice).to_contain_text(approval)
+    assert robot.state == "IDLE" and robot.verdicts == [] and robot.plan is plan
+    expect(page.approve_button).to_be_disabled()
+    robot.delay = 0.0
+    page.look()
+    page.hold_approve()
+    wait_until(lambda: robot.state == "PLAYING", PATIENCE_S, "the motion")
+    # a stop and a pause are never too old
+    robot.delay = 3600.0
+    page.intervene("pause")
+    wait_until(lambda: robot.state == "PAUSED", PATIENCE_S, "the pause")
+    page.intervene("resume")
+    expect(page.stop_result).to_contain_text(resume)
+    assert robot.state == "PAUSED"
+    robot.delay = 0.0
+    page.intervene("resume")
+    wait_until(lambda: robot.state == "PLAYING", PATIENCE_S, "the motion")
+    robot.delay = 3600.0
+    page.intervene("stop")
+    wait_until(lambda: robot.state == "IDLE", PATIENCE_S, "the stop")
+    # a wish for a plan, by whom may ask for one
+    planner = page_of("planner-pia", f"?language={language}").page.locator("#plan")
+    planner.locator(".plan-begin").click()
+    planner.locator(".plan-ask").click()
+    expect(planner.locator(".plan-answer")).to_contain_text(request_)
+    robot.delay = 0.0
+    planner.locator(".plan-ask").click()
+    wait_until(lambda: robot.plan is not None, PATIENCE_S, "a plan")
+
+
+@pytest.mark.parametrize(
     ("person", "may_stop", "may_review", "may_plan"),
     (
         ("viewer-vic", False, False, False),

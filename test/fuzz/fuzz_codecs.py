@@ -33,7 +33,16 @@ STATUS = {
     "playout": {"delay_ms": 20.0, "drift_ppm": None}, "intruder": {"session": "x", "count": 1},
     "reply_us": {"bins": [50, 100], "counts": [1, 2, 3], "max": 80},
 }  # fmt: skip
-REVIEW = {"plan_id": "p1", "plan_hash": "0" * 64, "verdict": "approved", "reviewer": "Ada", "reason": ""}
+#: What a view said; repeated by whatever starts something.
+MOMENT = "c0ffee00-81234"
+REVIEW = {
+    "plan_id": "p1",
+    "plan_hash": "0" * 64,
+    "verdict": "approved",
+    "reviewer": "Ada",
+    "reason": "",
+    "moment": MOMENT,
+}
 JOINTS = Joints(tuple(f"joint_a{k}" for k in range(1, 7)), (False,) * 6)
 _POSE = {"position": [1.2, 0.1, 1.4], "orientation": [0.0, 0.7071067811865476, 0.0, 0.7071067811865476]}
 #: What a console asks for, each kind once.
@@ -83,13 +92,16 @@ def mqtt_codecs(count: int, seed: int, progress: Callable[[int], None] = lambda 
         (json.dumps(REVIEW).encode(), lambda data: parse_review(data, False, "kr120-reviewer-ada")),
         (b'{"id": "17"}', lambda data: parse_intervention(STOP, "kr120-stopper-bob", data, False)),
         (b'{"id": "18"}', lambda data: parse_intervention(PAUSE, "kr120-stopper-bob", data, False)),
-        (b'{"id": "19"}', lambda data: parse_intervention(RESUME, "kr120-stopper-bob", data, False)),
+        (
+            json.dumps({"id": "19", "moment": MOMENT}).encode(),
+            lambda data: parse_intervention(RESUME, "kr120-stopper-bob", data, False),
+        ),
         (json.dumps(IK).encode(), lambda data: _finite(parse_ik(read_request(data, False, "ik"), JOINTS))),
         (json.dumps(MOTION).encode(), lambda data: parse_trajectory(read_document(data, False, 1 << 20), JOINTS)),
         (b"kr120-planner-pia", lambda data: checked_sender(data.decode(errors="replace"))),
         (b"twin/kr120/stop/kr120-stopper-bob", lambda data: account_of(data.decode(errors="replace"))),
     ]
-    others += [(json.dumps(wish).encode(), _wish) for wish in WISHES]
+    others += [(json.dumps(wish | {"moment": MOMENT}).encode(), _wish) for wish in WISHES]
     for sample, parse in others:
         # a sample that is refused as it is would fuzz nothing but the refusal
         parse(sample)

@@ -11,6 +11,7 @@ from twin_client import wait
 from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.messages import Topics
+from construction_twin.ros.shared.robot_clock import present
 
 
 class Tablet:
@@ -32,7 +33,7 @@ class Tablet:
         self.account = known.user
         self._refused: dict[int, bool] = {}
         self.heard: dict[str, list[tuple[bytes, bool]]] = {
-            topic: [] for topic in (topics.plan, topics.review_ack, topics.stop_ack, topics.pause_ack)
+            topic: [] for topic in (topics.plan, topics.view, topics.review_ack, topics.stop_ack, topics.pause_ack)
         }
         broker = Broker("localhost", port, account=known)
         self.client = make_client(broker, unique_id(topics.robot, "tablet"), "unused")
@@ -51,6 +52,12 @@ class Tablet:
         """The plan under review, None when there is none."""
         heard = self.heard[self._topics.plan]
         return json.loads(heard[-1][0]) if heard and heard[-1][0] else None
+
+    @property
+    def moment(self) -> str:
+        """What whoever starts something repeats: of the newest view; the present one where no mqtt_planner tells any."""
+        heard = self.heard[self._topics.view]
+        return json.loads(heard[-1][0])["moment"] if heard else str(present())
 
     def answer(self, payload: bytes, retain: bool = False) -> dict:
         """Publish on `review/<account>`; return the answer."""
@@ -75,7 +82,8 @@ class Tablet:
             "resume": (topics.resume_by, topics.pause_ack),
         }[verb]
         id_ = uuid.uuid4().hex
-        self.client.publish(topic(self.account), json.dumps({"id": id_}), qos=1)
+        content = {"id": id_} | ({"moment": self.moment} if verb == "resume" else {})
+        self.client.publish(topic(self.account), json.dumps(content), qos=1)
 
         def answers() -> list[dict]:
             found = [json.loads(payload) for payload, _ in list(self.heard[ack])]
@@ -87,4 +95,6 @@ class Tablet:
     def verdict(self, plan: dict, verdict: str, **changes) -> dict:
         """Give a verdict on a plan; return the answer."""
         document = {"plan_id": plan["id"], "plan_hash": plan["hash"], "verdict": verdict}
+        if verdict == "approved":
+            document["moment"] = self.moment
         return self.answer(json.dumps(document | changes).encode())

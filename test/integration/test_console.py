@@ -14,14 +14,17 @@ from xml.etree import ElementTree
 import paho.mqtt.client as mqtt
 import rospy
 import rostest
+from construction_twin.msg import Execution
 from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from construction_twin.core.freshness import parse_moment, staleness
 from construction_twin.core.units import from_wire
 from construction_twin.kinematics.chain import Chain
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.ros.shared.robot_clock import present
 
 PORT = 28466
 ADDRESS = f"http://127.0.0.1:{PORT}"
@@ -118,7 +121,8 @@ class Console:
             found = [answer for answer in self.heard[ack] if answer["id"] == name]
             if not name or (found and "try again in" in found[0].get("reason", "")):
                 name, found = uuid.uuid4().hex, []
-                self.send(topic, document | {"id": name})
+                moment = {"moment": self.moment} if ack == "plan_request_ack" else {}
+                self.send(topic, {"id": name} | moment | document)
             return bool(found)
 
         wait(answered, f"the answer to {document} on {ack}")
@@ -128,9 +132,15 @@ class Console:
         """Return the line of the status line about a topic; empty before the first one."""
         return next((line for line in self.newest("screen") or [] if line["topic"] == topic), {})
 
-    def verdict(self, plan: dict, verdict: str) -> dict:
+    @property
+    def moment(self) -> str:
+        """What whoever starts something repeats: of the newest view."""
+        return self.newest("view")["moment"]
+
+    def verdict(self, plan: dict, verdict: str, moment: str = "") -> dict:
         count = len(self.heard["review_ack"])
         document = {"plan_id": plan["id"], "plan_hash": plan["hash"], "verdict": verdict, "reviewer": "Ada"}
+        document["moment"] = moment or self.moment
         self.send(TOPICS.review_by(ACCOUNT), document)
         wait(lambda: len(self.heard["review_ack"]) > count, "an answer on review/ack")
         return self.heard["review_ack"][count]
@@ -171,7 +181,7 @@ class ConsoleTest(RobotTest):
         wait(lambda: console.line("startup").get("state") == "ready", "the start on the status line")
         self.assertEqual({line["topic"] for line in console.newest("screen")}, {"startup", "link", "sync", "execution"})
         view = console.newest("view")
-        self.assertEqual((view["version"], view["compatible"], view["online"]), (2, 1, True))
+        self.assertEqual((view["version"], view["compatible"], view["online"]), (3, 1, True))
         wait(lambda: (console.newest("view")["closest"] or {}).get("between"), "the closest two bodies")
         wait(lambda: console.newest("view")["link"]["round_trip_ms"], "the round trip")
         scene = console.newest("scene")
@@ -197,6 +207,15 @@ class ConsoleTest(RobotTest):
         self.assertEqual(plan["source"], "MQTT, on the topic of console")
         wait(lambda: console.newest("view")["plan"] == plan["id"], "the plan in the view")
         wait(lambda: console.line("execution").get("who") == "reviewer", "the reviewer on the status line")
+        shown = console.moment
+        wait(lambda: staleness(parse_moment(shown), present()), "what was shown to be too old")
+        late = console.verdict(plan, "approved", shown)
+        self.assertEqual((late["ok"], late["expired"]), (False, True), late)
+        self.assertIn("look again", late["reason"])
+        late = console.ask(TOPICS.plan_request(ACCOUNT), "plan_request_ack", goal | {"moment": shown})
+        self.assertEqual((late["ok"], late["expired"]), (False, True), late)
+        self.assertEqual(console.newest("view")["plan"], plan["id"], "it is still under review")
+        self.assertEqual(self.client.execution.state, Execution.IDLE)
         with Stream("mock_rsi/joint_states") as arm:
             self.assertTrue(console.verdict(plan, "approved")["ok"])
             self.client.wait_for_outcome(plan["id"], "finished", plan["duration"] + 20.0)

@@ -13,7 +13,12 @@ from pathlib import Path
 import rospy
 import rostest
 from construction_twin.msg import Link, Plan, Review
-from construction_twin.srv import ReviewPlan, ReviewPlanResponse
+from construction_twin.srv import (
+    ResumeFromScreen,
+    ResumeFromScreenResponse,
+    ReviewFromScreen,
+    ReviewFromScreenResponse,
+)
 from diagnostic_msgs.msg import DiagnosticArray
 from std_srvs.srv import Trigger, TriggerResponse
 from tablet import Tablet
@@ -21,9 +26,11 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from twin_client import wait
 
 from construction_twin.broker.make_site import main as make_site
+from construction_twin.core.freshness import parse_moment, staleness
 from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.messages import Topics
+from construction_twin.ros.shared.robot_clock import present
 
 PORT = 18846
 TOPICS = Topics("twin", "kr120")
@@ -42,10 +49,11 @@ class MqttReviewTest(unittest.TestCase):
         cls.plans = rospy.Publisher("plan", Plan, queue_size=5, latch=True)
         cls.verdicts = rospy.Publisher("review", Review, queue_size=5, latch=True)
         cls.links = rospy.Publisher("link", Link, queue_size=5, latch=True)
-        cls.service = rospy.Service("review_plan", ReviewPlan, cls._on_review)
+        cls.service = rospy.Service("review_from_screen", ReviewFromScreen, cls._on_review)
         cls.pressed, cls.triggers = [], []
-        for name in ("stop", "pause", "resume"):
+        for name in ("stop", "pause"):
             cls.triggers.append(rospy.Service(name, Trigger, functools.partial(cls._on_trigger, name)))
+        cls.triggers.append(rospy.Service("resume_from_screen", ResumeFromScreen, cls._on_resume))
         cls.programs = {}
         # planner, executor and bridge are played by this node
         rospy.set_param("publishers", dict.fromkeys(("plan", "review", "link"), rospy.get_name()))
@@ -75,9 +83,15 @@ class MqttReviewTest(unittest.TestCase):
     def _on_review(cls, request):
         cls.requests.append(request)
         if not cls.accept:
-            return ReviewPlanResponse(False, "not now")
+            return ReviewFromScreenResponse(False, "not now", False)
         cls.verdicts.publish(Review(plan_id=request.plan_id, approved=request.approve, reviewer=request.reviewer))
-        return ReviewPlanResponse(True, "taken")
+        return ReviewFromScreenResponse(True, "taken", False)
+
+    @classmethod
+    def _on_resume(cls, request):
+        cls.pressed.append("resume")
+        fresh = not staleness(parse_moment(request.moment), present())
+        return ResumeFromScreenResponse(cls.accept and fresh, "resume: as the executor says", not fresh)
 
     @classmethod
     def _on_trigger(cls, name: str, _request):
@@ -147,7 +161,7 @@ class MqttReviewTest(unittest.TestCase):
         for verb in ("stop", "pause", "resume"):
             answer = self.tablet.press(verb)
             said = {"account": ACCOUNT, "ok": True, "reason": f"{verb}: as the executor says", "by": "executor"}
-            self.assertEqual(answer, said | {"id": answer["id"]})
+            self.assertEqual(answer, said | {"id": answer["id"], "expired": False})
         type(self).accept = False
         self.assertFalse(self.tablet.press("resume")["ok"])
         self.assertEqual(self.pressed, ["stop", "pause", "resume", "resume"])

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import plan_samples
 
-from construction_twin.core.units import CYCLE, CYCLE_NS
+from construction_twin.core.freshness import Moment
+from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.execution.approval import Approval
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.executor import Executor, ExecutorState
@@ -187,7 +188,11 @@ class Bench:
         self.executor.on_scene(SCENE)
         self.records = []
         self.record = self.records.append
-        self.approval = Approval(self.executor, lambda record: self.record(record), nullcontext())
+        self.approval = Approval(
+            self.executor, lambda record: self.record(record), nullcontext(), lambda: self.present()
+        )
+        #: What tells the age of verdicts [ns]; it stands still unless a test moves it.
+        self.clock = NANOSECONDS
         self.stamp = 1000 * CYCLE_NS
         self.twin = ROBOT.home
         self.passing = True
@@ -197,6 +202,10 @@ class Bench:
     def state(self) -> ExecutorState:
         """The executor's state."""
         return self.executor.state
+
+    def present(self) -> Moment:
+        """Return the present moment, by which the age of verdicts is told."""
+        return Moment("c0ffee00", self.clock)
 
     def step(self):
         """One cycle; return the setpoint."""
@@ -278,9 +287,11 @@ class Bench:
         assert self.state is ExecutorState.IDLE
         return self
 
-    def review(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "") -> str:
+    def review(
+        self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "", seen: Moment | None = None
+    ) -> str:
         """Give a verdict; return the sentence."""
-        return self.approval.review(plan_id, plan_hash, approve, reviewer, reason).sentence
+        return self.approval.review(plan_id, plan_hash, approve, reviewer, reason, seen).sentence
 
     def approve(self, plan: Plan) -> str:
         """Put a plan under review and approve it."""

@@ -8,9 +8,10 @@ from types import SimpleNamespace
 
 import rospy
 from construction_twin.msg import Link, Scene, Sync
-from construction_twin.srv import ReviewPlanRequest
+from construction_twin.srv import ReviewFromScreenRequest, ReviewPlanRequest
 from executor_bench import ROBOT, SCENE, make_plan
 
+from construction_twin.core.freshness import Moment
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.executor import Executor
 from construction_twin.execution.speed_limit import SpeedLimit as SpeedLimitState
@@ -18,6 +19,18 @@ from construction_twin.review.record import ReviewLog
 from construction_twin.ros.nodes import executor as module
 from construction_twin.ros.shared.engagement_file import EngagementFile
 from construction_twin.ros.transport.joint_stream import to_time
+
+
+class SlowLog(ReviewLog):
+    """A record on a disk that may take its time."""
+
+    def __init__(self, *given):
+        super().__init__(*given)
+        self.wait = lambda: None
+
+    def append(self, record):
+        self.wait()
+        super().append(record)
 
 
 class World:
@@ -32,6 +45,9 @@ class World:
         patch = monkeypatch.setattr
         patch(module, "now_ns", lambda: self.wall)
         patch(module.time, "monotonic_ns", lambda: self.steady)
+        #: The robot's clock that nobody sets [ns].
+        self.booted = 7_000 * NANOSECONDS
+        patch(module, "present", lambda: Moment("c0ffee00", self.booted))
         patch(module, "Cycles", self.grid)
         patch(rospy, "get_time", lambda: self.wall / NANOSECONDS)
         patch(rospy.Time, "now", lambda: to_time(self.wall))
@@ -39,7 +55,7 @@ class World:
             patch(rospy, level, self.logger(level))
         self.executor, self.limit = Executor(ROBOT), SpeedLimitState(0.5, 0.1, False)
         self.executor.on_link(False, "no report of the link yet")
-        self.log = ReviewLog(tmp_path / "reviews.jsonl", lambda: self.wall)
+        self.log = SlowLog(tmp_path / "reviews.jsonl", lambda: self.wall)
         self.node = module.ExecutorNode(
             ROBOT,
             self.executor,
@@ -80,16 +96,40 @@ class World:
         self.node.run()
         return self
 
-    def playing(self) -> World:
-        """Play a plan."""
-        node = self.node
-        node.on_link(Link(state=Link.ARMED, session="s"))
-        node.on_scene(Scene(hash=SCENE))
+    def waiting(self):
+        """Put a plan under review; return it."""
+        self.node.on_link(Link(state=Link.ARMED, session="s"))
+        self.node.on_scene(Scene(hash=SCENE))
         self.run(5)
         plan = make_plan(created_ns=self.wall)
         self.executor.offer(plan)
-        assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "")).success
+        return plan
+
+    def playing(self) -> World:
+        """Play a plan."""
+        plan = self.waiting()
+        assert self.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "")).success
         return self.run(50)
+
+    def shown(self, age: float = 0.0) -> str:
+        """Return the moment that a screen had received so long ago [s]."""
+        return str(Moment("c0ffee00", self.booted - round(age * NANOSECONDS)))
+
+    def from_screen(self, plan, moment: str, approve: bool = True):
+        """Give a verdict as mqtt_review does; return the answer."""
+        request = ReviewFromScreenRequest(
+            plan_id=plan.id, plan_hash=plan.hash, approve=approve, reviewer="kr120-reviewer-ada", moment=moment
+        )
+        return self.node.on_screen_review(request)
+
+    def slow_disk(self, seconds: float, wall: float | None = None) -> None:
+        """Let every record take so long, while the wall clock goes on by `wall` [s] in its place."""
+
+        def wait() -> None:
+            self.booted += round(seconds * NANOSECONDS)
+            self.wall += round((seconds if wall is None else wall) * NANOSECONDS)
+
+        self.log.wait = wait
 
     def states(self) -> list[str]:
         """Return what was published on `execution`."""

@@ -16,6 +16,7 @@ from plan_samples import make_report
 from processes import ROOT
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.freshness import Moment, parse_moment, staleness
 from construction_twin.core.motion_errors import KinematicsError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
@@ -37,6 +38,7 @@ from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.frames import quaternion_to_rotation
 from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds
+from construction_twin.ros.shared.robot_clock import present
 
 XACRO, CONFIG = ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml"
 #: Period of `view` [s], and of `screen` where nothing changes.
@@ -114,7 +116,8 @@ class ScriptedRobot:
         self.plan: PlanView | None = None
         self.trajectory: Trajectory | None = None
         self.state = "IDLE"
-        self.said_at: dict[int, int] = {}
+        #: How much older than it is what comes shall count [s]: as if it had lain on its way.
+        self.delay = 0.0
         self._chain = Chain(self.robot)
         self._inverse = inverse_kinematics(self._chain, IkSettings(), np.random.default_rng(0), time.monotonic)
         self._names = tuple(self.robot.joint_names)
@@ -210,7 +213,7 @@ class ScriptedRobot:
                 plan="" if self.plan is None else self.plan.id,
                 closest=ClosestView(0.31, ("link_4", "table"), tuple(self.tool(self.twin)), 0.0),
             )
-            payload = self._writer.write(now, seen)
+            payload = self._writer.write(now, seen, present())
         self._client.publish(self._topics.view, payload)
 
     def tool(self, positions: Sequence[float]) -> tuple[float, ...]:
@@ -333,6 +336,10 @@ class ScriptedRobot:
             sentence = f"plan {review.plan_id} with this hash is not under review"
             self._publish(self._topics.review_ack, review_answer(review, False, sentence))
             return
+        if review.approves and (problem := self._too_old(review.moment)):
+            sentence = f"the approval is {problem}"
+            self._publish(self._topics.review_ack, review_answer(review, False, sentence, expired=True))
+            return
         self.verdicts.append((review.reviewer, review.verdict, review.plan_id))
         self.plan = None
         self._publish(self._topics.review_ack, review_answer(review, True, f"{review.verdict} by {review.reviewer}"))
@@ -349,6 +356,10 @@ class ScriptedRobot:
             for each in by:
                 self._publish(topic, intervention_answer("", account, each, False, str(error)))
             return
+        if verb == "resume" and (problem := self._too_old(asked.moment)):
+            answer = intervention_answer(asked.id, account, EXECUTOR, False, f"the resume is {problem}", expired=True)
+            self._publish(topic, answer)
+            return
         moves = {"stop": ("IDLE", "stopped"), "pause": ("PAUSED", ""), "resume": ("PLAYING", "")}
         ok = self.state in ("PLAYING", "PAUSED") or verb == "stop"
         if self.state in ("PLAYING", "PAUSED"):
@@ -362,7 +373,10 @@ class ScriptedRobot:
         except PayloadError as error:
             answer = plan_answer("", account, "", False, str(error))
         else:
-            if asked.kind == "joints":
+            if problem := self._too_old(str(asked.moment)):
+                sentence = f"the request is {problem}"
+                answer = plan_answer(asked.id, account, asked.kind, False, sentence, expired=True)
+            elif asked.kind == "joints":
                 plan = self.show_plan(asked.joints)
                 answer = plan_answer(asked.id, account, asked.kind, True, "planned", plan.id, plan.hash, plan.duration)
             else:
@@ -370,6 +384,11 @@ class ScriptedRobot:
                     asked.id, account, asked.kind, False, f"this robot of a test plans no {asked.kind}"
                 )
         self._publish(self._root + "plan_request/ack", answer)
+
+    def _too_old(self, moment: str) -> str:
+        """Return why what repeats a moment is void, as if it had lain on its way for `delay`."""
+        now = present()
+        return staleness(parse_moment(moment), Moment(now.origin, now.at + round(self.delay * 1e9)))
 
     def _on_ik(self, account: str, payload: bytes, retained: bool) -> None:
         try:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.freshness import Moment
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
@@ -164,7 +165,7 @@ class SimulatedChain:
         """Put a plan under review and approve it, in the scene it was made for."""
         self.executor.on_scene(plan.scene)
         self.executor.offer(plan)
-        approval = Approval(self.executor, self.verdicts.append, nullcontext())
+        approval = Approval(self.executor, self.verdicts.append, nullcontext(), lambda: Moment("c0ffee00", self.now))
         approval.review(plan.id, plan.hash, True, "simulation")
 
     def recording(self) -> Recording:

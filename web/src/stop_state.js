@@ -7,6 +7,7 @@
  *   waiting     the broker has taken it; nobody has answered yet, for less than a second
  *   done        who carries it out has said so
  *   refused     everybody who answered says no, and the second is over
+ *   expired     a resume that reached the robot too late after what the page had shown: it is void
  *   silent      nobody has answered for a second
  *   not_sent    it did NOT go out: no connection
  *   no_right    it did NOT go out: the broker refuses it to this account
@@ -28,7 +29,10 @@ export function pressed(verb, id, at) {
   return {verb, id, at, broker: "sending", answers: [], late: false};
 }
 
-/** Return the record after the broker's word on the message with this id: "taken", or the reason of NotPublished. */
+/**
+ * Return the record after the broker's word on the message with this id: "taken", "not_shown" (the page knows nothing of the
+ * robot now, and has sent nothing), or the reason of NotPublished.
+ */
 export function heardBroker(press, id, word) {
   return id === press.id ? {...press, broker: word} : press;
 }
@@ -37,7 +41,7 @@ export function heardBroker(press, id, word) {
 export function answered(press, answer, account) {
   if (press.verb === "" || answer.id !== press.id || answer.account !== account) return press;
   const others = press.answers.filter(({by}) => by !== answer.by);
-  return {...press, answers: [...others, {by: String(answer.by), ok: answer.ok === true, reason: String(answer.reason ?? "")}]};
+  return {...press, answers: [...others, {by: String(answer.by), ok: answer.ok === true, reason: String(answer.reason ?? ""), expired: answer.expired === true}]};
 }
 
 /** Return the record at a time: after a second without an answer it is late. */
@@ -49,6 +53,7 @@ export function waited(press, at) {
 export function outcome({verb, broker, answers, late}) {
   if (verb === "") return "none";
   if (answers.some(({ok}) => ok)) return "done";
+  if (broker === "not_shown" || answers.some(({expired}) => expired)) return "expired";
   if (broker === "not_connected") return "not_sent";
   if (broker === "refused") return "no_right";
   if (broker !== "sending" && broker !== "taken") return "unknown";

@@ -61,7 +61,8 @@ function expect(is, sentence) {
 }
 
 function checkView(view) {
-  expect(view.version === 1 || view.version === 2, `view version ${view.version}; expected 1 or 2. Reload the page`);
+  expect([1, 2, 3].includes(view.version), `view version ${view.version}; expected 1 to 3. Reload the page`);
+  expect(view.version < 3 || isText(view.moment), "view without moment");
   expect(isText(view.run) && Number.isInteger(view.seq) && typeof view.online === "boolean", "view without run, seq or online");
   expect(isObject(view.joints) && isTexts(view.joints.names), "view without joints");
   const {names, types} = view.joints;
@@ -234,6 +235,14 @@ export function makeStore({now = () => performance.now(), check = checkPlan, rep
      */
     robot(name) {
       return robots.get(name) ?? null;
+    },
+
+    /**
+     * The newest moment of a robot that this page has received, as its view has it: what starts something repeats it, and the robot
+     * refuses what is too old. "" while nothing is known.
+     */
+    moment(name) {
+      return robots.get(name)?.view?.moment ?? "";
     },
 
     /** Call `listener(robot, value)` at each new value of a kind; returns a function that ends it. `part` of the page it belongs to. */

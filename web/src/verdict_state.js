@@ -81,6 +81,10 @@ const isOwn = ({sent}, {ack, account}) => sent !== null && (ack.account ?? "") =
 const isOwnTaken = (machine, event) => isOwn(machine, event) && event.ack.ok === true;
 const isOwnRefused = (machine, event) => isOwn(machine, event) && event.ack.ok !== true;
 const isOthers = ({plan}, {ack}) => plan !== null && ack.ok === true && ack.plan_id === plan.id && ack.plan_hash === plan.hash;
+/** An answer that comes after it was given up waiting for: the executor's disk may have hung. */
+const isLateOwn = ({notice}, event) => notice?.kind === "unanswered" && isOwn({sent: notice.sent}, event);
+const isLateTaken = (machine, event) => isLateOwn(machine, event) && event.ack.ok === true;
+const isLateRefused = (machine, event) => isLateOwn(machine, event) && event.ack.ok !== true;
 /** An answer without a plan is to a message of this account that could not be read; while we wait for one it is ours. */
 const isUnread = (machine, {ack, account}) => ack.ok !== true && ack.plan_id === "" && (ack.account ?? "") === account;
 
@@ -118,12 +122,15 @@ const send = (verdict) => (machine, {at, reviewer, reason = ""}) => ({
 });
 const fail = (machine, {reason}) => ({...forget(), sent: null, notice: {kind: "failed", reason, verdict: machine.sent.verdict}});
 const wait = (machine, {at}) => ({sent: {...machine.sent, at}});
-const giveUp = (machine) => ({...forget(), sent: null, notice: {kind: "unanswered", verdict: machine.sent.verdict}});
+const giveUp = (machine) => ({...forget(), sent: null, notice: {kind: "unanswered", verdict: machine.sent.verdict, sent: machine.sent}});
 const win = (machine, {ack}) => ({sent: null, notice: {kind: "accepted", verdict: ack.verdict, reason: ack.reason}});
-const lose = (machine, {ack}) => ({
+/** What an answer that says no tells; `expired`: it came too late after what the page had shown, and a person must look again. */
+const told = ({verdict}, {ack}) => ({kind: ack.expired === true ? "expired" : "refused", verdict, reason: ack.reason});
+const lose = (machine, event) => ({
   ...forget(), sent: null,
-  notice: machine.notice?.kind === "other" ? {...machine.notice, reason: ack.reason} : {kind: "refused", verdict: machine.sent.verdict, reason: ack.reason},
+  notice: machine.notice?.kind === "other" ? {...machine.notice, reason: event.ack.reason} : told(machine.sent, event),
 });
+const learn = ({notice}, event) => ({notice: told(notice, event)});
 const yieldTo = (machine, {ack}) => ({
   ...forget(), notice: {kind: "other", verdict: ack.verdict, account: ack.account || ack.reviewer || "", reason: ""},
 });
@@ -189,6 +196,9 @@ export const TABLE = [
   {states: SENT, event: "ack", guard: isOwnRefused, action: lose, next: back},
   {states: SENT, event: "ack", guard: isOthers, action: yieldTo},
   {states: SENT, event: "ack", guard: isUnread, action: lose, next: back},
+  {states: ["unfit", "open"], event: "ack", guard: isLateTaken, action: win, next: "decided"},
+  {states: ["none"], event: "ack", guard: isLateTaken, action: win},
+  {states: ["none", "unfit", "open"], event: "ack", guard: isLateRefused, action: learn},
   {states: ["unfit", "open", "pressing"], event: "ack", guard: isOthers, action: yieldTo, next: "decided"},
 ];
 

@@ -331,10 +331,21 @@ test("the list says state and progress, and the next task can be asked for", asy
   await settle();
   const {topic, payload} = page.connection.sent[0];
   assert.equal(topic, "plan_request/kr120-planner-ada");
-  assert.deepEqual(payload, {id: payload.id, kind: "work_task"});
+  assert.deepEqual(payload, {id: payload.id, moment: page.store.moment("kr120"), kind: "work_task"});
+  assert.match(payload.moment, /^c0ffee00-/);
   assert.equal(page.find(".tasks-next .plan-ask").disabled, true);
   await page.hear("kr120", "plan_request/ack", {id: payload.id, ok: true, reason: "", duration: 14.2});
   assert.match(page.find(".plan-answer").textContent, /14\.2 s/);
+});
+
+test("a request that was too late says that somebody must look again, and another can be asked", async () => {
+  const page = await tasksPanel();
+  page.click(page.find(".tasks-next .plan-ask"));
+  await settle();
+  const {payload} = page.connection.sent[0];
+  await page.hear("kr120", "plan_request/ack", {id: payload.id, ok: false, expired: true, reason: "the request is too old"});
+  assert.match(page.find(".plan-answer").textContent, /too late after what this page had shown.*Look again/);
+  assert.equal(page.find(".tasks-next .plan-ask").disabled, false);
 });
 
 test("a tap on an element selects its task, and the picture is told", async () => {

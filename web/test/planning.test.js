@@ -259,8 +259,8 @@ test("requests say what the planner reads", () => {
 test("a request is sent, waits and is answered; answers to others count for nothing", () => {
   const asking = new Asking("run");
   assert.equal(asking.onAnswer({id: "run-1", ok: true}), false);
-  const message = asking.ask(wayBackRequest(), 0);
-  assert.deepEqual(message, {id: "run-1", kind: "way_back"});
+  const message = asking.ask(wayBackRequest(), 0, "c0ffee00-7");
+  assert.deepEqual(message, {id: "run-1", moment: "c0ffee00-7", kind: "way_back"});
   assert.throws(() => asking.ask(wayBackRequest(), 1), /under way/);
   asking.onTaken("run-1", 0);
   assert.equal(asking.state, "waiting");
@@ -268,6 +268,13 @@ test("a request is sent, waits and is answered; answers to others count for noth
   assert.equal(asking.onAnswer({id: "run-1", ok: false, reason: "out of reach"}), true);
   assert.deepEqual([asking.state, asking.reason, asking.isBusy], ["refused", "out of reach", false]);
   assert.equal(asking.ask(taskRequest(""), 5).id, "run-2");
+});
+
+test("what was too old is told apart from what cannot be planned", () => {
+  const asking = new Asking("run");
+  asking.ask(wayBackRequest(), 0, "c0ffee00-7");
+  asking.onAnswer({id: "run-1", ok: false, expired: true, reason: "the request is too old"});
+  assert.deepEqual([asking.state, asking.isBusy], ["expired", false]);
 });
 
 test("an answer that overtakes the broker's own stays", () => {

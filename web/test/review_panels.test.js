@@ -87,14 +87,33 @@ test("a plan can be approved after its checks were opened and a second, by a fin
   it.fire(approve, "pointerdown", {button: 0});
   await it.pass(900);
   assert.deepEqual(it.connection.sent, []);
-  await it.pass(200);
+  while (it.connection.sent.length === 0) await it.pass(50);
   assert.deepEqual(it.connection.sent, [{topic: "review/ada", robot: "kr120", qos: 1,
-    payload: {plan_id: "p1", plan_hash: "h1", verdict: "approved", reviewer: "ada", reason: ""}}]);
+    payload: {plan_id: "p1", plan_hash: "h1", verdict: "approved", reviewer: "ada", reason: "", moment: it.store.moment("kr120")}}]);
+  assert.match(it.store.moment("kr120"), /^c0ffee00-/);
+  await it.pass(100);
   assert.match(it.text(".verdict-notice"), /executor has not answered/);
   await it.hear("kr120", "review/ack", {account: "ada", reviewer: "ada", plan_id: "p1", plan_hash: "h1", verdict: "approved", ok: true, reason: "it moves"});
   assert.match(it.text(".verdict-notice"), /accepted. it moves/);
   await it.hear("kr120", "plan", null);
   assert.match(it.text(".verdict-notice"), /accepted. it moves/);
+});
+
+test("an approval that was too late says so, and counts anew only for who has looked again", async () => {
+  const it = await ready();
+  it.fire(it.find(".verdict-approve"), "pointerdown", {button: 0});
+  await it.pass(1100);
+  it.fire(it.find(".verdict-approve"), "pointerup");
+  await it.hear("kr120", "review/ack", {account: "ada", reviewer: "ada", plan_id: "p1", plan_hash: "h1", verdict: "approved", ok: false,
+    expired: true, reason: "the approval is too old: it is of 6.0 s ago"});
+  assert.equal(it.text(".verdict-notice"), it.texts("verdict.expired", {verdict: it.texts("verdict.word.approved")}));
+  assert.ok(it.find(".verdict-notice").classList.contains("is-bad"));
+  assert.equal(it.find(".verdict-approve").disabled, true);
+  assert.equal(it.find(".verdict-checks").hasAttribute("open"), false, "it has to be opened again");
+  await it.pass(1400);
+  assert.equal(it.find(".verdict-approve").disabled, true);
+  openChecks(it);
+  assert.equal(it.find(".verdict-approve").disabled, false);
 });
 
 test("a motion that no picture showed was not looked at", async () => {
@@ -381,6 +400,36 @@ test("beside the buttons stands that nothing goes out, before somebody relies on
   assert.match(it.text(".stop-offline"), /nothing that is pressed here goes out/);
   it.connection.change("connected");
   assert.equal(it.find(".stop-offline").hidden, true);
+});
+
+test("a resume repeats what the page had shown; one that was too late says so, and a stop repeats nothing", async () => {
+  const it = await page([stop]);
+  await it.hear("kr120", "view", view());
+  it.click(it.find(".stop-resume"));
+  await it.settle();
+  const [{topic, payload}] = it.connection.sent;
+  assert.deepEqual([topic, payload], ["resume/ada", {id: payload.id, moment: it.store.moment("kr120")}]);
+  await it.hear("kr120", "pause/ack", {id: payload.id, account: "ada", ok: false, expired: true, reason: "the resume is too old", by: "executor"});
+  assert.match(it.text(".stop-result"), /Resume was NOT carried out: it was too late after what this page had shown.*Look again/);
+  assert.ok(it.find(".stop-result").classList.contains("is-bad"));
+  assert.equal(it.find(".stop-resume").disabled, false);
+  it.fire(it.find(".stop-stop"), "pointerdown", {button: 0});
+  await it.settle();
+  assert.deepEqual(Object.keys(it.connection.sent[1].payload), ["id"]);
+});
+
+test("a resume does not go out while the page knows nothing of the robot, and a stop does", async () => {
+  const it = await page([stop]);
+  await it.hear("kr120", "view", view());
+  it.connection.change("lost");
+  it.connection.change("connected");
+  it.click(it.find(".stop-resume"));
+  await it.settle();
+  assert.deepEqual(it.connection.sent, []);
+  assert.match(it.text(".stop-result"), /Look again, then press anew/);
+  it.fire(it.find(".stop-stop"), "pointerdown", {button: 0});
+  await it.settle();
+  assert.equal(it.connection.sent.length, 1);
 });
 
 test("a stop that nobody answers within a second says so", async () => {

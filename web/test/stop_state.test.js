@@ -41,6 +41,12 @@ test("answers to another press or of another account are not ours", () => {
   assert.equal(outcome(answered(idle(), answer("gateway", true, {id: ""}), "ada")), "none");
 });
 
+test("a resume that was too old is told apart, and so is one that was not sent because nothing is shown", () => {
+  const sent = heardBroker(pressed("resume", "1", 0), "1", "taken");
+  assert.equal(outcome(answered(sent, answer("executor", false, {expired: true}), "ada")), "expired");
+  assert.equal(outcome(heardBroker(pressed("resume", "1", 0), "1", "not_shown")), "expired");
+});
+
 test("pause and resume are the executor's", () => {
   for (const verb of ["pause", "resume"]) {
     const sent = heardBroker(pressed(verb, "1", 0), "1", "taken");

@@ -28,20 +28,33 @@ test("a view with a lower number of the same run is an old one", async () => {
   assert.equal(store.robot("r").view.run, "another");
 });
 
+test("the moment that requests repeat is that of the newest view; without one there is none", async () => {
+  const {store, hear, connection} = fakePage();
+  assert.equal(store.moment("r"), "");
+  await hear("r", "view", view({moment: "c0ffee00-1"}));
+  await hear("r", "view", view({moment: "c0ffee00-2"}));
+  assert.equal(store.moment("r"), "c0ffee00-2");
+  await hear("r", "view", {...view({moment: "c0ffee00-1"}), seq: 1});
+  assert.equal(store.moment("r"), "c0ffee00-2", "an older one does not count");
+  connection.change("lost");
+  assert.equal(store.moment("r"), "");
+});
+
 test("what is not as expected is refused, counted and told, and the last value stays", async () => {
   const {store, hear} = fakePage();
   const told = [];
   store.on("refused", (robot, value) => told.push([robot, value.kind]));
   const good = view();
   await hear("r", "view", good);
-  await hear("r", "view", view({version: 3}));
+  await hear("r", "view", view({version: 4}));
+  await hear("r", "view", view({moment: undefined}));
   await hear("r", "view", view({twin: {positions: [1]}}));
   await store.take("r", "view", "{");
   await store.take("r", "screen", "3");
   await store.take("r", "scene", "{}");
   await store.take("r", "stop/ack", "[]");
-  assert.deepEqual(told.map(([, kind]) => kind), ["view", "view", "view", "screen", "scene", "stop_ack"]);
-  assert.equal(store.refused, 6);
+  assert.deepEqual(told.map(([, kind]) => kind), ["view", "view", "view", "view", "screen", "scene", "stop_ack"]);
+  assert.equal(store.refused, 7);
   assert.equal(store.robot("r").view.seq, good.seq);
 });
 

@@ -184,6 +184,24 @@ test("no answer within some seconds is said to be unknown, never to be no", () =
   assert.equal(blocked(machine), "look");
 });
 
+test("an answer that comes after it was given up is still told", () => {
+  const late = [...SENT, "taken", {type: "tick", wait: ANSWER_WITHIN}];
+  const old = run([...late, ack({ok: false, expired: true, reason: "too old"})]).machine;
+  assert.deepEqual([old.state, old.notice], ["open", {kind: "expired", verdict: "approved", reason: "too old"}]);
+  assert.equal(run([...late, ack({ok: false})]).machine.notice.kind, "refused");
+  assert.equal(run([...late, ack()]).machine.state, "decided");
+  assert.deepEqual(run([...late, gone, ack()]).machine.notice, {kind: "accepted", verdict: "approved", reason: "moves"});
+  // of another plan, or another's
+  assert.equal(run([...late, ack({plan_id: "p2", ok: false})]).machine.notice.kind, "unanswered");
+  assert.equal(run([...late, ack({account: "grace", ok: false})]).machine.notice.kind, "unanswered");
+});
+
+test("an approval that was too old is told apart, and whoever approves anew looks again first", () => {
+  const {machine} = run([...SENT, "taken", ack({ok: false, expired: true, reason: "too old"})]);
+  assert.deepEqual(machine.notice, {kind: "expired", verdict: "approved", reason: "too old"});
+  assert.deepEqual([machine.state, blocked(machine)], ["open", "look"]);
+});
+
 test("a connection that breaks before the answer leaves it unknown, also after it is back", () => {
   const {machine} = run([...SENT, "disconnected", "connected", plan(), view()]);
   assert.deepEqual(machine.notice, {kind: "unknown", verdict: "approved"});

@@ -51,6 +51,10 @@ class ReviewError(ConstructionTwinError):
     """A verdict cannot be applied: wrong plan, wrong hash, no reviewer, or not the moment."""
 
 
+class ExpiredError(ReviewError):
+    """A person's approval is void, because what the person saw was too long ago (`core.freshness`)."""
+
+
 class RecordError(ReviewError):
     """A verdict cannot be recorded, and what is not recorded is not carried out.
 

@@ -1,5 +1,10 @@
 """How a verdict is taken. An approval is examined, recorded, and only then carried out; a rejection is carried out at once, and its
-record follows: no disk stands before a person's no. Pure; recording is an argument."""
+record follows: no disk stands before a person's no. Pure; recording and the clock are arguments.
+
+An approval is void `core.freshness.LIFETIME` after the moment that its screen had shown, or after it was called where no screen
+says one: it is looked at when it comes, after its record was written, and until the first setpoint leaves. Then the plan stays
+under review. A rejection is never too old.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +13,8 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
-from construction_twin.core.errors import RecordError, ReviewError
+from construction_twin.core.errors import ExpiredError, RecordError, ReviewError
+from construction_twin.core.freshness import LIFETIME, Moment, staleness
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import Executor
 from construction_twin.review.queue import APPROVED, REFUSED, REJECTED, Ending, Verdict, prove_hash
@@ -73,24 +79,52 @@ class Approval:
         (`Executor.take_events`).
     lock : context manager
         Held around every use of the executor.
+    clock : callable
+        Returns the present moment.
     """
 
-    def __init__(self, executor: Executor, record: Callable[[Verdict | Ending], None], lock: AbstractContextManager):
+    def __init__(
+        self,
+        executor: Executor,
+        record: Callable[[Verdict | Ending], None],
+        lock: AbstractContextManager,
+        clock: Callable[[], Moment],
+    ):
         self._executor = executor
         self._record = record
         self._lock = lock
+        self._clock = clock
         # one verdict after the other: the record must keep the order in which verdicts took effect
         self._verdict = threading.RLock()
         # of the plan that waits, for `approve_by_itself`: its id, and when it was seen first [ns]
         self._waiting, self._waits_since = "", 0
 
-    def review(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "") -> Taken:
+    def review(
+        self,
+        plan_id: str,
+        plan_hash: str,
+        approve: bool,
+        reviewer: str,
+        reason: str = "",
+        seen: Moment | None = None,
+    ) -> Taken:
         """Carry out a verdict: an approval after it was recorded, a rejection at once.
+
+        Parameters
+        ----------
+        plan_id, plan_hash : str
+        approve : bool
+        reviewer : str
+        reason : str, optional
+        seen : Moment, optional
+            The newest that the reviewer's screen had received; without one this call counts.
 
         Raises
         ------
         ReviewError
             When it cannot be taken; a refused approval is recorded too.
+        ExpiredError
+            When it is too old to be carried out.
         RecordError
             When an approval cannot be recorded; then nothing happens.
         """
@@ -100,8 +134,11 @@ class Approval:
                 verdict = self._examine(plan_id, plan_hash, False, reviewer, reason)
                 self._executor.reject(verdict)
             return Taken(verdict, f"plan {plan_id} rejected by {reviewer}")
+        # before the verdicts that are waited for
+        asked = self._clock() if seen is None else seen
         with self._verdict:
             try:
+                self._demand_fresh(asked)
                 self._prove(plan_id)
                 with self._lock:
                     verdict = self._examine(plan_id, plan_hash, True, reviewer, reason)
@@ -111,7 +148,7 @@ class Approval:
             self._record(verdict)
             try:
                 with self._lock:
-                    return Taken(verdict, self._carry_out(verdict))
+                    return Taken(verdict, self._carry_out(verdict, asked))
             except ReviewError as error:
                 # something happened while it was written down: the record is corrected
                 if verdict.plan is not None:
@@ -160,11 +197,19 @@ class Approval:
             self._executor.check_start(plan)
         return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan)
 
-    def _carry_out(self, verdict: Verdict) -> str:
+    def _demand_fresh(self, asked: Moment) -> int:
+        """Return how long an approval may still wait for the first setpoint [ns]; ExpiredError when that is over."""
+        now = self._clock()
+        if problem := staleness(asked, now):
+            raise ExpiredError(f"the approval is {problem}")
+        return LIFETIME - (now.at - asked.at)
+
+    def _carry_out(self, verdict: Verdict, asked: Moment) -> str:
         """Begin what an approval that was recorded is for, if it still may; return a sentence."""
+        left = self._demand_fresh(asked)
         self._examine(verdict.plan_id, verdict.plan_hash, True, verdict.reviewer)
         plan = self._executor.queue.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
-        self._executor.begin(plan, f"approved by {verdict.reviewer}")
+        self._executor.begin(plan, f"approved by {verdict.reviewer}", left)
         return f"plan {plan.id} approved by {verdict.reviewer}; it takes {plan.trajectory.duration:.3f} s"
 
     def _withdraw(self, plan_id: str, reason: str) -> None:

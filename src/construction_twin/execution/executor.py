@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from construction_twin.core.beside import Beside
 from construction_twin.core.errors import ExecutionError, ReviewError
+from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.units import NANOSECONDS, for_people
 from construction_twin.execution.boundary import ToolOrder
@@ -106,6 +107,8 @@ class Executor:
         self.outcome = ""
         self._playback: Playback | None = None
         self._approved: Plan | None = None
+        #: Until then the approval, or a resume, of a work plan counts that has not entered its first segment [ns].
+        self._begin_by = 0
         self._paused = False
         self.limit = PlayRate()
         self.engagement = EngagementKeeper()
@@ -357,9 +360,17 @@ class Executor:
         self.queue.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
         self._events.append(verdict)
 
-    def begin(self, plan: Plan, reason: str) -> None:
-        """Play a plan that was approved, from the next cycle on; `Approval` has checked and recorded it."""
-        self._approved = plan
+    def begin(self, plan: Plan, reason: str, may_wait: int = LIFETIME) -> None:
+        """Play a plan that was approved, from the next cycle on; `Approval` has checked and recorded it.
+
+        Parameters
+        ----------
+        plan : Plan
+        reason : str
+        may_wait : int, optional
+            A work plan that waits before its first segment for longer than this does not begin [ns].
+        """
+        self._approved, self._begin_by = plan, self._now + may_wait
         self._on(ExecutorEvent.APPROVED, reason)
 
     def turn_down(self, plan: Plan | None, reason: str) -> None:
@@ -461,6 +472,7 @@ class Executor:
             raise ExecutionError(f"the arm is not armed ({self._unarmed}); resume when it is")
         if problem := self.neighbour.problem(self._run.plan.id):
             raise ExecutionError(f"plan {self._run.plan.id} may not go on: {problem}")
+        self._begin_by = self._now + LIFETIME
         self._on(ExecutorEvent.RESUME, "resumed")
         rest = self._run.plan.trajectory.duration - self._run.elapsed
         return f"plan {self._run.plan.id} goes on; {rest:.3f} s of it are left"
@@ -499,6 +511,10 @@ class Executor:
     def _wait_at_boundary(self, stamp: int, now: int) -> None:
         work = self.work
         assert work is not None  # only a work plan has boundaries
+        if work.segment is None and now > self._begin_by:
+            oldest = LIFETIME / NANOSECONDS
+            self._on(ExecutorEvent.TIMEOUT, f"not begun, {work.waits_for()}: an approval is void after {oldest:g} s")
+            return
         scene = self.queue.scene if self.queue.scene_alive else ""
         said = work.update(stamp, now, self.tool, scene, self.limit.fraction > 0.0)
         if said is not None:

@@ -84,6 +84,8 @@ class SegmentRun:
             return "waits for the tool"
         if self._boundary.wants_scene:
             return f"waits for the scene {self._boundary.scene_after[:12]}"
+        if self._recording_since is not None and not self._keeper.settled:
+            return "waits for the disk"
         return "goes on"
 
     # -- events from outside

@@ -1,7 +1,9 @@
 """`plan_request` and `ik` on MQTT: what a person at a console asks for, read strictly, and the answers. Standard library only.
 
 A request becomes a plan for review by the planner's own services, or a sentence; nothing here moves anything. Poses are those of
-`tool0` in the robot's base_link. SI: m, rad, s. What is not exactly as docs/reference/mqtt.md says is refused (PayloadError).
+`tool0` in the robot's base_link. A request for a plan repeats the newest moment that its screen had received (`core.freshness`); a
+pose that is dragged is only answered, and needs none. SI: m, rad, s. What is not exactly as docs/reference/mqtt.md says is refused
+(PayloadError).
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.freshness import Moment, parse_moment
 from construction_twin.link.json_fields import keys, list_of, number, shown, text
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.mqtt.messages import parse_object
@@ -59,10 +62,13 @@ class RemoteRequest:
         Fractions of the limits; 0: the planner's default.
     task : str
         Id of a task of the building model; empty: the next one.
+    moment : Moment
+        The newest that the screen had received.
     """
 
     id: str
     kind: str
+    moment: Moment
     joints: Vector = ()
     position: Vector = ()
     orientation: Vector = ()
@@ -113,29 +119,33 @@ def read_request(payload: bytes, retained: bool, what: str) -> dict[str, Any]:
 
 
 def parse_plan_request(document: Mapping[str, Any], joints: Joints) -> RemoteRequest:
-    """Return the wish in a document of `read_request`; PayloadError (``format``, ``joints`` or ``values``)."""
+    """Return the wish in a document of `read_request`; PayloadError (``format``, ``joints``, ``values`` or ``moment``)."""
     kind = document.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         raise PayloadError("format", f"kind is {shown(kind)}; expected one of {', '.join(KINDS)}")
     needed, optional = KINDS[kind]
-    keys(document, f"plan_request {kind}", ("id", "kind", *needed), ("id", "kind", *needed, *optional))
-    name = _named(document)
+    keys(document, f"plan_request {kind}", ("id", "kind", *needed), ("id", "kind", "moment", *needed, *optional))
+    name, fields = _named(document), _fields(kind, document, joints)
+    return RemoteRequest(name, kind, parse_moment(document.get("moment")), **fields)
+
+
+def _fields(kind: str, document: Mapping[str, Any], joints: Joints) -> dict[str, Any]:
+    """Return what a request of a kind says beside its id and its moment."""
     if kind == "joints":
-        values = _joint_values(document["joints"], "joints", joints)
-        return RemoteRequest(name, kind, joints=values, **_scales(document))  # type: ignore[arg-type]
+        return {"joints": _joint_values(document["joints"], "joints", joints), **_scales(document)}
     if kind == "way_back":
-        return RemoteRequest(name, kind)
+        return {}
     if kind == "work_task":
-        return RemoteRequest(name, kind, task=text(document.get("task", ""), "task"))
+        return {"task": text(document.get("task", ""), "task")}
     position, orientation = _pose(document)
-    more: dict[str, Any] = _scales(document)
+    more: dict[str, Any] = {"position": position, "orientation": orientation, **_scales(document)}
     if kind == "pose":
         more["configuration"] = text(document.get("configuration", ""), "configuration")
     else:
         more["speed"] = number(document.get("speed", 0.0), "speed")
         if more["speed"] < 0.0:
             raise PayloadError("values", f"speed is {more['speed']:g}; expected m/s, or 0 for as fast as possible")
-    return RemoteRequest(name, kind, position=position, orientation=orientation, **more)
+    return more
 
 
 def parse_ik(document: Mapping[str, Any], joints: Joints) -> IkRequest:
@@ -147,11 +157,12 @@ def parse_ik(document: Mapping[str, Any], joints: Joints) -> IkRequest:
 
 def plan_answer(
     request: str, account: str, kind: str, ok: bool, reason: str,
-    plan_id: str = "", plan_hash: str = "", duration: float = 0.0,
+    plan_id: str = "", plan_hash: str = "", duration: float = 0.0, expired: bool = False,
 ) -> bytes:  # fmt: skip
-    """Return the payload for `plan_request/ack`; `ok`: a plan is under review, `reason`: one sentence."""
+    """Return the payload for `plan_request/ack`; `ok`: a plan is under review, `reason`: a sentence, `expired`: it was too old."""
     answer = {"id": request, "account": account, "kind": kind, "ok": ok, "reason": reason}
-    return json.dumps(answer | {"plan_id": plan_id, "plan_hash": plan_hash, "duration": duration}).encode()
+    plan = {"plan_id": plan_id, "plan_hash": plan_hash, "duration": duration}
+    return json.dumps(answer | plan | {"expired": expired}).encode()
 
 
 def ik_answer(

@@ -1,6 +1,7 @@
 """`plan` and `review` on MQTT: what a tablet gets to see, and what it may answer. Pure; standard library only.
 
-SI: m, rad, s. A review is refused (PayloadError) unless it is exactly as written here; what is under review decides the rest.
+SI: m, rad, s. An approval repeats the newest moment that its screen had received (`core.freshness`). A review is refused
+(PayloadError) unless it is exactly as written here; what is under review decides the rest.
 """
 
 from __future__ import annotations
@@ -11,12 +12,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.freshness import parse_moment
 from construction_twin.mqtt.messages import parse_object
 
 #: Longest review that is read [bytes].
 MAX_REVIEW_BYTES = 2048
 _KEYS = ("plan_id", "plan_hash", "verdict", "reviewer")
-_MAX_TEXT = {"plan_id": 64, "plan_hash": 64, "verdict": 16, "reviewer": 64, "reason": 500}
+_MAX_TEXT = {"plan_id": 64, "plan_hash": 64, "verdict": 16, "reviewer": 64, "reason": 500, "moment": 64}
 #: Most numbers of a trajectory that a plan carries, about 5000 waypoints of six joints: brokers limit a message (a site's: 4 MiB).
 MAX_TRAJECTORY_NUMBERS = 100_000
 #: What a trajectory tells by waypoint and joint, in the order in which its hash covers it.
@@ -47,6 +49,8 @@ class RemoteReview:
         The topic's, which a site's broker has checked; "" on `review`.
     says : str
         What a message of an account says of who gave it, where that is another name; proves nothing.
+    moment : str
+        The newest that the screen had received; of a rejection it may be "".
     """
 
     plan_id: str
@@ -56,6 +60,7 @@ class RemoteReview:
     reason: str = ""
     account: str = ""
     says: str = ""
+    moment: str = ""
 
     @property
     def approves(self) -> bool:
@@ -69,8 +74,8 @@ def parse_review(payload: bytes, retained: bool, account: str = "") -> RemoteRev
     Parameters
     ----------
     payload : bytes
-        JSON object with `plan_id`, `plan_hash`, `verdict`, `reviewer` and, if wanted, `reason`; with an account `reviewer` may be
-        left out.
+        JSON object with `plan_id`, `plan_hash`, `verdict`, `reviewer`, `moment` and, if wanted, `reason`; with an account
+        `reviewer` may be left out, of a rejection `moment`.
     retained : bool
         The message's retain flag.
     account : str, optional
@@ -79,7 +84,7 @@ def parse_review(payload: bytes, retained: bool, account: str = "") -> RemoteRev
     Raises
     ------
     PayloadError
-        ``retained`` or ``review``.
+        ``retained``, ``moment`` or ``review``.
     """
     if retained:
         raise PayloadError(
@@ -87,10 +92,10 @@ def parse_review(payload: bytes, retained: bool, account: str = "") -> RemoteRev
         )
     document = parse_object(payload, "review", MAX_REVIEW_BYTES)
     needed = _KEYS[:-1] if account else _KEYS
-    if not set(needed) <= set(document) <= {*_KEYS, "reason"}:
+    if not set(needed) <= set(document) <= {*_KEYS, "reason", "moment"}:
         raise PayloadError(
             "review",
-            f"review with keys {[key[:32] for key in sorted(document)[:8]]}; expected {', '.join(needed)} and reason",
+            f"review with keys {[key[:32] for key in sorted(document)[:8]]}; expected {', '.join(needed)}, moment and reason",
         )
     for key, value in document.items():
         if not isinstance(value, str) or len(value) > _MAX_TEXT[key] or not value.isprintable():
@@ -102,6 +107,8 @@ def parse_review(payload: bytes, retained: bool, account: str = "") -> RemoteRev
             raise PayloadError("review", f"review without {key}: say which plan was looked at, and by whom")
     if document["verdict"] not in ("approved", "rejected"):
         raise PayloadError("review", f"review with verdict {document['verdict']!r}; expected approved or rejected")
+    if document["verdict"] == "approved":
+        parse_moment(document.get("moment"))
     if not account:
         return RemoteReview(**document)
     says = document.pop("reviewer", account)
@@ -114,7 +121,9 @@ def recorded_reason(review: RemoteReview) -> str:
     return f"{who}: {review.reason}" if review.reason else who
 
 
-def review_answer(review: RemoteReview | None, ok: bool, reason: str, account: str = "") -> bytes:
+def review_answer(
+    review: RemoteReview | None, ok: bool, reason: str, account: str = "", expired: bool = False
+) -> bytes:
     """Return the payload for `review/ack`.
 
     Parameters
@@ -125,11 +134,14 @@ def review_answer(review: RemoteReview | None, ok: bool, reason: str, account: s
     reason : str
     account : str, optional
         Of the topic, for a review that could not be read.
+    expired : bool, optional
+        It is void because what its screen had shown is too old.
     """
     review = review or RemoteReview("", "", "", account, account=account)
     answer = {"plan_id": review.plan_id, "plan_hash": review.plan_hash, "verdict": review.verdict}
     return json.dumps(
-        answer | {"reviewer": review.reviewer, "account": review.account, "ok": ok, "reason": reason}
+        answer
+        | {"reviewer": review.reviewer, "account": review.account, "ok": ok, "reason": reason, "expired": expired}
     ).encode()
 
 

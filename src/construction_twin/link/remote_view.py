@@ -12,10 +12,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from construction_twin.core.freshness import Moment
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import Joints
 
-VERSION = 2
+VERSION = 3
 #: The oldest version whose readers can read this one.
 COMPATIBLE = 1
 #: Decimals of positions [rad], [m] and of times [s].
@@ -135,7 +136,7 @@ class ViewWriter:
         self._joints = {"names": list(joints.names), "types": kinds}
         self._seq = 0
 
-    def write(self, now: int, seen: Seen) -> bytes:
+    def write(self, now: int, seen: Seen, moment: Moment) -> bytes:
         """Return the next message.
 
         Parameters
@@ -143,15 +144,17 @@ class ViewWriter:
         now : int
             ROS time [ns].
         seen : Seen
+        moment : Moment
+            The present one, for the requests of whoever sees this.
         """
         self._seq += 1
-        return self._message(True, self._seq, now, seen)
+        return self._message(True, self._seq, now, seen, str(moment))
 
     def offline(self) -> bytes:
-        """Return the last will, and the farewell: nothing more is known. Its `seq` and `stamp` are 0."""
-        return self._message(False, 0, 0, Seen())
+        """Return the last will, and the farewell: nothing more is known. Its `seq` and `stamp` are 0, its `moment` is ""."""
+        return self._message(False, 0, 0, Seen(), "")
 
-    def _message(self, online: bool, seq: int, now: int, seen: Seen) -> bytes:
+    def _message(self, online: bool, seq: int, now: int, seen: Seen, moment: str) -> bytes:
         document = {
             "version": VERSION,
             "compatible": COMPATIBLE,
@@ -160,6 +163,7 @@ class ViewWriter:
             "run": self._run,
             "seq": seq,
             "stamp": round(now / NANOSECONDS, _TIME),
+            "moment": moment,
             "units": _UNITS,
             "joints": self._joints,
             "twin": _pose(seen.twin),

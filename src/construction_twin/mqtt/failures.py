@@ -20,6 +20,8 @@ _WRONG_NAME = (62, 64)
 _BAD_CREDENTIALS, _NOT_AUTHORIZED = 134, 135
 #: The one that means the version of MQTT; paho makes it of return code 1 too, with which brokers of 3.1.1 refuse MQTT 5.
 _UNSUPPORTED_VERSION = 132
+#: That a client with the same id has taken the connection away; mosquitto 2.0 does not tell.
+_TAKEN_OVER = 142
 #: What paho calls a connection that ended without a word of the broker.
 _CLOSED = 128
 
@@ -110,6 +112,11 @@ def _version_failure(broker: Broker) -> str:
 
 def lost_connection(broker: Broker, reason_code: ReasonCode) -> str:
     """Return the sentence for a connection that ended; a broker that refuses a client certificate shows itself only here."""
+    if reason_code.value == _TAKEN_OVER:
+        return (
+            f"connection to broker {broker.host}:{broker.port} taken away by a client with the same id: somebody who has an "
+            "account there knows it; trying again with another id, find out which log of the broker names ids (docs/broker.md)"
+        )
     why = "the broker or the network has closed it" if reason_code.value == _CLOSED else str(reason_code)
     return f"connection to broker {broker.host}:{broker.port} lost: {why}; trying again{_maybe_certificate(broker)}"
 

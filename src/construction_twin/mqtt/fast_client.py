@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import secrets
 import socket
 import struct
 import threading
@@ -20,6 +21,8 @@ import time
 from paho.mqtt import __version__ as paho_version
 from paho.mqtt import client as paho
 from paho.mqtt.enums import MQTTErrorCode, MQTTProtocolVersion
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
 
 from construction_twin.mqtt.plain_client import PlainClient, StreamCallback
 
@@ -110,6 +113,11 @@ def _text(packet: bytes, at: int, end: int) -> tuple[str | None, int]:
     return (text if text.isprintable() else None), stop
 
 
+def renewed_id(client_id: str) -> str:
+    """Return another id of the same program: the random part after the last - is new."""
+    return f"{client_id.rpartition('-')[0]}-{secrets.token_hex(8)}"
+
+
 def whole_publish(ahead: bytes) -> tuple[int, int] | None:
     """Return where the first packet's topic begins and where the packet ends.
 
@@ -149,6 +157,9 @@ def is_tested() -> bool:
 
 class FastClient(PlainClient):
     """Reads and sends joint strings without paho's general code, whatever else goes over the connection.
+
+    A connection that the broker has closed returns under a new id: somebody who knew the former one may have taken it away, which
+    mosquitto 2.0 and MQTT 3.1.1 do not tell.
 
     test_fast_client compares what is read and what is sent with paho's own.
     """
@@ -263,6 +274,18 @@ class FastClient(PlainClient):
             return super()._handle_publish()
         self._deliver(plain, bool(header & 1))
         return MQTTErrorCode.MQTT_ERR_SUCCESS
+
+    def _do_on_disconnect(
+        self,
+        packet_from_broker: bool,
+        v1_rc: MQTTErrorCode,
+        reason: ReasonCode | None = None,
+        properties: Properties | None = None,
+    ) -> None:
+        # of what fell silent the broker may still hold the connection, which only the same id ends
+        if v1_rc != MQTTErrorCode.MQTT_ERR_KEEPALIVE:
+            self._client_id = renewed_id(self._client_id.decode()).encode()
+        super()._do_on_disconnect(packet_from_broker, v1_rc, reason, properties)
 
     def _deliver(self, plain: tuple[bytes, UserProperties, bytes], retained: bool) -> None:
         topic, properties, payload = plain

@@ -1,15 +1,17 @@
 """`stop`, `pause` and `resume` by MQTT: what a person may press whose account has the right to. Pure; standard library only.
 
-The account is the topic's last level, which a site's broker has checked; the message holds an id of its own and nothing else. What
-is not exactly so is refused (PayloadError).
+The account is the topic's last level, which a site's broker has checked; the message holds an id of its own, and a `resume` the
+moment that its screen had shown (`core.freshness`): it starts motion, and is void when that is too old. A stop and a pause need
+none. What is not exactly so is refused (PayloadError).
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.freshness import parse_moment
 from construction_twin.mqtt.messages import is_short_text, parse_object
 
 #: What can be asked for.
@@ -24,11 +26,15 @@ _MOST_ACCOUNTS = 64
 
 @dataclass(frozen=True)
 class Intervention:
-    """What a person asks for: `verb` is ``stop``, ``pause`` or ``resume``; `account` is the topic's, `id` the person's own."""
+    """What a person asks for: `verb` is ``stop``, ``pause`` or ``resume``; `account` is the topic's, `id` the person's own.
+
+    `moment` is the newest that the screen had received, "" where none was told. One that comes again with another is the same.
+    """
 
     verb: str
     account: str
     id: str
+    moment: str = field(default="", compare=False)
 
 
 def parse_intervention(verb: str, account: str, payload: bytes, retained: bool) -> Intervention:
@@ -39,31 +45,40 @@ def parse_intervention(verb: str, account: str, payload: bytes, retained: bool) 
     verb, account : str
         Of the topic.
     payload : bytes
-        JSON object with `id`, a text of 1 to 64 characters in one line.
+        JSON object with `id`, a text of 1 to 64 characters in one line; of a `resume` also `moment`, as the newest view has it. In
+        a stop or a pause a moment may stand, and is not read.
     retained : bool
         The message's retain flag.
 
     Raises
     ------
     PayloadError
-        ``retained``, or the verb.
+        ``retained``, ``moment``, or the verb.
     """
     if retained:
         raise PayloadError(
             "retained", f"retained {verb}: it is unknown when it was given; publish it without the retain flag"
         )
     document = parse_object(payload, verb, MAX_BYTES)
-    if set(document) != {"id"} or not is_short_text(document["id"]) or not document["id"].strip():
+    id_ = document.get("id", "")
+    if not set(document) <= {"id", "moment"} or not is_short_text(id_) or not id_.strip():
+        expected = "id, a text of 1 to 64 characters, " + ("and moment" if verb == RESUME else "alone")
         raise PayloadError(
             verb,
-            f"{verb} with keys {[key[:32] for key in sorted(document)[:8]]}; expected id alone, a text of 1 to 64 characters",
+            f"{verb} with keys {[key[:32] for key in sorted(document)[:8]]}; expected {expected}",
         )
-    return Intervention(verb, account, document["id"])
+    if verb != RESUME:
+        return Intervention(verb, account, id_)
+    return Intervention(verb, account, id_, str(parse_moment(document.get("moment"))))
 
 
-def intervention_answer(id_: str, account: str, by: str, ok: bool, reason: str) -> bytes:
-    """Return the payload for `stop/ack` or `pause/ack`; `id_` is "" where none could be read."""
-    return json.dumps({"id": id_, "account": account, "ok": ok, "reason": reason, "by": by}).encode()
+def intervention_answer(id_: str, account: str, by: str, ok: bool, reason: str, expired: bool = False) -> bytes:
+    """Return the payload for `stop/ack` or `pause/ack`; `id_` is "" where none could be read.
+
+    `expired`: a resume that is void because what its screen had shown is too old.
+    """
+    answer = {"id": id_, "account": account, "ok": ok, "reason": reason, "by": by}
+    return json.dumps(answer | {"expired": expired}).encode()
 
 
 class AnswerPace:

@@ -6,13 +6,16 @@ only.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 
 from paho.mqtt import client as paho
-from paho.mqtt.enums import MQTTProtocolVersion
+from paho.mqtt.enums import MQTTErrorCode, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
+#: How paho begins the name of its thread; the client's id follows.
+_PAHO_THREAD = "paho-mqtt-client-"
 #: What a stream's callback takes: payload, user properties, whether the message was retained.
 StreamCallback = Callable[[bytes, list[tuple[str, str]], bool], None]
 
@@ -24,6 +27,15 @@ def received_pairs(message: paho.MQTTMessage) -> list[tuple[str, str]]:
 
 class PlainClient(paho.Client):
     """A paho client with streams: topics of which many messages come or go per second."""
+
+    def loop_start(self) -> MQTTErrorCode:
+        """Serve the connection in a thread of paho's."""
+        result = super().loop_start()
+        for thread in threading.enumerate():
+            # with paho's name a traceback would write the client's id into a log
+            if thread.name.startswith(_PAHO_THREAD):
+                thread.name = "mqtt"
+        return result
 
     def on_stream(self, topic: str, callback: StreamCallback) -> None:
         """Call ``callback(payload, pairs, retained)`` for each message on `topic`, in the thread that serves the connection.

@@ -8,7 +8,8 @@ from dataclasses import replace
 import pytest
 from executor_bench import GOAL, ROBOT, SCENE, Bench, make_plan, reach
 
-from construction_twin.core.errors import RecordError, ReviewError
+from construction_twin.core.errors import ExpiredError, RecordError, ReviewError
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, SCENE_DELAY, Approval, WithoutPerson
 from construction_twin.execution.executor import START_TOLERANCE, ExecutorState
 from construction_twin.monitor.gate import SyncState
@@ -146,7 +147,7 @@ class TestApproval:
         bench.executor.offer(plan)
         compute = Trajectory.content_hash
         monkeypatch.setattr(Trajectory, "content_hash", lambda self: (proven.append(len(held)), compute(self))[1])
-        Approval(bench.executor, bench.records.append, Lock()).review("p", plan.hash, True, "Ada")
+        Approval(bench.executor, bench.records.append, Lock(), bench.present).review("p", plan.hash, True, "Ada")
         assert proven == [0] and bench.run(3)[-1] is not None and bench.state is ExecutorState.PLAYING
 
 
@@ -223,6 +224,104 @@ class TestRecordFirst:
             bench.approval.approve_by_itself(bench.stamp)
         assert bench.executor.queue.plan is None
         assert set(bench.run(100)) == {ROBOT.home}
+
+
+class TestAge:
+    """What starts a plan is void 3 s after the newest that its screen had shown, wherever it lay all the while."""
+
+    def slow(self, bench, seconds: float):
+        """Let the disk take so long for each approval."""
+
+        def record(record):
+            bench.records.append(record)
+            if getattr(record, "approved", False):
+                bench.clock += round(seconds * NANOSECONDS)
+
+        bench.record = record
+
+    @pytest.mark.parametrize("seen", [True, False])
+    def test_a_disk_that_hung_starts_nothing_and_that_is_recorded_and_said(self, bench, seen):
+        plan = make_plan()
+        bench.executor.offer(plan)
+        self.slow(bench, 120.0)
+        with pytest.raises(ExpiredError, match="too old: it is of 120.0 s ago, and after 3 s it is void; look again"):
+            bench.review("p", plan.hash, True, "Ada", seen=bench.present() if seen else None)
+        assert set(bench.run(100)) == {ROBOT.home} and bench.state is ExecutorState.IDLE
+        approval, ending = bench.records
+        assert approval.verdict == "approved" and ending.outcome == "dropped" and "too old" in ending.reason
+
+    def test_the_plan_stays_under_review_so_that_who_looks_again_can_approve_it(self, bench):
+        plan = make_plan()
+        bench.executor.offer(plan)
+        self.slow(bench, 120.0)
+        with pytest.raises(ExpiredError):
+            bench.review("p", plan.hash, True, "Ada")
+        bench.record = bench.records.append
+        assert bench.executor.queue.plan is plan and "approved by Ada" in bench.review("p", plan.hash, True, "Ada")
+
+    @pytest.mark.parametrize("age, taken", [(0.0, True), (2.9, True), (3.1, False), (6.0, False)])
+    def test_what_lay_on_its_way_counts_from_what_the_screen_had_shown(self, bench, age, taken):
+        plan, seen = make_plan(), bench.present()
+        bench.executor.offer(plan)
+        bench.clock += round(age * NANOSECONDS)
+        if taken:
+            assert "approved" in bench.review("p", plan.hash, True, "Ada", seen=seen)
+            return
+        with pytest.raises(ExpiredError):
+            bench.review("p", plan.hash, True, "Ada", seen=seen)
+        (refused,) = bench.records
+        assert refused.verdict == "refused" and "too old" in refused.reason and bench.state is ExecutorState.IDLE
+
+    def test_the_way_and_the_disk_together_may_take_no_longer(self, bench):
+        plan, seen = make_plan(), bench.present()
+        bench.executor.offer(plan)
+        bench.clock += 2 * NANOSECONDS
+        self.slow(bench, 2.0)
+        with pytest.raises(ExpiredError, match="4.0 s ago"):
+            bench.review("p", plan.hash, True, "Ada", seen=seen)
+
+    def test_an_approval_that_waits_for_another_verdicts_disk_counts_from_its_call(self, bench):
+        plan = make_plan()
+        bench.executor.offer(plan)
+        called, end, failed = threading.Event(), threading.Event(), []
+
+        def hang(record):
+            bench.records.append(record)
+            called.set()
+            assert end.wait(10.0)
+
+        def second():
+            try:
+                bench.review("p", plan.hash, True, "Bob")
+            except ReviewError as error:
+                failed.append(error)
+
+        bench.record = hang
+        first = threading.Thread(target=lambda: bench.review("p", plan.hash, False, "Ada"))
+        first.start()
+        assert called.wait(10.0)
+        asked, present = threading.Event(), bench.present
+        bench.present = lambda: (present(), asked.set())[0]
+        other = threading.Thread(target=second)
+        other.start()
+        assert asked.wait(10.0)
+        bench.clock += 10 * NANOSECONDS
+        end.set()
+        first.join(10.0), other.join(10.0)
+        assert [type(error) for error in failed] == [ExpiredError]
+
+    def test_a_rejection_is_never_too_old(self, bench):
+        plan, seen = make_plan(), bench.present()
+        bench.executor.offer(plan)
+        bench.clock += 3600 * NANOSECONDS
+        assert "rejected by Ada" in bench.review("p", plan.hash, False, "Ada", seen=seen)
+
+    def test_nothing_is_approved_by_itself_long_after_it_could(self, bench):
+        bench.executor.offer(make_plan())
+        self.slow(bench, 120.0)
+        assert bench.approval.approve_by_itself(bench.stamp) is None
+        (event,) = bench.executor.take_events()
+        assert event.verdict == "withdrawn" and "too old" in event.reason and bench.state is ExecutorState.IDLE
 
 
 class TestScene:

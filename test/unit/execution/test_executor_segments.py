@@ -22,6 +22,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from construction_twin.core.errors import ExecutionError, ReviewError
+from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.execution.boundary import FIRE_TIMEOUT, LEAD, SCENE_TIMEOUT
 from construction_twin.execution.executor import ExecutorState
@@ -540,6 +541,42 @@ def test_a_stop_at_a_boundary_voids_what_is_armed(bench):
     bench.run(300)
     assert bench.executor.outcome == "stopped" and bench.tool.fired == []
     assert [order.id for order in bench.tool.orders] == ["w/1/0/1", ""]
+
+
+class TestBeforeTheFirstSegment:
+    """An approval starts motion within its lifetime, or it starts none."""
+
+    @pytest.mark.parametrize("disk", [0.0, 2.0])
+    def test_what_is_waited_for_too_long_ends_the_plan_and_says_so(self, bench, disk):
+        def record(record):
+            bench.records.append(record)
+            bench.clock += round(disk * NANOSECONDS)
+
+        bench.record = record
+        bench.approve(make_work_plan())
+        bench.executor.queue.scene_alive = False
+        waited = bench.run_until_idle()
+        assert set(waited) == {ROBOT.home} and bench.executor.outcome == "stopped"
+        assert "not begun, waits for the scene 5ce0e: an approval is void after 3 s" in bench.executor.reason
+        assert len(waited) == pytest.approx((LIFETIME / NANOSECONDS - disk) / CYCLE, abs=3)
+
+    def test_a_resume_there_counts_anew(self, bench):
+        bench.approve(make_work_plan())
+        bench.executor.pause(bench.stamp)
+        bench.run(round(60.0 / CYCLE))
+        assert bench.state is ExecutorState.PAUSED
+        bench.executor.resume()
+        bench.run_into(0)
+        assert bench.executor.outcome == ""
+
+    def test_later_boundaries_wait_as_long_as_before(self, bench):
+        bench.approve(make_work_plan())
+        bench.run_to_end_of(0)
+        bench.executor.queue.scene_alive = False
+        bench.run(round(10.0 / CYCLE))
+        assert bench.state is ExecutorState.AT_BOUNDARY
+        bench.executor.queue.scene_alive = True
+        bench.run_into(1)
 
 
 def test_what_ends_a_plan_at_a_boundary_before_its_first_setpoint(bench):

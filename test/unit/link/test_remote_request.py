@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.freshness import Moment
 from construction_twin.link.remote_request import (
     KINDS,
     MAX_BYTES,
@@ -27,6 +28,7 @@ from construction_twin.link.remote_trajectory import Joints
 JOINTS = Joints(("joint_a1", "track"), (False, True))
 POSE = {"position": [1.5, 0.0, 2], "orientation": [0.0, 0.0, 0.0, 1.0]}
 VALUES = {"track": 2.0, "joint_a1": 0.5}
+MOMENT = Moment("c0ffee00", 5_000_000)
 REQUESTS = {
     "joints": {"joints": VALUES, "speed_scale": 0.5},
     "pose": POSE | {"configuration": "front up positive", "acceleration_scale": 0.25},
@@ -37,7 +39,7 @@ REQUESTS = {
 
 
 def asked(kind: str, **changes) -> dict:
-    return {"id": "7", "kind": kind} | REQUESTS[kind] | changes
+    return {"id": "7", "kind": kind, "moment": str(MOMENT)} | REQUESTS[kind] | changes
 
 
 def refused(document: dict, parse=parse_plan_request) -> str:
@@ -49,14 +51,16 @@ def refused(document: dict, parse=parse_plan_request) -> str:
 def test_every_kind_is_read_with_all_that_belongs_to_it():
     assert set(REQUESTS) == set(KINDS)
     read = {kind: parse_plan_request(asked(kind), JOINTS) for kind in KINDS}
-    assert read["joints"] == RemoteRequest("7", "joints", (0.5, 2.0), speed_scale=0.5)
+    assert read["joints"] == RemoteRequest("7", "joints", MOMENT, (0.5, 2.0), speed_scale=0.5)
     assert read["pose"] == RemoteRequest(
-        "7", "pose", (), (1.5, 0.0, 2.0), (0.0, 0.0, 0.0, 1.0), "front up positive", acceleration_scale=0.25
+        "7", "pose", MOMENT, (), (1.5, 0.0, 2.0), (0.0, 0.0, 0.0, 1.0), "front up positive", acceleration_scale=0.25
     )
-    assert read["line"] == RemoteRequest("7", "line", (), (1.5, 0.0, 2.0), (0.0, 0.0, 0.0, 1.0), speed=0.1)
-    assert read["way_back"] == RemoteRequest("7", "way_back")
+    assert read["line"] == RemoteRequest("7", "line", MOMENT, (), (1.5, 0.0, 2.0), (0.0, 0.0, 0.0, 1.0), speed=0.1)
+    assert read["way_back"] == RemoteRequest("7", "way_back", MOMENT)
     assert read["work_task"].task == "2O2Fr$t4X7Zf8NOew3FLOH"
-    assert parse_plan_request({"id": "8", "kind": "work_task"}, JOINTS).task == "", "the next one"
+    assert parse_plan_request({"id": "8", "kind": "work_task", "moment": str(MOMENT)}, JOINTS).task == "", (
+        "the next one"
+    )
 
 
 @pytest.mark.parametrize(
@@ -82,6 +86,9 @@ def test_every_kind_is_read_with_all_that_belongs_to_it():
         (asked("line", speed=-0.1), "values"),
         (asked("way_back", task="1"), "format"),
         (asked("work_task", task=7), "format"),
+        (asked("way_back", moment=""), "moment"),
+        (asked("way_back", moment=5.0), "moment"),
+        ({"id": "7", "kind": "way_back"}, "moment"),
     ],
 )
 def test_what_is_not_exactly_so_is_refused(document, reason):
@@ -119,7 +126,7 @@ def test_retained_too_long_and_broken_messages_are_refused():
 
 #: What JSON can hold, with the keys and words of requests mixed in.
 _words = st.sampled_from(
-    ["id", "kind", "joints", "position", "orientation", "seed", "task", "speed", "track", "joint_a1", *KINDS]
+    ["id", "kind", "moment", "joints", "position", "orientation", "seed", "task", "speed", "track", "joint_a1", *KINDS]
 )
 _values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=80) | _words,
@@ -155,8 +162,9 @@ def test_any_bytes_are_read_or_refused(payload):
 def test_answers_name_the_request():
     assert json.loads(plan_answer("7", "kr120-planner-ada", "pose", True, "planned", "p1", "cafe", 2.5)) == {
         "id": "7", "account": "kr120-planner-ada", "kind": "pose", "ok": True, "reason": "planned",
-        "plan_id": "p1", "plan_hash": "cafe", "duration": 2.5,
+        "plan_id": "p1", "plan_hash": "cafe", "duration": 2.5, "expired": False,
     }  # fmt: skip
+    assert json.loads(plan_answer("7", "", "pose", False, "too old", expired=True))["expired"]
     answer = json.loads(ik_answer("3", "contact", {"joint_a1": 0.5}, "link_3 would touch wall", ("link_3", "wall")))
     assert answer == {
         "id": "3", "reach": "contact", "joints": {"joint_a1": 0.5}, "sentence": "link_3 would touch wall",

@@ -40,10 +40,13 @@ from construction_twin.scene.objects import SceneObject
 from construction_twin.scene.scene_change import SceneChange
 
 REVIEW = {"plan_id": "p1", "plan_hash": "ab" * 32, "verdict": "approved", "reviewer": "Anna"}
+MOMENT = "c0ffee00-5000"
 
 
 def payload(**changes) -> bytes:
-    return json.dumps({key: value for key, value in (REVIEW | changes).items() if value is not ...}).encode()
+    return json.dumps(
+        {key: value for key, value in (REVIEW | {"moment": MOMENT} | changes).items() if value is not ...}
+    ).encode()
 
 
 def refusal(data: bytes, retained: bool = False) -> str:
@@ -57,15 +60,30 @@ def refusal(data: bytes, retained: bool = False) -> str:
 
 
 def test_a_verdict_is_read_as_it_was_given():
-    assert parse_review(payload(), False) == RemoteReview(**REVIEW)
+    assert parse_review(payload(), False) == RemoteReview(**REVIEW, moment=MOMENT)
     assert parse_review(payload(verdict="rejected", reason="too close to the wall"), False) == RemoteReview(
-        "p1", "ab" * 32, "rejected", "Anna", "too close to the wall"
+        "p1", "ab" * 32, "rejected", "Anna", "too close to the wall", moment=MOMENT
     )
 
 
 @pytest.mark.parametrize("verdict, approves", [("approved", True), ("rejected", False)])
 def test_only_one_word_approves(verdict, approves):
     assert parse_review(payload(verdict=verdict), False).approves is approves
+
+
+@pytest.mark.parametrize("account", ["", "kr120-reviewer-ada"])
+@pytest.mark.parametrize(
+    "moment, reason", [(..., "moment"), ("", "moment"), ("c0ffee00", "moment"), ("x" * 65, "review"), (5.0, "review")]
+)
+def test_an_approval_that_does_not_say_what_its_screen_had_shown_is_refused(account, moment, reason):
+    with pytest.raises(PayloadError) as caught:
+        parse_review(payload(moment=moment), False, account)
+    assert caught.value.reason == reason and len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize("moment", [..., "", "of an old screen", MOMENT])
+def test_a_rejection_needs_no_moment(moment):
+    assert not parse_review(payload(verdict="rejected", moment=moment), False).approves
 
 
 def test_a_retained_verdict_is_refused_whatever_it_says():
@@ -109,21 +127,26 @@ json_values = (
 )
 
 
-@given(st.dictionaries(st.sampled_from([*REVIEW, "reason", "other"]), json_values))
+@given(st.dictionaries(st.sampled_from([*REVIEW, "reason", "moment", "other"]), json_values))
 def test_a_verdict_is_taken_only_with_every_field_a_text(document):
     try:
         review = parse_review(json.dumps(document).encode(), False)
     except PayloadError as error:
-        assert error.reason == "review"
+        assert error.reason in ("review", "moment")
     else:
         assert {key: document[key] for key in REVIEW} == {key: getattr(review, key) for key in REVIEW}
 
 
 def test_the_answer_names_what_it_answers():
     review = parse_review(payload(), False)
-    assert json.loads(review_answer(review, False, "why")) == REVIEW | {"account": "", "ok": False, "reason": "why"}
+    assert json.loads(review_answer(review, False, "why")) == REVIEW | {
+        "account": "",
+        "ok": False,
+        "reason": "why",
+        "expired": False,
+    }
     unread = json.loads(review_answer(None, False, "no JSON"))
-    assert unread == dict.fromkeys(REVIEW, "") | {"account": "", "ok": False, "reason": "no JSON"}
+    assert unread == dict.fromkeys(REVIEW, "") | {"account": "", "ok": False, "reason": "no JSON", "expired": False}
 
 
 # -- review/<account>

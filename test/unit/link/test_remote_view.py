@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from construction_twin.core.freshness import Moment
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
@@ -28,6 +29,7 @@ from construction_twin.link.remote_view import (
 SCHEMA = json.loads((Path(__file__).parents[3] / "docs/reference/view.schema.json").read_text())
 JOINTS = Joints(("track", "joint_a1"), (True, False))
 NOW = 1_795_369_597_396_012_345
+MOMENT = Moment("c0ffee00", 81_234_567_890)
 SEEN = Seen(
     PoseView(1_795_369_597.39, 0.004, (1.5, math.pi / 3)),
     PoseView(1_795_369_597.388, 0.0061234567, (1.5, 1.0471)),
@@ -70,7 +72,7 @@ def properties(node: dict) -> dict:
 
 
 def test_the_message_has_the_keys_of_the_schema_at_every_level():
-    message = read(writer().write(NOW, SEEN))
+    message = read(writer().write(NOW, SEEN, MOMENT))
     assert set(message) == set(properties(SCHEMA))
     for key, node in properties(SCHEMA).items():
         inner = properties(node)
@@ -85,14 +87,14 @@ def test_the_message_has_the_keys_of_the_schema_at_every_level():
 
 
 def test_a_reader_of_version_1_finds_all_that_it_knows():
-    for message in (read(writer().write(NOW, SEEN)), read(writer().offline())):
+    for message in (read(writer().write(NOW, SEEN, MOMENT)), read(writer().offline())):
         assert message["compatible"] == 1 and set(VERSION_1) <= set(message)
         for key, inner in VERSION_1.items():
             assert not inner or message[key] is None or inner <= set(message[key]), key
 
 
 def test_what_version_2_adds_is_in_it():
-    message = read(writer().write(NOW, SEEN))
+    message = read(writer().write(NOW, SEEN, MOMENT))
     assert (message["plan"], message["link"]["round_trip_ms"], message["link"]["late"]) == ("p2", 31.25, 4)
     assert message["execution"]["segment"] == {"number": 1, "name": "carry", "at_boundary": False}
     assert message["closest"] == {
@@ -101,13 +103,18 @@ def test_what_version_2_adds_is_in_it():
         "point": [1.0, 0.5, 0.25],
         "age": 0.1,
     }
-    unknown = read(writer().write(NOW, Seen(link=LinkView("ARMED", "", 0.0, "", "rsi", ""))))
+    unknown = read(writer().write(NOW, Seen(link=LinkView("ARMED", "", 0.0, "", "rsi", "")), MOMENT))
     assert unknown["link"]["round_trip_ms"] is unknown["link"]["late"] is unknown["closest"] is None
     assert unknown["plan"] == ""
 
 
+def test_what_version_3_adds_is_in_it():
+    assert read(writer().write(NOW, SEEN, MOMENT))["moment"] == "c0ffee00-81234"
+    assert read(writer().offline())["moment"] == "", "there is nothing that a request could repeat"
+
+
 def test_what_was_seen_is_in_it():
-    message = read(writer().write(NOW, SEEN))
+    message = read(writer().write(NOW, SEEN, MOMENT))
     assert (message["robot"], message["online"], message["stamp"]) == ("kr120", True, 1_795_369_597.396012)
     assert message["joints"] == {"names": ["track", "joint_a1"], "types": ["prismatic", "revolute"]}
     assert message["twin"] == {"stamp": 1_795_369_597.39, "age": 0.004, "positions": [1.5, pytest.approx(math.pi / 3)]}
@@ -122,7 +129,7 @@ def test_what_was_seen_is_in_it():
 
 
 def test_what_is_not_known_is_null_and_never_a_number():
-    message = read(writer().write(NOW, Seen()))
+    message = read(writer().write(NOW, Seen(), MOMENT))
     assert {key: message[key] for key in ("twin", "arm", "sync", "link", "execution")} == dict.fromkeys(
         ("twin", "arm", "sync", "link", "execution")
     )
@@ -131,7 +138,7 @@ def test_what_is_not_known_is_null_and_never_a_number():
 
 def test_messages_of_a_run_are_numbered_so_that_a_lost_or_old_one_is_noticed():
     first = writer()
-    assert [read(first.write(NOW, Seen()))["seq"] for _ in range(3)] == [1, 2, 3]
+    assert [read(first.write(NOW, Seen(), MOMENT))["seq"] for _ in range(3)] == [1, 2, 3]
     farewell = read(first.offline())
     assert (farewell["online"], farewell["seq"], farewell["stamp"], farewell["run"]) == (False, 0, 0.0, "cafe")
     assert set(farewell) == set(SCHEMA["properties"]) and farewell["twin"] is farewell["link"] is None
@@ -143,7 +150,7 @@ def test_a_message_stays_small():
     pose = PoseView(NOW / NANOSECONDS, 0.0123456789, (-math.pi,) * 7)
     sync = SyncView("HOLDING", "x" * 300, 0.01, "resume", False, (0.123456789,) * 7, (0.123456789,) * 7, 0.02, 10**6)
     seen = Seen(pose, pose, sync, SEEN.link, SEEN.execution)
-    assert len(seven.write(NOW, seen)) < 2500
+    assert len(seven.write(NOW, seen, MOMENT)) < 2500
 
 
 # -- progress

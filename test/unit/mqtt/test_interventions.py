@@ -29,9 +29,30 @@ def refusal(verb: str, payload: bytes, retained: bool = False) -> str:
     return caught.value.reason
 
 
-@pytest.mark.parametrize("verb", [STOP, PAUSE, RESUME])
-def test_an_id_alone_is_what_is_asked_for(verb):
-    assert parse_intervention(verb, "ada", b'{"id": "a-1"}', False) == Intervention(verb, "ada", "a-1")
+MOMENT = "c0ffee00-5000"
+
+
+@pytest.mark.parametrize("verb", [STOP, PAUSE])
+@pytest.mark.parametrize("moment", [{}, {"moment": MOMENT}, {"moment": "of an old screen"}, {"moment": None}])
+def test_a_stop_and_a_pause_need_an_id_alone_and_are_never_too_old(verb, moment):
+    taken = parse_intervention(verb, "ada", json.dumps({"id": "a-1"} | moment).encode(), False)
+    assert taken == Intervention(verb, "ada", "a-1") and taken.moment == ""
+
+
+def test_a_resume_repeats_what_its_screen_had_shown():
+    taken = parse_intervention(RESUME, "ada", json.dumps({"id": "a-1", "moment": MOMENT}).encode(), False)
+    assert taken == Intervention(RESUME, "ada", "a-1") and taken.moment == MOMENT
+
+
+@pytest.mark.parametrize("moment", [{}, {"moment": ""}, {"moment": 5}, {"moment": None}, {"moment": "c0ffee00"}])
+def test_a_resume_that_does_not_is_refused(moment):
+    assert refusal(RESUME, json.dumps({"id": "a-1"} | moment).encode()) == "moment"
+
+
+def test_the_same_resume_with_a_newer_moment_is_the_same():
+    """Or what was taken down once could be sent again, and again."""
+    first, again = (Intervention(RESUME, "ada", "1", moment) for moment in ("c0ffee00-1", "c0ffee00-2"))
+    assert first == again
 
 
 @pytest.mark.parametrize("verb", [STOP, PAUSE, RESUME])
@@ -82,7 +103,7 @@ def test_a_last_level_that_no_account_can_have_is_refused(name):
 
 def test_an_answer_names_whom_it_answers_and_who_answers():
     assert json.loads(intervention_answer("7", "ada", "gateway", False, "why")) == {
-        "id": "7", "account": "ada", "ok": False, "reason": "why", "by": "gateway"
+        "id": "7", "account": "ada", "ok": False, "reason": "why", "by": "gateway", "expired": False,
     }  # fmt: skip
 
 

@@ -9,7 +9,12 @@ import pydantic
 import pytest
 import rospy
 from construction_twin.msg import Conflict, Execution, Link, Scene, SpeedLimit, ToolCommand, ToolState
-from construction_twin.srv import ReleaseEngagementRequest, ReviewPlanRequest, StopPlanRequest
+from construction_twin.srv import (
+    ReleaseEngagementRequest,
+    ResumeFromScreenRequest,
+    ReviewPlanRequest,
+    StopPlanRequest,
+)
 from executor_bench import ROBOT, SCENE, Gripper, make_plan, make_work_plan, motion_back, plan_back, reach
 from executor_world import World, records
 
@@ -203,6 +208,83 @@ def test_nobody_reviews_under_the_names_that_the_executor_writes(world, reviewer
     answer = world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, reviewer, ""))
     assert not answer.success and "the name of a person" in answer.message
     assert world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "")).success
+
+
+class TestAge:
+    """What a person at a screen starts is void 3 s after what the screen had shown, and the person is told."""
+
+    def test_a_verdict_of_now_starts_the_plan(self, world):
+        plan = world.waiting()
+        answer = world.from_screen(plan, world.shown(0.04))
+        assert answer.success and not answer.expired and world.refused == []
+
+    @pytest.mark.parametrize("age", [3.1, 6.0, 120.0, -1.0])
+    def test_a_verdict_that_lay_on_its_way_or_is_of_no_view_is_refused_counted_and_recorded(self, world, tmp_path, age):
+        plan = world.waiting()
+        answer = world.from_screen(plan, world.shown(age))
+        assert not answer.success and answer.expired and "look again" in answer.message
+        assert [reason for reason, _ in world.refused] == ["too_old"]
+        world.run(50)
+        assert world.executor.plan is None and world.executor.queue.plan is plan
+        (refused,) = records(tmp_path)
+        assert (refused["verdict"], refused["reviewer"]) == ("refused", "kr120-reviewer-ada")
+
+    @pytest.mark.parametrize("wall", [120.0, 0.0, -10.0, -120.0, 10_000.0])
+    @pytest.mark.parametrize("by_screen", [True, False])
+    def test_a_disk_that_hung_starts_nothing_whatever_the_wall_clock_did(self, world, tmp_path, by_screen, wall):
+        plan = world.waiting()
+        world.slow_disk(120.0, wall)
+        if by_screen:
+            answer = world.from_screen(plan, world.shown())
+            assert answer.expired
+        else:
+            answer = world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", ""))
+        assert not answer.success and "too old: it is of 120.0 s ago" in answer.message
+        world.run(50)
+        assert world.executor.plan is None and world.executor.queue.plan is plan
+        approved, ended = records(tmp_path)
+        assert approved["verdict"] == "approved" and ended["outcome"] == "dropped" and "not started" in ended["reason"]
+
+    @pytest.mark.parametrize("step", [-10.0, 10.0, 3600.0])
+    def test_a_wall_clock_that_is_set_makes_nothing_old_or_new(self, world, step):
+        plan = world.waiting()
+        moment = world.shown()
+        world.wall += round(step * NANOSECONDS)
+        world.booted += NANOSECONDS
+        assert world.from_screen(plan, moment).success
+
+    @pytest.mark.parametrize("moment", ["", "c0ffee00", "1795369597.396", "deadbeef-7000000"])
+    def test_without_a_moment_of_this_robot_nothing_is_approved(self, world, moment):
+        answer = world.from_screen(world.waiting(), moment)
+        assert not answer.success and len(world.refused) == 1 and world.executor.queue.plan is not None
+
+    @pytest.mark.parametrize("moment", ["", "of an old screen", "c0ffee00-1"])
+    def test_a_rejection_is_never_too_old(self, world, moment):
+        assert world.from_screen(world.waiting(), moment, approve=False).success
+
+    def test_a_resume_counts_as_an_approval_does(self, world):
+        node = world.playing().node
+        node.on_pause(None)
+        while world.executor.state is not ExecutorState.PAUSED:
+            world.run(5)
+        for age, expired in ((3.1, True), (6.0, True), (-1.0, True)):
+            answer = node.on_screen_resume(ResumeFromScreenRequest(world.shown(age)))
+            assert not answer.success and answer.expired is expired and "look again" in answer.message
+        answer = node.on_screen_resume(ResumeFromScreenRequest(""))
+        assert not answer.success and not answer.expired
+        assert [reason for reason, _ in world.refused] == ["too_old"] * 3 + ["moment"]
+        assert world.run(50).executor.state is ExecutorState.PAUSED
+        assert node.on_screen_resume(ResumeFromScreenRequest(world.shown(0.1))).success
+        assert world.run(5).executor.state is ExecutorState.PLAYING
+        again = node.on_screen_resume(ResumeFromScreenRequest(world.shown(0.1)))
+        assert not again.success and not again.expired and "nothing to resume" in again.message
+
+    def test_a_stop_a_pause_and_the_resume_of_this_graph_need_no_moment(self, world):
+        node = world.playing().node
+        assert node.on_pause(None).success
+        while world.executor.state is not ExecutorState.PAUSED:
+            world.run(5)
+        assert node.on_resume(None).success and node.on_stop(None).success
 
 
 def test_a_full_log_forgets_the_oldest_lines():
@@ -439,6 +521,14 @@ class TestEngaged:
         assert not (tmp_path / "engagement.json").exists() and not work.messages("engagement")[-1].engaged
         again = work.node.on_release(ReleaseEngagementRequest(person="Ada", reason="again"))
         assert not again.success and "not engaged" in again.message
+
+    def test_is_not_released_by_a_word_that_the_disk_kept_for_long(self, work, tmp_path):
+        work.left_in_lift()
+        work.slow_disk(120.0)
+        answer = work.node.on_release(ReleaseEngagementRequest(person="Ada", reason="jogged free in T1"))
+        assert not answer.success and "too old" in answer.message and work.executor.engagement.engaged
+        kept, corrected = (line for line in records(tmp_path) if line["record"] == "release")
+        assert kept["refused"] == "" and "too old" in corrected["refused"]
 
     def test_is_not_released_while_the_arm_moves(self, work, tmp_path):
         work.left_in_lift().run(3)

@@ -22,6 +22,9 @@ from construction_twin.ros.shared import remote_interventions
 from construction_twin.ros.shared.diagnostics import WARN
 from construction_twin.ros.shared.remote_interventions import RemoteInterventions
 
+#: What the newest view said.
+MOMENT = "c0ffee00-5000"
+
 
 class Trigger:
     """In place of a service of the executor."""
@@ -30,17 +33,19 @@ class Trigger:
         self.resolved_name = f"/kr120/{verb}"
         self._pressed = pressed
         self.error: Exception | None = None
-        self.success = True
+        self.success, self.expired = True, False
         #: Set: the service answers.
         self.free = threading.Event()
         self.free.set()
 
-    def __call__(self):
+    def __call__(self, **asked):
         assert self.free.wait(10.0)
-        self._pressed.append(self.resolved_name.rpartition("/")[2])
+        verb = self.resolved_name.rpartition("/")[2]
+        assert asked == ({"moment": MOMENT} if verb == RESUME else {})
+        self._pressed.append(verb)
         if self.error is not None:
             raise self.error
-        return SimpleNamespace(success=self.success, message="as the executor says")
+        return SimpleNamespace(success=self.success, message="as the executor says", expired=self.expired)
 
 
 class Bench:
@@ -67,21 +72,23 @@ class Bench:
     error: Exception | None = None
 
     #: What the executor has been asked, and what an approval waits for there.
-    asked: list[tuple] = []
+    asked: list[dict] = []
     disk: threading.Event | None = None
+    answer: SimpleNamespace | None = None
 
-    def __call__(self, *request):
+    def __call__(self, **request):
         if self.error is not None:
             raise self.error
-        approves = request[2]
+        approves = request["approve"]
         if approves and self.disk is not None:
             assert self.disk.wait(10.0)
         self.asked = [*self.asked, request]
-        return SimpleNamespace(success=True, message="approved" if approves else "rejected")
+        said = "approved" if approves else "rejected"
+        return self.answer or SimpleNamespace(success=True, message=said, expired=False)
 
     def verdict(self, plan="p1", verdict="approved"):
         """A verdict on `review`."""
-        content = {"plan_id": plan, "plan_hash": "cafe", "verdict": verdict, "reviewer": "Ann"}
+        content = {"plan_id": plan, "plan_hash": "cafe", "verdict": verdict, "reviewer": "Ann", "moment": MOMENT}
         self.node.on_review("", json.dumps(content).encode(), False)
 
 
@@ -103,15 +110,24 @@ def test_more_verdicts_than_may_wait_are_refused_counted_and_answered(bench):
 @pytest.mark.parametrize("error", [TransportTerminated("x"), ConnectionResetError("x"), rospy.ServiceException("x")])
 def test_an_executor_that_goes_away_during_the_call_is_told(bench, error):
     bench.error = error
-    bench.node.carry_out(RemoteReview("p1", "cafe", "approved", "Ann", ""))
+    bench.node.carry_out(RemoteReview("p1", "cafe", "approved", "Ann", "", moment=MOMENT))
     answer = json.loads(bench.client.published[-1][1])
     assert not answer["ok"] and "/kr120/review_plan does not answer: x" in answer["reason"]
 
 
 def test_a_verdict_that_was_carried_out_is_answered_and_counted(bench):
-    bench.node.carry_out(RemoteReview("p1", "cafe", "approved", "Ann", ""))
+    bench.node.carry_out(RemoteReview("p1", "cafe", "approved", "Ann", "", moment=MOMENT))
     assert json.loads(bench.client.published[-1][1])["ok"]
     assert bench.node.report().values == {"verdicts taken": 1}
+
+
+def test_what_its_screen_had_shown_goes_to_the_executor_with_it_and_that_it_was_too_old_comes_back(bench):
+    bench.answer = SimpleNamespace(success=False, message="the approval is too old", expired=True)
+    bench.verdict()
+    bench.node.carry_out(RemoteReview("p1", "cafe", "approved", "Ann", "", moment=MOMENT))
+    answer = json.loads(bench.client.published[-1][1])
+    assert [(asked["moment"], asked["approve"]) for asked in bench.asked] == [(MOMENT, True)]
+    assert (answer["ok"], answer["expired"], answer["reason"]) == (False, True, "the approval is too old")
 
 
 def test_on_a_site_a_verdict_in_no_name_is_refused_and_told_where_it_belongs(monkeypatch):
@@ -198,9 +214,10 @@ def pressing(bench, monkeypatch):
     ended.set()
 
 
-def press(bench, verb, id_="1", account="kr120-stopper-bob", retain=False, payload=None):
+def press(bench, verb, id_="1", account="kr120-stopper-bob", retain=False, payload=None, moment=MOMENT):
     """Hand over a message as the client does."""
-    payload = json.dumps({"id": id_}).encode() if payload is None else payload
+    if payload is None:
+        payload = json.dumps({"id": id_} | ({"moment": moment} if verb == RESUME else {})).encode()
     message = SimpleNamespace(topic=f"twin/kr120/{verb}/{account}", payload=payload, retain=retain)
     bench.interventions.on_message[f"twin/kr120/{verb}/+"](message)
 
@@ -217,7 +234,14 @@ def test_what_is_pressed_is_carried_out_and_answered(pressing, verb, ack):
     press(pressing, verb, "7")
     wait_until(lambda: acks(pressing, ack), what="an answer")
     assert acks(pressing, ack) == [
-        {"id": "7", "account": "kr120-stopper-bob", "ok": True, "reason": "as the executor says", "by": "executor"}
+        {
+            "id": "7",
+            "account": "kr120-stopper-bob",
+            "ok": True,
+            "reason": "as the executor says",
+            "by": "executor",
+            "expired": False,
+        }
     ]
     assert pressing.pressed == [verb]
     assert pressing.node.report().values == {"interventions taken": 1}
@@ -267,11 +291,19 @@ def test_a_press_whose_answer_cannot_be_sent_is_carried_out_and_so_is_the_next_o
 
 
 def test_a_resume_that_came_before_starts_nothing_again(pressing):
-    for verb in ("resume", "pause", "resume"):
-        press(pressing, verb, "1")
+    for verb, moment in (("resume", MOMENT), ("pause", MOMENT), ("resume", "c0ffee00-9000")):
+        press(pressing, verb, "1", moment=moment)
     press(pressing, "resume", "2")
     wait_until(lambda: len(acks(pressing, "pause")) == 3, what="three answers")
     assert pressing.pressed == ["resume", "pause", "resume"] and pressing.made.refused == {"repeated": 1}
+
+
+def test_a_resume_that_was_too_old_is_told(pressing):
+    pressing.services[RESUME].success, pressing.services[RESUME].expired = False, True
+    press(pressing, "resume", "7")
+    wait_until(lambda: acks(pressing, "pause"), what="an answer")
+    (answer,) = acks(pressing, "pause")
+    assert (answer["id"], answer["ok"], answer["expired"]) == ("7", False, True)
 
 
 def test_a_stop_is_carried_out_as_often_as_it_comes(pressing):

@@ -20,6 +20,7 @@ from construction_twin.srv import (
 )
 from std_srvs.srv import TriggerRequest, TriggerResponse
 
+from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.mqtt.messages import Topics
@@ -86,11 +87,15 @@ class Bench:
             Service("work/plan", WorkPlanTaskRequest, WorkPlanTaskResponse(**PLAN, task="t")),
         )
         self.line = RequestLine(4, 5.0, 1.0, lambda: self.steady, self._publish, self._refuse)
-        around = Surroundings(lambda: self.twin, lambda: self.work, lambda: self.engaged)
+        around = Surroundings(lambda: self.twin, lambda: self.work, lambda: self.engaged, self.moment)
         self.desk = RequestDesk(
             Topics("twin", "kr120"), JOINTS, self.line, self.services, self.judge, around, self._publish, self._refuse,
             lambda account: f"MQTT account {account}",
         )  # fmt: skip
+
+    def moment(self) -> Moment:
+        """The present moment."""
+        return Moment("c0ffee00", round(self.steady * 1e9))
 
     def _publish(self, topic: str, payload: bytes, qos: int = 1) -> None:
         self.published.append((topic, json.loads(payload)))
@@ -100,7 +105,9 @@ class Bench:
 
     def ask(self, account: str = ADA, retained: bool = False, **document) -> dict:
         """Send a wish, and have it carried out; return the newest answer."""
-        self.desk.on_plan_request(account, json.dumps({"id": "7"} | document).encode(), retained)
+        self.desk.on_plan_request(
+            account, json.dumps({"id": "7", "moment": str(self.moment())} | document).encode(), retained
+        )
         self.line.run()
         self.steady += 1.1
         topic, answer = self.published[-1]
@@ -134,7 +141,7 @@ def test_joint_values_become_a_plan_that_a_stop_before_its_turn_voids(bench):
     answer = bench.ask(kind="joints", joints={"track": 1.5, "joint_a1": 0.25}, speed_scale=0.5)
     assert answer == {
         "id": "7", "account": ADA, "kind": "joints", "ok": True, "reason": "waiting for review",
-        "plan_id": "p1", "plan_hash": "cafe", "duration": 2.5,
+        "plan_id": "p1", "plan_hash": "cafe", "duration": 2.5, "expired": False,
     }  # fmt: skip
     (asked,) = bench.services.to_joints.asked
     assert (list(asked.goal), list(asked.start), asked.speed_scale) == ([0.25, 1.5], [], 0.5)
@@ -188,6 +195,8 @@ def test_what_the_planner_refuses_and_a_planner_that_is_gone_are_sentences(bench
         (ADA, {"kind": "joints", "joints": {}}, False, "joints", "7"),
         (ADA, {"kind": "line", "speed": -1, **POSE}, False, "values", "7"),
         ("no account", {"kind": "way_back"}, False, "sender", ""),
+        (ADA, {"kind": "way_back", "moment": ""}, False, "moment", "7"),
+        (ADA, {"kind": "way_back", "moment": "deadbeef-1000000"}, False, "too_old", "7"),
     ],
 )
 def test_what_is_refused_is_counted_and_answered_with_its_id(bench, account, document, retained, reason, name):
@@ -196,13 +205,33 @@ def test_what_is_refused_is_counted_and_answered_with_its_id(bench, account, doc
 
 
 def test_nobody_asks_more_than_once_a_second_and_the_same_message_is_one_wish(bench):
-    payload = json.dumps({"id": "7", "kind": "way_back"}).encode()
+    payload = json.dumps({"id": "7", "kind": "way_back", "moment": str(bench.moment())}).encode()
     bench.desk.on_plan_request(ADA, payload, False)
     bench.desk.on_plan_request(ADA, payload, False)
     bench.desk.on_plan_request(ADA, payload.replace(b'"7"', b'"8"'), False)
     bench.line.run()
     assert bench.refused == ["repeated", "busy"] and len(bench.services.way_back.asked) == 1
     assert [(answer["id"], answer["ok"]) for _, answer in bench.published] == [("8", False), ("7", True)]
+
+
+def test_a_wish_that_came_too_late_is_void_and_says_so(bench):
+    shown = str(bench.moment())
+    bench.steady += 6.0
+    answer = bench.ask(kind="way_back", moment=shown)
+    assert (answer["ok"], answer["expired"], answer["kind"]) == (False, True, "way_back")
+    assert "too old: it is of 6.0 s ago" in answer["reason"] and bench.refused == ["too_old"]
+    assert bench.services.way_back.asked == [] and bench.ask(kind="way_back", id="8")["ok"]
+
+
+def test_a_wish_that_waited_too_long_for_its_turn_is_void_and_says_so(bench):
+    document = {"id": "7", "kind": "way_back", "moment": str(bench.moment())}
+    bench.desk.on_plan_request(ADA, json.dumps(document).encode(), False)
+    bench.steady += 3.5
+    bench.line.run()
+    ((_, answer),) = bench.published
+    assert (answer["ok"], answer["expired"]) == (False, True) and "look again" in answer["reason"]
+    assert bench.services.way_back.asked == [] and bench.refused == ["too_old"]
+    assert bench.desk.counts == {"plan_requests no plan": 1}
 
 
 # -- poses that are dragged

@@ -272,7 +272,7 @@ export function make(parent, store, connection, texts, means = {}) {
     const fraction = Number(speed.value);
     const request =
       kind === "joints" ? jointsRequest(mine.goal.values, fraction) : lineRequest(linePose(mine), fraction);
-    const message = mine.asking.ask(request, now());
+    const message = mine.asking.ask(request, now(), store.moment(robot));
     connection.publish(topic("plan_request", connection.account), robot, message).then(
       (code) => mine.asking.onTaken(message.id, code),
       (error) => {

@@ -7,7 +7,7 @@ import {answered, heardBroker, idle, outcome, pressed, waited} from "../stop_sta
 import {browser} from "./clock.js";
 
 const VERBS = ["stop", "pause", "resume"];
-const BAD = ["refused", "silent", "not_sent", "no_right", "unknown"];
+const BAD = ["refused", "expired", "silent", "not_sent", "no_right", "unknown"];
 
 /** Make the panel. */
 export function make(parent, store, connection, texts, {now, every, time = browser.time} = browser) {
@@ -22,7 +22,12 @@ export function make(parent, store, connection, texts, {now, every, time = brows
     const id = globalThis.crypto.randomUUID();
     row.press = pressed(verb, id, now());
     row.at = time();
-    const publish = name === "" ? Promise.reject(new Error("no robot is known")) : connection.publish(connection.own(verb), name, {id});
+    const moment = store.moment(name);
+    // a resume starts the arm: who sees nothing of it, or only what is long past, must look first
+    const blind = verb === "resume" && connection.state === "connected" && name !== "" && moment === "";
+    const message = verb === "resume" ? {id, moment} : {id};
+    const publish = name === "" ? Promise.reject(new Error("no robot is known"))
+      : blind ? Promise.reject(Object.assign(new Error("nothing of the robot is shown"), {reason: "not_shown"})) : connection.publish(connection.own(verb), name, message);
     publish.then(
       () => heardBroker(row.press, id, "taken"),
       (error) => heardBroker(row.press, id, error.reason ?? "not_connected"),

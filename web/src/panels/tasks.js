@@ -52,7 +52,7 @@ export function make(parent, store, connection, texts, {now = () => performance.
     const robot = store.selected;
     const mine = asking(robot);
     if (mine.isBusy) return;
-    const message = mine.ask(request, now());
+    const message = mine.ask(request, now(), store.moment(robot));
     connection.publish(topic("plan_request", connection.account), robot, message).then(
       (code) => mine.onTaken(message.id, code),
       (error) => mine.onFailed(message.id, error),

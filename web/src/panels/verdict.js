@@ -112,8 +112,10 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     if (connection.state !== "connected" && machine.state !== "offline") machine = verdict.step(machine, {...given, type: "disconnected"}).machine;
     const {machine: after, publish} = verdict.step(machine, given);
     machines.set(robot, after);
+    // what has to be opened again is closed
+    if (robot === store.selected && before.checks && !after.checks) checks.removeAttribute("open");
     if (publish !== null) {
-      connection.publish(connection.own("review"), robot, publish).then(
+      connection.publish(connection.own("review"), robot, {...publish, moment: store.moment(robot)}).then(
         (code) => take(robot, code === NOBODY ? {type: "failed", reason: "nobody"} : {type: "taken"}),
         (error) => take(robot, {type: "failed", reason: error.reason ?? "unanswered"}),
       );

@@ -33,7 +33,8 @@ function scale(speed) {
 }
 
 // One request at a time. States: "idle", "sent" (on its way), "waiting" (the broker has it), "done", "refused" (by the planner),
-// "forbidden" (by the broker's rules), "unsent", "nobody" (nobody takes requests), "doubtful" (no answer, it may have arrived).
+// "expired" (it came too late after what the page had shown), "forbidden" (by the broker's rules), "unsent", "nobody" (nobody takes
+// requests), "doubtful" (no answer, it may have arrived).
 export class Asking {
   constructor(run) {
     this._run = run;
@@ -49,8 +50,8 @@ export class Asking {
     return this.state === "sent" || this.state === "waiting";
   }
 
-  // Return the message for a request; until it is answered no other may be asked.
-  ask(request, now) {
+  // Return the message for a request; until it is answered no other may be asked. moment: the newest that the page has received.
+  ask(request, now, moment) {
     if (this.isBusy) throw new Error("a request is under way");
     this._number += 1;
     this._id = `${this._run}-${this._number}`;
@@ -58,7 +59,7 @@ export class Asking {
     this.state = "sent";
     this.answer = null;
     this.reason = "";
-    return {id: this._id, ...request};
+    return {id: this._id, moment, ...request};
   }
 
   // The broker has taken the message. code: MQTT's reason; 16: nobody has subscribed to it.
@@ -81,7 +82,7 @@ export class Asking {
     if (answer.id !== this._id || this.state === "idle") return false;
     this.answer = answer;
     this.reason = answer.reason;
-    this.state = answer.ok ? "done" : "refused";
+    this.state = answer.ok ? "done" : answer.expired === true ? "expired" : "refused";
     return true;
   }
 

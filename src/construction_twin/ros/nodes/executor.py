@@ -1,6 +1,7 @@
 """executor: plays the approved plan as `next/joint_states` at 250 Hz; serves `review_plan`, the stops, `pause`, `resume`.
 
-Of a work plan also `tool_command`, from what `tool` says; `engagement`, and the service `release_engagement`.
+`review_from_screen` and `resume_from_screen` are the same for people at screens elsewhere. Of a work plan also `tool_command`, from
+what `tool` says; `engagement`, and the service `release_engagement`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,15 @@ import rospy
 from std_srvs.srv import Trigger, TriggerResponse
 
 from construction_twin.core.beside import Beside
-from construction_twin.core.errors import ConstructionTwinError, ExecutionError, PayloadError, RecordError, ReviewError
+from construction_twin.core.errors import (
+    ConstructionTwinError,
+    ExecutionError,
+    ExpiredError,
+    PayloadError,
+    RecordError,
+    ReviewError,
+)
+from construction_twin.core.freshness import Moment, parse_moment, staleness
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
@@ -56,6 +65,7 @@ from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagno
 from construction_twin.ros.shared.engagement_file import ENDED, EngagementFile
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import NodeSettings, read_parameters, robot_from_parameters, ros_home
+from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, from_time, now_ns, to_time
 from construction_twin.ros.transport.publisher import Publisher, Sink
@@ -64,6 +74,12 @@ from construction_twin.srv import (
     ReleaseEngagement,
     ReleaseEngagementRequest,
     ReleaseEngagementResponse,
+    ResumeFromScreen,
+    ResumeFromScreenRequest,
+    ResumeFromScreenResponse,
+    ReviewFromScreen,
+    ReviewFromScreenRequest,
+    ReviewFromScreenResponse,
     ReviewPlan,
     ReviewPlanRequest,
     ReviewPlanResponse,
@@ -208,7 +224,7 @@ class ExecutorNode:
         self._started, self._started_steady = now_ns(), time.monotonic_ns()
         self._readings = NewestReading(self._started, self._started_steady)
         self._lock = threading.Lock()
-        self._approval = Approval(executor, log.append, self._lock)
+        self._approval = Approval(executor, log.append, self._lock, lambda: present())
         self._without_person = without_person
         self._session: str | None = None
         self._sync_at = 0
@@ -357,7 +373,23 @@ class ExecutorNode:
     # A stop, a pause, a rejection: first the act, under the lock; then, beside it, what tells of it (docs/architecture.md).
 
     def on_review(self, request: ReviewPlanRequest) -> ReviewPlanResponse:
-        """Approve or reject a plan in a person's name."""
+        """Approve or reject a plan in a person's name; the call's own age counts."""
+        success, sentence, _ = self._review(request, None)
+        return ReviewPlanResponse(success, sentence)
+
+    def on_screen_review(self, request: ReviewFromScreenRequest) -> ReviewFromScreenResponse:
+        """Approve or reject a plan in a person's name; an approval's age is that of what its screen had shown."""
+        try:
+            seen = parse_moment(request.moment) if request.approve else None
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
+            return ReviewFromScreenResponse(False, str(error), False)
+        return ReviewFromScreenResponse(*self._review(request, seen))
+
+    def _review(
+        self, request: ReviewPlanRequest | ReviewFromScreenRequest, seen: Moment | None
+    ) -> tuple[bool, str, bool]:
+        """Take a verdict; return whether it was taken, a sentence, and whether it was too old."""
         try:
             if request.reviewer.strip() in (AUTO_APPROVE, EXECUTOR):
                 raise ReviewError(
@@ -367,15 +399,19 @@ class ExecutorNode:
                 with self._lock:
                     self._note_act()
             taken = self._approval.review(
-                request.plan_id, request.plan_hash, request.approve, request.reviewer, request.reason
+                request.plan_id, request.plan_hash, request.approve, request.reviewer, request.reason, seen
             )
         except ConstructionTwinError as error:
-            self._say(rospy.logwarn, "review refused: %s", error)
-            return ReviewPlanResponse(False, str(error))
+            expired = isinstance(error, ExpiredError)
+            if expired:
+                self._diagnostics.refuse("too_old", str(error))
+            else:
+                self._say(rospy.logwarn, "review refused: %s", error)
+            return False, str(error), expired
         if taken.verdict.approved:
             # a rejection is told with what the executor decides by itself
             self._publish_verdict(taken.verdict)
-        return ReviewPlanResponse(True, taken.sentence)
+        return True, taken.sentence, False
 
     def on_stop(self, _request) -> TriggerResponse:
         """Brake on the path and drop the plan."""
@@ -422,8 +458,11 @@ class ExecutorNode:
             with self._lock:
                 left = self._executor.check_release()
             release = Release(person, reason, left.plan_id, left.task, left.segment)
+            asked = present()
             self._log.append(release)
             try:
+                if problem := staleness(asked, present()):
+                    raise ExecutionError(f"the release is {problem}")
                 with self._lock:
                     self._executor.release(left)
             except ExecutionError as error:
@@ -451,6 +490,26 @@ class ExecutorNode:
 
     def _asked_until(self) -> int:
         return self._readings.asked_until(now_ns(), time.monotonic_ns())
+
+    def on_screen_resume(self, request: ResumeFromScreenRequest) -> ResumeFromScreenResponse:
+        """Go on after a pause, unless what the person's screen had shown is too old."""
+        try:
+            seen = parse_moment(request.moment)
+            with self._lock:
+                if problem := staleness(seen, present()):
+                    raise ExpiredError(f"the resume is {problem}")
+                sentence = self._executor.resume()
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
+            return ResumeFromScreenResponse(False, str(error), False)
+        except ExpiredError as error:
+            self._diagnostics.refuse("too_old", str(error))
+            return ResumeFromScreenResponse(False, str(error), True)
+        except ConstructionTwinError as error:
+            rospy.logwarn("resume refused: %s", error)
+            return ResumeFromScreenResponse(False, str(error), False)
+        rospy.loginfo("resume: %s", sentence)
+        return ResumeFromScreenResponse(True, sentence, False)
 
     def _on_trigger(self, name: str, action: Callable[[], str]) -> TriggerResponse:
         try:
@@ -696,11 +755,13 @@ def start() -> ExecutorNode:
         Subscriber("link", Link, node.on_link, refuse, queue_size=5)
         Subscriber("tool", ToolState, node.on_tool, refuse, queue_size=20, tcp_nodelay=True)
     Service("review_plan", ReviewPlan, node.on_review)
+    Service("review_from_screen", ReviewFromScreen, node.on_screen_review)
     Service("stop", Trigger, node.on_stop)
     Service("stop_plan", StopPlan, node.on_stop_plan)
     Service("release_engagement", ReleaseEngagement, node.on_release)
     Service("pause", Trigger, node.on_pause)
     Service("resume", Trigger, node.on_resume)
+    Service("resume_from_screen", ResumeFromScreen, node.on_screen_resume)
     rospy.Timer(rospy.Duration(BACKGROUND_PERIOD), lambda _: node.work_off(scene.get_num_connections() > 0))
     rospy.on_shutdown(node.write_records)
     rospy.loginfo("verdicts are recorded in %s (%d so far)", log.path, log.state.lines)

@@ -64,6 +64,7 @@ from construction_twin.ros.shared.pose_judge import PoseJudge
 from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.ros.shared.request_desk import PlanServices, RequestDesk, Surroundings
 from construction_twin.ros.shared.request_line import Request, RequestLine
+from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.persistent_service import NO_ANSWER
@@ -382,11 +383,12 @@ class MqttPlanner:
         return payload
 
     def _present(self) -> bytes:
-        seen = self.seen()
+        # before anything is looked at: whoever repeats it has seen nothing newer
+        moment, seen = present(), self.seen()
         if self._feed is not None:
             self._feed.note_poses(seen.twin is not None, seen.arm is not None)
         with self._writing:
-            return self._writer.write(now_ns(), seen)
+            return self._writer.write(now_ns(), seen, moment)
 
     def _reports(self) -> tuple[_Report[Link], _Report[Sync], _Report[Execution]]:
         """Return what was reported, with its age; None for what is silent."""

@@ -1,4 +1,4 @@
-"""mqtt_review: the plan under review on MQTT, and what people do about it: verdicts to `review_plan`, `stop`, `pause`, `resume`.
+"""mqtt_review: the plan under review on MQTT, and what people do about it: verdicts, `stop`, `pause`, `resume`.
 
 A node of its own: the bridge has 4 ms.
 """
@@ -47,7 +47,7 @@ from construction_twin.ros.shared.params import read_parameters, robot_from_para
 from construction_twin.ros.shared.remote_interventions import RemoteInterventions
 from construction_twin.ros.transport.persistent_service import NO_ANSWER, PersistentService
 from construction_twin.ros.transport.subscriber import Subscriber
-from construction_twin.srv import ReviewPlan
+from construction_twin.srv import ResumeFromScreen, ReviewFromScreen
 
 #: Verdicts that may wait while one is carried out; a tablet sends one at a time.
 WAITING = 8
@@ -82,7 +82,7 @@ class MqttReview:
     client : PlainClient
         Not connected yet.
     review_plan : rospy.ServiceProxy
-        The executor's service.
+        The executor's `review_from_screen`.
     interventions : RemoteInterventions
     diagnostics : callable
         Takes `report`; returns the node's NodeDiagnostics.
@@ -278,19 +278,28 @@ class MqttReview:
         try:
             rospy.wait_for_service(self._review_plan.resolved_name, SERVICE_TIMEOUT)
             answer = self._review_plan(
-                review.plan_id, review.plan_hash, review.approves, review.reviewer, recorded_reason(review)
+                plan_id=review.plan_id,
+                plan_hash=review.plan_hash,
+                approve=review.approves,
+                reviewer=review.reviewer,
+                reason=recorded_reason(review),
+                moment=review.moment,
             )
-            ok, sentence = answer.success, answer.message
+            ok, sentence, expired = answer.success, answer.message, answer.expired
         except (rospy.ROSException, *NO_ANSWER) as error:
-            ok, sentence = False, f"{self._review_plan.resolved_name} does not answer: {error}; does the executor run?"
-        self._beside.do("the answer", self._answer, review, ok, sentence)
+            ok, expired = False, False
+            sentence = f"{self._review_plan.resolved_name} does not answer: {error}; does the executor run?"
+        self._beside.do("the answer", self._answer, review, ok, sentence, expired=expired)
         with self._lock:
             self._verdicts["taken" if ok else "not taken"] += 1
         said = review.verdict, review.plan_id, review.reviewer, sentence
         self._beside.do("the log", rospy.loginfo, "%s of plan %s by %s: %s", *said)
 
-    def _answer(self, review: RemoteReview | None, ok: bool, sentence: str, account: str = "") -> None:
-        self._client.publish(self._topics.review_ack, review_answer(review, ok, sentence, account), qos=1)
+    def _answer(
+        self, review: RemoteReview | None, ok: bool, sentence: str, account: str = "", expired: bool = False
+    ) -> None:
+        answer = review_answer(review, ok, sentence, account, expired)
+        self._client.publish(self._topics.review_ack, answer, qos=1)
 
     # -- reports
 
@@ -411,10 +420,10 @@ def start() -> MqttReview:
     # the last will takes the plan away: while this node does not run, a verdict on it would not be heard
     topics = Topics(settings.prefix, robot)
     client = make_client(broker, unique_id(robot, "review"), topics.plan, will="")
-    review_plan = rospy.ServiceProxy("review_plan", ReviewPlan)
+    review_plan = rospy.ServiceProxy("review_from_screen", ReviewFromScreen)
     # `stop` and `pause` may be called twice
     services = {name: PersistentService(name, Trigger) for name in (STOP, PAUSE)}
-    services[RESUME] = rospy.ServiceProxy(RESUME, Trigger)
+    services[RESUME] = rospy.ServiceProxy("resume_from_screen", ResumeFromScreen)
     interventions = RemoteInterventions(topics, services, lambda topic, payload: client.publish(topic, payload, qos=1))
     diagnostics = functools.partial(NodeDiagnostics, robot)
     node = MqttReview(settings, robot, broker, client, review_plan, interventions, diagnostics)

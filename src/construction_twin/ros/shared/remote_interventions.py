@@ -47,7 +47,7 @@ class RemoteInterventions:
     ----------
     topics : Topics
     services : mapping of str to callable
-        The executor's service per verb, as `rospy.ServiceProxy`.
+        The executor's service per verb, as `rospy.ServiceProxy`; that of `resume` takes `moment`.
     publish : callable
         Takes topic and payload.
 
@@ -135,18 +135,20 @@ class RemoteInterventions:
     def _carry_out(self, wanted: Intervention) -> None:
         service = self._services[wanted.verb]
         try:
-            answer = self._call(service, wanted.verb)
+            answer = self._call(service, wanted)
             ok, sentence = answer.success, answer.message
+            expired = wanted.verb == RESUME and answer.expired
         except (rospy.ROSException, *NO_ANSWER) as error:
-            ok, sentence = False, f"{service.resolved_name} does not answer: {error}; does the executor run?"
-        self.beside.do("the answer", self._answer, wanted.verb, wanted.id, wanted.account, ok, sentence)
+            ok, expired = False, False
+            sentence = f"{service.resolved_name} does not answer: {error}; does the executor run?"
+        self.beside.do("the answer", self._answer, wanted.verb, wanted.id, wanted.account, ok, sentence, expired)
         with self._lock:
             self._counts["taken" if ok else "not taken"] += 1
         self.beside.do("the log", rospy.loginfo, "%s by MQTT account %s: %s", wanted.verb, wanted.account, sentence)
 
     @staticmethod
-    def _call(service: rospy.ServiceProxy, verb: str):
-        if verb != RESUME:
+    def _call(service: rospy.ServiceProxy, wanted: Intervention):
+        if wanted.verb != RESUME:
             # over the connection that is open: no master is asked before a stop or a pause, which may come twice
             try:
                 return service()
@@ -154,7 +156,7 @@ class RemoteInterventions:
                 # the executor may just be starting
                 pass
         rospy.wait_for_service(service.resolved_name, SERVICE_TIMEOUT)
-        return service()
+        return service(moment=wanted.moment) if wanted.verb == RESUME else service()
 
-    def _answer(self, verb: str, id_: str, account: str, ok: bool, sentence: str) -> None:
-        self._publish(self._acks[verb], intervention_answer(id_, account, EXECUTOR, ok, sentence))
+    def _answer(self, verb: str, id_: str, account: str, ok: bool, sentence: str, expired: bool = False) -> None:
+        self._publish(self._acks[verb], intervention_answer(id_, account, EXECUTOR, ok, sentence, expired))

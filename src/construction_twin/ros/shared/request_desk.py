@@ -17,6 +17,7 @@ from geometry_msgs.msg import Point, PoseStamped, Quaternion
 from geometry_msgs.msg import Pose as PoseMsg
 
 from construction_twin.core.errors import ConfigurationError, PayloadError
+from construction_twin.core.freshness import Moment, staleness
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.link.remote_request import (
     AccountRate,
@@ -36,6 +37,7 @@ from construction_twin.robot.frames import quaternion_to_rotation
 from construction_twin.ros.shared.malformed_answers import MalformedAnswers
 from construction_twin.ros.shared.pose_judge import PoseJudge
 from construction_twin.ros.shared.request_line import Request, RequestLine
+from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.persistent_service import NO_ANSWER
 
@@ -45,6 +47,8 @@ SERVICE_TIMEOUT = 1.0
 IK_RATE = 15
 #: Accounts whose poses wait at once; each has one at most.
 IK_ACCOUNTS = 16
+#: What counts the wishes that were too old.
+_TOO_OLD = "too_old"
 #: How often the closest two bodies are looked for [s].
 CLOSEST_PERIOD = 0.2
 
@@ -72,20 +76,24 @@ class Surroundings:
         Returns whether a node `work` runs.
     is_engaged : callable
         Returns whether only the way back can be planned.
+    clock : callable
+        Returns the present moment.
     """
 
     twin: Callable[[], Sequence[float]]
     has_work: Callable[[], bool] = lambda: False
     is_engaged: Callable[[], bool] = lambda: False
+    clock: Callable[[], Moment] = present
 
 
 @dataclass(frozen=True)
 class _Made:
-    """What became of a wish."""
+    """What became of a wish; `expired`: it was too old to be begun."""
 
     ok: bool
     sentence: str
     plan: Mapping[str, object] = field(default_factory=dict)
+    expired: bool = False
 
 
 class RequestDesk:
@@ -139,7 +147,7 @@ class RequestDesk:
     # -- wishes for plans
 
     def on_plan_request(self, account: str, payload: bytes, retained: bool) -> None:
-        """Take a wish; it is carried out in its turn.
+        """Take a wish; it is carried out in its turn, unless what its screen had shown is too old by then.
 
         Parameters
         ----------
@@ -155,10 +163,13 @@ class RequestDesk:
             name = request_id(document)
             asked = parse_plan_request(document, self._joints)
             kind = asked.kind
+            self._demand_fresh(asked)
         except PayloadError as error:
             self._refuse(error.reason, str(error))
             if self._malformed.take(account):
-                self._publish(self._topics.plan_request_ack, plan_answer(name, account, kind, False, str(error)), 1)
+                expired = error.reason == _TOO_OLD
+                answer = plan_answer(name, account, kind, False, str(error), expired=expired)
+                self._publish(self._topics.plan_request_ack, answer, 1)
             return
         arrived = now_ns()
         self._line.take(
@@ -170,10 +181,21 @@ class RequestDesk:
         )  # fmt: skip
 
     def _carry_out(self, asked: RemoteRequest, account: str, arrived: int) -> bytes:
-        made = self._make(asked, account, arrived)
+        try:
+            self._demand_fresh(asked)
+            made = self._make(asked, account, arrived)
+        except PayloadError as error:
+            self._refuse(error.reason, str(error))
+            made = _Made(False, str(error), expired=error.reason == _TOO_OLD)
         self._count("plan_requests under review" if made.ok else "plan_requests no plan")
         rospy.loginfo("plan_request %r (%s) from %s: %s", asked.id, asked.kind, account, made.sentence)
-        return plan_answer(asked.id, account, asked.kind, made.ok, made.sentence, **made.plan)  # type: ignore[arg-type]
+        told = {**made.plan, "expired": made.expired}
+        return plan_answer(asked.id, account, asked.kind, made.ok, made.sentence, **told)  # type: ignore[arg-type]
+
+    def _demand_fresh(self, asked: RemoteRequest) -> None:
+        """Refuse a wish (PayloadError) that is too old to be begun."""
+        if problem := staleness(asked.moment, self._around.clock()):
+            raise PayloadError(_TOO_OLD, f"the request is {problem}")
 
     def _make(self, asked: RemoteRequest, account: str, arrived: int) -> _Made:
         """Have a plan made by the service of its kind."""

@@ -1,0 +1,83 @@
+"""How old a person's request is: it repeats the newest moment of the robot that its screen had received. Pure; standard library.
+
+A request may lie in a broker, in a socket or behind a disk until nobody looks any more. So what starts motion, or the work for it,
+is void `LIFETIME` after that moment. The moment is read on a clock of the robot's computer that nobody sets, and comes back as it
+was: no clock of a tablet is asked, and a robot's time of day that is set back or forward changes no age. It is against delay, not
+against attackers: who may approve may also make up a moment. What stops, pauses or rejects needs none and is never too old.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.units import NANOSECONDS
+
+#: A request is void so long after the moment that it repeats [ns]: 1 s for the oldest picture that the page shows as the present,
+#: 1 s for a wireless network that sends twice again, 1 s for the record's disk. What was shown longer ago is not what is there.
+LIFETIME = 3 * NANOSECONDS
+#: A moment in text is whole milliseconds.
+_MILLISECOND = NANOSECONDS // 1000
+_TEXT = re.compile(r"([0-9a-f]{8})-([0-9]{1,15})")
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A moment on a clock of the robot's computer.
+
+    Attributes
+    ----------
+    origin : str
+        Which clock: 8 hexadecimal digits, others after each start of the computer.
+    at : int
+        [ns] since that start.
+    """
+
+    origin: str
+    at: int
+
+    def __str__(self) -> str:
+        return f"{self.origin}-{self.at // _MILLISECOND}"
+
+
+def parse_moment(text: object) -> Moment:
+    """Return the moment that a request repeats.
+
+    Parameters
+    ----------
+    text : object
+        As the newest `view` has it in `moment`.
+
+    Raises
+    ------
+    PayloadError
+        ``moment``
+    """
+    found = _TEXT.fullmatch(text) if isinstance(text, str) else None
+    if found is None:
+        shown = "nothing" if text is None or text == "" else repr(text)[:60]
+        raise PayloadError(
+            "moment", f"found {shown} as moment; expected the text moment of the newest view, as it came"
+        )
+    return Moment(found[1], int(found[2]) * _MILLISECOND)
+
+
+def staleness(seen: Moment, now: Moment) -> str:
+    """Return why what repeats the moment `seen` is void, as a sentence; "" while it may be carried out.
+
+    Parameters
+    ----------
+    seen, now : Moment
+        What was shown, and the present; compared only where both are of one clock.
+    """
+    again = "look again, and then ask anew"
+    if seen.origin != now.origin:
+        return f"void: it repeats a moment of another computer, or of before this one was started; {again}"
+    age = now.at - seen.at
+    if age < 0:
+        return f"void: it repeats a moment that is {-age / NANOSECONDS:.3f} s ahead, which no view has shown; {again}"
+    if age > LIFETIME:
+        oldest = LIFETIME / NANOSECONDS
+        return f"too old: it is of {age / NANOSECONDS:.1f} s ago, and after {oldest:g} s it is void; {again}"
+    return ""

@@ -1,0 +1,272 @@
+"""Client ids on a site's broker: nobody learns one from a log, and who has learned one takes the connection away once only.
+
+The real mosquitto with the site's configuration, and the package's own clients.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import subprocess
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from paho.mqtt import client as paho
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.reasoncodes import ReasonCode
+from processes import ROOT, listens, wait_until
+from site_broker import SiteBroker, free_ports
+
+from construction_twin.mqtt.client import Broker, make_client
+from construction_twin.mqtt.failures import ConnectionReport
+
+ID = "one-bridge-0123456789abcdef"
+#: The random part of it.
+SECRET = "0123456789abcdef"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    site = SiteBroker(tmp_path_factory.mktemp("site"), viewers=("vic",))
+    site.start()
+    yield site
+    site.stop()
+
+
+class Program:
+    """A client as the nodes have it, and what it reports."""
+
+    def __init__(self, broker: Broker, client_id: str, direct: bool = False):
+        self.said: list[str] = []
+        self.welcomes = 0
+        self.report = ConnectionReport(broker, self.said.append)
+        self.client = make_client(broker, client_id, "twin/one/bridge/status", direct=direct)
+        self.client.on_connect = self._on_connect
+        self.client.on_disconnect = lambda c, u, f, code, p: self.report.lost(code)
+        self.client.connect_async(broker.host, broker.port, broker.keepalive)
+        self.client.loop_start()
+
+    def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
+        assert not reason_code.is_failure, str(reason_code)
+        self.welcomes += 1
+        self.report.connected()
+
+    def __enter__(self) -> Program:
+        wait_until(lambda: self.welcomes, what="the broker's welcome")
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.client.disconnect()
+        self.client.loop_stop()
+
+
+def thief(broker: Broker, client_id: str) -> paho.Client:
+    """Connect with somebody's id, as any tool would, and do not come back by itself."""
+    client = paho.Client(
+        paho.CallbackAPIVersion.VERSION2, client_id=client_id, protocol=paho.MQTTv5, reconnect_on_failure=False
+    )
+    if broker.account is not None:
+        client.username_pw_set(broker.account.user, broker.account.password())
+        client.tls_set_context(broker.account.context())
+    connected = threading.Event()
+    client.on_connect = lambda *_: connected.set()
+    client.connect(broker.host, broker.port)
+    client.loop_start()
+    assert connected.wait(10.0)
+    return client
+
+
+def test_whoever_has_learned_an_id_takes_the_connection_away_once_and_that_is_said(site):
+    bridge = site.broker(site.account("one-bridge"))
+    viewer = site.broker(site.account("one-viewer-vic"))
+    with Program(bridge, ID) as program:
+        first = thief(viewer, ID)
+        wait_until(lambda: program.welcomes == 2, what="the bridge's return")
+        assert "lost: the broker or the network has closed it" in program.said[0] and SECRET not in "".join(
+            program.said
+        )
+        second = thief(viewer, ID)
+        # the broker has closed the thief's own former connection, and nothing else
+        wait_until(lambda: not first.is_connected(), what="the end of the first thief")
+        assert second.is_connected() and program.client.is_connected()
+        assert program.welcomes == 2 and len(program.said) == 1
+        for client in (first, second):
+            client.disconnect()
+            client.loop_stop()
+
+
+@pytest.mark.parametrize("direct", [True, False])
+def test_the_same_where_there_are_no_accounts(direct, tmp_path):
+    with mosquitto((ROOT / "config/mosquitto.conf").read_text(), tmp_path / "log") as port:
+        broker = Broker("127.0.0.1", port)
+        with Program(broker, ID, direct) as program:
+            other = thief(broker, ID)
+            wait_until(lambda: program.welcomes == 2, what="its return")
+            assert other.is_connected() and len(program.said) == 1
+            other.disconnect()
+            other.loop_stop()
+
+
+def test_two_tabs_of_one_account_work_beside_each_other(site):
+    broker = site.broker(site.account("one-viewer-vic"))
+    with Program(broker, "page-1") as first, Program(broker, "page-2") as second:
+        assert first.client.is_connected() and second.client.is_connected()
+        assert (first.welcomes, second.welcomes, first.said, second.said) == (1, 1, [], [])
+
+
+def test_a_connection_that_fell_silent_returns_with_the_id_it_had(tmp_path):
+    """So the broker ends what it still holds of the former connection, with its last will, before the new one says anything."""
+    with mosquitto((ROOT / "config/mosquitto.conf").read_text(), tmp_path / "log") as port:
+        broker = Broker("127.0.0.1", port, keepalive=1)
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            line = Line(listener, port)
+            with Program(Broker("127.0.0.1", listener.getsockname()[1], keepalive=1), ID) as program:
+                line.cut.set()
+                wait_until(lambda: program.welcomes == 2, 20.0, "its return")
+                assert "Keep alive timeout" in program.said[0]
+                other = thief(broker, ID)
+                wait_until(lambda: program.welcomes == 3, 20.0, "its return from the thief, who had the right id")
+                other.disconnect()
+                other.loop_stop()
+
+
+def test_a_broker_that_tells_of_a_takeover_is_repeated_in_a_sentence():
+    said = []
+    report = ConnectionReport(Broker(), said.append)
+    report.connected()
+    report.lost(ReasonCode(PacketTypes.DISCONNECT, identifier=142))
+    assert "taken away by a client with the same id" in said[0] and "docs/broker.md" in said[0]
+
+
+class Line:
+    """Passes the bytes of connections on to a port, of the first one until it is `cut`: then silently nothing more."""
+
+    def __init__(self, listener: socket.socket, port: int):
+        self.cut = threading.Event()
+        self._port = port
+        threading.Thread(target=self._accept, args=(listener,), daemon=True).start()
+
+    def _accept(self, listener: socket.socket) -> None:
+        cut = self.cut
+        while True:
+            try:
+                near, _ = listener.accept()
+            except OSError:
+                # the test is over
+                return
+            far = socket.create_connection(("127.0.0.1", self._port))
+            for source, sink in ((near, far), (far, near)):
+                threading.Thread(target=self._pass, args=(source, sink, cut), daemon=True).start()
+            cut = threading.Event()
+
+    @staticmethod
+    def _pass(source: socket.socket, sink: socket.socket, cut: threading.Event) -> None:
+        try:
+            while data := source.recv(4096):
+                if not cut.is_set():
+                    sink.sendall(data)
+        except OSError:
+            pass
+        if not cut.is_set():
+            sink.close()
+
+
+@contextlib.contextmanager
+def mosquitto(config: str, log: Path) -> Iterator[int]:
+    """Run the broker on loopback with a configuration; its lines go to a file. Gives the port."""
+    port = free_ports()
+    file = log.with_suffix(".conf")
+    file.write_text(f"{config}\nlistener {port} 127.0.0.1\n")
+    with open(log, "wb") as lines:
+        process = subprocess.Popen(["/usr/sbin/mosquitto", "-c", str(file)], stdout=lines, stderr=lines)
+    try:
+        wait_until(lambda: listens(port), what="mosquitto listening")
+        yield port
+    finally:
+        process.kill()
+        process.wait(5.0)
+
+
+def provoke(port: int) -> None:
+    """Do, under the id, what the broker has a line for."""
+    greedy = Rude(port).send(0x82, b"\0\1" + _text(b"a") + b"\1")
+    assert greedy.socket.recv(5)[0] == 0x90
+    other = Rude(port, b"other")
+    for number in range(1, 50):
+        other.send(0x32, _text(b"a") + struct.pack("!H", number) + b"x" * 500)
+    other.send(0xE0, b"").until_closed()
+    greedy.send(0x50, b"\x77\x77").send(0xE0, b"").until_closed()
+    Rude(port, keepalive=1).until_closed()
+    Rude(port).send(0xF0, b"").until_closed()
+    Rude(port).send(0x10, b"").until_closed()
+    Rude(port).send(0x36, _text(b"a") + b"\0\1x").until_closed()
+    Rude(port).send(0x82, b"\0\1" + _text(b"a/#/b") + b"\1").until_closed()
+    first = Rude(port)
+    Rude(port).send(0xE0, b"").until_closed()
+    first.until_closed()
+
+
+def _text(text: bytes) -> bytes:
+    return struct.pack("!H", len(text)) + text
+
+
+def _packet(kind: int, body: bytes) -> bytes:
+    length, digits = len(body), b""
+    while True:
+        length, digit = divmod(length, 128)
+        digits += bytes([digit | (128 if length else 0)])
+        if not length:
+            return bytes([kind]) + digits + body
+
+
+class Rude:
+    """A client of MQTT 3.1.1 that does what a broker may write a line about."""
+
+    def __init__(self, port: int, client_id: bytes = ID.encode(), keepalive: int = 60):
+        body = _text(b"MQTT") + b"\x04\x02" + struct.pack("!H", keepalive) + _text(client_id)
+        self.socket = socket.create_connection(("127.0.0.1", port))
+        self.socket.sendall(_packet(0x10, body))
+        assert self.socket.recv(4)[0] == 0x20
+
+    def send(self, kind: int, body: bytes) -> Rude:
+        self.socket.sendall(_packet(kind, body))
+        return self
+
+    def until_closed(self) -> None:
+        """Wait until the broker has hung up."""
+        self.socket.settimeout(20.0)
+        try:
+            while self.socket.recv(4096):
+                pass
+        except ConnectionResetError:
+            pass
+        self.socket.close()
+
+
+@pytest.mark.parametrize("kind", ["demo", "site"])
+def test_no_log_of_the_broker_has_the_random_part_of_an_id(site, kind, tmp_path):
+    """What mosquitto 2.0.11 writes lines about, one after the other, with what demo and site let it write."""
+    file = ROOT / "config/mosquitto.conf" if kind == "demo" else site.folder / "broker/mosquitto.conf"
+    written = [
+        line for line in file.read_text().splitlines() if line.split(" ")[0] in ("connection_messages", "log_type")
+    ]
+    config = ["allow_anonymous true", "max_queued_messages 10", "max_inflight_messages 1", *written]
+    with mosquitto("\n".join(config), tmp_path / "log") as port:
+        provoke(port)
+    assert SECRET not in (tmp_path / "log").read_text()
+
+
+def test_the_lines_that_are_left_out_would_have_it(tmp_path):
+    """Or the test above would look for nothing."""
+    with mosquitto("allow_anonymous true\nmax_queued_messages 10\nmax_inflight_messages 1", tmp_path / "log") as port:
+        provoke(port)
+    log = (tmp_path / "log").read_text()
+    assert "being dropped for client" in log and "unknown packet identifier" in log and log.count(SECRET) > 10
+
+
+def test_no_thread_is_called_by_the_id_because_a_traceback_names_its_thread(site):
+    with Program(site.broker(site.account("one-bridge")), ID):
+        assert [thread.name for thread in threading.enumerate() if SECRET in thread.name] == []
