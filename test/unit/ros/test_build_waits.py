@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import threading
-from types import SimpleNamespace
 
 import pytest
 from construction_twin.msg import WorkTasks
@@ -12,34 +10,26 @@ from rich.console import Console
 
 from construction_twin.core.errors import ExperimentError
 from construction_twin.ros.commands import build
-from construction_twin.ros.commands.build import Builder
 
 
 class Clock:
     """Time that goes on by 30 s whenever news are waited for; `said` is what the node says by then."""
 
-    def __init__(self, monkeypatch, said, connections=1):
-        self.now, self._said = 0.0, iter(said)
-        self.out = io.StringIO()
-        self.builder = object.__new__(Builder)
-        self.builder._settings = SimpleNamespace(timeout=120.0)
-        self.builder._console = Console(file=self.out, width=200)
-        self.builder._newest = {}
-        self.builder._news = threading.Condition()
-        self.builder._subscribers = {"work/tasks": SimpleNamespace(get_num_connections=lambda: connections)}
-        monkeypatch.setattr(self.builder._news, "wait", self._go_on, raising=False)
+    def __init__(self, monkeypatch, said, is_there=True):
+        self.now, self._said, self._is_there = 0.0, iter(said), is_there
+        self._newest = None
+        self._out = io.StringIO()
         monkeypatch.setattr(build.time, "monotonic", lambda: self.now)
-        monkeypatch.setattr(build.rospy, "is_shutdown", lambda: False)
 
-    def _go_on(self, _timeout):
+    def _pause(self):
         self.now += 30.0
-        message = next(self._said, None)
-        if message is not None:
-            self.builder._newest["work/tasks"] = message
+        self._newest = next(self._said, self._newest)
 
     def wait(self):
-        self.builder._wait_for_model(0.0)
-        return self.out.getvalue()
+        """Wait for the model; return what was printed."""
+        with build.waiting(Console(file=self._out, width=200), "reading the model", 0.0) as tell:
+            build.wait_for_model(lambda: self._newest, lambda: self._is_there, self._pause, tell, 120.0)
+        return self._out.getvalue()
 
 
 READING = WorkTasks(model="wall.ifc", reading=True, reason="the model is being read")
@@ -60,7 +50,7 @@ def test_a_model_that_cannot_be_read_ends_it_at_once_with_the_reason(monkeypatch
 
 
 def test_a_node_that_is_gone_is_not_waited_for_any_longer_than_the_timeout(monkeypatch):
-    clock = Clock(monkeypatch, [READING], connections=0)
+    clock = Clock(monkeypatch, [READING], is_there=False)
     with pytest.raises(ExperimentError, match="waited 120 s in vain for a work node"):
         clock.wait()
 

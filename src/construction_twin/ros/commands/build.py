@@ -230,23 +230,17 @@ class Builder:
         self._decisions.append(Decision(time.time(), PERSON, what))
 
     def _wait_for_model(self, began: float) -> None:
-        """Wait until the model is read, as long as the node works on it: a large model on a busy machine takes its time."""
-        limit = self._settings.timeout
+        def pause() -> None:
+            if rospy.is_shutdown():
+                raise ExperimentError("interrupted")
+            with self._news:
+                self._news.wait(_POLL)
+
+        tasks = self._subscribers["work/tasks"]
         with waiting(self._console, "reading the model", began) as tell:
-            heard = time.monotonic()
-            while self._tasks is None or not self._tasks.schedule:
-                tasks, now = self._tasks, time.monotonic()
-                if rospy.is_shutdown():
-                    raise ExperimentError("interrupted")
-                if tasks is not None and not tasks.reading:
-                    raise ExperimentError(f"the model cannot be read: {tasks.reason}")
-                if tasks is not None and self._subscribers["work/tasks"].get_num_connections():
-                    heard = now
-                if now - heard > limit:
-                    raise ExperimentError(f"waited {limit:g} s in vain for a work node that reads the model")
-                tell()
-                with self._news:
-                    self._news.wait(_POLL)
+            wait_for_model(
+                lambda: self._tasks, lambda: tasks.get_num_connections() > 0, pause, tell, self._settings.timeout
+            )
 
     # -- what is known
 
@@ -328,6 +322,48 @@ class Builder:
 
     def _say(self, text: str) -> None:
         self._console.print(text, soft_wrap=True, highlight=False)
+
+
+def wait_for_model(
+    newest: Callable[[], WorkTasks | None],
+    is_there: Callable[[], bool],
+    pause: Callable[[], None],
+    tell: Callable[[], None],
+    timeout: float,
+) -> None:
+    """Wait until a model is read, as long as the work node reads it: a large model on a busy machine takes its time.
+
+    Parameters
+    ----------
+    newest : callable
+        Returns what the node said last; None: nothing yet.
+    is_there : callable
+        Returns whether the node runs.
+    pause : callable
+        Lets a moment pass.
+    tell : callable
+        Called before each pause, see `waiting`.
+    timeout : float
+        Longest time without a node that reads [s].
+
+    Raises
+    ------
+    ExperimentError
+        If the model cannot be read, or no node reads it.
+    """
+    heard = time.monotonic()
+    while True:
+        said, now = newest(), time.monotonic()
+        if said is not None and said.schedule:
+            return
+        if said is not None and not said.reading:
+            raise ExperimentError(f"the model cannot be read: {said.reason}")
+        if said is not None and is_there():
+            heard = now
+        if now - heard > timeout:
+            raise ExperimentError(f"waited {timeout:g} s in vain for a work node that reads the model")
+        tell()
+        pause()
 
 
 @contextlib.contextmanager
