@@ -52,13 +52,14 @@ def reaches_itself(host: str, timeout: float) -> str:
         server.bind(("", 0))
         server.listen(1)
         try:
-            address = socket.getaddrinfo(host, server.getsockname()[1], socket.AF_INET, socket.SOCK_STREAM)[0][4]
+            found = socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_STREAM)
         except (OSError, UnicodeError) as error:
             return f"it has no IPv4 address ({getattr(error, 'strerror', None) or error})"
+        address = str(found[0][4][0])
         try:
-            socket.create_connection(address[:2], timeout).close()
+            socket.create_connection((address, server.getsockname()[1]), timeout).close()
         except OSError as error:
-            return f"nothing of this machine answers at {address[0]} ({error.strerror or error})"
+            return f"nothing of this machine answers at {address} ({error.strerror or error})"
     return ""
 
 

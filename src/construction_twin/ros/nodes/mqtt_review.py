@@ -289,7 +289,7 @@ class MqttReview:
         except (rospy.ROSException, *NO_ANSWER) as error:
             ok, expired = False, False
             sentence = f"{self._review_plan.resolved_name} does not answer: {error}; does the executor run?"
-        self._beside.do("the answer", self._answer, review, ok, sentence, expired=expired)
+        self._beside.do("the answer", self._answer, review, ok, sentence, "", expired)
         with self._lock:
             self._verdicts["taken" if ok else "not taken"] += 1
         said = review.verdict, review.plan_id, review.reviewer, sentence
