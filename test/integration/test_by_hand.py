@@ -101,7 +101,11 @@ class Rviz:
 
     def _send(self, event: int, pose, entry: int = 0) -> None:
         message = InteractiveMarkerFeedback(
-            client_id="test rviz", marker_name="tool", event_type=event, pose=pose, menu_entry_id=entry
+            client_id=f"{rospy.get_name()}/test rviz",
+            marker_name="tool",
+            event_type=event,
+            pose=pose,
+            menu_entry_id=entry,
         )
         message.header.frame_id = FRAME
         self._publisher.publish(message)

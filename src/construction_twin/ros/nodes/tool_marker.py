@@ -12,7 +12,6 @@ from typing import Annotated
 import numpy as np
 import pydantic
 import rospy
-from interactive_markers.interactive_marker_server import InteractiveMarkerServer
 from visualization_msgs.msg import InteractiveMarkerFeedback, MarkerArray
 
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
@@ -24,6 +23,7 @@ from construction_twin.msg import Scene as SceneMsg
 from construction_twin.ros.messages.convert import pose_from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.marker_server import MarkerServer
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.operator_client import OperatorClient, pose_to_msg
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
@@ -110,7 +110,7 @@ class ToolMarkerNode:
             self._say,
         )
         self._verdicts = Publisher("tool_marker/verdict", MarkerArray, queue_size=2, latch=True)
-        self._server = InteractiveMarkerServer("tool_marker")
+        self._server = MarkerServer("tool_marker", self._diagnostics.refuse)
         self._twin = LatestPose("twin/joint_states", self._robot.joint_names, self._diagnostics.refuse)
         refuse = self._diagnostics.refuse
         self._subscribers = (
