@@ -14,7 +14,7 @@ import numpy as np
 
 from construction_twin.core.motion_errors import NoPathError
 from construction_twin.kinematics.chain import Chain
-from construction_twin.planning.motion_validator import MotionValidator, levers
+from construction_twin.planning.motion_validator import MotionValidator
 from construction_twin.planning.planner import Planner, PlanRequest
 from construction_twin.scene.collision_world import CollisionWorld
 
@@ -69,7 +69,7 @@ class _Draw:
         self._scene, self._chain, self._world, self._rng = scene, chain, world, rng
         self._lower = np.maximum(robot.lower, -half_turn)
         self._upper = np.minimum(robot.upper, half_turn)
-        self._edges = MotionValidator(world, levers(chain), STEP)
+        self._edges = MotionValidator(world, world.levers, STEP)
 
     def pair(self, hard: bool) -> tuple[np.ndarray, np.ndarray]:
         """Return a free start and goal; a hard pair goes through the window, in either direction, or is not straight."""

@@ -3,7 +3,8 @@
 The branches come from EAIK. This module adds whole turns and ranges, and confirms every solution by KDL's forward kinematics. Two
 cases go further:
 
-- **An arm near a closed form** is solved for its nominal model; Newton steps on the true chain remove what that misses.
+- **An arm near a closed form** is solved for its nominal model; Newton steps on the true chain remove what that misses. Where no
+  branch leads to a solution, the search answers.
 - **At a singular pose** in which joints turn against each other without moving the tip, the closed form is not defined. There the
   search (`numeric`) answers, which slides along that motion towards the seed.
 """
@@ -11,8 +12,8 @@ cases go further:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NoReturn
+from collections.abc import Callable, Sequence
+from typing import NoReturn, TypeVar
 
 import numpy as np
 
@@ -51,6 +52,9 @@ _TRIPLES = ((0, 1, 2), (3, 4, 5))
 _POLISH = 12
 
 
+_Found = TypeVar("_Found")
+
+
 class SubproblemInverse(BranchInverse):
     """Inverse kinematics of six revolute joints with a closed form.
 
@@ -60,7 +64,7 @@ class SubproblemInverse(BranchInverse):
     form : ClosedForm
         Of all six axes.
     search : NumericInverse
-        Of the same chain, for singular poses.
+        Of the same chain: for singular poses, and where the branches of a nominal model lead to nothing.
     """
 
     def __init__(self, chain: Chain, form: ClosedForm, search: NumericInverse):
@@ -87,9 +91,7 @@ class SubproblemInverse(BranchInverse):
         start = [float(value) for value in seed]
         best, complete = self._nearest_branch(self.branches(pose), pose, start)
         if complete:
-            if best is None:
-                self._explain(pose, start)
-            return best
+            return self._searched(pose, start, self._search.nearest) if best is None else best
         return min(self._of_search(pose, start, best), key=lambda solution: solution.distance)
 
     def all(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> list[IkSolution]:
@@ -106,7 +108,7 @@ class SubproblemInverse(BranchInverse):
             except NotFoundError:
                 pass  # then the closed form's are all there are
         if not found:
-            self._explain(pose, start)
+            return self._searched(pose, start, self._search.all)
         return distinct(sorted(found, key=lambda solution: solution.distance))
 
     def configuration(self, q: JointValues) -> None:
@@ -183,17 +185,31 @@ class SubproblemInverse(BranchInverse):
                 raise
             return [best]
 
-    def _explain(self, pose: Pose, seed: list[float]) -> NoReturn:
-        """Raise the error that says why there is no solution."""
+    def _searched(self, pose: Pose, seed: list[float], search: Callable[[Pose, JointValues], _Found]) -> _Found:
+        """Return what a search finds where no branch leads to a solution; if it finds nothing, raise the error that says why.
+
+        A nominal model proves nothing about the true arm: near the edge of its reach it has no branch, only a nearest miss, from
+        which the steps need not lead to the branch that the true arm has there. An exact one is not searched.
+        """
         check_pose(pose)
-        rows = [refine(self.chain, np.array(row), pose, _POLISH, within=False) for row in self.branches(pose)]
+        branches = self.branches(pose)
+        rows = [refine(self.chain, np.array(row), pose, _POLISH, within=False) for row in branches]
         reached = np.array([q for q in rows if self.is_solved(*residual(self.chain, q, pose))])
+        if not self.form.exact and (self._missed.any() or len(reached) < len(rows)):
+            try:
+                return search(pose, seed)
+            except KinematicsError:
+                # of branches that exist but are out of range, more can be said than that nothing was found
+                if not len(reached):
+                    raise
+        self._explain(pose, seed, reached)
+
+    def _explain(self, pose: Pose, seed: list[float], reached: np.ndarray) -> NoReturn:
+        """Raise the error that says why there is no solution; `reached` are the branches that exist, ranges ignored."""
         missing = self._search.missing_position(pose, np.array(seed))
         placed = missing <= self.settings.tolerance_m
         if len(reached):
             self._raise_range_error(reached, placed)
-        if not self.form.exact:
-            self._search.nearest(pose, seed)
         if not placed:
             distance = float(np.linalg.norm(pose.position - self.chain.shoulder))
             bound = distance - self.chain.reach

@@ -23,7 +23,7 @@ from construction_twin.planning.batch_kinematics import angles_between
 from construction_twin.planning.curves import JointCurve
 from construction_twin.planning.ik_branch import Branch
 from construction_twin.planning.limit_usage import cycle_times
-from construction_twin.planning.recheck import World, touching
+from construction_twin.planning.recheck import World
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import WAYPOINT_SPACING, TimedCurve, time_curve
 from construction_twin.planning.tool_path import Piece, ToolPath, ToolWaypoint
@@ -89,7 +89,7 @@ def plan_cartesian(
     inverse : InverseKinematics
         Of the arm; used only to explain why a path ends.
     world : CollisionWorld, optional
-        Every 4 ms sample must be free of contact in it. Default: nothing is checked.
+        The motion must be free of contact in it, at every 4 ms sample and between them. Default: nothing is checked.
     speed : float, optional
         Of the tool along the path [m/s]: never exceeded, and reached where the joint limits allow. Default: as fast as
         the limits allow.
@@ -210,12 +210,13 @@ class _Part:
         return cls(piece, timed, q, away, turned, float(np.max(speeds)))
 
     def check_free(self, branch: Branch, world: World) -> None:
-        """Check every sample for contact."""
-        row = world.all_free(self.samples)
-        if row is None:
+        """Check every sample for contact, and the motion between them."""
+        found = world.first_contact(self.samples)
+        if found is None:
             return
-        s = self.piece.begin + float(self.timed.parameter(np.array([max(row - 1, 0) * CYCLE]))[0])
-        between = touching(world, self.samples[row])
+        place, contact = found
+        s = self.piece.begin + float(self.timed.parameter(np.array([max(math.ceil(place) - 1, 0) * CYCLE]))[0])
+        between = contact.between
         cause = CollisionError(between, f"{s * 1e3:.1f} mm along the path")
         raise branch.end("collision", s, f"{between[0]} would touch {between[1]}; move the path or the object", cause)
 

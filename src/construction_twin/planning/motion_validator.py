@@ -1,7 +1,8 @@
 """Checks whether the arm touches anything between two points of a joint path, straight or with rounded corners.
 
 Joint vectors are in the order of `RobotModel.joint_names`, SI. States are checked at distances that bound how far any
-point of the arm moves between two of them; the motion in between is not checked. `recheck` decides on the final motion.
+point of the arm, its tool and what it carries moves between two of them; the motion in between is not checked. `recheck` decides on
+the final motion, between its samples too.
 """
 
 from __future__ import annotations
@@ -11,34 +12,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from construction_twin.kinematics.chain import Chain
 from construction_twin.planning.curves import rounded
 from construction_twin.scene.collision_world import CollisionWorld
 
-#: Half the thickness of a link or tool [m]: how far its surface is from an axis that it turns about.
-BODY = 0.3
-#: Number of random poses from which the levers are taken.
-LEVER_SAMPLES = 500
 #: Most points added to a path to keep its rounded corners free.
 CORNERS_TIGHTENED = 24
-
-
-def levers(chain: Chain) -> np.ndarray:
-    """Return how far a point of the arm moves at most when a joint does.
-
-    Parameters
-    ----------
-    chain : Chain
-
-    Returns
-    -------
-    levers : array, shape (n,)
-        [m/rad] for a revolute joint: the tip's largest lever over sampled poses, plus `BODY`. For a prismatic joint 1.
-    """
-    rng = np.random.default_rng(0)
-    samples = rng.uniform(chain.robot.lower, chain.robot.upper, (LEVER_SAMPLES, len(chain.robot.joint_names)))
-    largest = np.max([np.linalg.norm(chain.jacobian(q)[:3], axis=0) for q in samples], axis=0)
-    return largest + np.where(chain.robot.linear, 0.0, BODY)
 
 
 class MotionValidator:
@@ -48,9 +26,9 @@ class MotionValidator:
     ----------
     world : CollisionWorld
     levers : array, shape (n,)
-        As from `levers`.
+        As from `CollisionWorld.levers`.
     step : float
-        Largest distance that any point of the arm moves between two states that are checked [m].
+        Largest distance that any point of the arm, its tool and what it carries moves between two states that are checked [m].
     """
 
     def __init__(self, world: CollisionWorld, levers: np.ndarray, step: float):

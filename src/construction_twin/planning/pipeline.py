@@ -38,7 +38,7 @@ class PlanningPipeline:
 
     Every method that returns a plan raises, besides what it names: `NoSceneError` without a scene, `SceneError` if the
     scene cannot be used with this robot, `SceneChangedError` if another scene arrived while planning, `LimitError` and
-    `CollisionError` if a 4 ms sample of the result is outside a limit or in contact.
+    `CollisionError` if a 4 ms sample of the result is outside a limit, or something touches, at a sample or between two.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ import pydantic
 from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
-from construction_twin.planning.motion_validator import CornerRounding, MotionValidator, levers
+from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
 from construction_twin.planning.recheck import recheck
 from construction_twin.planning.request_limits import PlanBounds, check_request
 from construction_twin.planning.search import find_path, planner_kinds
@@ -202,7 +202,6 @@ class Planner:
         self._settings = settings
         self._clock = clock
         self._rng = rng
-        self._levers = levers(solver.chain)
 
     def plan_to_joints(
         self, start: JointValues, goal: JointValues, request: PlanRequest, world: CollisionWorld
@@ -313,7 +312,7 @@ class Planner:
         self, start: np.ndarray, goals: list[np.ndarray], request: PlanRequest, world: CollisionWorld, began: float
     ) -> _Found:
         settings = self._settings
-        validator = MotionValidator(world, self._levers, settings.edge_step)
+        validator = MotionValidator(world, world.levers, settings.edge_step)
         for goal in goals:
             if validator.free(start, goal):
                 timed = self._timed(np.array([start, goal]), request, world)
@@ -334,7 +333,7 @@ class Planner:
                 return _Found(settings.planner, timed)
             # the path passed through something thinner than the step of its check: check with smaller steps
             attempt += 1
-            validator = MotionValidator(world, self._levers, settings.edge_step / 2 ** min(attempt, FINEST_HALVING))
+            validator = MotionValidator(world, world.levers, settings.edge_step / 2 ** min(attempt, FINEST_HALVING))
         raise NoPathError(settings.planner, self._clock() - began)
 
     def _bounds(self, start: np.ndarray, goals: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -352,7 +351,7 @@ class Planner:
         speed_scale = request.speed_scale
         if speed_scale is None:  # a duration already determines the speed, so the default applies only without one
             speed_scale = self._settings.speed_scale if request.duration is None else 1.0
-        fine = MotionValidator(world, self._levers, self._settings.edge_step / 2**FINEST_HALVING)
+        fine = MotionValidator(world, world.levers, self._settings.edge_step / 2**FINEST_HALVING)
         rounder = CornerRounding(fine, np.array(self._robot.velocity))
         for _ in range(TIMINGS_TRIED):
             tightened = rounder.tightened(path)

@@ -1,4 +1,8 @@
-"""The dense re-check: every 4 ms sample of a trajectory against the robot's limits and the scene, for plans of every origin.
+"""The dense re-check of plans of every origin: limits at every 4 ms sample; the scene at every sample and between them.
+
+The samples are the setpoints that twin and arm are sent. Between two of them each joint is taken to go evenly from one to the
+next. The plan's own curve is beside that line by about (4 ms)^2 / 8 times the acceleration per joint: at the limits of all joints
+of the KR 120 at once, no point of it by more than 0.1 mm.
 
 What it measures is shown to the reviewer: the smallest clearance and where it is, and the largest use of each limit.
 """
@@ -13,7 +17,7 @@ import numpy as np
 
 from construction_twin.core.motion_errors import CollisionError, LimitError
 from construction_twin.planning.limit_usage import SampledUsage, cycle_times, range_excess, sampled_usage
-from construction_twin.robot.description import JointValues, RobotModel
+from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Clearance, LimitUsage, PlanReport
 from construction_twin.robot.trajectory import Trajectory
 
@@ -33,18 +37,15 @@ class Contact(Protocol):
 class World(Protocol):
     """The part of `scene.collision_world.CollisionWorld` that planning uses."""
 
-    def all_free(self, qs: np.ndarray) -> int | None:
-        """Return the first row in contact, or None."""
+    def first_contact(self, qs: np.ndarray) -> tuple[float, Contact] | None:
+        """Return where a motion first touches something, in rows and parts of them, and what; None: nowhere on it."""
 
-    def contact(self, q: JointValues) -> Contact | None:
-        """Return a pair that touches, or None."""
-
-    def clearance_of(self, qs: np.ndarray) -> tuple[Clearance, int]:
-        """Return the smallest distance over all rows, and the row where it is."""
+    def clearance_of(self, qs: np.ndarray) -> tuple[Clearance, float]:
+        """Return the smallest distance over all rows and between them, and where it is."""
 
 
 def recheck(trajectory: Trajectory, robot: RobotModel, world: World, clock: Callable[[], float]) -> PlanReport:
-    """Check and measure every 4 ms sample of a trajectory.
+    """Check and measure a trajectory: its limits at every 4 ms sample, its contacts and clearance also between two samples.
 
     Parameters
     ----------
@@ -64,7 +65,7 @@ def recheck(trajectory: Trajectory, robot: RobotModel, world: World, clock: Call
     LimitError
         If a sample is outside the range or a limit.
     CollisionError
-        If a sample is in contact; `where` says when.
+        If something touches, at a sample or between two; `where` says when.
     """
     began = clock()
     usage = check_limits(trajectory, robot)
@@ -73,8 +74,8 @@ def recheck(trajectory: Trajectory, robot: RobotModel, world: World, clock: Call
     times = np.append(times[times < trajectory.duration], trajectory.duration)
     q = trajectory.sample_many(times)[0]
     check_free(q, times, world)
-    clearance, row = world.clearance_of(q)
-    clearance = dataclasses.replace(clearance, time=float(times[row]))
+    clearance, place = world.clearance_of(q)
+    clearance = dataclasses.replace(clearance, time=at_place(times, place))
     return PlanReport(clearance, usage, clock() - began)
 
 
@@ -109,11 +110,12 @@ def check_limits(trajectory: Trajectory, robot: RobotModel) -> LimitUsage:
 
 
 def check_free(q: np.ndarray, times: np.ndarray, world: World) -> None:
-    """Check that no row is in contact.
+    """Check that nothing touches in the rows and between them, where each joint goes evenly from one row to the next.
 
     Parameters
     ----------
     q : array, shape (m, n)
+        Successive joint values.
     times : array, shape (m,)
         When each is reached [s], for the message.
     world : CollisionWorld
@@ -121,18 +123,17 @@ def check_free(q: np.ndarray, times: np.ndarray, world: World) -> None:
     Raises
     ------
     CollisionError
-        For the first that is, with the pair and ``at ... s``.
+        For the first contact, with the pair and ``at ... s``.
     """
-    row = world.all_free(q)
-    if row is not None:
-        raise CollisionError(touching(world, q[row]), f"at {times[row]:.3f} s")
+    found = world.first_contact(q)
+    if found is not None:
+        place, contact = found
+        raise CollisionError(contact.between, f"at {at_place(times, place):.3f} s")
 
 
-def touching(world: World, q: JointValues) -> tuple[str, str]:
-    """Return the names of two bodies that touch, at joint values that `World.all_free` found in contact."""
-    contact = world.contact(q)
-    assert contact is not None, "all_free and contact disagree"
-    return contact.between
+def at_place(times: np.ndarray, place: float) -> float:
+    """Return the time of a place on a motion [s], given the times of its rows; 3.5 is half way from row 3 to row 4."""
+    return float(np.interp(place, np.arange(len(times)), times))
 
 
 def _check_range(sampled: SampledUsage, robot: RobotModel) -> None:

@@ -1,6 +1,7 @@
 """A work plan: motions made elsewhere, joined at rest to one trajectory and checked each in the scene that it will be executed in.
 
-Whoever made the motions is not trusted: ranges, limits and contacts of every 4 ms sample are checked here, as those of any plan.
+Whoever made the motions is not trusted: ranges and limits of every 4 ms sample, and contacts at and between them, are checked
+here, as those of any plan.
 Joint vectors in the order of `RobotModel.joint_names`, SI.
 """
 
@@ -76,7 +77,7 @@ def plan_work(
     clock: Callable[[], float],
     planner: str = WORK,
 ) -> Plan:
-    """Join segments to a plan and check every 4 ms of each in its scene.
+    """Join segments to a plan and check each in its scene, limits at every 4 ms, contacts between these samples too.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Clearance
 from construction_twin.scene.collision_bodies import UNKNOWN, Body, RobotBodies, make_reliable, measured
-from construction_twin.scene.distance_bounds import body_levers, levers, smallest
+from construction_twin.scene.distance_bounds import Motion, body_levers, levers
 from construction_twin.scene.near_bodies import NearBodies
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import Scene, SceneObject, product
@@ -250,6 +250,16 @@ class CollisionWorld:
             reached += [item] if len(near) else []
         return reached, pairs
 
+    @cached_property
+    def levers(self) -> np.ndarray:
+        """How far any point of the arm, its tool and what it carries moves at most when a joint does, shape (n,).
+
+        [m/rad] for a revolute joint, 1 for a prismatic one; an upper bound at any joint values, from the lengths of the chain.
+        """
+        moving = [body for body in self._own if body.joint]
+        per_body, _ = body_levers(self._robot_bodies, moving, self._robot_bodies.strokes)
+        return per_body.max(axis=1, initial=0.0)[self._order]
+
     def is_free(self, q: JointValues) -> bool:
         """Return whether nothing touches. The fastest check: it ends at the first contact.
 
@@ -345,10 +355,42 @@ class CollisionWorld:
         """
         return self._checks.clearance(q)
 
-    def clearance_of(self, qs: np.ndarray) -> tuple[Clearance, int]:
-        """Return the smallest distance over many poses, and the row where it is.
+    def first_contact(self, qs: np.ndarray) -> tuple[float, Contact] | None:
+        """Return where a motion first touches something, None where nothing touches anywhere on it, also not between two rows.
 
-        Successive rows should be close to each other: then only few distances need to be measured, see `distance_bounds`.
+        Each joint goes evenly from one row to the next. What is found free is free by a bound of how far the bodies move, not by
+        samples: nothing comes closer than its margin by more than half of `distance_bounds.RESOLUTION` (0.01 mm).
+
+        Parameters
+        ----------
+        qs : array, shape (m, n)
+            Successive joint values, [rad] or [m]; m >= 1.
+
+        Returns
+        -------
+        place : float
+            In rows: 3.5 is half way from row 3 to row 4.
+        contact : Contact
+        """
+        world = self._beside(qs, 0.0)
+        row = self.all_free(qs)
+        if row == 0:
+            found = world._checks.contact(qs[0])
+            assert found is not None, "all_free and contact disagree"
+            return 0.0, found
+        # what comes before a row in contact may touch earlier, between two rows
+        before = world._checks.first_contact(self._rows(qs if row is None else qs[: row + 1]))
+        if before is None and row is not None:
+            found = world._checks.contact(qs[row])
+            assert found is not None, "all_free and contact disagree"
+            return float(row), found
+        return before
+
+    def clearance_of(self, qs: np.ndarray) -> tuple[Clearance, float]:
+        """Return the smallest distance over a motion, also between its rows, and where it is.
+
+        Each joint goes evenly from one row to the next. Successive rows should be close to each other: then only few distances need
+        to be measured, see `distance_bounds`.
 
         Parameters
         ----------
@@ -358,16 +400,18 @@ class CollisionWorld:
         Returns
         -------
         clearance : Clearance
-            As from `clearance`, within 1e-6 m; its time is 0.
-        row : int
+            As from `clearance`, within 1e-6 m in the rows, and between them within 1e-4 m or a hundredth of it, whichever is more;
+            its time is 0.
+        place : float
+            In rows: 3.5 is half way from row 3 to row 4.
         """
         gap = _NEAR
         while True:
             world = self._beside(qs, gap)
-            clearance, row = world._checks.clearance_of(self._rows(qs))
+            clearance, place = world._checks.clearance_of(self._rows(qs))
             # all that was left out is further away than this
             if world is self or clearance.distance <= gap:
-                return clearance, row
+                return clearance, place
             gap = clearance.distance
 
     def distances(self, q: JointValues) -> list[PairDistance]:
@@ -394,6 +438,7 @@ class _Checks:
         self._geometry_data = self._geometry.createData()
         make_reliable(self._geometry_data, [margin for _, _, margin in pairs])
         self._q = np.zeros(robot.size)
+        self._last: tuple[bytes, Motion] | None = None
         # for the usual order a slice suffices; an index list would cost as much as the check of a few pairs
         self._order = slice(None) if np.array_equal(robot.order, np.arange(robot.size)) else robot.order
         self._follow = robot.follow if robot.followers else None
@@ -428,22 +473,52 @@ class _Checks:
         """Return the smallest distance of a pair."""
         return self._clearance(self._measure(q)) if self._pairs else Clearance(np.inf)
 
-    def clearance_of(self, rows: np.ndarray) -> tuple[Clearance, int]:
-        """Return the smallest distance of a pair over rows in Pinocchio's order, and its row."""
+    def first_contact(self, rows: np.ndarray) -> tuple[float, Contact] | None:
+        """Return where two bodies first touch on a motion through rows in Pinocchio's order, and which."""
         if not self._pairs:
-            return Clearance(np.inf), 0
-        factors = levers(self._robot, self._bodies, self._pairs, np.abs(rows).max(axis=0))
-        steps = np.abs(np.diff(rows, axis=0)) @ factors
-        travel = np.vstack([np.zeros(len(self._pairs)), np.cumsum(steps, axis=0)])
+            return None
+        found = self._motion(rows).first_contact(
+            np.array([margin for _, _, margin in self._pairs]), lambda place, pair: self._touches(rows, place, pair)
+        )
+        return None if found is None else (found[0], Contact(self._names[found[1]]))
 
-        def measure(row: int, pair: int) -> float:
-            pinocchio.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data, rows[row])
-            pinocchio.computeDistance(self._geometry, self._geometry_data, pair)
-            return self._known(pair)
+    def clearance_of(self, rows: np.ndarray) -> tuple[Clearance, float]:
+        """Return the smallest distance of a pair on a motion through rows in Pinocchio's order, and its place."""
+        if not self._pairs:
+            return Clearance(np.inf), 0.0
+        place, pair = self._motion(rows).smallest()
+        self._measure_pair(rows, place, pair)
+        return self._clearance(pair), place
 
-        row, pair = smallest(travel, lambda row: self._distances(rows[row]), measure)
-        measure(row, pair)
-        return self._clearance(pair), row
+    def _motion(self, rows: np.ndarray) -> Motion:
+        """Return a motion's bounds; the last one is kept, because it is asked for its contacts, then for its clearance."""
+        key = rows.tobytes()
+        if self._last is None or self._last[0] != key:
+            factors = levers(self._robot, self._bodies, self._pairs, np.abs(rows).max(axis=0))
+            steps = np.abs(np.diff(rows, axis=0)) @ factors
+            travel = np.vstack([np.zeros(len(self._pairs)), np.cumsum(steps, axis=0)])
+            motion = Motion(
+                travel,
+                lambda row: self._distances(rows[row]),
+                lambda place, pair: self._measure_pair(rows, place, pair),
+            )
+            self._last = key, motion
+        return self._last[1]
+
+    def _place(self, rows: np.ndarray, place: float) -> None:
+        """Move the bodies to a place on a motion."""
+        row = int(place)
+        q = rows[row] if row == place else rows[row] + (place - row) * (rows[row + 1] - rows[row])
+        pinocchio.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data, q)
+
+    def _measure_pair(self, rows: np.ndarray, place: float, pair: int) -> float:
+        self._place(rows, place)
+        pinocchio.computeDistance(self._geometry, self._geometry_data, pair)
+        return self._known(pair)
+
+    def _touches(self, rows: np.ndarray, place: float, pair: int) -> bool:
+        self._place(rows, place)
+        return pinocchio.computeCollision(self._geometry, self._geometry_data, pair)
 
     def distances(self, q: JointValues) -> list[PairDistance]:
         """Return every pair, measured."""

@@ -43,7 +43,7 @@ class NearBodies:
         rows : array, shape (m, n)
             Joint values, Pinocchio's order; m >= 1.
         gap : float
-            Of every body that is left out, the distance from every moving one is larger in each row [m].
+            Of every body that is left out, the distance from every moving one is larger in each row and between them [m].
 
         Returns
         -------
@@ -71,7 +71,8 @@ class NearBodies:
         """Return one row of each group, shape (g, n), and how far each moving body goes from there to the others, shape (g, k)."""
         way = np.vstack([np.zeros(rows.shape[1]), np.cumsum(np.abs(np.diff(rows, axis=0)), axis=0)])
         first = np.arange(0, len(rows), _GROUP)
-        last = np.minimum(first + _GROUP - 1, len(rows) - 1)
+        # up to the first row of the next group: what lies between the two is covered, too
+        last = np.minimum(first + _GROUP, len(rows) - 1)
         middle = (first + last) // 2
         factors, _ = body_levers(self._robot, [body for body, _, _ in self._parts], np.abs(rows).max(axis=0))
         return rows[middle], np.maximum(way[middle] - way[first], way[last] - way[middle]) @ factors

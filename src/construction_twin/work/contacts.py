@@ -221,8 +221,8 @@ def difference(before: Scene, after: Scene) -> tuple[SceneObject, ...]:
     )
 
 
-def deepest(world: CollisionWorld, qs: np.ndarray) -> tuple[Clearance, int] | None:
-    """Return how deep bodies that may touch are in each other on a motion, and in which row; None: nothing may touch.
+def deepest(world: CollisionWorld, qs: np.ndarray) -> tuple[Clearance, float] | None:
+    """Return how deep bodies that may touch are in each other on a motion, and where; None: nothing may touch.
 
     Parameters
     ----------
@@ -234,7 +234,8 @@ def deepest(world: CollisionWorld, qs: np.ndarray) -> tuple[Clearance, int] | No
     -------
     clearance : Clearance
         Negative distance: so deep [m].
-    row : int
+    place : float
+        In rows: 3.5 is half way from row 3 to row 4.
     """
     pairs = world.of_touching()
     return None if pairs is None else pairs.clearance_of(qs)

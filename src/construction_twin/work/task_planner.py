@@ -1,9 +1,8 @@
 """From a job to a work plan: fetch an element from its stock, grip it, carry it, set it down, let go, go away.
 
-Every part of the plan begins and ends at rest, is checked at each 4 ms sample in the scene that the parts before it leave, and
-lasts a whole number of cycles. Joint vectors in the order of `RobotModel.joint_names`, SI; poses in the robot's base_link. Not for
-use from several threads at once. Knows no ROS; time and randomness are arguments.
-"""
+Every part of the plan begins and ends at rest, is checked at each 4 ms sample and between them in the scene that the parts
+before it leave, and lasts a whole number of cycles. Joint vectors in the order of `RobotModel.joint_names`, SI; poses in the
+robot's base_link. Not for use from several threads at once. Knows no ROS; time and randomness are arguments."""
 
 from __future__ import annotations
 
@@ -442,7 +441,7 @@ class _Parts:
         return _Free(trajectory, plan.report.clearance.distance)
 
     def checked(self, trajectory: Trajectory, world: CollisionWorld) -> np.ndarray:
-        """Check every 4 ms sample; return them."""
+        """Check every 4 ms sample for limits, and the motion through them for contacts; return the samples."""
         check_limits(trajectory, self.robot)
         times = cycle_times(trajectory)
         samples = trajectory.sample_many(times)[0]

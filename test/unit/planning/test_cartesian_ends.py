@@ -114,12 +114,9 @@ class Wall:
 
     rows = BatchKinematics(CHAIN)
 
-    def all_free(self, qs):
+    def first_contact(self, qs):
         touching = np.flatnonzero(self.rows.poses(qs)[0][:, 1] >= 0.3)
-        return int(touching[0]) if len(touching) else None
-
-    def contact(self, q):
-        return SimpleNamespace(between=("link_6", "wall"))
+        return (float(touching[0]), SimpleNamespace(between=("link_6", "wall"))) if len(touching) else None
 
 
 def test_contact_names_the_pair_and_where():

@@ -32,13 +32,14 @@ class WallWorld:
         self.angle = angle
         self.seen = None
 
-    def all_free(self, qs):
+    def first_contact(self, qs):
         self.seen = qs
         touching = np.flatnonzero(qs[:, 0] >= self.angle)
-        return int(touching[0]) if len(touching) else None
-
-    def contact(self, q):
-        return SimpleNamespace(between=("link_1", "wall"))
+        if not len(touching):
+            return None
+        row = int(touching[0])
+        before = row - 1 + (self.angle - qs[row - 1, 0]) / (qs[row, 0] - qs[row - 1, 0]) if row else 0.0
+        return before, SimpleNamespace(between=("link_1", "wall"))
 
     def clearance_of(self, qs):
         row = int(np.argmax(qs[:, 0]))
@@ -66,12 +67,13 @@ def test_measures_every_sample():
     )
 
 
-def test_contact_at_one_sample_says_when():
+def test_contact_says_when():
     with pytest.raises(CollisionError) as caught:
         recheck(MOTION, ROBOT, WallWorld(0.3), clock())
     assert caught.value.between == ("link_1", "wall")
     time = float(caught.value.where.split()[1])
-    assert MOTION.sample(time)[0][0] >= 0.3 > MOTION.sample(time - CYCLE)[0][0]
+    # where it touches between two samples, to the millisecond that is told
+    assert MOTION.sample(time + 1e-3)[0][0] >= 0.3 > MOTION.sample(time - 1e-3)[0][0]
 
 
 @pytest.mark.parametrize("quantity", ["velocity", "acceleration", "jerk"])

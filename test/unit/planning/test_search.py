@@ -15,7 +15,7 @@ from construction_twin.core.motion_errors import NoPathError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.curves import rounded
-from construction_twin.planning.motion_validator import CornerRounding, MotionValidator, levers
+from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
 from construction_twin.planning.planner import Planner, PlannerSettings
 from construction_twin.planning.search import find_path, planner_kind
 from construction_twin.robot.description import read_robot_files
@@ -23,7 +23,7 @@ from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.self_collision import sample_self_collision
 
-LEVERS = levers(CHAIN)
+LEVERS = world().levers
 BOUNDS = np.array(ROBOT.lower), np.array(ROBOT.upper)
 PACE = np.array(ROBOT.velocity)
 angles = st.floats(-3.0, 3.0)
@@ -70,9 +70,23 @@ def test_an_edge_of_no_length_checks_its_end():
 
 def test_a_linear_joint_moves_the_arm_by_what_it_moves():
     robot = read_robot_files(ROOT / "urdf/kr120_track.urdf.xacro", ROOT / "config/kr120_track.yaml")
-    found = levers(Chain(robot))
+    found = CollisionWorld(robot, Scene((), 0.0), sample_self_collision(robot, samples=100)).levers
     assert found[robot.linear.index(True)] == pytest.approx(1.0)
     np.testing.assert_allclose(found[1:], LEVERS, rtol=0.02)
+
+
+def test_the_levers_hold_for_every_point_of_the_arm_its_tool_and_its_load():
+    bar = SceneObject("bar", "box", (4.0, 0.02, 0.02), (0.0, 0.0, 0.1), link="tool0")
+    carrying = world(bar)
+    assert (carrying.levers > LEVERS + 1.0).all()
+    rng = np.random.default_rng(0)
+    ends = np.array([[2.0, 0.0, 0.1], [-2.0, 0.0, 0.1], [0.0, 0.0, 0.0]])
+    for q in rng.uniform(ROBOT.lower, ROBOT.upper, (300, 6)):
+        for levers, points in ((carrying.levers, ends), (LEVERS, ends[2:])):
+            step = rng.uniform(-0.2, 0.2, 6)
+            before, after = CHAIN.forward(q), CHAIN.forward(q + step)
+            moved = (points @ after.rotation.T + after.position) - (points @ before.rotation.T + before.position)
+            assert np.linalg.norm(moved, axis=1).max() <= np.abs(step) @ levers
 
 
 def test_a_corner_that_touches_is_tightened_and_others_are_not():
@@ -104,7 +118,7 @@ def test_a_path_that_touches_by_itself_is_given_up():
 
 
 def test_a_path_begins_at_the_start_and_ends_at_one_of_the_goals():
-    edges = MotionValidator(world(WALL), LEVERS, 0.1)
+    edges = MotionValidator(world(WALL), LEVERS, 0.02)
     goals = [LEFT + np.radians([0, 0, 0, 0, 0, turn]) for turn in (0, 90, -90)]
     path = find_path(RIGHT, goals, edges, BOUNDS, "RRTConnect", 10.0, 3)
     assert path[0].tobytes() == RIGHT.tobytes()

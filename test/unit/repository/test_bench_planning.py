@@ -12,7 +12,7 @@ import pytest
 import yaml
 from planning_cell import CHAIN, ROBOT, ROOT, SELF_COLLISION, bench_world
 
-from construction_twin.planning.motion_validator import MotionValidator, levers
+from construction_twin.planning.motion_validator import MotionValidator
 
 FOLDER = ROOT / "benchmarks"
 FIGURES = {"problems", "success", "median_ms", "p95_ms", "recheck_ms", "collisions", "length_ratio", "duration_ratio"}
@@ -57,7 +57,7 @@ def test_most_window_problems_go_through_the_window(bench_modules):
 
 
 def test_most_straight_motions_in_the_cell_are_blocked(bench_modules):
-    edges = MotionValidator(bench_world("cluttered"), levers(CHAIN), 0.02)
+    edges = MotionValidator(world := bench_world("cluttered"), world.levers, 0.02)
     problems = bench_modules("planning_problems").read("cluttered")
     assert sum(not edges.free(start, goal) for start, goal in problems) >= 75
 

@@ -206,16 +206,20 @@ def test_all_free_names_the_first_row_in_contact():
 @pytest.mark.parametrize("robot, pairs", [(kr120, kr120_pairs), (ur_like, ur_like_pairs), (track7, track7_pairs)])
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_the_smallest_distance_of_many_rows_is_that_of_all_rows(robot, pairs, seed):
+def test_the_smallest_distance_of_many_rows_is_that_of_all_rows_and_of_what_lies_between_them(robot, pairs, seed):
     checked = CollisionWorld(robot(), clutter(seed % 7), pairs())
     corners = random_poses(robot(), 3, seed)
     rows = np.concatenate([np.linspace(corners[0], corners[1], 90), np.linspace(corners[1], corners[2], 41)])
-    clearance, row = checked.clearance_of(rows)
-    every = np.array([checked.clearance(q).distance for q in rows])
+    clearance, place = checked.clearance_of(rows)
+    row = int(place)
+    at = rows[row] + (place - row) * (rows[min(row + 1, len(rows) - 1)] - rows[row])
+    # between the rows it may be smaller, and is so by no more than finer rows show
+    fine = np.concatenate([np.linspace(rows[n], rows[n + 1], 8, endpoint=False) for n in range(len(rows) - 1)])
+    every = min(checked.clearance(q).distance for q in (*fine, rows[-1]))
     # where bodies are in each other, the depth is known less well
-    tolerance = 2e-6 if every.min() > 0 else 1e-4
-    assert clearance.distance == pytest.approx(every.min(), abs=tolerance)
-    assert every[row] == pytest.approx(every.min(), abs=tolerance)
+    tolerance = 2e-6 if every > 0 else 1e-4
+    assert clearance.distance <= every + 1e-4 + tolerance
+    assert clearance.distance == pytest.approx(checked.clearance(at).distance, abs=tolerance)
 
 
 def test_an_answer_depends_on_the_pose_alone_not_on_those_before():
