@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import http.server
+import json
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,8 @@ import pytest
 from playwright.sync_api import expect
 from processes import wait_until
 from site_broker import Listener
+
+from construction_twin.ros.shared.robot_clock import present
 
 #: Close codes of the pipe (console/pipe.py).
 NOT_MQTT, TOO_MUCH = 4002, 4003
@@ -196,7 +199,8 @@ def test_a_verdict_on_a_plan_of_before_is_refused_by_the_robot(page_of, site, ro
     robot.show_plan(goal=robot.twin + 0.2)
     late = Listener(site.site.broker(site.site.account("one-reviewer-ada")), "twin/one/review/ack", "late")
     try:
-        verdict = f'{{"plan_id": "{old.id}", "plan_hash": "{old.hash}", "verdict": "approved"}}'.encode()
+        fields = {"plan_id": old.id, "plan_hash": old.hash, "verdict": "approved", "moment": str(present())}
+        verdict = json.dumps(fields).encode()
         assert not late.publish("twin/one/review/one-reviewer-ada", verdict).is_failure
         wait_until(lambda: late.messages, 60.0, "an answer")
         assert b"is not under review" in late.messages[0][1]

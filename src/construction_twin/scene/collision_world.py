@@ -254,11 +254,16 @@ class CollisionWorld:
     def levers(self) -> np.ndarray:
         """How far any point of the arm, its tool and what it carries moves at most when a joint does, shape (n,).
 
-        [m/rad] for a revolute joint, 1 for a prismatic one; an upper bound at any joint values, from the lengths of the chain.
+        [m/rad] for a revolute joint, 1 for a prismatic one; an upper bound at any joint values, from the lengths of the chain. A
+        joint that others follow moves what they move, too.
         """
+        robot = self._robot_bodies
         moving = [body for body in self._own if body.joint]
-        per_body, _ = body_levers(self._robot_bodies, moving, self._robot_bodies.strokes)
-        return per_body.max(axis=1, initial=0.0)[self._order]
+        per_body, _ = body_levers(robot, moving, robot.strokes)
+        # the last ones first: one that follows may lead another
+        for at, leader, factor, _ in reversed(robot.followers):
+            per_body[leader] += abs(factor) * per_body[at]
+        return per_body.max(axis=1, initial=0.0)[robot.order]
 
     def is_free(self, q: JointValues) -> bool:
         """Return whether nothing touches. The fastest check: it ends at the first contact.

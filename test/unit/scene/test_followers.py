@@ -107,3 +107,17 @@ def test_a_self_collision_file_is_void_when_a_factor_or_an_offset_changes():
         for text in (URDF, URDF.replace('multiplier="-1.3"', 'multiplier="-1.2"'), URDF.replace('offset="0.05"', ""))
     }
     assert len(hashes) == 3
+
+
+def test_the_levers_of_the_search_hold_for_links_that_follow():
+    """A step of the shoulder moves what follows it as well; the search divides its edges by these levers."""
+    robot = balanced()
+    world = CollisionWorld(robot, Scene(()), NONE)
+    rng = np.random.default_rng(1)
+    for q in poses(200, seed=1):
+        step = rng.uniform(-0.1, 0.1, 6)
+        after = np.clip(q + step, robot.lower, robot.upper)
+        bound = np.abs(after - q) @ world.levers
+        for link in ("cylinder", "piston"):
+            moved = expected(link, after).position - expected(link, q).position
+            assert np.linalg.norm(moved) <= bound + 1e-9, link
