@@ -297,7 +297,13 @@ class TestAge:
                 failed.append(error)
 
         bench.record = hang
-        first = threading.Thread(target=lambda: bench.review("p", plan.hash, False, "Ada"))
+
+        # refused, and that is recorded too; a rejection would wait for no disk
+        def refused():
+            with pytest.raises(ReviewError, match="is not under review"):
+                bench.review("another", plan.hash, True, "Ada")
+
+        first = threading.Thread(target=refused)
         first.start()
         assert called.wait(10.0)
         asked, present = threading.Event(), bench.present

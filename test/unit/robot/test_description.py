@@ -254,7 +254,9 @@ def test_unit_that_does_not_fit_the_joint_is_refused(key):
     suffix = {"acceleration": "_s2", "jerk": "_s3"}.get(key, "")
     track = description["joints"]["track"]
     track[f"{key}_deg{suffix}"] = track.pop(f"{key}_mm{suffix}")
-    assert refused(expand_xacro(TRACK_XACRO), description).where == f"robot/joints/track/{key}_mm{suffix}"
+    error = refused(expand_xacro(TRACK_XACRO), description)
+    assert error.where == f"robot/joints/track/{key}_deg{suffix}"
+    assert f"did you mean {key}_mm{suffix}?" in str(error)
 
 
 def test_home_of_a_linear_joint_out_of_range_is_named():
