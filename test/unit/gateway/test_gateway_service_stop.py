@@ -28,7 +28,8 @@ def test_a_stop_mid_motion_brakes_is_answered_and_names_who(broker, topics):
         assert moving != START
         answer = press(client, topics, b'{"id": "7"}')
         assert answer == {
-            "id": "7", "account": "arm-stopper-bob", "ok": True, "reason": "gateway is braking", "by": "gateway"
+            "id": "7", "account": "arm-stopper-bob", "ok": True, "reason": "gateway is braking", "by": "gateway",
+            "expired": False,
         }  # fmt: skip
         # told before it is answered
         assert client.status()["state"] in ("braking", "holding")

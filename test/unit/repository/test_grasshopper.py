@@ -95,7 +95,7 @@ class Cell:
         self.site = SiteBroker(folder, robots=("kr120",), planners=("ada",))
         # a site's log has no line of whom it refuses; here it is what says that the broker has decided
         with (folder / "broker/mosquitto.conf").open("a") as configuration:
-            configuration.write("\nlog_type notice\n")
+            configuration.write("\nconnection_messages true\nlog_type notice\n")
         self.site.start()
         self.planner = Planner()
         joints = Joints(tuple(ROBOT.joint_names), tuple(ROBOT.linear))
