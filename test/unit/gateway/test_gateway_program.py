@@ -67,7 +67,17 @@ def test_what_exists_when_it_begins_to_answer_is_kept_out_of_later_collections(c
         "service.GatewayService.run = lambda self: print(gc.get_freeze_count())\n"
         "sys.exit(command_line.main(sys.argv[1:]))"
     )
-    command = [sys.executable, "-c", code, "--config", config_file, "--broker", "127.0.0.1:1", "--listen", "127.0.0.1:0"]
+    command = [
+        sys.executable,
+        "-c",
+        code,
+        "--config",
+        config_file,
+        "--broker",
+        "127.0.0.1:1",
+        "--listen",
+        "127.0.0.1:0",
+    ]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
     assert ended.returncode == 0 and int(ended.stdout) > 1000, ended.stderr
 

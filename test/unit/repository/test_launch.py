@@ -79,7 +79,9 @@ def test_all_but_the_named_nodes_are_started_again():
     delays = {node.get("respawn_delay") for node in nodes if node.get("respawn") == "true"}
     assert delays == {"1"}
     sentence = re.search(r"starts each\s+node with `respawn` again\s+\(all but (.*?)\)", ARCHITECTURE, re.DOTALL)[1]
-    assert {node.get("name") for node in nodes if node.get("respawn") != "true"} == set(re.findall(r"`(\w+)`", sentence))
+    assert {node.get("name") for node in nodes if node.get("respawn") != "true"} == set(
+        re.findall(r"`(\w+)`", sentence)
+    )
 
 
 @pytest.mark.parametrize("given, path, reply", [("", "40", "50"), ("realtime:=0", "0", "0")])

@@ -17,6 +17,7 @@ from construction_twin.execution.newest_reading import REMEMBERED
 from construction_twin.execution.segment_run import RECORD_TIMEOUT
 from construction_twin.gateway.last_resort import LONGEST_GAP_MS
 from construction_twin.link.observations import STATUS_TIMEOUT
+from construction_twin.review.record import KEPT
 from construction_twin.robot.executed_path import WAY_BACK_TOLERANCE
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -107,10 +108,11 @@ def test_every_law_of_the_architecture_is_on_the_page():
         ("architecture", "that file is gone | 10 s |", RECORD_TIMEOUT, 10 * NANOSECONDS),
         ("architecture", "within 2e-4 rad or m", WAY_BACK_TOLERANCE, 2e-4),
         ("architecture", "within 30 s of a clock that was set back", REMEMBERED, 30 * NANOSECONDS),
+        ("planning", "at most 1000 other records", KEPT, 1000),
         ("reference/states", "Statuses of more than one run within 3 s", STATUS_TIMEOUT, 3 * NANOSECONDS),
     ],
 )
-def test_figures_of_the_architecture_are_those_of_the_code(document, words, value, expected):
+def test_figures_of_the_documents_are_those_of_the_code(document, words, value, expected):
     """Tests that take a figure from the code keep a promise whatever the figure is; here it is the document's."""
     assert words in plain((ROOT / f"docs/{document}.md").read_text())
     # setpoints lie on a grid of 4 ms
