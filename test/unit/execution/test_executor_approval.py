@@ -323,7 +323,13 @@ class TestAge:
                 failed.append(error)
 
         bench.record = hang
-        first = threading.Thread(target=lambda: bench.review("p", plan.hash, False, "Ada"))
+
+        def refused():
+            with pytest.raises(ReviewError, match="hash"):
+                bench.review("p", "0" * 64, True, "Ada")
+
+        # what waits for a disk is an approval, one that is refused too; a rejection waits for none
+        first = threading.Thread(target=refused)
         first.start()
         assert called.wait(10.0)
         asked, present = threading.Event(), bench.present
