@@ -141,10 +141,8 @@ class TestLeft:
         bench.run_into(2)
         end(bench)
         bench.run(100)
-        assert (
-            bench.executor.engagement.engaged
-            and "the arm is engaged" in bench.executor.engagement.present.reason + ("the arm is engaged")
-        )
+        keeper = bench.executor.engagement
+        assert keeper.engaged and (keeper.present.plan_id, keeper.present.segment) == ("w", "lift")
 
     def test_the_disk_knows_before_the_segment_begins(self, bench):
         bench.writes = False

@@ -165,6 +165,32 @@ class TestRecordFirst:
         assert set(bench.run(100)) == {ROBOT.home}
         assert bench.executor.queue.plan is plan and bench.executor.plan is None
 
+    def test_no_disk_is_waited_for_under_the_lock_of_the_cycle(self, bench):
+        held, written = [], []
+
+        class Lock:
+            def __enter__(self):
+                held.append(1)
+
+            def __exit__(self, *_):
+                held.pop()
+
+        def record(record):
+            written.append((record.verdict, len(held)))
+
+        approval = Approval(bench.executor, record, Lock(), bench.present)
+        plans = {name: make_plan(name) for name in "pqr"}
+        bench.executor.offer(plans["p"])
+        with pytest.raises(ReviewError, match="hash"):
+            approval.review("p", "0" * 64, True, "Ada")
+        approval.review("p", plans["p"].hash, False, "Ada")
+        bench.executor.offer(plans["q"])
+        approval.review("q", plans["q"].hash, True, "Ada")
+        bench.run_until_idle()
+        bench.executor.offer(make_plan("r", reach(start=bench.twin, goal=ROBOT.home), created_ns=bench.stamp))
+        assert approval.approve_by_itself(bench.stamp)
+        assert written == [("refused", 0), ("approved", 0), ("approved", 0)]
+
     def test_a_rejection_waits_for_no_record(self, bench):
         plan = make_plan()
         bench.executor.offer(plan)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
 from gateway_cell import (
+    CONFIG,
     DELAY_CYCLES,
     PAYLOADS,
     START,
@@ -16,7 +18,7 @@ from gateway_cell import (
 )
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, format_allowance
 from construction_twin.gateway.gateway import State
 from construction_twin.mqtt.joint_string import JointStringCodec
 
@@ -50,6 +52,33 @@ def test_the_stream_is_carried_out_the_playout_delay_later_and_exactly():
         assert moved[k] == pytest.approx(poses[k + 1 - DELAY_CYCLES], abs=1e-15)
     assert cell.count("settling") == 0
     assert cell.count("commands_received") == 1500
+
+
+@pytest.mark.parametrize("decimals", [3, 6])
+def test_a_stream_that_stops_dead_is_settled_on_and_goes_on_without_a_reset(decimals):
+    cell = Cell(decimals=decimals)
+    cell.cycle(3)
+    cell.arm()
+    budget = CONFIG.acceleration[0] * CYCLE**2
+    poses, step = [START], 0.0
+    while step < 20 * budget:
+        step += 0.9 * budget
+        poses.append((poses[-1][0] + step, START[1]))
+    end = cell.codec.quantise(poses[-1])
+    positions = [START[0]]
+    for q in [*poses, *[end] * 300]:
+        cell.stream([q])
+        positions.append(cell.measured[0])
+    allowed = (CONFIG.acceleration[0] + format_allowance(decimals)) * CYCLE**2 + 1e-12
+    moves = [b - a for a, b in itertools.pairwise(positions)]
+    assert all(abs(b - a) <= allowed for a, b in itertools.pairwise(moves))
+    assert max(positions) > end[0] + 1e-4, "it had no room to brake before its target"
+    assert cell.measured == pytest.approx(end, abs=1e-12)
+    assert cell.count("settling") > 10
+    assert (cell.state, cell.gateway.fault, cell.count("refused_acceleration")) == (State.FOLLOWING, False, 0)
+    # no reset and no arm
+    cell.stream([(end[0] - min(k, 50) * 0.5 * budget, end[1]) for k in range(100)])
+    assert cell.state is State.FOLLOWING and cell.measured[0] < end[0]
 
 
 @pytest.mark.parametrize("sign", [1, -1])

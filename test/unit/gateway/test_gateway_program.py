@@ -61,6 +61,27 @@ def program(config_file, port, topics, *options):
         process.communicate(timeout=10.0)
 
 
+def test_what_exists_when_it_begins_to_answer_is_kept_out_of_later_collections(config_file):
+    code = (
+        "import gc, sys; from construction_twin.gateway import command_line, service\n"
+        "service.GatewayService.run = lambda self: print(gc.get_freeze_count())\n"
+        "sys.exit(command_line.main(sys.argv[1:]))"
+    )
+    command = [
+        sys.executable,
+        "-c",
+        code,
+        "--config",
+        config_file,
+        "--broker",
+        "127.0.0.1:1",
+        "--listen",
+        "127.0.0.1:0",
+    ]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
+    assert ended.returncode == 0 and int(ended.stdout) > 1000, ended.stderr
+
+
 def test_every_run_names_itself_and_a_recorded_arm_is_void_in_the_next(broker, topics, config_file):
     runs = []
     with client_of(broker, topics) as client:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -13,6 +14,7 @@ import yaml
 from roslaunch import rlutil
 
 ROOT = Path(__file__).resolve().parents[3]
+ARCHITECTURE = (ROOT / "docs/architecture.md").read_text()
 LAUNCHES = sorted((ROOT / "launch").glob("*.launch"))
 
 
@@ -64,6 +66,36 @@ def test_the_controller_s_address_reaches_the_gateway(file, given):
     command = ["roslaunch", "--args", "/kr120/rsi_gateway", "construction_twin", f"{file}.launch"]
     run = subprocess.run([*command, f"rsi_controller:={given}"], capture_output=True, text=True, timeout=120)
     assert f" --controller {given} --broker " in run.stdout, run.stderr
+
+
+def test_all_but_the_named_nodes_are_started_again():
+    """An unexpected exception ends a node: what leads to motion must come back by itself."""
+    nodes = [
+        node
+        for path in LAUNCHES
+        for node in ElementTree.parse(path).getroot().iter("node")
+        if node.get("pkg") == "construction_twin"
+    ]
+    delays = {node.get("respawn_delay") for node in nodes if node.get("respawn") == "true"}
+    assert delays == {"1"}
+    sentence = re.search(r"starts each\s+node with `respawn` again\s+\(all but (.*?)\)", ARCHITECTURE, re.DOTALL)[1]
+    assert {node.get("name") for node in nodes if node.get("respawn") != "true"} == set(
+        re.findall(r"`(\w+)`", sentence)
+    )
+
+
+@pytest.mark.parametrize("given, path, reply", [("", "40", "50"), ("realtime:=0", "0", "0")])
+def test_gateway_and_mock_come_before_everything_else_on_the_path(given, path, reply):
+    """What answers the controller waits for no other node."""
+    command = ["roslaunch", "construction_twin", "bringup.launch", *given.split()]
+    dump = subprocess.run([*command[:1], "--dump-params", *command[1:]], capture_output=True, text=True, timeout=120)
+    parameters = yaml.safe_load(dump.stdout)
+    nodes = ("virtual_robot", "executor", "pca_monitor", "mqtt_bridge", "mock_rsi")
+    found = [str(parameters[f"/kr120/{node}/realtime_priority"]) for node in nodes]
+    assert found == [path, path, path, path, reply]
+    gateway = [*command[:1], "--args", "/kr120/rsi_gateway", *command[1:]]
+    run = subprocess.run(gateway, capture_output=True, text=True, timeout=120)
+    assert f" --realtime {reply} " in run.stdout, run.stderr
 
 
 @pytest.mark.parametrize(

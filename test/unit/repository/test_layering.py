@@ -334,3 +334,36 @@ def test_rviz_begins_at_the_robot_s_home():
     publisher = config("joint_state_publisher")
     assert (publisher["rate"], publisher["source_list"]) == (50, ["velocities/joint_states"])
     assert home_positions(ROOT / "config/kr120.yaml") == dict(zip(ROBOT.joint_names, ROBOT.home))
+
+
+#: What tells or passes time.
+CLOCK = {"time", "monotonic", "perf_counter", "process_time", "clock_gettime", "sleep"}
+#: Modules of the library whose job a clock is, beside those of programs that serve a socket: why.
+CLOCKS = {
+    "scene/pair_sampling.py": "a bar for who waits",
+    "views/ik_report.py": "how long a solution takes",
+    "work/tasks.py": "a budget for the search",
+}
+#: Modules of the library that talk to a network, or name its addresses and errors.
+SOCKETS = (
+    "broker/start.py console/addresses.py console/delivery.py console/listener.py console/pipe.py console/program.py "
+    "console/server.py console/visitors.py core/network.py gateway/service.py mock/network.py mqtt/client.py mqtt/failures.py "
+    "mqtt/fast_client.py mqtt/polled_client.py rsi/udp.py views/display.py"
+).split()
+
+
+@pytest.mark.parametrize("path", LIBRARY, ids=relative)
+def test_the_library_has_a_clock_or_a_socket_only_where_that_is_its_job(path):
+    """Law 6: time is an argument, so that the whole chain also runs on a simulated clock."""
+    clocks, sockets = set(), set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "time":
+            clocks.add(node.attr)
+        if isinstance(node, ast.ImportFrom) and node.module == "time":
+            clocks |= {name.name for name in node.names}
+        if isinstance(node, ast.Import):
+            sockets |= {name.name for name in node.names} & {"socket", "select", "selectors", "asyncio"}
+    name = str(path.relative_to(PACKAGE))
+    assert bool(sockets) is (name in SOCKETS)
+    clocks = {clock for clock in clocks if clock.removesuffix("_ns") in CLOCK}
+    assert not clocks or name in {*CLOCKS, *SOCKETS}, clocks

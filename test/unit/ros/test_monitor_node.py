@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 import rospy
-from construction_twin.msg import Execution, Link, Plan, Sync
+from construction_twin.msg import Execution, Link, Plan, Segment, Sync
 from construction_twin.srv import ConfigureGateRequest
 from executor_bench import ROBOT
 from processes import wait_until
@@ -281,10 +281,10 @@ class TestClocks:
 
 
 class TestReplan:
-    def offer(self, node, velocity_use=(0.2, 0.1)) -> None:
+    def offer(self, node, velocity_use=(0.2, 0.1), segments=()) -> None:
         points = [JointTrajectoryPoint(positions=HOME), JointTrajectoryPoint(positions=[0.5] * 6)]
         use = {"velocity_use": velocity_use, "acceleration_use": (0.4, 0.1)}
-        node.on_plan(Plan(id="p", trajectory=JointTrajectory(points=points), **use))
+        node.on_plan(Plan(id="p", trajectory=JointTrajectory(points=points), segments=segments, **use))
 
     def test_asks_for_the_same_goal_at_the_approved_pace(self, world):
         node = opened(world)
@@ -299,6 +299,13 @@ class TestReplan:
         assert (world.request["speed_scale"], world.request["acceleration_scale"]) == (0.2, 0.4)
         # as of when the plan was known to be played: a stop since then voids the new one
         assert world.request["asked"] == known.header.stamp
+
+    def test_a_work_plan_is_planned_anew_by_whoever_gave_the_task(self, world):
+        node = opened(world)
+        self.offer(node, segments=[Segment(name="carry")])
+        node.on_execution(Execution(state=Execution.PLAYING, plan_id="p"))
+        node.on_feedback(*feedback(world, 0.2))
+        assert world.gate.state is SyncState.HOLDING and not world.planned.is_set()
 
     @pytest.mark.parametrize("state", [Execution.PAUSING, Execution.PAUSED, Execution.STOPPING, Execution.IDLE])
     def test_what_a_person_has_halted_is_not_re_planned(self, world, state):
