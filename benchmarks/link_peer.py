@@ -16,7 +16,7 @@ from construction_twin.msg import Feedback
 from link_mqtt import MqttEnd, publish_packet, read_publish
 
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import StateProperties, Topics, read_command_properties
+from construction_twin.mqtt.messages import PROTOCOL, StateProperties, Topics, read_command_properties
 
 _PERIOD_OF_STATUS = 1.0
 
@@ -68,7 +68,7 @@ class FakeGateway:
     def __init__(self, topics: Topics, config_hash: str, decimals: int):
         self._topics = topics
         self._status = {"state": "ready", "reason": "benchmark", "session": "", "fault": False, "mode": "normal"}
-        self._status |= {"run": "benchmark", "fault_number": 0}
+        self._status |= {"run": "benchmark", "fault_number": 0, "protocol": PROTOCOL}
         self._status |= {"hash": config_hash, "decimals": decimals, "counters": {}}
 
     def status(self) -> bytes:

@@ -13,7 +13,7 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.states import LinkState
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import parse_control
+from construction_twin.mqtt.messages import PROTOCOL, parse_control
 from construction_twin.ros.nodes.mqtt_bridge import MqttBridge, Outputs, Settings
 
 
@@ -128,7 +128,7 @@ class BridgeBench:
         )
         self.gateway = {
             "state": "ready", "reason": "", "session": "", "run": RUN, "fault_number": 0, "hash": config.hash,
-            "decimals": config.decimals,
+            "decimals": config.decimals, "protocol": PROTOCOL,
         }  # fmt: skip
 
     @property

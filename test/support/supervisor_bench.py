@@ -11,6 +11,7 @@ from construction_twin.core.units import NANOSECONDS, last_digit
 from construction_twin.link.bare_supervisor import BareSupervisor
 from construction_twin.link.states import LinkState
 from construction_twin.link.supervisor import LinkSupervisor
+from construction_twin.mqtt.messages import PROTOCOL
 
 HASH, DECIMALS, RUN = "cafe", 3, "run1"
 TOLERANCE = math.radians(0.05)
@@ -36,7 +37,7 @@ class Bench:
         self.now = 100 * NANOSECONDS
         self.gateway = {
             "state": "ready", "reason": "", "session": "", "fault": False, "fault_number": 0, "run": RUN, "hash": HASH,
-            "decimals": DECIMALS,
+            "decimals": DECIMALS, "protocol": PROTOCOL,
         }  # fmt: skip
         self.pose: tuple[float, ...] | None = POSE
         self.command: tuple[float, ...] | None = POSE

@@ -31,7 +31,15 @@ from construction_twin.gateway.stop_report import StopReport
 from construction_twin.gateway.tool_switches import ToolSwitches, stamp_of
 from construction_twin.mqtt.interventions import AnswerPace, Intervention
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, Control, StateProperties, is_session
+from construction_twin.mqtt.messages import (
+    PROTOCOL,
+    CommandProperties,
+    Control,
+    StateProperties,
+    is_session,
+    other_protocol,
+    protocol_of,
+)
 from construction_twin.rsi.gateway_codec import RobotTelegram
 from construction_twin.rsi.status_channels import ControllerStatus
 
@@ -614,11 +622,13 @@ class Gateway:
 
     def _refusal_of_value(self, value: object) -> str:
         """Return in one sentence why the value of an `arm` does not mean this configuration and run; "" when it does."""
+        if refusal := other_protocol(PROTOCOL, protocol_of(value)):
+            return refusal
         named = value if isinstance(value, dict) else {"hash": value}
         if named.get("hash") != self.config.hash:
             return f"configuration hash {named.get('hash')!r} is not the gateway's {self.config.hash}"
-        if set(named) != {"hash", "run"}:
-            return "arm must name hash and run of the gateway's status, and nothing else"
+        if set(named) != {"hash", "run", "protocol"}:
+            return "arm must name hash, run and protocol of the gateway's status, and nothing else"
         if named["run"] != self.run:
             return f"run {named['run']!r} is not the gateway's present one: it was started again, or a recording is being replayed"
         return ""
@@ -747,8 +757,10 @@ class Gateway:
 
     def _refusal_of_number(self, value: object) -> str:
         """Return in one sentence why the value of a `reset` does not mean the newest stop of this run; "" when it does."""
-        if not isinstance(value, dict) or set(value) != {"run", "fault_number"}:
-            return "reset must name run and fault_number of the gateway's status, and nothing else"
+        if refusal := other_protocol(PROTOCOL, protocol_of(value)):
+            return refusal
+        if not isinstance(value, dict) or set(value) != {"run", "fault_number", "protocol"}:
+            return "reset must name run, fault_number and protocol of the gateway's status, and nothing else"
         run, number = value["run"], value["fault_number"]
         if run != self.run:
             return f"run {run!r} is not the gateway's present one: it was started again since the reset was asked for"
@@ -804,6 +816,7 @@ class Gateway:
                 last_ipoc_jump_ms=self._controller.jump_ms,
                 cycle=self.clock.report(),
                 run=self.run,
+                protocol=PROTOCOL,
                 hash=config.hash,
                 decimals=config.decimals,
                 properties=config.properties,

@@ -39,6 +39,7 @@ from construction_twin.mqtt.client import (
 from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.interventions import GATEWAY, STOP, intervention_answer, parse_intervention
 from construction_twin.mqtt.messages import (
+    PROTOCOL,
     VERBS,
     CommandProperties,
     Topics,
@@ -477,6 +478,7 @@ class GatewayService:
             "fault_number": gateway.fault_number,
             "mode": gateway.mode.value,
             "run": gateway.run,
+            "protocol": PROTOCOL,
             "hash": config.hash,
             "decimals": config.decimals,
             "properties": config.properties,

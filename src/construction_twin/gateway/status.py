@@ -32,6 +32,7 @@ class Status:
     last_ipoc_jump_ms: int
     cycle: dict
     run: str
+    protocol: int
     hash: str
     decimals: int
     properties: bool

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.states import LinkEvent
-from construction_twin.mqtt.messages import OFFLINE, PLC
+from construction_twin.mqtt.messages import OFFLINE, PLC, PROTOCOL, other_protocol, protocol_of
 
 #: A pose or command older than this is not used for a decision [ns].
 FRESH = NANOSECONDS // 4
@@ -243,6 +243,8 @@ class LinkObservations:
                 f"more than one gateway answers on the broker: {runs} (each logs its run when it starts): end all but one; nothing "
                 "is armed until one is left",
             )
+        if sentence := other_protocol(protocol_of(self.status), PROTOCOL):
+            return LinkEvent.MISMATCHED, sentence
         if self.status.get("decimals") != self._decimals:
             return (
                 LinkEvent.MISMATCHED,

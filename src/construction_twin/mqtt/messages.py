@@ -26,6 +26,9 @@ READY, OFFLINE = "ready", "offline"
 #: Who answers on `status`: rsi_gateway, in JSON, or a bare PLC, in those two words.
 RSI, PLC = "rsi", "plc"
 GATEWAY_KINDS = (RSI, PLC)
+#: Number of what gateway and bridge say to each other on `status` and `control`. It rises when one side must know something that
+#: the other one did not say before; both sides must have the same. What names none is of 0.1.0, which had none.
+PROTOCOL, FIRST_PROTOCOL = 2, 1
 #: Control messages are short; anything longer is not one.
 MAX_CONTROL_BYTES = 2048
 
@@ -267,20 +270,38 @@ class Control:
         return json.dumps(asdict(self)).encode()
 
 
-def arm_value(config_hash: str, run: str) -> dict[str, str]:
-    """Return the value of `arm`: the configuration, and the gateway's present run, as its status names them.
+def protocol_of(document: object) -> object:
+    """Return the protocol that a status, or the value of a control message, names; `FIRST_PROTOCOL` where none is named."""
+    return document.get("protocol", FIRST_PROTOCOL) if isinstance(document, dict) else FIRST_PROTOCOL
+
+
+def other_protocol(gateway: object, bridge: object) -> str:
+    """Return in a sentence that gateway and bridge are of different versions, and which to install anew; "" for one protocol."""
+    if type(gateway) is int and type(bridge) is int:
+        if gateway == bridge:
+            return ""
+        older, where = ("gateway", "cell PC") if gateway < bridge else ("bridge", "ROS PC")
+        what = f"the {older} is older: install the other's version on the {where}, then start both again"
+    else:
+        what = "install the same version on both sides, then start both again"
+    both = f"the gateway speaks protocol {str(gateway)[:20]}, the bridge {str(bridge)[:20]}"
+    return f"{both}: {what} (docs/broker.md, Upgrade from 0.1)"
+
+
+def arm_value(config_hash: str, run: str) -> dict[str, str | int]:
+    """Return the value of `arm`: this side's protocol, and configuration and present run as the gateway's status names them.
 
     A gateway that was started again remembers no session: what was recorded before names another run.
     """
-    return {"hash": config_hash, "run": run}
+    return {"hash": config_hash, "run": run, "protocol": PROTOCOL}
 
 
 def reset_value(run: str, fault_number: int) -> dict[str, str | int]:
-    """Return the value of `reset`: the gateway's run, and the number of the last stop that was known when it was asked for.
+    """Return the value of `reset`: this side's protocol, the gateway's run, and the last stop's number as known at the call.
 
     The gateway refuses it when another stop came since, or when it was started again.
     """
-    return {"run": run, "fault_number": fault_number}
+    return {"run": run, "fault_number": fault_number, "protocol": PROTOCOL}
 
 
 def parse_control(payload: bytes) -> Control:
@@ -314,6 +335,8 @@ def parse_status(payload: bytes) -> dict:
         raise PayloadError(
             "status", "status message whose fault is not true or false, or whose fault_number is no whole number"
         )
+    if not _is_count(status.get("protocol", FIRST_PROTOCOL)):
+        raise PayloadError("status", "status message whose protocol is no whole number")
     counters = status.get("counters", {})
     if not isinstance(counters, dict) or not all(map(_is_count, counters.values())):
         raise PayloadError("status", "status message whose counters are not whole numbers by name")

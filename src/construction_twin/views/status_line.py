@@ -80,8 +80,8 @@ TABLE: dict[tuple[str, str], Words] = {
         "start the RSI program at the pendant", f"{_TROUBLE}#gateway-has-no-rsi-session",
     ),
     ("link", "MISMATCH"): Words(
-        Level.PERSON, "The program at the controller has another configuration; nothing is sent to the arm.",
-        "the right configuration", TECHNICIAN, "export the configuration again, copy it, and start the gateway anew",
+        Level.PERSON, "The program at the controller has another configuration or version; nothing is sent to the arm.",
+        "the right configuration", TECHNICIAN, "do what the link's reason says: one configuration, version and gateway",
         f"{_TROUBLE}#gateway-runs-another-configuration-its-hash-differs-configuration-hash-the-file-was-edited-export-it-again",
     ),
     ("link", "RESYNC"): Words(

@@ -23,6 +23,7 @@ from gateway_cell import (
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, format_allowance
 from construction_twin.gateway.gateway import State
 from construction_twin.mqtt.joint_string import JointStringCodec
+from construction_twin.mqtt.messages import FIRST_PROTOCOL, PROTOCOL, other_protocol
 
 # -- session ---------------------------------------------------------------------------------------------------------
 
@@ -260,7 +261,8 @@ def test_only_the_right_configuration_hash_arms():
     cell.cycle()
     wrong = ("", "0" * 64, cell.config.hash[:-1], [cell.config.hash])
     for value in (None, *wrong, {}, *({"hash": each, "run": RUN} for each in wrong)):
-        ok, reason = cell.control("arm", value=value)
+        named = value if isinstance(value, dict) else {"hash": value}
+        ok, reason = cell.control("arm", value=named | {"protocol": PROTOCOL})
         assert not ok
         assert reason.startswith("configuration hash ") and cell.config.hash in reason
     assert cell.state is State.READY
@@ -273,7 +275,7 @@ def test_only_the_right_configuration_hash_arms():
 def test_only_the_gateway_s_present_run_arms(named):
     cell = Cell()
     cell.cycle()
-    ok, reason = cell.control("arm", value={"hash": cell.config.hash} | named)
+    ok, reason = cell.control("arm", value={"hash": cell.config.hash, "protocol": PROTOCOL} | named)
     assert not ok and "run" in reason
     assert (cell.state, cell.count("refused_arm")) == (State.READY, 1)
     status = cell.gateway.status()
@@ -286,7 +288,7 @@ def test_the_hash_alone_as_an_older_bridge_sends_it_arms_nothing_and_says_why():
     cell = Cell()
     cell.cycle()
     ok, reason = cell.control("arm", value=cell.config.hash)
-    assert not ok and reason == "arm must name hash and run of the gateway's status, and nothing else"
+    assert not ok and reason == other_protocol(PROTOCOL, FIRST_PROTOCOL)
 
 
 def test_without_a_controller_nothing_arms_and_nothing_resets():

@@ -33,6 +33,7 @@ from construction_twin.mqtt.client import Broker, make_client, subscriptions, un
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
     PLC,
+    PROTOCOL,
     CommandProperties,
     Control,
     StateProperties,
@@ -547,6 +548,7 @@ class MqttBridge:
                 "state": supervisor.state.name.lower(),
                 "reason": supervisor.reason,
                 "session": supervisor.session,
+                "protocol": PROTOCOL,
             }
             beside = {"responsible": supervisor.responsible, "not_checked": supervisor.not_checked}
         return json.dumps(status | beside if beside["not_checked"] else status)
