@@ -13,7 +13,7 @@ import pytest
 import yaml
 from construction_twin.msg import Link, Sync, WorkTasks
 from gateway_cell import Cell
-from supervisor_bench import HASH
+from supervisor_bench import HASH, bench  # noqa: F401 (a fixture)
 
 from construction_twin.broker.make_site import main as make_site
 from construction_twin.core.errors import EvaluationError
