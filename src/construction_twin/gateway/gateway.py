@@ -96,6 +96,8 @@ class Gateway:
         self.correction: tuple[float, ...] = ()
         # the one that the controller had before it, and kept if the last one did not arrive
         self._kept: tuple[float, ...] = ()
+        # how long no reply has arrived while telegrams went on [ns]
+        self._unanswered = 0
         self.codec = JointStringCodec.of_config(config)
         self.counters: Counter[str] = Counter()
         #: What was refused, and why; inbox and service, which stand before the gateway, count here too.
@@ -231,12 +233,15 @@ class Gateway:
             return None if refused else (0.0,) * len(self.config.axes)
         if drifted and telegram.setpoint is not None:
             follower = self._note_drift(follower, telegram.setpoint)
-        if not lost:
-            self._kept = self.correction
+        if lost:
+            self._unanswered += elapsed
+        else:
+            self._kept, self._unanswered = self.correction, 0
         if lost or elapsed > self._cycle:
             # HOLDON kept the arm where it was: going on at the speed of before would be a step from standstill
             follower, elapsed = self._stand(follower, elapsed, lost)
-        self._answered_stamp = player.stamp
+        # where nothing has arrived for so long, nothing is played: the gate is to compare with the present
+        self._answered_stamp = player.stamp if self._unanswered <= self._silence else 0
         self.counters["telegrams"] += 1
         if elapsed < self._cycle or self._parts.told:
             position = self._move_in_parts(follower, elapsed)
@@ -380,6 +385,7 @@ class Gateway:
         self._disarm(occasion.reason)
         self._ending = False
         self.correction = self._kept = ()
+        self._unanswered = 0
         self.clock.restart()
         self._parts.restart()
         self._unread_told, self._unread_count, self._clock_told = "", 0, ""

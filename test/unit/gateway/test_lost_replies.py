@@ -224,6 +224,25 @@ def test_replies_that_keep_being_lost_end_in_a_stop_that_says_so():
     assert_on_path(cell)
 
 
+@pytest.mark.parametrize("cycle", CYCLES)
+def test_a_pose_is_of_the_present_once_no_reply_has_arrived_for_long(cycle):
+    """An arm that takes no replies stands, while the twin goes on: the gate must see that, as of any arm that stands."""
+    cell = moving(cycle=cycle)
+    stamps = []
+    cycles = round(0.2 / cell.config.period)
+    cell.lose("r" * cycles)
+    for _ in range(cycles + 3):
+        go_on(cell, commands_of(1, cell))
+        stamps.append(cell.gateway.state_message(0)[1].command_stamp)
+    silent = [stamp == 0 for stamp in stamps]
+    # one cycle until `Delay` tells of the first one
+    patience = round(cell.config.silence / cell.config.period)
+    assert silent.index(True) in (patience, patience + 1, patience + 2)
+    assert all(silent[silent.index(True) : cycles])
+    assert not any(silent[-2:]) and cell.state is State.FOLLOWING
+    assert len(set(stamps[1 : silent.index(True)])) == 1, "until then it is of the target that arrived"
+
+
 class TestADelayThatCannotBe:
     @pytest.mark.parametrize("jump", [2, 7, 90])
     def test_one_that_jumps_up_means_that_nothing_arrived(self, jump):
