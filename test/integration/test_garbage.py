@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import rospy
 import rostest
-from construction_twin.msg import Engagement, ToolCommand, ToolState
+from construction_twin.msg import Engagement, PlanCaller, ToolCommand, ToolState
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from played_bag import excerpt, play, subscribers, write
@@ -55,13 +55,19 @@ HEARD_BY = {
     "link": {"pca_monitor", "executor", "virtual_robot"},
     "scene": {"executor", "planner"},
     "plan_outcome": set(),
+    "plan_caller": set(),
     "transitions": set(),
     "velocities/joint_states": set(),
 }
 #: Who of them acts on tf.
 FRAMES = {"planner", "scene"}
 #: What an arm without a tool does not publish while it moves.
-MADE = {"tool_command": ToolCommand(verb=ToolCommand.VOID), "tool": ToolState(), "engagement": Engagement()}
+MADE = {
+    "tool_command": ToolCommand(verb=ToolCommand.VOID),
+    "tool": ToolState(),
+    "engagement": Engagement(),
+    "plan_caller": PlanCaller(),
+}
 #: Cycles over which an arm that must not move is watched.
 WATCH = 250
 
