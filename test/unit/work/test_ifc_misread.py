@@ -439,6 +439,39 @@ def test_a_profile_that_crosses_itself_is_a_hull_and_no_job_without_doubt(read, 
     )
 
 
+@pytest.mark.parametrize(
+    "holes, pieces",
+    [
+        ([((0.2, 0.5, 0.5), (0.0, 0.0, -0.1))], 2),
+        ([((0.2, 0.5, 0.5), (-0.3, 0.0, -0.1)), ((0.2, 0.5, 0.5), (0.3, 0.0, -0.1))], 3),
+        # through half of its width, a cavity inside of it, off its end
+        ([((0.2, 0.1, 0.5), (0.0, 0.05, -0.1))], 1),
+        ([((0.2, 0.05, 0.05), (0.0, 0.0, 0.02))], 1),
+        ([((0.2, 0.5, 0.5), (0.5, 0.0, -0.1))], 1),
+    ],
+)
+def test_what_its_openings_cut_into_pieces_is_an_obstacle_and_told(read, holes, pieces):
+    model = IfcModel()
+    bar = model.box("bar", (1.0, 0.1, 0.1))
+    for size, at in holes:
+        model.opening(bar, size, at)
+    found = read(model)
+    element = found.elements[bar.GlobalId]
+    split = f"it is in {pieces} pieces that do not touch, after its openings"
+    assert (split in element.doubt) == remarked(found, bar, f"THE BODY IS DOUBTFUL: {split}") == (pieces > 1)
+    # what was cut out is free
+    solid = sum(volume(body.vertices, body.triangles) for body in element.bodies)
+    assert element.bodies and solid < 0.99 * 0.01 and (pieces > 1 or not element.doubt)
+
+
+def test_pieces_that_another_item_holds_together_are_one(read):
+    model = IfcModel()
+    items = [model.extrusion(model.rectangle(1.0, 0.1), 0.1, at=(0.0, 0.0, z)) for z in (0.0, -0.1)]
+    bar = model.element("IfcMember", "bar", model.representation(*items))
+    model.opening(bar, (0.2, 0.5, 0.5), (0.0, 0.0, 0.0))
+    assert read(model).elements[bar.GlobalId].doubt == ""
+
+
 def test_an_element_without_a_body_is_told(read):
     model = IfcModel()
     stud, pipe = model.box("stud", (0.1, 0.1, 1.0)), model.element("IfcPipeSegment", "pipe")
