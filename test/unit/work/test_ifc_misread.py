@@ -243,6 +243,67 @@ def test_what_may_have_begun_is_a_job_with_a_remark(read, status, part):
     assert any("MAY HAVE BEGUN" in remark for remark in Schedule.of(found).remarks[first.GlobalId])
 
 
+@pytest.mark.parametrize(
+    "status", [".COMPLETED.", "Fertig-gestellt", "fertiggestellt", "Erledigt", "ABGESCHLOSSEN", "(done)"]
+)
+def test_words_for_completed_in_other_clothes_and_german_are_known(read, status):
+    model, studs, (first, _) = two_studs()
+    first.Status = status
+    found = read(model)
+    assert [job.element for job in Schedule.of(found).jobs] == [studs[1].GlobalId]
+    assert remarked(found, first, "completed") and not said(found, "MAY HAVE BEGUN")
+
+
+@pytest.mark.parametrize("status", ["NOT COMPLETED", "50% completed", "100%", "COMPLETED?", "Complete (QA ok)"])
+def test_words_that_do_not_say_completed_are_not_taken_for_it(read, status):
+    model, _, (first, _) = two_studs()
+    first.Status = status
+    found = read(model)
+    assert len(Schedule.of(found).jobs) == 2 and remarked(found, first, "MAY HAVE BEGUN")
+
+
+@pytest.mark.parametrize("nested", [False, True])
+@pytest.mark.parametrize("status", ["CANCELLED", "canceled", "Entfallen"])
+def test_what_is_cancelled_is_no_job_and_nobody_waits_for_it(read, status, nested):
+    model, studs, (first, _) = two_studs()
+    if nested:
+        model.root("IfcRelNests", RelatingObject=model.task("before", Status=status), RelatedObjects=[first])
+    else:
+        first.Status = status
+        # what some programs write into a task that is given up
+        first.TaskTime = model.make("IfcTaskTime", ActualFinish="2026-01-01T10:00:00")
+    schedule = Schedule.of(found := read(model))
+    assert [(job.element, job.after) for job in schedule.jobs] == [(studs[1].GlobalId, ())]
+    assert remarked(found, first, "cancelled") and not said(found, "completed") and not said(found, "BEGUN")
+    assert schedule.removals == ()
+
+
+def test_a_task_that_its_times_alone_complete_has_no_note_on_its_status(read):
+    model, _, (first, second) = two_studs()
+    completed_by_finish(model, first)
+    completed_by_finish(model, second)
+    second.Status = "STARTED"
+    found = read(model)
+    assert not said(found, "None") and remarked(found, second, "the status 'STARTED' whose times say")
+
+
+@pytest.mark.parametrize("name", ["PSet_MemberCommon", "pset_membercommon", "PSET_MEMBERCOMMON"])
+def test_a_status_is_read_of_a_common_set_in_any_case(read, name):
+    model, studs, _ = two_studs()
+    model.properties(studs[0], name, Status="Existing")
+    assert read(model).elements[studs[0].GlobalId].status == "existing"
+
+
+@pytest.mark.parametrize("status", ["Existing", "DEMOLISHED", "Remove"])
+def test_a_status_of_an_authors_own_set_is_told(read, status):
+    model, studs, _ = two_studs()
+    model.properties(studs[0], "PSet_Revit_Phasing", Status=status)
+    model.properties(studs[1], "PSet_Revit_Phasing", Status="New")
+    found = read(model)
+    assert found.elements[studs[0].GlobalId].status == ""
+    assert remarked(found, studs[0], f"the status {status!r} in PSet_Revit_Phasing") and len(found.notes) == 1
+
+
 def test_a_lag_after_what_is_completed_is_not_waited_for_and_told(read):
     model = IfcModel()
     studs = [model.box(name, (0.1, 0.1, 1.0), at=(k, 0, 0)) for k, name in enumerate(("a", "b"))]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import ifcopenshell
 import ifcopenshell.util.element
@@ -109,20 +110,35 @@ def read_material(product: ifcopenshell.entity_instance, notes: Notes) -> str:
 
 
 def read_status(product: ifcopenshell.entity_instance, sets: Sets, notes: Notes) -> str:
-    """Return ``existing``, ``demolish`` or nothing: the property `Status` of a set ``Pset_...Common``."""
+    """Return ``existing``, ``demolish`` or nothing: the property `Status` of a set ``Pset_...Common``, in any case."""
+    about = product.Name or product.GlobalId
+    others = []
     for name, values in sets.items():
         given = values.get("Status")
-        if not (name.startswith("Pset_") and name.endswith("Common") and isinstance(given, str)):
+        if not isinstance(given, str):
             continue
         words = {word.strip(" .").upper() for word in given.split(",")}
-        if any(word.startswith(("DEMOLISH", "REMOVE")) for word in words):
-            return "demolish"
-        if "EXISTING" in words:
-            return "existing"
+        status = _status(words)
+        if not (name.casefold().startswith("pset_") and name.casefold().endswith("common")):
+            others += [(name, given)] if status else []
+            continue
+        if status:
+            return status
         for word in sorted(words - _MADE):
-            about = product.Name or product.GlobalId
             notes.add(f"Elements with the status {word!r}, taken as still to be made", about, product.GlobalId)
+    for name, given in others:
+        notes.add(
+            f"Elements with the status {given!r} in {name}, which is no set Pset_...Common: not used, taken as still to be made",
+            about,
+            product.GlobalId,
+        )
     return ""
+
+
+def _status(words: Collection[str]) -> str:
+    if any(word.startswith(("DEMOLISH", "REMOVE")) for word in words):
+        return "demolish"
+    return "existing" if "EXISTING" in words else ""
 
 
 def read_mass(
