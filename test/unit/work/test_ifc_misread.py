@@ -146,14 +146,49 @@ def test_a_density_that_can_be_of_two_units_is_not_guessed(read):
     assert remarked(found, plate, "without a unit can be kg/m³ or of the project's units")
 
 
+@pytest.mark.parametrize("unit", ["foot", "inch"])
+@pytest.mark.parametrize("cubic_foot", [False, True])
+def test_a_density_or_weight_of_feet_without_a_unit_of_mass_is_not_guessed(read, unit, cubic_foot):
+    model = IfcModel(unit=unit)
+    if cubic_foot:
+        metre = model.make("IfcSIUnit", UnitType="VOLUMEUNIT", Name="CUBIC_METRE")
+        factor = model.make("IfcMeasureWithUnit", model.make("IfcVolumeMeasure", CUBIC_FOOT), metre)
+        exponents = model.make("IfcDimensionalExponents", 3, 0, 0, 0, 0, 0, 0)
+        add_units(model, model.make("IfcConversionBasedUnit", exponents, "VOLUMEUNIT", "cubic foot", factor))
+    dense, heavy, both = board(model), board(model), board(model)
+    for one in (dense, both):
+        of_material(model, one, "Gyp", 50.0 if one is dense else 2400.0)
+    for one in (heavy, both):
+        weigh(model, one, 63.5)
+    found = read(model)
+    assert [found.elements[one.GlobalId].mass for one in (dense, heavy)] == [None, None]
+    assert remarked(found, dense, "A density of 50 without a unit can be kg/m³ or")
+    assert remarked(found, heavy, "A weight of 63.5 without a unit can be kilograms or pounds")
+    # nothing is so heavy in pounds per cubic foot
+    assert found.elements[both.GlobalId].mass == pytest.approx(2.4 * LITRES)
+
+
 def test_what_a_unit_was_taken_for_is_told(read):
     model = IfcModel(unit="foot")
-    plate, panel = board(model), board(model)
-    of_material(model, plate, "Gypsum", 800.0)
-    weigh(model, panel, 28.8)
+    plate = board(model)
+    of_material(model, plate, "Concrete", 2400.0)
     found = read(model)
-    assert [found.elements[one.GlobalId].mass for one in (plate, panel)] == pytest.approx([28.8, 28.8])
-    assert said(found, "800 is taken as kg/m³") and said(found, "weights are taken as kilograms")
+    assert found.elements[plate.GlobalId].mass == pytest.approx(2.4 * LITRES)
+    assert said(found, "2400 is taken as kg/m³")
+
+
+def test_a_weight_of_a_metric_project_without_a_unit_of_mass_is_taken_as_kilograms_and_told(read):
+    model = IfcModel()
+    plate = board(model)
+    weigh(model, plate, 28.8)
+    found = read(model)
+    assert found.elements[plate.GlobalId].mass == pytest.approx(28.8)
+    assert said(found, "weights are taken as kilograms")
+    model = IfcModel(unit="foot")
+    own = board(model)
+    weigh(model, own, 63.5, pound(model))
+    found = read(model)
+    assert found.elements[own.GlobalId].mass == pytest.approx(63.5 * POUND) and found.notes == ()
 
 
 @pytest.mark.parametrize(
@@ -162,6 +197,7 @@ def test_what_a_unit_was_taken_for_is_told(read):
         (0.0288, "Gyp", 800.0, "0.0288 kg by its quantity, 28.8 kg"),
         (63.5, "Gypsum board", None, "expected 400 to 1700"),
         (None, "Gypsum", 50.0, "expected 400 to 1700"),
+        (63.5, "Gyp", None, "expected 400 to 1700"),
         (2.0e6, "unobtainium", None, "expected 5 to 23000"),
         (28.8, "Gypsum board", 800.0, ""),
         (None, "unobtainium", 800.0, ""),
