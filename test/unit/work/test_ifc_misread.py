@@ -569,6 +569,15 @@ def test_pieces_that_another_item_holds_together_are_one(read):
     assert read(model).elements[bar.GlobalId].doubt == ""
 
 
+def test_a_note_that_has_an_id_has_the_name_too(read):
+    model = IfcModel()
+    far, nameless = (model.box(name, (0.1, 0.1, 0.1), at=(2.0e4, 0.0, 0.0)) for name in ("far", None))
+    found = read(model)
+    (note,) = found.notes
+    assert note.endswith(f": far ({far.GlobalId}), {nameless.GlobalId}")
+    assert remarked(found, far, "More than 10 km")
+
+
 def test_an_element_without_a_body_is_told(read):
     model = IfcModel()
     stud, pipe = model.box("stud", (0.1, 0.1, 1.0)), model.element("IfcPipeSegment", "pipe")

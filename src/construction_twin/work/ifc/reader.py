@@ -117,8 +117,9 @@ def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: 
     project = file.by_type("IfcProject")[0]
     with Where(name, project):
         title = project.Name or getattr(project, "LongName", None) or ""
+    names = {one: element.name for one, element in elements.items()} | {one: task.name for one, task in tasks.items()}
     return BuildingModel(
-        name, digest, schema, title, found.units.length, elements, tasks, sequences, notes.sentences(),
+        name, digest, schema, title, found.units.length, elements, tasks, sequences, notes.sentences(names),
         notes.remarks({*elements, *tasks}),
     )  # fmt: skip
 
