@@ -25,6 +25,8 @@ from construction_twin.core.realtime import request_realtime
 DEFAULT_PORT = 18830
 #: Longest time until a mosquitto on trial listens [s]: long, because a busy machine is no reason to refuse a start.
 TRIAL_TIME = 20.0
+#: Longest time until it has ended by itself [s]; then it is killed.
+END_TIME = 5.0
 #: Pause between two looks at a mosquitto on trial [s].
 _LOOK = 0.02
 #: mosquitto puts the time in front of what it logs.
@@ -92,14 +94,19 @@ def trial(path: str, port: int) -> str:
         command = [program, "-c", f"/dev/fd/{file}"]
         with subprocess.Popen(command, pass_fds=[file], stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as mosquitto:
             deadline = time.monotonic() + TRIAL_TIME
-            while mosquitto.poll() is None and not wanted <= listening_ports(mosquitto.pid):
+            while mosquitto.poll() is None and not wanted <= listening_ports(mosquitto.pid, or_any=True):
                 if time.monotonic() > deadline:
                     mosquitto.kill()
                     return f"mosquitto does not listen on {sorted(wanted)} within {TRIAL_TIME:g} s"
                 time.sleep(_LOOK)
             ended = mosquitto.poll()
             mosquitto.terminate()
-            words, _ = mosquitto.communicate()
+            try:
+                words, _ = mosquitto.communicate(timeout=END_TIME)
+            except subprocess.TimeoutExpired:
+                # it listened, and that is what was asked
+                mosquitto.kill()
+                words, _ = mosquitto.communicate()
     finally:
         os.close(file)
     if ended is None:

@@ -63,15 +63,30 @@ def reaches_itself(host: str, timeout: float) -> str:
     return ""
 
 
-def listening_ports(pid: int) -> set[int]:
-    """Return the TCP ports on which a process of this machine listens; empty for one that has ended, or is another user's."""
+def listening_ports(pid: int, or_any: bool = False) -> set[int]:
+    """Return the TCP ports on which a process of this machine listens; empty for one that has ended.
+
+    Parameters
+    ----------
+    pid : int
+    or_any : bool, optional
+        Of a process whose files nobody but root may see (another user's, or a program with capabilities of its own): the ports on
+        which any process listens; else none.
+    """
     try:
         links = [os.readlink(entry.path) for entry in os.scandir(f"/proc/{pid}/fd")]
         rows = [row.split() for name in ("tcp", "tcp6") for row in _lines(f"/proc/{pid}/net/{name}")]
+    except PermissionError:
+        rows = [row.split() for name in ("tcp", "tcp6") for row in _lines(f"/proc/net/{name}")] if or_any else []
+        return {_port(row) for row in rows if row[3] == _LISTEN}
     except OSError:
         return set()
     inodes = {link[len("socket:[") : -1] for link in links if link.startswith("socket:[")}
-    return {int(row[1].rpartition(":")[2], 16) for row in rows if row[3] == _LISTEN and row[9] in inodes}
+    return {_port(row) for row in rows if row[3] == _LISTEN and row[9] in inodes}
+
+
+def _port(row: list[str]) -> int:
+    return int(row[1].rpartition(":")[2], 16)
 
 
 def _lines(path: str) -> list[str]:

@@ -135,10 +135,30 @@ def split_lists(words: Sequence[str]) -> list[str]:
         numbers = [value] if equals else []
         while words and _NUMBERS.fullmatch(words[0]):
             numbers.append(words.pop(0))
-        if len(numbers) == 1:
-            numbers = numbers[0].replace(",", " ").split()
-        result += [number.removesuffix(",") for number in numbers if number != ","]
+        result += _fields(numbers)
     return result
+
+
+def _fields(words: Sequence[str]) -> list[str]:
+    """Return the numbers of a list; a word with an empty field stays, for `_finite` to refuse it: all after it would be shifted."""
+    fields = words[0].removesuffix(",").split(",") if len(words) == 1 else []
+    if fields and all(field.strip() for field in fields):
+        return [number for field in fields for number in field.split()]
+    found: list[str] = []
+    separated = True
+    for word in words:
+        if word == "," and not separated:
+            separated = True
+            continue
+        separated = word.endswith(",")
+        # a blank in front: argparse takes what begins with a minus and is no number for an option
+        found.append(f" {word}" if _has_empty_field(word) else word.removesuffix(","))
+    return found
+
+
+def _has_empty_field(word: str) -> bool:
+    dense = "".join(word.split())
+    return ",," in dense or dense.startswith(",")
 
 
 def _add_plan(plan: argparse.ArgumentParser) -> None:
@@ -291,6 +311,10 @@ def check(options: argparse.Namespace) -> str:
 
 
 def _finite(text: str) -> float:
+    if _has_empty_field(text):
+        raise argparse.ArgumentTypeError(
+            f"{text.strip()!r} has an empty field at a comma: give a number for each joint or axis"
+        )
     if "," in text:
         raise argparse.ArgumentTypeError(
             f"{text!r} holds a comma: write decimals with a point, and separate numbers by spaces"

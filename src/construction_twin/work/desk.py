@@ -178,6 +178,11 @@ class TaskRow:
     settled_ns: int
 
 
+def removed_command(task: str) -> str:
+    """Return the command by which a person says that what a removal takes down is gone; the reason of such a task names it."""
+    return f"`twin work removed {task}`"
+
+
 class Desk:
     """Answers what can be done, and takes what people say. Not for several threads at once.
 
@@ -273,7 +278,7 @@ class Desk:
         if task in self.prepared.removals:
             return (
                 f"{self._element(task).name} is to be taken down by people; when it is gone, a person says so: "
-                f"`twin work removed {task}`"
+                f"{removed_command(task)}"
             )
         robots = self.prepared.schedule.job(task).robots
         if robots and self._robot not in robots:

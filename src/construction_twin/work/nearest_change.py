@@ -193,7 +193,7 @@ def _other_directions(job: PlaceJob, scene: Scene, planner: TaskPlanner, stage: 
     note = (
         "" if asked.properties == job.properties else f", and take {PROPERTY_SET}.{key.capitalize()} from the element"
     )
-    for other in _directions(getattr(part_of, key), pose):
+    for other in other_directions(getattr(part_of, key), pose):
         changed = recipe.model_copy(update={part: part_of.model_copy(update={key: (other,)})})
         shown = f"[{', '.join(f'{value:g}' for value in other)}]" if isinstance(other, tuple) else other
         seen = (
@@ -204,14 +204,23 @@ def _other_directions(job: PlaceJob, scene: Scene, planner: TaskPlanner, stage: 
         yield _Candidate(Change("direction", sentence), asked, scene, partial(planner.with_recipes, with_it))
 
 
-def _directions(given: Sequence[Direction], base_T_element: Pose) -> Iterator[Direction]:
-    """Yield directions that are near to those of a recipe, then the others: each raised, from above, along the element's axes."""
+def other_directions(given: Sequence[Direction], base_T_element: Pose) -> Iterator[Direction]:
+    """Yield directions that are near to those of a recipe, then the others: each raised, from above, along the element's axes.
+
+    Parameters
+    ----------
+    given : sequence of Direction
+        The recipe's.
+    base_T_element : Pose
+    """
     seen = [direction(one, base_T_element) for one in given]
     others: list[Direction] = [
         (round(float(one[0]), 2) + 0.0, round(float(one[1]), 2) + 0.0, round(float(one[2]) + rise, 2) + 0.0)
         for one in list(seen)
         for rise in RISES
     ]
+    # half a metre above what comes from right below is no direction
+    others = [other for other in others if any(other)]
     for other in (*others, "up", "+x", "-x", "+y", "-y", "+z", "-z"):
         vector = direction(other, base_T_element)
         # nothing is set down from below, and nothing is tried twice

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import ToolFile
 from construction_twin.scene.objects import Scene, SceneObject, product
@@ -101,13 +102,22 @@ def ways(job: PlaceJob, grip: Grip, recipe: Recipe, tool: ToolFile, leave: np.nd
 
 
 def direction(asked: Direction, base_T_element: Pose) -> np.ndarray:
-    """Return a direction of a recipe as a unit vector in the base_link, shape (3,)."""
+    """Return a direction of a recipe as a unit vector in the base_link, shape (3,).
+
+    Raises
+    ------
+    ConfigurationError
+        Of a vector without a length.
+    """
     if asked == "up":
         return np.array([0.0, 0.0, 1.0])
     if isinstance(asked, str):
         return base_T_element.rotation @ np.array(_AXES[asked], dtype=float)
     vector = np.array(asked, dtype=float)
-    return vector / np.linalg.norm(vector)
+    length = float(np.linalg.norm(vector))
+    if length == 0.0:
+        raise ConfigurationError("direction of a recipe", asked, "a vector that is not zero")
+    return vector / length
 
 
 def scenes(scene: Scene, job: PlaceJob, recipe: Recipe, tool: ToolFile, link: str, at: Ways, shapes: Shapes) -> Scenes:

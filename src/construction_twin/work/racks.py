@@ -154,7 +154,7 @@ def _rack_of(site: Site, element: Element) -> str:
         if rack.holds.fits(element):
             return name
     raise ConfigurationError(
-        f"{site.path}/racks", f"nothing for element {element.name!r} ({element.id}), {element.ifc_class}",
+        f"{site.path}/racks for element {element.name!r} ({element.id}), {element.ifc_class}", None,
         "a rack that holds it",
     )  # fmt: skip
 

@@ -33,8 +33,16 @@ _Scale = Annotated[float, pydantic.Field(gt=0.0, le=1.0)]
 _Turn = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-360.0, le=360.0)]
 _Axis = Literal["up", "+x", "-x", "+y", "-y", "+z", "-z"]
 _Face = Literal["up", "+x", "-x", "+y", "-y", "+z", "-z", "any"]
+
+
+def _not_zero(asked: str | tuple[float, float, float]) -> str | tuple[float, float, float]:
+    if not isinstance(asked, str) and not any(asked):
+        raise ValueError("a direction is a vector that is not zero")
+    return asked
+
+
 #: A direction: an axis of the element, up, or a vector in the robot's base_link.
-Direction = _Axis | tuple[_Finite, _Finite, _Finite]
+Direction = Annotated[_Axis | tuple[_Finite, _Finite, _Finite], pydantic.AfterValidator(_not_zero)]
 
 
 class _Strict(pydantic.BaseModel):

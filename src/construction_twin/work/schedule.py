@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import heapq
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -58,7 +59,8 @@ class Job:
     id : str
         The task's GlobalId; of a task that makes several elements: with ``/1``, ``/2``, ... behind it.
     task, name, element : str
-        GlobalId and name of the task, GlobalId of the element.
+        GlobalId and name of the task, GlobalId of the element. Where several jobs share the name, the element's stands behind it:
+        ``Panel up: stud 3``.
     robots : tuple of str
         Who may do it, the task's own or else those of the tasks it nests in; empty: any.
     after : tuple of Wait
@@ -270,6 +272,7 @@ class _Reading:
                 jobs.append(Job(own, identifier, task.name, product, () if down else self._robots(identifier), found))
                 if down:
                     self.removals.add(own)
+        jobs = self._told_apart(jobs)
         taken_down = {job.element for job in jobs if job.id in self.removals}
         for element in self._model.elements.values():
             if element.status == "demolish" and element.bodies and element.id not in taken_down:
@@ -285,6 +288,16 @@ class _Reading:
                     f"that it is gone (`twin work removed {job.id}`)."
                 )
         return tuple(jobs)
+
+    def _told_apart(self, jobs: list[Job]) -> list[Job]:
+        """Return the jobs, those that share a name with their element's behind it."""
+        shared = Counter(job.name for job in jobs)
+        found = []
+        for job in jobs:
+            element = self._model.elements[job.element].name
+            more = shared[job.name] > 1 and job.name and element and element not in job.name
+            found.append(replace(job, name=f"{job.name}: {element}") if more else job)
+        return found
 
     def unmade(self, jobs: tuple[Job, ...]) -> tuple[str, ...]:
         """Return the workpieces that neither a job makes nor stand, and note them."""

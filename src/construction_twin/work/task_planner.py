@@ -2,7 +2,8 @@
 
 Every part of the plan begins and ends at rest, is checked at each 4 ms sample and between them in the scene that the parts
 before it leave, and lasts a whole number of cycles. Joint vectors in the order of `RobotModel.joint_names`, SI; poses in the
-robot's base_link. Not for use from several threads at once. Knows no ROS; time and randomness are arguments."""
+robot's base_link. Not for use from several threads at once. Knows no ROS; time and randomness are arguments.
+"""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def prepare(
     reach = chain.reach + float(np.linalg.norm(chain.shoulder)) + float(np.linalg.norm(tool.position))
     base = site.base(building).id if site.file.base_element else ""
     placement = check_placement(building, site.model_T_base(building), reach, base)
-    # of a body that is doubted a hull stands, as an obstacle
+    # what is doubted stands as an obstacle
     sure = [element for element in order if not building.element(element).doubt]
     shapes, failures = element_shapes(map(building.element, sure), Path(cache) / "bodies")
     pieces = {element: shape.objects for element, shape in shapes.items()}

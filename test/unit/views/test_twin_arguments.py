@@ -69,6 +69,35 @@ def test_nonsense_is_a_usage_error(text, capsys):
 
 
 @pytest.mark.parametrize(
+    "values, field",
+    [
+        ("30,-75,,70,20,70,-40", "30,-75,,70,20,70,-40"),
+        (",30,-75,70,20,70", ",30,-75,70,20,70"),
+        ("30,-75,,", "30,-75,,"),
+        ("-30,,-75", "-30,,-75"),
+        ("'30, ,70'", "30, ,70"),
+        ("30, , 70", ","),
+        (", 30 70", ","),
+        ("30,, 70", "30,,"),
+        (",", ","),
+    ],
+)
+@pytest.mark.parametrize("option", ["--joints ", "--joints="])
+def test_an_empty_field_of_a_list_is_refused(option, values, field, capsys):
+    with pytest.raises(SystemExit) as ending:
+        parsed(f"plan {option}{values}")
+    assert ending.value.code == Exit.USAGE
+    assert f"'{field}' has an empty field at a comma" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "values", ["30,-75,70,", "30, -75, 70,", "30 , -75 , 70", "30,-75,70", "'30, -75, 70'", "30 -75 70"]
+)
+def test_commas_that_separate_numbers_are_no_empty_fields(values):
+    assert parsed(f"plan --joints {values}").joints == [30.0, -75.0, 70.0]
+
+
+@pytest.mark.parametrize(
     "text, part",
     [
         ("plan --joints 1 --line", "--line belongs to --pose"),

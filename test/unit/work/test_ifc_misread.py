@@ -146,14 +146,49 @@ def test_a_density_that_can_be_of_two_units_is_not_guessed(read):
     assert remarked(found, plate, "without a unit can be kg/m³ or of the project's units")
 
 
+@pytest.mark.parametrize("unit", ["foot", "inch"])
+@pytest.mark.parametrize("cubic_foot", [False, True])
+def test_a_density_or_weight_of_feet_without_a_unit_of_mass_is_not_guessed(read, unit, cubic_foot):
+    model = IfcModel(unit=unit)
+    if cubic_foot:
+        metre = model.make("IfcSIUnit", UnitType="VOLUMEUNIT", Name="CUBIC_METRE")
+        factor = model.make("IfcMeasureWithUnit", model.make("IfcVolumeMeasure", CUBIC_FOOT), metre)
+        exponents = model.make("IfcDimensionalExponents", 3, 0, 0, 0, 0, 0, 0)
+        add_units(model, model.make("IfcConversionBasedUnit", exponents, "VOLUMEUNIT", "cubic foot", factor))
+    dense, heavy, both = board(model), board(model), board(model)
+    for one in (dense, both):
+        of_material(model, one, "Gyp", 50.0 if one is dense else 2400.0)
+    for one in (heavy, both):
+        weigh(model, one, 63.5)
+    found = read(model)
+    assert [found.elements[one.GlobalId].mass for one in (dense, heavy)] == [None, None]
+    assert remarked(found, dense, "A density of 50 without a unit can be kg/m³ or")
+    assert remarked(found, heavy, "A weight of 63.5 without a unit can be kilograms or pounds")
+    # nothing is so heavy in pounds per cubic foot
+    assert found.elements[both.GlobalId].mass == pytest.approx(2.4 * LITRES)
+
+
 def test_what_a_unit_was_taken_for_is_told(read):
     model = IfcModel(unit="foot")
-    plate, panel = board(model), board(model)
-    of_material(model, plate, "Gypsum", 800.0)
-    weigh(model, panel, 28.8)
+    plate = board(model)
+    of_material(model, plate, "Concrete", 2400.0)
     found = read(model)
-    assert [found.elements[one.GlobalId].mass for one in (plate, panel)] == pytest.approx([28.8, 28.8])
-    assert said(found, "800 is taken as kg/m³") and said(found, "weights are taken as kilograms")
+    assert found.elements[plate.GlobalId].mass == pytest.approx(2.4 * LITRES)
+    assert said(found, "2400 is taken as kg/m³")
+
+
+def test_a_weight_of_a_metric_project_without_a_unit_of_mass_is_taken_as_kilograms_and_told(read):
+    model = IfcModel()
+    plate = board(model)
+    weigh(model, plate, 28.8)
+    found = read(model)
+    assert found.elements[plate.GlobalId].mass == pytest.approx(28.8)
+    assert said(found, "weights are taken as kilograms")
+    model = IfcModel(unit="foot")
+    own = board(model)
+    weigh(model, own, 63.5, pound(model))
+    found = read(model)
+    assert found.elements[own.GlobalId].mass == pytest.approx(63.5 * POUND) and found.notes == ()
 
 
 @pytest.mark.parametrize(
@@ -162,6 +197,7 @@ def test_what_a_unit_was_taken_for_is_told(read):
         (0.0288, "Gyp", 800.0, "0.0288 kg by its quantity, 28.8 kg"),
         (63.5, "Gypsum board", None, "expected 400 to 1700"),
         (None, "Gypsum", 50.0, "expected 400 to 1700"),
+        (63.5, "Gyp", None, "expected 400 to 1700"),
         (2.0e6, "unobtainium", None, "expected 5 to 23000"),
         (28.8, "Gypsum board", 800.0, ""),
         (None, "unobtainium", 800.0, ""),
@@ -241,6 +277,67 @@ def test_what_may_have_begun_is_a_job_with_a_remark(read, status, part):
     found = read(model)
     assert len(Schedule.of(found).jobs) == 2 and remarked(found, first, "MAY HAVE BEGUN")
     assert any("MAY HAVE BEGUN" in remark for remark in Schedule.of(found).remarks[first.GlobalId])
+
+
+@pytest.mark.parametrize(
+    "status", [".COMPLETED.", "Fertig-gestellt", "fertiggestellt", "Erledigt", "ABGESCHLOSSEN", "(done)"]
+)
+def test_words_for_completed_in_other_clothes_and_german_are_known(read, status):
+    model, studs, (first, _) = two_studs()
+    first.Status = status
+    found = read(model)
+    assert [job.element for job in Schedule.of(found).jobs] == [studs[1].GlobalId]
+    assert remarked(found, first, "completed") and not said(found, "MAY HAVE BEGUN")
+
+
+@pytest.mark.parametrize("status", ["NOT COMPLETED", "50% completed", "100%", "COMPLETED?", "Complete (QA ok)"])
+def test_words_that_do_not_say_completed_are_not_taken_for_it(read, status):
+    model, _, (first, _) = two_studs()
+    first.Status = status
+    found = read(model)
+    assert len(Schedule.of(found).jobs) == 2 and remarked(found, first, "MAY HAVE BEGUN")
+
+
+@pytest.mark.parametrize("nested", [False, True])
+@pytest.mark.parametrize("status", ["CANCELLED", "canceled", "Entfallen"])
+def test_what_is_cancelled_is_no_job_and_nobody_waits_for_it(read, status, nested):
+    model, studs, (first, _) = two_studs()
+    if nested:
+        model.root("IfcRelNests", RelatingObject=model.task("before", Status=status), RelatedObjects=[first])
+    else:
+        first.Status = status
+        # what some programs write into a task that is given up
+        first.TaskTime = model.make("IfcTaskTime", ActualFinish="2026-01-01T10:00:00")
+    schedule = Schedule.of(found := read(model))
+    assert [(job.element, job.after) for job in schedule.jobs] == [(studs[1].GlobalId, ())]
+    assert remarked(found, first, "cancelled") and not said(found, "completed") and not said(found, "BEGUN")
+    assert schedule.removals == ()
+
+
+def test_a_task_that_its_times_alone_complete_has_no_note_on_its_status(read):
+    model, _, (first, second) = two_studs()
+    completed_by_finish(model, first)
+    completed_by_finish(model, second)
+    second.Status = "STARTED"
+    found = read(model)
+    assert not said(found, "None") and remarked(found, second, "the status 'STARTED' whose times say")
+
+
+@pytest.mark.parametrize("name", ["PSet_MemberCommon", "pset_membercommon", "PSET_MEMBERCOMMON"])
+def test_a_status_is_read_of_a_common_set_in_any_case(read, name):
+    model, studs, _ = two_studs()
+    model.properties(studs[0], name, Status="Existing")
+    assert read(model).elements[studs[0].GlobalId].status == "existing"
+
+
+@pytest.mark.parametrize("status", ["Existing", "DEMOLISHED", "Remove"])
+def test_a_status_of_an_authors_own_set_is_told(read, status):
+    model, studs, _ = two_studs()
+    model.properties(studs[0], "PSet_Revit_Phasing", Status=status)
+    model.properties(studs[1], "PSet_Revit_Phasing", Status="New")
+    found = read(model)
+    assert found.elements[studs[0].GlobalId].status == ""
+    assert remarked(found, studs[0], f"the status {status!r} in PSet_Revit_Phasing") and len(found.notes) == 1
 
 
 def test_a_lag_after_what_is_completed_is_not_waited_for_and_told(read):
@@ -437,6 +534,48 @@ def test_a_profile_that_crosses_itself_is_a_hull_and_no_job_without_doubt(read, 
     assert hull.vertices.min(axis=0) == pytest.approx([*low, 0.0]) and hull.vertices.max(axis=0) == pytest.approx(
         [*high, 0.1]
     )
+
+
+@pytest.mark.parametrize(
+    "holes, pieces",
+    [
+        ([((0.2, 0.5, 0.5), (0.0, 0.0, -0.1))], 2),
+        ([((0.2, 0.5, 0.5), (-0.3, 0.0, -0.1)), ((0.2, 0.5, 0.5), (0.3, 0.0, -0.1))], 3),
+        # through half of its width, a cavity inside of it, off its end
+        ([((0.2, 0.1, 0.5), (0.0, 0.05, -0.1))], 1),
+        ([((0.2, 0.05, 0.05), (0.0, 0.0, 0.02))], 1),
+        ([((0.2, 0.5, 0.5), (0.5, 0.0, -0.1))], 1),
+    ],
+)
+def test_what_its_openings_cut_into_pieces_is_an_obstacle_and_told(read, holes, pieces):
+    model = IfcModel()
+    bar = model.box("bar", (1.0, 0.1, 0.1))
+    for size, at in holes:
+        model.opening(bar, size, at)
+    found = read(model)
+    element = found.elements[bar.GlobalId]
+    split = f"it is in {pieces} pieces that do not touch, after its openings"
+    assert (split in element.doubt) == remarked(found, bar, f"THE BODY IS DOUBTFUL: {split}") == (pieces > 1)
+    # what was cut out is free
+    solid = sum(volume(body.vertices, body.triangles) for body in element.bodies)
+    assert element.bodies and solid < 0.99 * 0.01 and (pieces > 1 or not element.doubt)
+
+
+def test_pieces_that_another_item_holds_together_are_one(read):
+    model = IfcModel()
+    items = [model.extrusion(model.rectangle(1.0, 0.1), 0.1, at=(0.0, 0.0, z)) for z in (0.0, -0.1)]
+    bar = model.element("IfcMember", "bar", model.representation(*items))
+    model.opening(bar, (0.2, 0.5, 0.5), (0.0, 0.0, 0.0))
+    assert read(model).elements[bar.GlobalId].doubt == ""
+
+
+def test_a_note_that_has_an_id_has_the_name_too(read):
+    model = IfcModel()
+    far, nameless = (model.box(name, (0.1, 0.1, 0.1), at=(2.0e4, 0.0, 0.0)) for name in ("far", None))
+    found = read(model)
+    (note,) = found.notes
+    assert note.endswith(f": far ({far.GlobalId}), {nameless.GlobalId}")
+    assert remarked(found, far, "More than 10 km")
 
 
 def test_an_element_without_a_body_is_told(read):

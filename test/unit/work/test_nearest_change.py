@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from work_samples import building, element, layout, planner, recipes, robot, site
 
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.work_errors import TaskPlanningError
-from construction_twin.work.nearest_change import longer_track, nearest_change
+from construction_twin.work.nearest_change import RISES, longer_track, nearest_change, other_directions
+from construction_twin.work.phases import direction
 from construction_twin.work.site_scene import WorkState
 from construction_twin.work.task_planner import TaskLimits
 
@@ -98,6 +100,19 @@ def test_what_cannot_come_from_the_side_comes_from_a_little_above(tmp_path):
     place = sideways.recipes["brick"].place.model_copy(update={"arrive": ((0.0, -1.0, 0.5),)})
     said = replace(sideways, recipes={"brick": sideways.recipes["brick"].model_copy(update={"place": place})})
     assert planner(said, limits=SHORT).plan(job, HOME, scene).segments
+
+
+@pytest.mark.parametrize("given", [("-z",), ((0.0, 0.0, -2.0),), ("-z", "+x", (0.001, -0.001, -1.0))])
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_what_comes_from_below_is_not_raised_to_no_direction_at_all(given):
+    pose = element("b").model_T_element
+    found = list(other_directions(given, pose))
+    assert 1.0 in RISES and found and all(np.isfinite(direction(one, pose)).all() for one in found)
+
+
+def test_a_vector_without_a_length_is_no_direction():
+    with pytest.raises(ConfigurationError, match="expected a vector that is not zero"):
+        direction((0.0, 0.0, 0.0), element("b").model_T_element)
 
 
 def test_a_property_that_would_override_the_advice_is_named(tmp_path):

@@ -96,7 +96,10 @@ def test_more_elements_than_slots_are_one_sentence(tmp_path):
 
 
 def test_an_element_without_a_rack_is_one_sentence(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"nothing for element 'b1' \(b1\), IfcBuildingElementPart"):
+    with pytest.raises(
+        ConfigurationError,
+        match=r"/racks for element 'b1' \(b1\), IfcBuildingElementPart: found nothing, expected a rack that holds it$",
+    ):
         stock(tmp_path, {**RACK, "holds": {"elements": ["b0", "b2"]}})
 
 

@@ -1,6 +1,7 @@
 """The order of tasks: which jobs there are, what each waits for, and what makes no sense."""
 
 import itertools
+from dataclasses import replace
 
 import pytest
 from building_models import box, building, element
@@ -85,6 +86,26 @@ def test_order_passes_through_an_empty_nesting_task():
     tasks = [Task("A", "A"), Task("n", "n", parent="A", milestone=True), *leaves("a", "b")]
     schedule = Schedule.of(model(tasks, [Sequence("a", "A"), Sequence("A", "b")]))
     assert [wait.job for wait in schedule.job("b").after] == ["a"]
+
+
+def test_jobs_that_share_a_name_have_their_elements_behind_it():
+    cube = box((0, 0, 0), (1, 1, 1))
+    elements = [
+        replace(element(one, cube), name=name) for one, name in zip("pqrst", ("low", "high", "", "Place s", "t"))
+    ]
+    tasks = [
+        Task("a", "Panel up", products=("p", "q", "r")),
+        Task("b", "Panel up", products=("t",)),
+        Task("c", "Place s", products=("s",)),
+    ]
+    schedule = Schedule.of(building(*elements, tasks=tasks))
+    assert [job.name for job in schedule.jobs] == [
+        "Panel up: low",
+        "Panel up: high",
+        "Panel up",
+        "Panel up: t",
+        "Place s",
+    ]
 
 
 def test_a_task_of_several_elements_is_one_job_each_in_the_files_order():

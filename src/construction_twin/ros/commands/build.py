@@ -32,6 +32,7 @@ from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import WorkDecide, WorkPlanTask, WorkPlanTaskResponse
 from construction_twin.work.build_report import HEADS, Decision, TaskResult, rows, write_report
+from construction_twin.work.desk import removed_command
 
 #: Who approves, for the record.
 PERSON = "make build"
@@ -131,9 +132,16 @@ class Builder:
         self._accept()
         self._say(f"{self._tasks.model}: {len(self._tasks.tasks)} tasks, ready after {time.monotonic() - began:.0f} s")
         wanted = [task.id for task in self._tasks.tasks][: self._settings.most or None]
-        for number, task in enumerate(wanted, start=1):
-            self._do(task, f"{number} of {len(wanted)}")
+        failure: Exception | None = None
+        try:
+            for number, task in enumerate(wanted, start=1):
+                self._do(task, f"{number} of {len(wanted)}")
+        except (ConstructionTwinError, rospy.ROSException, rospy.ServiceException) as error:
+            failure = error
+        # also of a session that a task ended
         files = self._report(results, wanted)
+        if failure is not None:
+            raise ExperimentError(f"{failure}; see {files[0]}") from failure
         missing = [self._row(task).name for task in wanted if self._row(task).state != "done"]
         if missing:
             raise ExperimentError(
@@ -152,7 +160,10 @@ class Builder:
                 lambda: self._row(task).state in ("ready", "carried", "asks", *_SETTLED) and self._ready(),
                 f"task {task}",
             )
-            if self._row(task).state in ("ready", "carried"):
+            row = self._row(task)
+            if row.state == "ready" and removed_command(task) in row.reason:
+                self._remove(row)
+            elif row.state in ("ready", "carried"):
                 self._plan_and_play(task, title)
         times = self._times.get(task, _Times())
         far = f", {row.deviation_mm:.3f} mm off" if math.isfinite(row.deviation_mm) else ""
@@ -213,6 +224,13 @@ class Builder:
         self._decide(row.id, "answer", answer)
         self._decided(f"answered {answer} for {row.name}: {row.question}")
         self._wait(lambda: self._row(row.id).state != "asks", f"the answer to task {row.id} to be taken")
+
+    def _remove(self, row: WorkTask) -> None:
+        """Say that what people take down is gone, as a person would who sees that nothing stands at a mock arm."""
+        self._say(row.reason)
+        self._decide(row.id, "removed")
+        self._decided(f"said that {row.element_name} is gone: {row.name}")
+        self._wait(lambda: self._row(row.id).state == "done", f"task {row.id} to be done")
 
     def _accept(self) -> None:
         if self._tasks.schedule == "proposed":

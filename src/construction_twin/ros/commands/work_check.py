@@ -85,7 +85,7 @@ def main(arguments: list[str]) -> int:
             # needs the packages of `check_extras`
             from construction_twin.work.standing import standing
 
-            # of a body that is doubted a hull stands, as an obstacle
+            # what is doubted stands as an obstacle
             placed = [job.element for job in work.jobs if not work.building.element(job.element).doubt]
             stands = standing(work.building, placed, work.site, robot, Path(folder))
             notes = (*work.notes, *inexact, *stands.notes)

@@ -13,6 +13,7 @@ from functools import partial
 
 import rospy
 import tf2_ros
+from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 
 from construction_twin.ros.transport.subscriber import PUBLISHER, Subscriber, caller_of
@@ -25,6 +26,10 @@ PUBLISHERS = {
 }
 #: Messages that are kept for a callback that is busy: about a second of three trees and of other robots'.
 _QUEUE = 100
+#: Refused static transforms that are kept; of more the oldest are forgotten.
+_KEPT = 1000
+#: Nodes of so many frames are remembered before it is looked which of them are gone.
+_OWNERS = 1000
 
 
 class FrameListener:
@@ -48,25 +53,63 @@ class FrameListener:
         self._last = rospy.Time.now()
         #: Of each frame that is of no robot's tree: the node that publishes it.
         self._owners: dict[str, str] = {}
+        self._look_at = _OWNERS
+        #: By frame and node: the last static transform that was refused, the oldest first.
+        self._kept: dict[tuple[str, str], TransformStamped] = {}
         self._subscribers = [
-            Subscriber("/tf", TFMessage, partial(self._take, self.buffer.set_transform), refused, _QUEUE),
-            Subscriber("/tf_static", TFMessage, partial(self._take, self.buffer.set_transform_static), refused, _QUEUE),
+            Subscriber("/tf", TFMessage, partial(self._take, self.buffer.set_transform, False), refused, _QUEUE),
+            Subscriber(
+                "/tf_static", TFMessage, partial(self._take, self.buffer.set_transform_static, True), refused, _QUEUE
+            ),
         ]
 
-    def _take(self, put: Callable, message: TFMessage) -> None:
+    def _take(self, put: Callable, static: bool, message: TFMessage) -> None:
         caller = caller_of(message)
         problems = []
         with self._lock:
             self._forget_what_lies_ahead()
             for transform in message.transforms:
-                problem = self._problem(transform.child_frame_id.lstrip("/"), caller)
-                if problem:
-                    problems.append(problem)
-                else:
+                frame = transform.child_frame_id.lstrip("/")
+                problem = self._problem(frame, caller)
+                # what it says now is newer
+                self._kept.pop((frame, caller), None)
+                if not problem:
                     put(transform, caller)
+                    continue
+                problems.append(problem)
+                if static and frame in self._owners:
+                    self._kept[frame, caller] = transform
+            while len(self._kept) > _KEPT:
+                del self._kept[next(iter(self._kept))]
+            self._take_what_was_kept()
         # each once per message: a bag holds whole trees
         for problem in dict.fromkeys(problems):
             self._refused(PUBLISHER, problem)
+
+    def _take_what_was_kept(self) -> None:
+        """Believe what was refused of frames whose node is gone; forget what nodes said that are gone themselves."""
+        if not self._kept:
+            return
+        nodes = {caller for _, caller in self._kept} | {self._owners.get(frame) for frame, _ in self._kept}
+        there = {node for node in nodes if self._is_there(node)}
+        for (frame, caller), transform in list(self._kept.items()):
+            if caller not in there:
+                del self._kept[frame, caller]
+            elif self._owners.get(frame) not in there:
+                del self._kept[frame, caller]
+                self._owners[frame] = caller
+                self.buffer.set_transform_static(transform, caller)
+
+    def _is_there(self, node: str | None) -> bool:
+        return node is not None and any(subscriber.hears(node) for subscriber in self._subscribers)
+
+    def _own(self, frame: str, caller: str) -> None:
+        self._owners[frame] = caller
+        if len(self._owners) > self._look_at:
+            there = {node: self._is_there(node) for node in set(self._owners.values())}
+            self._owners = {name: node for name, node in self._owners.items() if node == caller or there[node]}
+            # not at every new frame where all are there
+            self._look_at = max(_OWNERS, 2 * len(self._owners))
 
     def _forget_what_lies_ahead(self) -> None:
         """Empty the buffer when the clock was set back: tf takes nothing that is older than what it has."""
@@ -86,7 +129,9 @@ class FrameListener:
                 return ""
             return f"message from {who}; only {' and '.join(expected)} may publish frames of {robot}/{tree} on /tf"
         owner = self._owners.get(frame)
-        if owner in (None, caller) or not any(subscriber.hears(owner) for subscriber in self._subscribers):
-            self._owners[frame] = caller
+        if owner == caller:
+            return ""
+        if not self._is_there(owner):
+            self._own(frame, caller)
             return ""
         return f"message from {who}; {owner} publishes the frame {frame} on /tf: end one of the two"

@@ -6,9 +6,10 @@ the kernel's triangles: the two know nothing of each other.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import coal
 import ifcopenshell
 import ifcopenshell.geom
 import numpy as np
@@ -37,8 +38,14 @@ _SAME_VOLUME = 1e-5
 _CURVED_VOLUME = 0.06
 #: Corners that are closer are one where that closes a body [m, at 1 m].
 _ROUNDING = 1e-9
-#: Why a body is doubted.
-CROSSED = "its profile crosses itself, and nobody can say what of it is solid"
+#: Pieces that are nearer touch [m]; smaller ones [m³] are rounding of the kernel's.
+_TOUCH = 1e-4
+_CRUMB = 1e-9
+#: Why a body is doubted, and what stands for it.
+_HULL = "a hull stands for it as an obstacle"
+CROSSED = f"its profile crosses itself, and nobody can say what of it is solid; {_HULL}"
+MISSING = f"the geometry kernel finds that a part of its shape crosses another; {_HULL}"
+IN_PIECES = "it is in {} pieces that do not touch, after its openings; it stands as an obstacle"
 
 
 @dataclass(frozen=True)
@@ -54,7 +61,8 @@ class Shape:
     model_T_shape : array, shape (4, 4)
         [m]
     doubt : str
-        Why the bodies are not what the model says; they are one hull then, around everything it can mean. Empty: they are.
+        Why the bodies are not one workpiece as the model says, and what stands for it: one hull around everything it can mean, or,
+        of an element in pieces, its bodies. Empty: they are.
     """
 
     id: int
@@ -131,8 +139,55 @@ def shapes(
             if _is_of(shape.geometry.id, bodies[shape.id]):
                 made.add(shape.id)
                 progress(len(made), len(bodies))
-                yield Shape(shape.id, found, matrix, CROSSED if crossed else "")
+                pieces = pieces_of(found) if shape.id in cut and not crossed else 1
+                yield Shape(
+                    shape.id, found, matrix, CROSSED if crossed else IN_PIECES.format(pieces) if pieces > 1 else ""
+                )
         more = bool(iterator.next())
+
+
+def pieces_of(bodies: Sequence[Body]) -> int:
+    """Return into how many pieces that do not touch each other the closed ones of these bodies fall.
+
+    Parameters
+    ----------
+    bodies : sequence of Body
+        Normals outwards.
+    """
+    pieces = [
+        (body.vertices[used], corners.reshape(-1, 3))
+        for body in bodies
+        if is_closed(body.triangles)
+        for used, corners in (np.unique(part, return_inverse=True) for part in _split(body.triangles))
+    ]
+    # the wall of a cavity is turned inwards
+    pieces = [piece for piece in pieces if volume(*piece) > _CRUMB]
+    if len(pieces) < 2:
+        return len(pieces)
+    low = np.array([vertices.min(axis=0) for vertices, _ in pieces]) - _TOUCH
+    high = np.array([vertices.max(axis=0) for vertices, _ in pieces])
+    meshes = [_mesh(*piece) for piece in pieces]
+    groups = list(range(len(pieces)))
+    for one in range(len(pieces)):
+        near = (low[one] <= high[one + 1 :]).all(axis=1) & (low[one + 1 :] <= high[one]).all(axis=1)
+        for other in (one + 1 + np.flatnonzero(near)).tolist():
+            if groups[one] != groups[other] and _touch(meshes[one], meshes[other]):
+                groups = [groups[one] if group == groups[other] else group for group in groups]
+    return len(set(groups))
+
+
+def _mesh(vertices: np.ndarray, triangles: np.ndarray) -> coal.BVHModelOBBRSS:
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(len(triangles), len(vertices))
+    mesh.addVertices(np.ascontiguousarray(vertices))
+    mesh.addTriangles(np.ascontiguousarray(triangles.astype(np.int32)))
+    mesh.endModel()
+    return mesh
+
+
+def _touch(one: coal.BVHModelOBBRSS, other: coal.BVHModelOBBRSS) -> bool:
+    identity = coal.Transform3s.Identity()
+    return bool(coal.distance(one, identity, other, identity, coal.DistanceRequest(), coal.DistanceResult()) <= _TOUCH)
 
 
 def _crossed(items: list[Item], unit: float) -> list[np.ndarray]:

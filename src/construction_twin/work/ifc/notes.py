@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 from construction_twin.core.work_errors import BuildingError
 
@@ -48,9 +48,19 @@ class Notes:
         """Return the sentences that hold for each of these elements and tasks, of those that any holds for."""
         return {name: tuple(remarks) for name, remarks in self._at.items() if name in ids}
 
-    def sentences(self) -> tuple[str, ...]:
-        """Return them; beyond the first few a sentence only counts what it is about."""
-        return tuple(_sentence(text, [about for about in named if about]) for text, named in self._about.items())
+    def sentences(self, names: Mapping[str, str] | None = None) -> tuple[str, ...]:
+        """Return them; beyond the first few a sentence only counts what it is about.
+
+        Parameters
+        ----------
+        names : mapping of str to str, optional
+            By id: what is noted by its id alone has its name, too. Empty: it has none.
+        """
+        called = {one: f"{name} ({one})" for one, name in (names or {}).items() if name}
+        return tuple(
+            _sentence(text, [called.get(about, about) for about in named if about])
+            for text, named in self._about.items()
+        )
 
 
 def _sentence(text: str, named: list[str]) -> str:

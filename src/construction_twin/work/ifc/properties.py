@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import ifcopenshell
 import ifcopenshell.util.element
@@ -20,6 +21,8 @@ _WEIGHTS = ("NetWeight", "GrossWeight", "Weight", "Mass")
 #: Densities [kg/m³] of what is built with, from insulation to lead, with much room.
 _LIGHTEST, _HEAVIEST = 1.0, 25000.0
 _LONGEST_TEXT = 4000
+#: What a number in a project of feet or inches may mean that does not say its unit of mass: pounds [kg], and per cubic foot [m³].
+_POUND, _CUBIC_FOOT = 0.45359237, 0.3048**3
 #: Values of `Status` of what is to be made, or of which nothing is said.
 _MADE = {"NEW", "NOTKNOWN", "UNSET", "NOTDEFINED", ""}
 #: A weight and volume times density that differ by more than this factor are told.
@@ -27,7 +30,7 @@ _UNLIKE = 1.5
 #: Smallest and largest likely density [kg/m³] by words in a material's name, the first that fits; with room for what is hollow.
 _MATERIALS = (
     (("insul", "dämm", "daemm", "wool", "wolle", "styro", "eps", "xps"), (5.0, 400.0)),
-    (("gyps", "gips", "gkb", "plasterboard", "drywall"), (400.0, 1700.0)),
+    (("gyp", "gips", "gkb", "plasterboard", "drywall"), (400.0, 1700.0)),
     (("concrete", "beton"), (250.0, 3200.0)),
     (("steel", "stahl"), (200.0, 8300.0)),
     (("alumin",), (50.0, 2950.0)),
@@ -109,20 +112,35 @@ def read_material(product: ifcopenshell.entity_instance, notes: Notes) -> str:
 
 
 def read_status(product: ifcopenshell.entity_instance, sets: Sets, notes: Notes) -> str:
-    """Return ``existing``, ``demolish`` or nothing: the property `Status` of a set ``Pset_...Common``."""
+    """Return ``existing``, ``demolish`` or nothing: the property `Status` of a set ``Pset_...Common``, in any case."""
+    about = product.Name or product.GlobalId
+    others = []
     for name, values in sets.items():
         given = values.get("Status")
-        if not (name.startswith("Pset_") and name.endswith("Common") and isinstance(given, str)):
+        if not isinstance(given, str):
             continue
         words = {word.strip(" .").upper() for word in given.split(",")}
-        if any(word.startswith(("DEMOLISH", "REMOVE")) for word in words):
-            return "demolish"
-        if "EXISTING" in words:
-            return "existing"
+        status = _status(words)
+        if not (name.casefold().startswith("pset_") and name.casefold().endswith("common")):
+            others += [(name, given)] if status else []
+            continue
+        if status:
+            return status
         for word in sorted(words - _MADE):
-            about = product.Name or product.GlobalId
             notes.add(f"Elements with the status {word!r}, taken as still to be made", about, product.GlobalId)
+    for name, given in others:
+        notes.add(
+            f"Elements with the status {given!r} in {name}, which is no set Pset_...Common: not used, taken as still to be made",
+            about,
+            product.GlobalId,
+        )
     return ""
+
+
+def _status(words: Collection[str]) -> str:
+    if any(word.startswith(("DEMOLISH", "REMOVE")) for word in words):
+        return "demolish"
+    return "existing" if "EXISTING" in words else ""
 
 
 def read_mass(
@@ -146,7 +164,15 @@ def read_mass(
             if "quantit" not in name.lower() and not name.startswith("Qto_"):
                 continue
             if isinstance(value, (int, float)) and not isinstance(value, bool) and value > 0:
-                if not units.weighs:
+                if not units.weighs and not _has_own_unit(product, name, quantity):
+                    if not _is_power_of_ten(units.length):
+                        notes.add(
+                            f"A weight of {value:.6g} without a unit can be kilograms or pounds: the project has no unit of "
+                            "mass, and its unit of length is not metric; not used, of",
+                            product.Name or label(product),
+                            product.GlobalId,
+                        )
+                        continue
                     notes.add("The project has no unit of mass; weights are taken as kilograms")
                 _doubt(product, float(value), whole, material, density, notes)
                 return float(value)
@@ -204,8 +230,8 @@ def _density(product: ifcopenshell.entity_instance, units: Units, notes: Notes) 
     shown = f"{found[0]:g}"
     if factor is None:
         notes.add(
-            f"A density of {shown} without a unit can be kg/m³ or of the project's units of mass and volume, or is "
-            "none of either; the mass is not known of",
+            f"A density of {shown} without a unit can be kg/m³ or of the project's units of mass and volume "
+            "(pounds where it has feet or inches and no unit of mass), or is none of either; the mass is not known of",
             product.Name or label(product),
             product.GlobalId,
         )
@@ -224,15 +250,27 @@ def _density_factor(found: tuple[float, ifcopenshell.entity_instance | None], un
         candidates = [units.density]
     else:
         # most authors write kg/m³ whatever the project's units are; the others mean the project's
-        candidates = [1.0, units.mass / units.volume]
+        metric = _is_power_of_ten(units.length)
+        mass = units.mass if units.weighs or metric else _POUND
+        candidates = [1.0, mass / units.volume, *([] if metric else [mass / _CUBIC_FOOT])]
     likely = [each for each in candidates if each is not None and _LIGHTEST <= density * each <= _HEAVIEST]
-    if len(likely) == 2 and units.weighs and not math.isclose(*likely, rel_tol=0.01):
+    if any(not math.isclose(likely[0], other, rel_tol=0.01) for other in likely):
         return None
     return likely[0] if likely else None
 
 
+def _has_own_unit(product: ifcopenshell.entity_instance, set_name: str, name: str) -> bool:
+    """Whether a value that was read has a unit of its own."""
+    entry = ifcopenshell.util.element.get_psets(product, verbose=True)[set_name][name]
+    return "id" in entry and getattr(product.file.by_id(entry["id"]), "Unit", None) is not None
+
+
 def _is_metric(units: Units) -> bool:
-    return all(math.isclose(each, 10.0 ** round(math.log10(each)), rel_tol=1e-9) for each in (units.length, units.mass))
+    return _is_power_of_ten(units.length) and _is_power_of_ten(units.mass)
+
+
+def _is_power_of_ten(factor: float) -> bool:
+    return math.isclose(factor, 10.0 ** round(math.log10(factor)), rel_tol=1e-9)
 
 
 def _material_density(

@@ -20,7 +20,7 @@ from construction_twin.core.files import read_file
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.work.building import Body, BuildingModel, Element
-from construction_twin.work.ifc.geometry import Shape, shapes
+from construction_twin.work.ifc.geometry import MISSING, Shape, shapes
 from construction_twin.work.ifc.notes import Notes, Where
 from construction_twin.work.ifc.placements import Placements, check_rigid
 from construction_twin.work.ifc.properties import read_mass, read_material, read_properties, read_status
@@ -117,8 +117,9 @@ def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: 
     project = file.by_type("IfcProject")[0]
     with Where(name, project):
         title = project.Name or getattr(project, "LongName", None) or ""
+    names = {one: element.name for one, element in elements.items()} | {one: task.name for one, task in tasks.items()}
     return BuildingModel(
-        name, digest, schema, title, found.units.length, elements, tasks, sequences, notes.sentences(),
+        name, digest, schema, title, found.units.length, elements, tasks, sequences, notes.sentences(names),
         notes.remarks({*elements, *tasks}),
     )  # fmt: skip
 
@@ -200,7 +201,7 @@ def _elements(file: ifcopenshell.file, found: _Found, progress: Progress) -> tup
         if product.id() in bodies and (product.id() not in made or not made[product.id()].bodies):
             found.notes.add("Geometry that the kernel cannot make is left out of", ids[product.id()])
         if product.id() in made and (doubt := made[product.id()].doubt):
-            sentence = f"THE BODY IS DOUBTFUL: {doubt}; a hull stands for it as an obstacle, the arm does not place it"
+            sentence = f"THE BODY IS DOUBTFUL: {doubt}, the arm does not place it"
             found.notes.add(sentence, product.Name or ids[product.id()], ids[product.id()])
         with Where(found.name, product):
             element = _element(product, ids, matrices[product.id()], made.get(product.id()), found)
@@ -223,9 +224,7 @@ def _take_kernel_log(file: ifcopenshell.file, made: dict[int, Shape], notes: Not
             except RuntimeError:
                 number = 0
             if wrong and number in made and not made[number].doubt:
-                made[number] = made[number].doubted(
-                    "the geometry kernel finds that a part of its shape crosses another"
-                )
+                made[number] = made[number].doubted(MISSING)
         notes.add(f"The geometry kernel says: {sentence}", about)
 
 

@@ -33,9 +33,16 @@ _MAKES = (None, "CONSTRUCTION", "INSTALLATION", "NOTDEFINED", "USERDEFINED")
 _TAKES_DOWN = ("DEMOLITION", "DISMANTLE", "DISPOSAL", "REMOVAL")
 #: The same in the words of an author's own kind.
 _TAKES_DOWN_WORDS = ("demol", "dismantl", "remov", "tear", "abbruch", "abbau", "abriss", "rückbau")
-#: Words of the status of a task, upper case and without spaces: done, and not begun.
-_DONE_WORDS = ("COMPLETED", "COMPLETE", "DONE", "FINISHED", "CLOSED")
-_NOT_BEGUN_WORDS = ("", "NOTSTARTED", "NOTYETSTARTED", "PLANNED", "SCHEDULED", "OPEN", "READY", "TODO", "NOTDEFINED")
+#: Words of the status of a task, see `_status_word`: done, not to be done any more, and not begun.
+_DONE_WORDS = (
+    *("COMPLETED", "COMPLETE", "DONE", "FINISHED", "CLOSED"),
+    *("FERTIGGESTELLT", "FERTIG", "ERLEDIGT", "ABGESCHLOSSEN"),
+)
+_CANCELLED_WORDS = ("CANCELLED", "CANCELED", "ENTFALLEN", "ENTFÄLLT", "STORNIERT")
+_NOT_BEGUN_WORDS = (
+    *("", "NOTSTARTED", "NOTYETSTARTED", "PLANNED", "SCHEDULED", "OPEN", "READY", "TODO", "NOTDEFINED"),
+    *("GEPLANT", "OFFEN", "NICHTBEGONNEN"),
+)
 
 
 @dataclass
@@ -206,7 +213,11 @@ def _task(
     shown = entity.Name or task_id
     products = _elements(assigned.products[entity.id()], ids, shown, task_id, notes)
     inputs = _elements(assigned.inputs[entity.id()], ids, shown, task_id, notes)
-    kind = _kind(entity, task_id, shown, notes)
+    cancelled = _is_cancelled(entity, assigned)
+    kind = _kind(entity, task_id, shown, notes) if not cancelled else "other"
+    if cancelled:
+        sentence = "Tasks that the file says are cancelled: not done, nothing waits for them but what comes before"
+        notes.add(sentence, shown, task_id)
     if not products and inputs and kind == "makes" and (made := [each for each in inputs if each in workpieces]):
         notes.add(
             "Tasks whose workpieces are assigned as inputs only (IfcRelAssignsToProcess); taken as what they make",
@@ -229,7 +240,7 @@ def _task(
         finish=finish,
         duration=duration,
         kind=kind,
-        completed=_completed(entity, assigned.times.get(entity.id()), task_id, shown, notes),
+        completed=not cancelled and _completed(entity, assigned.times.get(entity.id()), task_id, shown, notes),
     )
 
 
@@ -251,6 +262,23 @@ def _kind(entity: ifcopenshell.entity_instance, task_id: str, shown: str, notes:
     return "makes"
 
 
+def _status_word(entity: ifcopenshell.entity_instance) -> str:
+    """Return the status of a task in upper case, without what stands around its letters; digits, % and ? stay: they are doubts."""
+    return "".join(each for each in (entity.Status or "").upper() if each.isalnum() or each in "?%")
+
+
+def _is_cancelled(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> bool:
+    """Return whether the file says of a task, or of what it nests in, that it is not to be done any more."""
+    above: ifcopenshell.entity_instance | None = entity
+    seen: set[int] = set()
+    while above is not None and above.is_a("IfcTask") and above.id() not in seen:
+        if _status_word(above) in _CANCELLED_WORDS:
+            return True
+        seen.add(above.id())
+        above = assigned.parents.get(above.id())
+    return False
+
+
 def _completed(
     entity: ifcopenshell.entity_instance,
     control: ifcopenshell.entity_instance | None,
@@ -260,7 +288,7 @@ def _completed(
 ) -> bool:
     """Return whether the file says that a task is done; one that is under way, or says both, is noted."""
     time = control if control is not None else getattr(entity, "TaskTime", None)
-    status = (entity.Status or "").strip().upper().replace(" ", "").replace("_", "")
+    status = _status_word(entity)
     part = getattr(time, "Completion", None)
     signs = [
         status in _DONE_WORDS,
@@ -270,7 +298,7 @@ def _completed(
     if any(signs):
         sentence = "Tasks that the file says are completed: not done again, what they made stands"
         notes.add(sentence, shown, task_id)
-        if status in _NOT_BEGUN_WORDS or (status and status not in _DONE_WORDS):
+        if status and status not in _DONE_WORDS:
             notes.add(
                 f"Tasks with the status {entity.Status!r} whose times say that they are completed", shown, task_id
             )
