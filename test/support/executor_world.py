@@ -81,9 +81,10 @@ class World:
         self.said.append((name, message))
 
     def grid(self):
-        """Let both clocks run; the twin follows at once and the monitor is content."""
+        """Let all clocks run; the twin follows at once and the monitor is content."""
         for _ in range(self.cycles):
             self.wall, self.steady = self.wall + CYCLE_NS, self.steady + CYCLE_NS
+            self.booted += CYCLE_NS
             if self.speaks:
                 self.node.on_sync(Sync(state=Sync.IN_SYNC, agreed=True, policy="replan"))
             yield self.wall, 0

@@ -81,3 +81,8 @@ def staleness(seen: Moment, now: Moment) -> str:
         oldest = LIFETIME / NANOSECONDS
         return f"too old: it is of {age / NANOSECONDS:.1f} s ago, and after {oldest:g} s it is void; {again}"
     return ""
+
+
+def is_newer(seen: Moment, act: Moment | None) -> bool:
+    """Return whether what was shown is of after an act; of another clock it is not, and without an act it is."""
+    return act is None or (seen.origin == act.origin and seen.at > act.at)

@@ -40,6 +40,9 @@ from construction_twin.robot.plan import Plan
 #: What is done where one segment ends and the next begins.
 _AT_BOUNDARIES = (Action.ARRIVE, Action.ENTER, Action.VOID, Action.REARM)
 _BY_GATE = (ExecutorEvent.GATE_HOLDS, ExecutorEvent.GATE_ENDS)
+#: States in which a plan begins, or goes on, without another word of a person.
+_WAITING = (ExecutorState.PLAYING, ExecutorState.HELD, ExecutorState.AT_BOUNDARY)
+_OLDEST = LIFETIME / NANOSECONDS
 #: The twin's pose counts as known this long after its last message [ns].
 TWIN_TIMEOUT = NANOSECONDS // 2
 #: A plan may start this far from the present pose [rad]; rounding, not motion.
@@ -107,7 +110,7 @@ class Executor:
         self.outcome = ""
         self._playback: Playback | None = None
         self._approved: Plan | None = None
-        #: Until then the approval, or a resume, of a work plan counts that has not entered its first segment [ns].
+        #: Until then the approval, or a resume, of a plan counts that has not begun to move [ns].
         self._begin_by = 0
         self._paused = False
         self.limit = PlayRate()
@@ -368,7 +371,7 @@ class Executor:
         plan : Plan
         reason : str
         may_wait : int, optional
-            A work plan that waits before its first segment for longer than this does not begin [ns].
+            A plan that has not begun to move for longer than this ends [ns].
         """
         self._approved, self._begin_by = plan, self._now + may_wait
         self._on(ExecutorEvent.APPROVED, reason)
@@ -489,6 +492,8 @@ class Executor:
             self._on(ExecutorEvent.AGREED, "twin and physical arm agree")
         if self.state is ExecutorState.WAITING:
             return None
+        if self.state in _WAITING and now > self._begin_by and self._run.elapsed == 0.0:
+            self._on(ExecutorEvent.TIMEOUT, f"not begun, {self._waits_for()}: an approval is void after {_OLDEST:g} s")
         if self.state is ExecutorState.AT_BOUNDARY:
             self._wait_at_boundary(stamp, now)
         if self.state is ExecutorState.IDLE:
@@ -508,13 +513,17 @@ class Executor:
             self._setpoint = twin.q
         return self._setpoint
 
+    def _waits_for(self) -> str:
+        """Return why a plan that was approved stands at its beginning."""
+        if self.state is ExecutorState.HELD:
+            return f"the gate holds ({self._sync.name})"
+        if self.work is not None and self.state is ExecutorState.AT_BOUNDARY:
+            return self.work.waits_for()
+        return self.limit.reason if self.limit.fraction == 0.0 else "as its first setpoint was due too late"
+
     def _wait_at_boundary(self, stamp: int, now: int) -> None:
         work = self.work
         assert work is not None  # only a work plan has boundaries
-        if work.segment is None and now > self._begin_by:
-            oldest = LIFETIME / NANOSECONDS
-            self._on(ExecutorEvent.TIMEOUT, f"not begun, {work.waits_for()}: an approval is void after {oldest:g} s")
-            return
         scene = self.queue.scene if self.queue.scene_alive else ""
         said = work.update(stamp, now, self.tool, scene, self.limit.fraction > 0.0)
         if said is not None:

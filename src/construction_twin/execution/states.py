@@ -150,7 +150,8 @@ TABLE: tuple[Row, ...] = (
     *_rows([_S.PAUSING], _E.SEGMENT_END, Action.ARRIVE, _S.PAUSED),
     *_rows([_S.STOPPING], _E.SEGMENT_END, Action.STOP, _S.IDLE),
     *_rows([_S.AT_BOUNDARY], _E.NEXT_SEGMENT, Action.ENTER, _S.PLAYING),
-    *_rows([_S.AT_BOUNDARY], _E.TIMEOUT, Action.STOP, _S.IDLE),
+    # what has not begun when its approval, or a resume, is void never begins by itself
+    *_rows([_S.PLAYING, _S.HELD, _S.AT_BOUNDARY], _E.TIMEOUT, Action.STOP, _S.IDLE),
     *_rows([_S.AT_BOUNDARY], _E.REFUSED, Action.STOP, _S.IDLE),
     *_rows([_S.PLAYING, _S.PAUSING], _E.LOST, Action.BRAKE, _S.STOPPING),
     *_rows([_S.PAUSED, _S.AT_BOUNDARY], _E.LOST, Action.STOP, _S.IDLE),

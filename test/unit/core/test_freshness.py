@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.freshness import LIFETIME, Moment, parse_moment, staleness
+from construction_twin.core.freshness import LIFETIME, Moment, is_newer, parse_moment, staleness
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.ros.shared import robot_clock
 
@@ -65,3 +65,17 @@ def test_the_robot_s_clock_is_one_clock_that_nobody_sets(monkeypatch):
     first, second = robot_clock.present(), robot_clock.present()
     assert first.origin == second.origin and first.at <= second.at
     assert parse_moment(str(first)).origin == first.origin and staleness(first, second) == ""
+
+
+@pytest.mark.parametrize(
+    "seen, act, newer",
+    [
+        (Moment("c0ffee00", 5), None, True),
+        (Moment("c0ffee00", 5), Moment("c0ffee00", 4), True),
+        (Moment("c0ffee00", 5), Moment("c0ffee00", 5), False),
+        (Moment("c0ffee00", 5), Moment("c0ffee00", 6), False),
+        (Moment("c0ffee00", 5), Moment("deadbeef", 4), False),
+    ],
+)
+def test_what_was_shown_is_of_after_an_act(seen, act, newer):
+    assert is_newer(seen, act) is newer

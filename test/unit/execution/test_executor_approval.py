@@ -6,14 +6,17 @@ import threading
 from dataclasses import replace
 
 import pytest
-from executor_bench import GOAL, ROBOT, SCENE, Bench, make_plan, reach
+from executor_bench import GOAL, ROBOT, SCENE, Bench, make_plan, make_work_plan, reach
 
 from construction_twin.core.errors import ExpiredError, RecordError, ReviewError
-from construction_twin.core.units import NANOSECONDS
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, SCENE_DELAY, Approval, WithoutPerson
 from construction_twin.execution.executor import START_TOLERANCE, ExecutorState
 from construction_twin.monitor.gate import SyncState
 from construction_twin.robot.trajectory import Trajectory
+
+#: Cycles in a second.
+SECOND = NANOSECONDS // CYCLE_NS
 
 
 @pytest.fixture
@@ -341,6 +344,45 @@ class TestAge:
         end.set()
         first.join(10.0), other.join(10.0)
         assert [type(error) for error in failed] == [ExpiredError]
+
+    @pytest.mark.parametrize("work", [False, True])
+    def test_what_a_speed_limit_of_0_kept_from_beginning_never_begins_by_itself(self, bench, work):
+        plan = make_work_plan() if work else make_plan()
+        bench.with_tool()
+        bench.executor.limit_rate(0.0, "speed limit 0 by /scanner: somebody is near")
+        bench.play(plan, SECOND * 29 // 10)
+        assert bench.state is ExecutorState.PLAYING
+        bench.run(SECOND // 2)
+        assert bench.state is ExecutorState.IDLE and bench.executor.outcome == "stopped"
+        assert "not begun, speed limit 0 by /scanner: somebody is near: an approval is void after 3 s" in (
+            bench.executor.reason
+        )
+        bench.executor.limit_rate(1.0)
+        bench.run(SECOND)
+        assert set(bench.outputs[3:]) == {ROBOT.home}
+
+    def test_what_has_begun_to_move_within_its_time_goes_on_after_it(self, bench):
+        bench.executor.limit_rate(0.0, "somebody is near")
+        bench.play(make_plan(), SECOND * 29 // 10)
+        bench.executor.limit_rate(1.0)
+        bench.run(10)
+        bench.executor.limit_rate(0.0, "somebody is near")
+        bench.run(5 * SECOND)
+        assert bench.state is ExecutorState.PLAYING and bench.executor.limit.standing
+        bench.executor.limit_rate(1.0)
+        bench.run_until_idle()
+        assert bench.executor.outcome == "finished"
+
+    def test_a_resume_is_void_like_an_approval_where_nothing_has_moved(self, bench):
+        bench.executor.limit_rate(0.0, "somebody is near")
+        bench.play(make_plan(), 10)
+        bench.executor.pause(bench.stamp)
+        # what a person has paused waits for a person
+        bench.run(5 * SECOND)
+        assert bench.state is ExecutorState.PAUSED
+        bench.executor.resume()
+        bench.run(4 * SECOND)
+        assert bench.state is ExecutorState.IDLE and bench.executor.outcome == "stopped"
 
     def test_a_rejection_is_never_too_old(self, bench):
         plan, seen = make_plan(), bench.present()

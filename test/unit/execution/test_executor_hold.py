@@ -48,6 +48,17 @@ class TestHeld:
         assert bench.outputs[-9] != last and set(bench.outputs[-7:]) == {last} == {bench.step()}
         assert bench.twin == bench.codec.quantise(last)
 
+    def test_what_was_held_before_it_moved_does_not_begin_when_its_approval_is_void(self, bench):
+        bench.executor.limit_rate(0.0, "somebody is near")
+        last = hold(bench, 10)
+        assert bench.state is HELD
+        bench.executor.limit_rate(1.0)
+        bench.run(round(3.0 / CYCLE))
+        assert bench.state is not HELD and bench.executor.outcome == "stopped"
+        assert "not begun, the gate holds (HOLDING): an approval is void after 3 s" in bench.executor.reason
+        open_again(bench)
+        assert set(bench.run(100)) == {last}
+
     def test_goes_on_by_itself_to_the_goal_under_the_same_approval(self, bench):
         hold(bench)
         bench.run(500)

@@ -279,6 +279,35 @@ class TestAge:
         again = node.on_screen_resume(ResumeFromScreenRequest(world.shown(0.1)))
         assert not again.success and not again.expired and "nothing to resume" in again.message
 
+    @pytest.mark.parametrize("before", ["PLAYING", "PAUSING", "PAUSED"])
+    def test_a_resume_that_is_older_than_a_pause_does_not_undo_it(self, world, before):
+        node = world.playing().node
+        if before != "PLAYING":
+            assert node.on_pause(None).success
+            world.run(1 if before == "PAUSING" else 100)
+        assert world.executor.state is ExecutorState[before]
+        # one person presses resume, and it hangs in the network; another one presses pause, and is answered
+        pressed = world.shown()
+        world.booted += NANOSECONDS // 2
+        assert node.on_pause(None).success
+        world.run(100)
+        answer = node.on_screen_resume(ResumeFromScreenRequest(pressed))
+        assert not answer.success and answer.expired and "paused or stopped since" in answer.message
+        assert [reason for reason, _ in world.refused] == ["too_old"]
+        assert world.run(50).executor.state is ExecutorState.PAUSED
+        # who has seen the pause may undo it
+        assert node.on_screen_resume(ResumeFromScreenRequest(world.shown())).success
+        assert world.run(5).executor.state is ExecutorState.PLAYING
+
+    def test_a_pause_whose_moment_cannot_be_read_is_carried_out_and_no_screen_undoes_it(self, world, monkeypatch):
+        node = world.playing().node
+        with monkeypatch.context() as broken:
+            broken.setattr(module, "present", lambda: 1 // 0)
+            assert node.on_pause(None).success
+        world.run(100)
+        assert not node.on_screen_resume(ResumeFromScreenRequest(world.shown())).success
+        assert world.executor.state is ExecutorState.PAUSED and node.on_resume(None).success
+
     def test_a_stop_a_pause_and_the_resume_of_this_graph_need_no_moment(self, world):
         node = world.playing().node
         assert node.on_pause(None).success

@@ -29,7 +29,7 @@ from construction_twin.core.errors import (
     RecordError,
     ReviewError,
 )
-from construction_twin.core.freshness import Moment, parse_moment, staleness
+from construction_twin.core.freshness import Moment, is_newer, parse_moment, staleness
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
@@ -220,6 +220,8 @@ class ExecutorNode:
         self._beside = executor.beside
         # safety acts, and how many of them were told of: until then, and while the arm brakes, what tells cannot end this node
         self._acts = self._acts_told = 0
+        # of the newest pause or stop that was answered; a screen that has not seen it resumes nothing
+        self._rested: Moment | None = None
         # by the wall clock, and by the one that nobody sets [ns]
         self._started, self._started_steady = now_ns(), time.monotonic_ns()
         self._readings = NewestReading(self._started, self._started_steady)
@@ -418,6 +420,7 @@ class ExecutorNode:
         with self._lock:
             self._note_act()
             sentence = self._executor.stop(self._asked_until())
+            self._note_rest()
             braking = self._beside.do("the forecast of a stop", self._executor.braking)
         # it brakes already; the forecast takes some cycles' time, and must not hold up a setpoint
         if braking is not None:
@@ -436,6 +439,7 @@ class ExecutorNode:
             with self._lock:
                 self._note_act()
                 sentence = self._executor.stop_plan(request.plan_id, f"stop requested by {caller or 'a client'}")
+                self._note_rest()
         except ExecutionError as error:
             self._say(rospy.logwarn, "stop_plan refused: %s", error)
             return StopPlanResponse(False, str(error))
@@ -444,6 +448,10 @@ class ExecutorNode:
 
     def _note_act(self) -> None:
         self._acts += 1
+
+    def _note_rest(self) -> None:
+        # where the moment cannot be read, no screen can show a later one
+        self._rested = self._beside.do("the moment of an act", present) or Moment("", 0)
 
     def _say(self, write: Callable[..., None], *words) -> None:
         """Have a line written after the answer."""
@@ -486,18 +494,24 @@ class ExecutorNode:
 
     def _pause(self) -> str:
         self._note_act()
-        return self._executor.pause(self._asked_until())
+        sentence = self._executor.pause(self._asked_until())
+        self._note_rest()
+        return sentence
 
     def _asked_until(self) -> int:
         return self._readings.asked_until(now_ns(), time.monotonic_ns())
 
     def on_screen_resume(self, request: ResumeFromScreenRequest) -> ResumeFromScreenResponse:
-        """Go on after a pause, unless what the person's screen had shown is too old."""
+        """Go on after a pause, unless what the person's screen had shown is too old, or older than a pause or stop."""
         try:
             seen = parse_moment(request.moment)
             with self._lock:
                 if problem := staleness(seen, present()):
                     raise ExpiredError(f"the resume is {problem}")
+                if not is_newer(seen, self._rested):
+                    raise ExpiredError(
+                        "the resume is void: the arm was paused or stopped since; look again, and then ask anew"
+                    )
                 sentence = self._executor.resume()
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
