@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import mmap
 import os
+import stat
 import struct
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.gateway.states import State
@@ -29,6 +31,24 @@ DEFAULT_CYCLES = 900_000
 
 def _entry(axes: int) -> struct.Struct:
     return struct.Struct(f"<QqHHB3x{axes}d")
+
+
+def _open(path: str) -> tuple[str, BinaryIO]:
+    """Return the path of a file that was made, "" for one that was there before, and the open file, empty."""
+    try:
+        mode = os.stat(path).st_mode
+    except FileNotFoundError:
+        # where a link leads that has no file yet
+        made = os.path.realpath(path)
+        return made, open(made, "x+b")
+    if not stat.S_ISREG(mode):
+        # a gateway that runs as root could open a device, and remove it
+        raise ConfigurationError(
+            "--trace",
+            path,
+            "a regular file, or a path where none is yet; this is a device, a folder, a pipe or a socket",
+        )
+    return "", open(path, "w+b")
 
 
 @dataclass(frozen=True)
@@ -68,7 +88,7 @@ class TraceWriter:
     Parameters
     ----------
     path : str
-        File to write; one that exists is replaced.
+        File to write; a regular file that exists is overwritten, anything else that exists is refused.
     axes : int
         Values per position.
     cycles : int, optional
@@ -77,7 +97,8 @@ class TraceWriter:
     Raises
     ------
     ConfigurationError
-        If the file cannot be written, or not at its full length; what was made of it is removed.
+        If the path is a device, a folder or anything else but a regular file: it is not opened. If the file cannot be written, or
+        not at its full length: one that was made for it is removed, one that was there before is left, empty.
     """
 
     def __init__(self, path: str, axes: int, cycles: int = DEFAULT_CYCLES):
@@ -87,15 +108,18 @@ class TraceWriter:
         self._at = _HEADER.size
         self.dropped = 0
         try:
-            self._file = open(path, "w+b")
+            made, self._file = _open(path)
         except OSError as error:
             raise ConfigurationError("--trace", path, f"a file that can be written ({error.strerror})") from error
         try:
             os.posix_fallocate(self._file.fileno(), 0, self._end)
             self._memory = mmap.mmap(self._file.fileno(), self._end)
         except OSError as error:
+            if made:
+                os.unlink(made)
+            else:
+                self._file.truncate(0)
             self._file.close()
-            os.unlink(path)
             expected = (
                 f"a file on a disk with {self._end / 1e6:.1f} MB of room, reserved at the start ({error.strerror})"
             )

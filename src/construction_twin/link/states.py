@@ -53,7 +53,9 @@ class Guard(Enum):
     FAULT_UNASKED = "the gateway reports a fault, and no person asked for this session"
     STOPPED_SINCE = "a person asked for this session, and the gateway was stopped or started again since the call"
     STOPPED_BEFORE = "a former run of the gateway was stopped, and no person has asked for a session since"
-    HALTED_HERE = "`halt` was called, or a person's request failed, since the last session began"
+    HALTED_HERE = (
+        "`halt` was called, or a person's request failed, since the last session with a right to command began"
+    )
     FIRST_SESSION = "this bridge has never been armed, and the gateway is ready"
     NOTHING_COULD_JUMP = (
         "the gateway is ready, armed, or holds after silence; twin and arm rest within the start tolerance"
@@ -75,6 +77,7 @@ class Action(Enum):
     FORGET_REQUESTS = "forget the pending control message and request"
     NOTE_HALT = "forget all requests; end mirror mode; wait for a person"
     NOTE_WITHDRAWAL = "forget all requests; wait for a person"
+    NOTE_WITHDRAWAL_IN_MIRROR = "wait for a person when mirror mode has ended"
     BEGIN_MIRROR = "begin a session without the right to command"
     BEGIN_ASKED_SESSION = "begin a new session on a person's request"
     BEGIN_FIRST_SESSION = "begin the first session"
@@ -100,7 +103,9 @@ class Action(Enum):
 Row = state_table.Row[LinkState, LinkEvent, Guard, Action]
 
 
-def _rows(states: Iterable[LinkState], event: LinkEvent, guard: Guard, action: Action, target: LinkState) -> list[Row]:
+def _rows(
+    states: Iterable[LinkState], event: LinkEvent, guard: Guard, action: Action, target: LinkState | None
+) -> list[Row]:
     return state_table.rows(states, event, guard, action, target)
 
 
@@ -123,6 +128,8 @@ TABLE: tuple[Row, ...] = (
     *_rows(LinkState, LinkEvent.CONTROLLER_LOST, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.NO_CONTROLLER),
     # what a person asks for
     *_rows(LinkState, LinkEvent.HALTED, Guard.ALWAYS, Action.NOTE_HALT, LinkState.NEEDS_RESET),
+    # mirror mode began after the request: the arm leads on
+    *_rows(LinkState, LinkEvent.WITHDRAWN, Guard.ARM_LEADS, Action.NOTE_WITHDRAWAL_IN_MIRROR, None),
     *_rows(LinkState, LinkEvent.WITHDRAWN, Guard.ALWAYS, Action.NOTE_WITHDRAWAL, LinkState.NEEDS_RESET),
     *_rows(LinkState, LinkEvent.MIRROR_ASKED, Guard.ALWAYS, Action.BEGIN_MIRROR, LinkState.MIRROR),
     *_rows(LinkState, LinkEvent.RESET_ASKED, Guard.ALWAYS, Action.BEGIN_ASKED_SESSION, LinkState.RESYNC),
@@ -149,6 +156,7 @@ TABLE: tuple[Row, ...] = (
     *_rows((LinkState.NEEDS_RESET,), LinkEvent.TURN, Guard.ANSWER_AWAITED, Action.NOTHING, LinkState.NEEDS_RESET),
     *_rows((LinkState.NEEDS_RESET,), LinkEvent.TURN, Guard.WITHDRAWAL_UNTOLD, Action.SEND_STOP, LinkState.NEEDS_RESET),
     *_rows((LinkState.MIRROR,), LinkEvent.TURN, Guard.ANSWER_AWAITED, Action.NOTHING, LinkState.MIRROR),
+    *_rows((LinkState.MIRROR,), LinkEvent.TURN, Guard.WITHDRAWAL_UNTOLD, Action.SEND_STOP, LinkState.MIRROR),
     *_rows((LinkState.MIRROR,), LinkEvent.TURN, Guard.OLD_SESSION_COMMANDS, Action.RESET_OLD_SESSION, LinkState.MIRROR),
     *_rows(_RESYNC, LinkEvent.ARM_ACCEPTED, Guard.ALWAYS, Action.NOTE_ARMED, LinkState.ARMED),
 )

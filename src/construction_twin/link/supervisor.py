@@ -95,8 +95,9 @@ class LinkSupervisor:
         self.halts = 0
         #: How often a person asked for a session.
         self.requests = 0
-        # a request failed, and what it sent may still arrive at the gateway
+        # a request failed, and what it sent may still arrive at the gateway; the session of that request
         self._owes_stop = False
+        self._withdrawn_session = ""
         # the control message that waits for its answer, or was refused and is sent again; the one to send next
         self._pending: Control | None = None
         self._unanswered = False
@@ -117,7 +118,9 @@ class LinkSupervisor:
             Guard.NOT_READY: lambda now: self.inputs.gateway != "ready" or self.inputs.fault,
             Guard.POSES_DIFFER: self._poses_differ,
             Guard.ARM_REFUSED: lambda now: self._arm_refused,
-            Guard.WITHDRAWAL_UNTOLD: lambda now: self._owes_stop and not self.inputs.follows_another(self.session),
+            Guard.WITHDRAWAL_UNTOLD: lambda now: (
+                self._owes_stop and not self.inputs.follows_another(self._withdrawn_session)
+            ),
             Guard.OLD_SESSION_COMMANDS: lambda now: self._mirror.old_session_commands,
             Guard.NOT_TOGETHER: self._not_together,
         }
@@ -125,6 +128,7 @@ class LinkSupervisor:
             Action.FORGET_REQUESTS: self._forget_requests,
             Action.NOTE_HALT: self._note_halt,
             Action.NOTE_WITHDRAWAL: self._note_withdrawal,
+            Action.NOTE_WITHDRAWAL_IN_MIRROR: self._note_withdrawal_in_mirror,
             Action.BEGIN_MIRROR: self._begin_mirror,
             Action.BEGIN_ASKED_SESSION: self._begin_asked_session,
             Action.BEGIN_FIRST_SESSION: lambda reason, now: self._begin_session("first session"),
@@ -144,7 +148,7 @@ class LinkSupervisor:
             Action.TELL_HALT: lambda reason, now: self._halted or "",
             Action.TELL_RESET: lambda reason, now: f"{self._gateway_sentence}; call reset",
             Action.SEND_RESET: lambda reason, now: self._send_reset(self.session, now),
-            Action.SEND_STOP: lambda reason, now: self._send("stop", self.session, now),
+            Action.SEND_STOP: lambda reason, now: self._send("stop", self._withdrawn_session, now),
             Action.SEND_ARM: self._send_arm,
             Action.RESET_OLD_SESSION: lambda reason, now: self._send_reset(self._mirror.ended_session, now),
         }
@@ -260,7 +264,8 @@ class LinkSupervisor:
         """Give up what a person asked for, because it has been answered as failed: it must not happen later without a person.
 
         Nothing is armed until a person asks again, not by the link's own rules either. The gateway is told to stop: an `arm` that
-        is still under way arms nothing then, and a bridge that is started again waits for a person too.
+        is still under way arms nothing then, and a bridge that is started again waits for a person too. Where mirror mode began
+        since, it goes on, and has ended the request's session at the gateway.
 
         Parameters
         ----------
@@ -402,12 +407,19 @@ class LinkSupervisor:
     def _note_withdrawal(self, reason: str, now: int) -> str:
         # a fault at the gateway outlasts this process, and the reason that it tells is the better one
         self._owes_stop = self._unanswered or not self.inputs.fault
+        self._withdrawn_session = self.session
         self._halted, self._pending = reason, None
         self._reset_wanted = self._asked_for = False
         return reason
 
+    def _note_withdrawal_in_mirror(self, reason: str, now: int) -> str:
+        # the request itself, and what it had under way, were given up when mirror mode began
+        self._halted = reason
+        return self.reason
+
     def _void_request(self, reason: str, now: int) -> str:
         self._owes_stop = self._unanswered and not self.inputs.fault
+        self._withdrawn_session = self.session
         self._pending, self._asked_for = None, False
         run, _ = self._shown
         if run != self.inputs.run:
@@ -418,9 +430,10 @@ class LinkSupervisor:
         return self._halted
 
     def _begin_mirror(self, reason: str, now: int) -> str:
-        # a new session without a right to command: executor and gate start over, and what was recorded of the old one is void
-        self.session, self._owes_stop = self._new_id(), False
-        self._pending, self._halted, self._reset_wanted, self._asked_for = None, None, False, False
+        # a new session without a right to command: executor and gate start over, and what was recorded of the old one is void; it
+        # neither tells the gateway of a request that failed, nor ends the waiting for a person
+        self.session = self._new_id()
+        self._pending, self._reset_wanted, self._asked_for = None, False, False
         return self._mirror.sentence
 
     def _begin_session(self, reason: str) -> str:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import shutil
+import socket
+import stat
 import subprocess
 import sys
 
@@ -71,6 +74,60 @@ def test_what_is_no_trace_is_refused(tmp_path, content):
 def test_a_file_that_cannot_be_written_is_refused_by_name(tmp_path):
     with pytest.raises(ConfigurationError, match="--trace"):
         TraceWriter(str(tmp_path / "missing" / "trace"), 1)
+
+
+def _make_pipe(path):
+    os.mkfifo(path)
+
+
+def _make_folder(path):
+    os.mkdir(path)
+
+
+def _make_socket(path):
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(str(path))
+
+
+def _make_device(path):
+    if os.geteuid() != 0:
+        pytest.skip("a device is made, which needs root")
+    # the numbers of /dev/null
+    os.mknod(path, 0o666 | stat.S_IFCHR, os.makedev(1, 3))
+
+
+@pytest.mark.parametrize("linked", [False, True])
+@pytest.mark.parametrize("make", [_make_device, _make_pipe, _make_folder, _make_socket])
+def test_what_is_no_regular_file_is_refused_unopened_and_stays(tmp_path, monkeypatch, make, linked):
+    there, link = tmp_path / "there", tmp_path / "link"
+    make(there)
+    link.symlink_to(there)
+    before = os.lstat(there)
+    monkeypatch.setattr("builtins.open", lambda *given, **named: pytest.fail(f"opened: {given}"))
+    with pytest.raises(ConfigurationError, match="--trace.* regular file.* device"):
+        TraceWriter(str(link if linked else there), 1)
+    after = os.lstat(there)
+    assert (after.st_mode, after.st_ino, after.st_rdev) == (before.st_mode, before.st_ino, before.st_rdev)
+    assert link.is_symlink()
+
+
+@pytest.mark.parametrize("existed", [False, True])
+@pytest.mark.parametrize("linked", [False, True])
+def test_a_refused_start_removes_only_the_file_that_it_made(tmp_path, monkeypatch, existed, linked):
+    there, link = tmp_path / "there", tmp_path / "link"
+    link.symlink_to(there)
+    if existed:
+        there.write_bytes(b"of an earlier run")
+
+    def no_room(*_given):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", no_room)
+    with pytest.raises(ConfigurationError, match="No space left"):
+        TraceWriter(str(link if linked else there), 1)
+    assert link.is_symlink() and there.exists() is existed
+    if existed:
+        assert there.stat().st_size == 0
 
 
 #: Takes a folder, a number of cycles and a command: records that many cycles in the folder, after the command.

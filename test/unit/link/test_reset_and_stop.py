@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from reset_bench import MS, ResetBench
+from supervisor_bench import Bench
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import State
@@ -301,6 +302,89 @@ class TestWithdrawal:
         assert bench.link is LinkState.RESYNC
         bench.together = True
         bench.run_until(lambda: bench.link is LinkState.ARMED)
+
+
+class TestWithdrawnBesideMirrorMode:
+    """Mirror mode neither forgets what failed for a person, nor is ended by it."""
+
+    @staticmethod
+    def failing() -> ResetBench:
+        """Return a stopped link whose `reset` has come as far as an `arm` that no answer followed, nor any status."""
+        bench = begun("stopped")
+        bench.loses = lambda control: control.verb in ("arm", "stop")
+        bench.reset()
+        bench.run_until(lambda: bench.sent[-1].verb == "arm")
+        bench.run(0.2)
+        assert bench.link is LinkState.RESYNC
+        return bench
+
+    @staticmethod
+    def fail(bench: ResetBench) -> None:
+        bench.supervisor.withdraw(bench.supervisor.requests, "not armed within 5 s: RESYNC")
+
+    @staticmethod
+    def mirror(bench: ResetBench) -> None:
+        """Begin mirror mode as soon as the command stream, which began anew with the session, has been seen to rest."""
+        bench.run(0.5)
+        bench.supervisor.begin_mirror(bench.now)
+        assert bench.link is LinkState.MIRROR
+
+    @pytest.mark.parametrize("late", [False, True])
+    def test_the_stop_that_is_owed_is_sent_while_the_arm_leads(self, late):
+        bench = self.failing()
+        arm = bench.sent[-1]
+        self.fail(bench)
+        self.mirror(bench)
+        if late:
+            bench.cell.control("arm", arm.session, arm.value)
+        assert bench.supervisor.withdraws and bench.gateway.state is (State.ARMED if late else State.READY)
+        bench.loses = lambda control: False
+        bench.run(2.0)
+        assert bench.sent[-1].verb == "stop" and bench.sent[-1].session == arm.session
+        assert not bench.supervisor.withdraws and bench.gateway.fault and not bench.commands
+        assert bench.link is LinkState.MIRROR
+        # its end is a person's request, which clears that stop
+        bench.supervisor.end_mirror(bench.now)
+        bench.run_until(lambda: bench.link is LinkState.ARMED)
+
+    def test_a_request_that_fails_after_mirror_mode_began_does_not_end_it(self):
+        bench = self.failing()
+        self.mirror(bench)
+        self.fail(bench)
+        assert bench.link is LinkState.MIRROR and bench.supervisor.reason.startswith("the arm leads")
+        bench.run(2.0)
+        assert bench.link is LinkState.MIRROR and bench.supervisor.mirrors
+
+    @pytest.mark.parametrize("order", ["failed before", "failed meanwhile", "halted before"])
+    def test_mirror_mode_that_ended_read_only_leaves_the_arming_to_a_person(self, order):
+        scripted = Bench()
+        supervisor = scripted.supervisor
+        scripted.answering = False
+        supervisor.halt("stopped; call reset")
+        scripted.run(0.5)
+        if order != "halted before":
+            supervisor.request_reset(scripted.now)
+            scripted.run(1.0)
+            assert scripted.state is LinkState.RESYNC
+        if order == "failed before":
+            supervisor.withdraw(supervisor.requests, "not armed within 5 s")
+            scripted.run(0.3)
+        supervisor.begin_mirror(scripted.now)
+        scripted.run(0.5)
+        if order == "failed meanwhile":
+            supervisor.withdraw(supervisor.requests, "not armed within 5 s")
+        scripted.set_gateway("read_only", session="")
+        scripted.run(0.5)
+        supervisor.end_mirror(scripted.now)
+        scripted.run(0.5)
+        assert scripted.state is LinkState.NO_CONTROLLER
+        scripted.answering = True
+        scripted.set_gateway("ready")
+        scripted.run(3.0)
+        assert scripted.state is LinkState.NEEDS_RESET and supervisor.reason.endswith("call reset")
+        supervisor.request_reset(scripted.now)
+        scripted.run(1.0)
+        assert scripted.state is LinkState.ARMED
 
 
 class TestTwoGateways:
