@@ -2,8 +2,8 @@
 record follows: no disk stands before a person's no. Pure; recording and the clock are arguments.
 
 An approval is void `core.freshness.LIFETIME` after the moment that its screen had shown, or after it was called where no screen
-says one: it is looked at when it comes, after its record was written, and until the first setpoint leaves. Then the plan stays
-under review. A rejection is never too old.
+says one: it is looked at when it comes, after its record was written, and until the plan begins to move. A plan whose approval is
+void before it is played stays under review; one that was played and has not moved ends. A rejection is never too old.
 """
 
 from __future__ import annotations
@@ -75,8 +75,7 @@ class Approval:
     executor : Executor
     record : callable
         Called with each approval before it is carried out, with one that is refused, and with the Ending of an execution that could
-        then not begin; raises RecordError when it cannot be kept. A rejection goes the way of what the executor decides by itself
-        (`Executor.take_events`).
+        then not begin; raises RecordError when it cannot be kept. A rejection's record is the caller's.
     lock : context manager
         Held around every use of the executor.
     clock : callable

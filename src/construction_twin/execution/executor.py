@@ -353,7 +353,9 @@ class Executor:
         return not self.neighbour.problem(plan.id)
 
     def reject(self, verdict: Verdict) -> None:
-        """Take a plan out of review because a person said no; the verdict is told and recorded with the next `take_events`.
+        """Take a plan out of review because a person said no; the verdict is told with the next `take_events`.
+
+        Its record is the caller's.
 
         Raises
         ------
@@ -382,7 +384,7 @@ class Executor:
             self._events.append(Verdict(WITHDRAWN, plan.id, plan.hash, EXECUTOR, reason, plan))
 
     def take_events(self) -> list[Verdict | Ending]:
-        """Return what is to be told and recorded since the last call: plans withdrawn or rejected, executions ended."""
+        """Return what is new: plans withdrawn or rejected, executions ended. A rejection is to be told, the rest recorded too."""
         events, self._events = self._events, []
         return events
 

@@ -189,6 +189,16 @@ def test_a_rejection_is_on_record_and_told(world, tmp_path):
     assert [(each.plan_id, each.approved, each.reviewer) for each in told[1:]] == [("q", False, "Ada")]
 
 
+def test_a_rejection_that_was_answered_is_on_record_once_although_the_node_ends_before_its_next_cycle(world, tmp_path):
+    prepared(world, "reject")
+    assert act(world, "reject").success
+    # as rospy does at its shutdown
+    world.node.write_records()
+    assert [line["verdict"] for line in records(tmp_path)] == ["approved", "rejected"]
+    world.run(2).node.write_records()
+    assert [line["verdict"] for line in records(tmp_path)] == ["approved", "rejected"]
+
+
 def test_what_fails_when_nobody_has_asked_for_anything_still_ends_the_node(world, monkeypatch):
     world.playing()
     monkeypatch.setattr(module, "Said", fail)

@@ -54,7 +54,7 @@ from construction_twin.msg import (
     ToolState,
 )
 from construction_twin.msg import SpeedLimit as SpeedLimitMessage
-from construction_twin.review.queue import EXECUTOR, Verdict
+from construction_twin.review.queue import EXECUTOR, REJECTED, Verdict
 from construction_twin.review.record import Release, Responsibility, ReviewLog
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanContent
@@ -413,6 +413,9 @@ class ExecutorNode:
         if taken.verdict.approved:
             # a rejection is told with what the executor decides by itself
             self._publish_verdict(taken.verdict)
+        else:
+            # what was answered is on record, also where the node ends before its next cycle
+            self._beside.do("the record", self._log.defer, taken.verdict)
         return True, taken.sentence, False
 
     def on_stop(self, _request) -> TriggerResponse:
@@ -638,7 +641,9 @@ class ExecutorNode:
             self._reported = now.said
             tell("the topic execution", self._publish_execution, now)
         for event in events:
-            tell("the record", self._log.defer, event)
+            if not (isinstance(event, Verdict) and event.verdict == REJECTED):
+                # a person's rejection was kept for the record when it was carried out
+                tell("the record", self._log.defer, event)
             if isinstance(event, Verdict):
                 tell("the topic review", self._publish_verdict, event)
         if now is not None:
