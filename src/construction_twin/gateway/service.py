@@ -412,7 +412,7 @@ class GatewayService:
         kind = verb if ok else f"refused {verb}"
         beside = self.gateway.beside
         # the status first: a reader of the answer must not act on an older status
-        beside.do("the status", self._publish_status)
+        beside.do("the status", self._publish_status_of_stop if control.verb == "stop" else self._publish_status)
         answer = {"id": control.id, "verb": control.verb, "ok": ok, "reason": reason, "session": control.session}
         beside.do("the answer", self._publish_answer, self._topics.control_ack, json.dumps(answer))
         level = logging.INFO if ok else logging.WARNING
@@ -438,7 +438,7 @@ class GatewayService:
             line = logging.INFO, "stop by a person", f"account {account}: {done.reason or 'again'}"
         if done.reason:
             # the status first: a reader of the answer must not act on an older status
-            beside.do("the status", self._publish_status)
+            beside.do("the status", self._publish_status_of_stop)
             answer = intervention_answer(id_, account, GATEWAY, done.ok, done.reason)
             beside.do("the answer", self._publish_answer, self._topics.stop_ack, answer)
         beside.do("the log", self._log, *line)
@@ -454,10 +454,17 @@ class GatewayService:
         self._mqtt.client.send_stream(self._topics.state, payload, beside)
 
     def _publish_status(self, final: bool = False) -> paho.MQTTMessageInfo | None:
+        return self._send_status(lambda: self.guarded(self._document) or self._document_of_failure(), final)
+
+    def _publish_status_of_stop(self) -> None:
+        # not guarded: one that cannot be made is counted beside the stop, which the gateway itself carries out to its end
+        self._send_status(self._document)
+
+    def _send_status(self, document: Callable[[], dict], final: bool = False) -> paho.MQTTMessageInfo | None:
         self._status.sent(time.monotonic())
         if not self._mqtt.connected:
             return None
-        status = self.guarded(self._document) or self._document_of_failure()
+        status = document()
         if final:
             status |= {"state": "offline", "reason": "gateway stopped"}
         return self._mqtt.client.publish(self._topics.status, json.dumps(status), qos=1, retain=True)

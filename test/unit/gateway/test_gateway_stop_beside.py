@@ -12,9 +12,10 @@ from processes import wait_until
 from service_cell import PATIENT, START, assert_still, cell, motion, stream
 
 from construction_twin.gateway import service as module
-from construction_twin.gateway.gateway import State
+from construction_twin.gateway.gateway import Gateway, State
 from construction_twin.gateway.log import LineLimiter
 from construction_twin.gateway.ownership import Ownership
+from construction_twin.gateway.player import Player
 from construction_twin.gateway.stop_report import StopReport
 from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.mqtt.interventions import STOP, AnswerPace, Intervention
@@ -157,3 +158,25 @@ def test_a_status_that_cannot_be_sent_keeps_no_answer_back(broker, topics, monke
         client.wait_for_status(state="holding", fault=True)
         wait_until(lambda: client.status()["counters"].get("failed_beside_the_status") == 1, what="the count")
         assert not service.failure
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("owner, name", [(Player, "report"), (Gateway, "status")])
+def test_a_status_that_cannot_be_made_fails_no_gateway_that_stops(broker, topics, monkeypatch, way, owner, name):
+    with cell(broker, topics, config=PATIENT) as (service, controller, client):
+        assert client.arm(PATIENT)["ok"]
+        stream(client, controller, (motion(k) for k in range(60)))
+        made, failed = getattr(owner, name), []
+
+        def once_not(self, *given):
+            if service.gateway.fault and not failed:
+                failed.append(name)
+                fail()
+            return made(self, *given)
+
+        monkeypatch.setattr(owner, name, once_not)
+        assert press(client, topics, way)["ok"] and failed
+        client.wait_for_status(state="holding", fault=True)
+        wait_until(lambda: client.status()["counters"].get("failed_beside_the_status") == 1, what="the count")
+        assert not service.failure
+        assert_still(controller)
