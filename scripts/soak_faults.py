@@ -58,15 +58,20 @@ MOST_TRACED = 700_000
 PROBE_PERIOD = 4_000_000
 #: How long killed programs, and retained topics, may take to come back [s].
 RETURN = 30.0
+#: Motions that are begun before a person gives up: one may be held because the machine stood still.
+TRIES = 3
 #: Retained while a plan waits for a verdict only.
 PASSING = ("/plan",)
 RESULT = ROOT / "results" / "soak" / "faults.json"
 
 
 def in_its_own_mounts() -> None:
-    """Start this program again in a mount namespace of its own, where it is not yet: its disk ends with it, however it ends."""
+    """Start this program again in a mount namespace of its own, where it is not yet: its disk ends with it, however it ends.
+
+    There it also lives in the robot's namespace, which rospy reads when it is imported.
+    """
     if os.environ.get("SOAK_MOUNTS") != "own":
-        os.environ["SOAK_MOUNTS"] = "own"
+        os.environ |= {"SOAK_MOUNTS": "own", "ROS_NAMESPACE": f"/{ROBOT}"}
         os.execvp("unshare", ["unshare", "--mount", "--propagation", "private", sys.executable, *sys.argv])
 
 
@@ -104,14 +109,12 @@ class Soak:
         try:
             self.operator.back()
             if not fault.at_rest:
-                plan = self.operator.start()
-                # the approved motion is under way for a while, and not yet at its end
-                time.sleep(self.chance.uniform(0.1, 0.6) * plan.duration)
+                self._go_under_way()
             came = time.monotonic()
             remark = fault.act(self.operator, self.world)
             self.operator.back()
             back = time.monotonic()
-            self.operator.play()
+            assert any(self.operator.play() for _ in range(TRIES)), f"none of {TRIES} motions after it was finished"
             while time.monotonic() - begin < length:
                 self.operator.play()
         except FAILURES as error:
@@ -126,6 +129,16 @@ class Soak:
             self.world.wait_for_nodes(set(nodes), RETURN)
         wait_while(lambda: not topics <= self._retained(), RETURN, 0.5)
         return self._take(fault, nodes, topics, came, back, failed), remark
+
+    def _go_under_way(self) -> None:
+        """Begin a motion, and go on some way into it; again when the gate holds it: whether it may is judged beside."""
+        for _ in range(TRIES):
+            plan = self.operator.start()
+            time.sleep(self.chance.uniform(0.1, 0.6) * plan.duration)
+            if self.operator.plays(plan.plan_id):
+                return
+            self.operator.back()
+        raise AssertionError(f"none of {TRIES} motions was under way for long enough")
 
     def _take(self, fault, nodes, topics, came: float, back: float, failed: str) -> Leg:
         """Return what was seen since the last call."""

@@ -121,7 +121,7 @@ def _late_approval(operator: Operator, _world: SoakWorld) -> str:
 
 def _approval_held_back(operator: Operator, world: SoakWorld) -> str:
     plan = operator.plan()
-    operator.client.wait(lambda: operator.screen.plan and operator.screen.plan["id"] == plan.plan_id, "the plan", 10.0)
+    operator.shown(plan)
     answers: list[tuple[bool, str]] = []
 
     def ask() -> tuple[bool, str]:
@@ -139,7 +139,7 @@ def _approval_held_back(operator: Operator, world: SoakWorld) -> str:
 
 def _two_approvals(operator: Operator, _world: SoakWorld) -> str:
     plan = operator.plan()
-    operator.client.wait(lambda: operator.screen.plan and operator.screen.plan["id"] == plan.plan_id, "the plan", 10.0)
+    operator.shown(plan)
     answers: list[tuple[bool, str]] = []
     calls = [
         threading.Thread(target=lambda route=route: answers.append(operator.approve(plan, route)))
@@ -151,13 +151,13 @@ def _two_approvals(operator: Operator, _world: SoakWorld) -> str:
         call.join(30.0)
     taken = sum(ok for ok, _ in answers)
     assert taken == 1, f"{taken} of two approvals at once were taken: {answers}"
-    operator.client.wait_for_outcome(plan.plan_id, "finished", plan.duration + 10.0)
+    operator.wait_until_ended(plan.plan_id, plan.duration + 10.0)
     return "; ".join(sentence for ok, sentence in answers if not ok)
 
 
 def _retained_verdict(operator: Operator, _world: SoakWorld) -> str:
     plan = operator.plan()
-    operator.client.wait(lambda: operator.screen.plan and operator.screen.plan["id"] == plan.plan_id, "the plan", 10.0)
+    operator.shown(plan)
     screen = operator.screen
     document = {"plan_id": plan.plan_id, "plan_hash": plan.plan_hash, "verdict": "approved", "moment": screen.moment}
 
@@ -211,7 +211,7 @@ def _override(operator: Operator, _world: SoakWorld) -> str:
         operator.client.wait(
             lambda: float(operator.client.gateway_counters().get(counter, "nan")) == 30.0, "30 % to be told", 5.0
         )
-        operator.client.wait_for_outcome(before, "finished")
+        operator.wait_until_ended(before)
         operator.play()
     finally:
         operator.client.inject("override", False)

@@ -58,8 +58,8 @@ class Operator:
 
     def plan(self, duration: float | None = None):
         """Have a motion planned to a pose drawn from `POSES`, somewhere else than the arm is; return its plan."""
-        here = self.client.plans[-1].trajectory.points[-1].positions if self.client.plans else ()
-        goals = [pose for pose in POSES if self.client.si(pose) != tuple(here)]
+        here = self.witness.arm.pose
+        goals = [pose for pose in POSES if max(abs(q - p) for q, p in zip(self.client.si(pose), here)) > 0.2]
         length = self.chance.uniform(*DURATION) if duration is None else duration
         return self.client.plan_to(self.chance.choice(goals), length)
 
@@ -69,12 +69,10 @@ class Operator:
         if route == "ros":
             ok, sentence, seen = self._approve_by_ros(plan)
         else:
-            self.client.wait(
-                lambda: self.screen.plan and self.screen.plan["id"] == plan.plan_id, "the plan on the screen"
-            )
+            shown = self.shown(plan)
             given = moment or self.screen.moment
             seen = self._monotonic(given)
-            answer = self.screen.verdict(self.screen.plan, "approved", moment=given)
+            answer = self.screen.verdict(shown, "approved", moment=given)
             ok, sentence = answer["ok"], answer["reason"]
         if ok:
             self.permissions.append(Permission(plan.plan_id, seen))
@@ -99,11 +97,33 @@ class Operator:
         self.client.wait(self.witness.arm.moves, "the arm to move", 5.0)
         return plan
 
-    def play(self) -> None:
-        """A motion from plan to end, as on any day; AssertionError when it does not finish."""
+    def shown(self, plan) -> dict:
+        """Wait until the screen shows a plan, and a view that is not old; return what it shows of the plan."""
+        self.client.wait(lambda: (self.screen.plan or {}).get("id") == plan.plan_id, "the plan on the screen")
+        self.client.wait(lambda: time.monotonic() - self._monotonic(self.screen.moment) < 0.5, "a fresh view")
+        return self.screen.plan
+
+    def play(self) -> bool:
+        """A motion from plan to end, as on any day; return whether it was finished. When it is not, the robot is brought back."""
         plan = self.start()
-        self.client.wait_for_outcome(plan.plan_id, "finished", plan.duration + 10.0)
-        self.client.wait(self.witness.arm.rests, "the arm to rest")
+        self.wait_until_ended(plan.plan_id, plan.duration + 10.0)
+        finished = self.client.execution.outcome == "finished"
+        self.back()
+        return finished
+
+    def plays(self, plan_id: str) -> bool:
+        """Return whether a plan is being played."""
+        report = self.client.execution
+        return (report.plan_id, report.state) == (plan_id, Execution.PLAYING)
+
+    def wait_until_ended(self, plan_id: str, timeout: float = 20.0) -> None:
+        """Wait until a plan is not played any more, whatever the outcome."""
+
+        def ended() -> bool:
+            report = self.client.execution
+            return report.plan_id == plan_id and report.state in (Execution.IDLE, Execution.WAITING)
+
+        self.client.wait(ended, f"the end of plan {plan_id}", timeout)
 
     def stop(self, route: str = "") -> None:
         """Stop by ``ros`` (the executor), ``mqtt`` (an account), ``control`` (the gateway alone) or ``halt``; "" for any."""
@@ -158,10 +178,7 @@ class Operator:
             answer = self.client.review(plan.plan_id, plan.plan_hash, approve=False)
             assert answer.success, answer.message
         else:
-            self.client.wait(
-                lambda: self.screen.plan and self.screen.plan["id"] == plan.plan_id, "the plan on the screen"
-            )
-            answer = self.screen.verdict(self.screen.plan, "rejected")
+            answer = self.screen.verdict(self.shown(plan), "rejected")
             assert answer["ok"], answer["reason"]
         self.stopped(f"rejection by {route}")
 

@@ -38,6 +38,11 @@ class PoseEar:
         last = self._heard[-round(seconds * 250) :]
         return len(last) == round(seconds * 250) and all(pose[2] == last[0][2] for pose in last)
 
+    @property
+    def pose(self) -> Sequence[float]:
+        """The newest pose [rad]."""
+        return self._heard[-1][2]
+
     def moves(self) -> bool:
         """Return whether the newest two poses differ."""
         return len(self._heard) > 1 and self._heard[-1][2] != self._heard[-2][2]

@@ -102,7 +102,7 @@ class SoakWorld(ExitStack):
         subprocess.run(["cc", "-O1", "-shared", "-fPIC", "-o", str(library), str(source)], check=True)
         self.step_clock(0.0, 0.0)
         os.environ |= {"ROS_MASTER_URI": f"http://127.0.0.1:{self.ports.master}", "ROS_IP": "127.0.0.1"}
-        os.environ |= {"ROS_HOME": str(self.home), "ROS_NAMESPACE": f"/{ROBOT}"}
+        os.environ["ROS_HOME"] = str(self.home)
         for name in ("ROS_HOSTNAME", "ROS_LOG_DIR"):
             os.environ.pop(name, None)
         self._line = self._start_line()
