@@ -1,8 +1,11 @@
-"""The judge of `make soak ARGS=faults`: a leg that keeps every promise, and one that breaks each; and the clock that it steps."""
+"""`make soak ARGS=faults`: its judge, with a leg that keeps every promise and legs that break each; and what it reads and steps."""
 
 from __future__ import annotations
 
+import importlib
+import itertools
 import os
+import random
 import struct
 import subprocess
 import sys
@@ -10,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from processes import ROOT
+from processes import ROOT, wait_until
 from soak_judge import (
     BLEND,
     LIFETIME,
@@ -32,6 +35,11 @@ from soak_judge import (
     table,
     total,
 )
+from soak_witness import RecordEye
+from soak_world import SoakWorld
+
+from construction_twin.gateway.states import State
+from construction_twin.gateway.trace import TraceWriter
 
 CYCLE, LENGTH = 0.004, 40.0
 #: When the good leg's motions begin and end, and by how much the joint moves [s], [rad].
@@ -240,3 +248,84 @@ def test_the_clock_of_some_programs_is_stepped_while_they_run(tmp_path):
     for program in programs:
         program.communicate()
         assert program.returncode == 0
+
+
+@pytest.fixture(scope="module")
+def script():
+    with pytest.MonkeyPatch.context() as patch:
+        for folder in ("scripts", "benchmarks", "test/integration"):
+            patch.syspath_prepend(str(ROOT / folder))
+        yield importlib.import_module("soak_faults")
+
+
+class Traced:
+    """A world of which only the length of the trace is asked."""
+
+    traced = 0
+
+
+def test_each_fault_comes_once_before_any_comes_again_and_in_the_order_of_the_seed(script):
+    def orders(seed: int) -> list[str]:
+        return [
+            fault.name
+            for fault in itertools.islice(
+                script.drawn(script.FAULTS, random.Random(seed), Traced()), 2 * len(script.FAULTS)
+            )
+        ]
+
+    first, second = orders(1)[: len(script.FAULTS)], orders(1)[len(script.FAULTS) :]
+    assert sorted(first) == sorted(second) == sorted(fault.name for fault in script.FAULTS)
+    assert first != second and orders(1) == orders(1) != orders(2)
+
+
+def test_a_trace_that_is_nearly_full_is_begun_anew_first(script):
+    world = Traced()
+    faults = script.drawn(script.FAULTS, random.Random(1), world)
+    world.traced = script.MOST_TRACED + 1
+    assert next(faults) is script.NEW_TRACE
+    world.traced = 0
+    assert len({fault.name for fault in itertools.islice(faults, len(script.FAULTS))}) == len(script.FAULTS)
+
+
+def test_a_log_is_read_once_in_whole_lines_and_a_traceback_with_its_end(tmp_path):
+    world = SoakWorld(tmp_path)
+    log = tmp_path / "bringup.log"
+    log.write_text("started\n\x1b[31m[ERROR] one\x1b[0m\n[ERROR] one\nhalf a li")
+    assert world.new_log_lines() == (3, ["bringup.log: [ERROR] one"])
+    with open(log, "a") as file:
+        file.write("ne ERROR\nTraceback (most recent call last):\n  File x\n    y\nValueError: no\n")
+    count, bad = world.new_log_lines()
+    assert count == 5
+    assert bad[0] == "bringup.log: half a line ERROR"
+    assert bad[1].startswith("bringup.log: Traceback") and bad[1].endswith("ValueError: no")
+    assert world.new_log_lines() == (0, [])
+
+
+def test_traces_go_on_where_they_ended_with_one_entry_in_common(tmp_path):
+    world = SoakWorld(tmp_path)
+    writer = TraceWriter(str(world.trace_file), 1, cycles=100)
+    for ipoc in range(10):
+        writer.record(4 * ipoc, 1, State.FOLLOWING, 0, (0.1 * ipoc,))
+    (run,) = world.traces()
+    assert [entry.ipoc for entry in run] == [4 * k for k in range(10)]
+    for ipoc in range(10, 13):
+        writer.record(4 * ipoc, 1, State.FOLLOWING, 0, (0.1 * ipoc,))
+    (run,) = world.traces()
+    assert [entry.ipoc for entry in run] == [36, 40, 44, 48]
+    assert world.traced == 13
+
+
+def test_approvals_are_seen_in_the_record_when_their_line_is_whole(tmp_path):
+    path = tmp_path / "reviews.jsonl"
+    eye = RecordEye(path)
+    try:
+        with open(path, "w", buffering=1) as file:
+            file.write('{"verdict": "rejected", "plan": "a"}\n{"verdict": "approved", "plan": "b"}\n{"verdict": "appr')
+            file.flush()
+            wait_until(lambda: eye.lines == 2, what="two lines")
+            assert set(eye.approved) == {"b"}
+            file.write('oved", "plan": "c"}\n')
+            wait_until(lambda: set(eye.approved) == {"b", "c"}, what="the third")
+        assert eye.approved["c"] > eye.approved["b"]
+    finally:
+        eye.close()
