@@ -145,8 +145,14 @@ class TraceWriter:
         self._file.close()
 
 
-def read_trace(path: str) -> list[TraceEntry]:
+def read_trace(path: str | Path, since: int = 0) -> list[TraceEntry]:
     """Read a trace, also one whose writer was killed or is still at it.
+
+    Parameters
+    ----------
+    path : str or Path
+    since : int, optional
+        Number of the first entry that is wanted, from 0.
 
     Raises
     ------
@@ -155,13 +161,13 @@ def read_trace(path: str) -> list[TraceEntry]:
     """
     data = Path(path).read_bytes()
     if len(data) < _HEADER.size or not data.startswith(MAGIC):
-        raise ConfigurationError(path, data[:16], "a file written by rsi_gateway --trace")
+        raise ConfigurationError(str(path), data[:16], "a file written by rsi_gateway --trace")
     _, axes, size = _HEADER.unpack_from(data)
     entry = _entry(axes)
     if size != entry.size:
-        raise ConfigurationError(path, size, f"entries of {entry.size} bytes")
+        raise ConfigurationError(str(path), size, f"entries of {entry.size} bytes")
     entries = []
-    for at in range(_HEADER.size, len(data) - size + 1, size):
+    for at in range(_HEADER.size + since * size, len(data) - size + 1, size):
         ipoc, stamp, state, session, lost, *position = entry.unpack_from(data, at)
         if not state:
             break

@@ -33,6 +33,7 @@ def test_it_holds_what_was_answered_cycle_by_cycle(tmp_path):
     assert [tuple(q - start for q, start in zip(entry.position, START)) for entry in entries] == replies
     assert {entry.state for entry in entries} == {State.FOLLOWING, State.BRAKING, State.HOLDING}
     assert {entry.session for entry in entries} == {1}
+    assert (read_trace(path, 150), read_trace(path, 200)) == (entries[150:], [])
     assert entries[0].stamp > 0 and entries[-1].stamp == 0
 
 
