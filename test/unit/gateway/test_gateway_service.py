@@ -65,9 +65,9 @@ def test_the_state_after_a_verb_is_told_before_its_answer(broker, topics):
 
 def test_a_wrong_hash_is_answered_with_the_reason_and_arms_nothing(broker, topics):
     with cell(broker, topics) as (service, controller, client):
-        answer = client.control("arm", "0" * 64)
+        answer = client.control("arm", arm_value("0" * 64, RUN))
         assert not answer["ok"]
-        assert CONFIG.hash in answer["reason"]
+        assert answer["reason"] == f"configuration hash {'0' * 64!r} is not the gateway's {CONFIG.hash}"
         assert service.gateway.status()["state"] == "ready"
 
 
