@@ -19,7 +19,7 @@ from construction_twin.kinematics.solution import Configuration, InverseKinemati
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
 from construction_twin.planning.recheck import recheck
 from construction_twin.planning.request_limits import PlanBounds, check_request
-from construction_twin.planning.search import find_path, planner_kinds
+from construction_twin.planning.ompl_search import find_path, planner_kinds
 from construction_twin.planning.timing import time_path, with_midpoints
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Plan, PlanReport, content_hash

@@ -15,7 +15,7 @@ from planning_cell import CHAIN, HOME, LEFT, REQUEST, RIGHT, ROBOT, ROOT, WALL, 
 
 from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
 from construction_twin.planning.planner import PlanRequest
-from construction_twin.planning.search import planner_kinds
+from construction_twin.planning.ompl_search import planner_kinds
 from construction_twin.scene.objects import Scene, SceneObject
 
 WALLED = world(WALL)

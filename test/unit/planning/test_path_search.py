@@ -17,7 +17,7 @@ from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.curves import rounded
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
 from construction_twin.planning.planner import Planner, PlannerSettings
-from construction_twin.planning.search import find_path, planner_kind
+from construction_twin.planning.ompl_search import find_path, planner_kind
 from construction_twin.robot.description import read_robot_files
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject
