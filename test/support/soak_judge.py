@@ -27,7 +27,8 @@ LOOK = 0.05
 REPORTED = 1.5
 #: A stop counts as watched when so much of it was seen [s].
 WATCHED = 2.0
-#: The arm follows the twin by no more than this [s]: the playout's delay, the servo and the gate's allowance.
+#: The arm follows the twin by no more than this [s]: the playout's delay, the servo and the gate's allowance. What the gateway says
+#: is put off, because replies were lost, comes on top (docs/conventions.md, Lost replies).
 FOLLOWS = 0.6
 #: A pause of the machine of this length explains what is out of order until so long after it [s].
 PAUSE, AFTERMATH = 0.02, 2.0
@@ -136,7 +137,11 @@ class Trace:
 
 @dataclass(frozen=True)
 class Leg:
-    """All that was seen of one leg. `velocity` [rad/s] per joint; `braking` is the time in which any motion ends [s]."""
+    """All that was seen of one leg.
+
+    `velocity` [rad/s] per joint; `braking` is the time in which any motion ends [s]; `put_off` holds times, and by how much the arm
+    was said to trail its stream then [s].
+    """
 
     arm: Samples
     twin: Samples
@@ -153,6 +158,7 @@ class Leg:
     in_sync: tuple[Stretch, ...] = ()
     holds: tuple[Stretch, ...] = ()
     pauses: tuple[Stretch, ...] = ()
+    put_off: tuple[tuple[float, float], ...] = ()
     trace: Trace = Trace(0)
     chain: str = ""
     records: int = 0
@@ -165,6 +171,12 @@ class Leg:
     log: tuple[str, ...] = ()
     log_lines: int = 0
     failed: str = ""
+
+    def follows(self, time: float) -> float:
+        """Return by how much the arm may follow the twin [s]: as was said just before, or just after."""
+        before = [seconds for at, seconds in self.put_off if at <= time][-1:]
+        after = [seconds for at, seconds in self.put_off if at > time][:1]
+        return FOLLOWS + max([0.0, *before, *after])
 
     def disturbed(self, begin: float, end: float) -> bool:
         """Whether the machine stood still while something happened, or just before."""
@@ -308,7 +320,7 @@ def twin_and_arm_agree(leg: Leg) -> Finding:
         # the gate reacts on what it hears, we hear its word a moment later
         if not any(s.begin + 0.1 <= time <= s.end - LATENCY for s in leg.in_sync):
             continue
-        first, last = np.searchsorted(leg.twin.times, (time - FOLLOWS, time + 0.1))
+        first, last = np.searchsorted(leg.twin.times, (time - leg.follows(time), time + 0.1))
         if first == last:
             continue
         seen += 1

@@ -75,6 +75,26 @@ class StateEar:
         return [(Stretch(begin, end, text), key) for (begin, key, text), end in zip(changes, ends)]
 
 
+class PutOffEar:
+    """Keeps by how much the arm was said to trail its stream, because replies were lost or its speed was limited."""
+
+    KEY = "playout_put_off_ms"
+
+    def __init__(self, topic: str):
+        self._heard: list[tuple[float, float]] = []
+        rospy.Subscriber(topic, Link, self._on_link)
+
+    def _on_link(self, message: Link) -> None:
+        for counter in message.gateway_counters:
+            if counter.key == self.KEY:
+                self._heard.append((time.monotonic(), float(counter.value) / 1000.0))
+
+    def take(self) -> tuple[tuple[float, float], ...]:
+        """Return time and put-off motion [s] of what was heard since the last call, the last one of then first."""
+        heard, self._heard = self._heard, self._heard[-1:]
+        return tuple(heard)
+
+
 class RecordEye:
     """Looks at the review file: when each approval was first seen there, by plan."""
 
@@ -117,6 +137,7 @@ class Witness:
     def __init__(self, review_file: Path):
         self.arm, self.twin = PoseEar("mock_rsi/joint_states"), PoseEar("twin/joint_states")
         self._link = StateEar("link", Link)
+        self.put_off = PutOffEar("link")
         self._sync = StateEar("sync", Sync)
         self._execution = StateEar("execution", Execution, lambda message: (message.state, message.plan_id))
         self.records = RecordEye(review_file)

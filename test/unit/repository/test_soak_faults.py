@@ -123,6 +123,8 @@ BROKEN: dict[str, list[Leg]] = {
     "twin and arm agree": [
         replace(GOOD, arm=later(TWIN, 1.5)),
         replace(GOOD, arm=replace(GOOD.arm, positions=GOOD.arm.positions + 0.02)),
+        # more behind than was said, and said of another time
+        replace(GOOD, arm=later(TWIN, 1.5), put_off=((0.0, 0.0), (6.0, 0.5), (20.0, 0.0), (30.0, 0.0))),
     ],
     "no hold without a cause": [
         replace(GOOD, holds=(Stretch(30.0, 31.0, "HOLDING"),)),
@@ -157,6 +159,11 @@ def test_each_promise_has_a_leg_that_breaks_it():
 @pytest.mark.parametrize(("promise", "leg"), [(name, leg) for name, legs in BROKEN.items() for leg in legs])
 def test_what_breaks_a_promise_is_found_under_its_name(promise, leg):
     assert judge(leg)[promise].violations
+
+
+def test_an_arm_that_trails_by_what_was_put_off_agrees_with_the_twin():
+    said = ((0.0, 0.0), (5.5, 1.4), (9.0, 1.4), (19.0, 1.4), (26.0, 0.0))
+    assert judge(replace(GOOD, arm=later(TWIN, 1.5), put_off=said))["twin and arm agree"].violations == ()
 
 
 def test_a_motion_is_what_lies_between_rests():
