@@ -1,9 +1,6 @@
-"""A path around obstacles: OMPL's planners on joint vectors, with each straight motion checked in one call.
+"""OMPL's planners as searches for a path, with each straight motion checked in one call.
 
-Joint vectors are in the order of `RobotModel.joint_names`, SI. A path is a polyline; its timing and the
-rounding of its corners are done elsewhere.
-
-OMPL's log and its generator of seeds belong to the process, not to a planner. `find_path` switches the log off. It seeds the
+OMPL's log and its generator of seeds belong to the process, not to a planner. `OmplSearch.find` switches the log off. It seeds the
 generator before every search and creates everything that draws random numbers after that, so the same search with the same
 seed gives the same path, also in another process. This holds for planners that end with the first path found; a planner that
 improves its path until its time is over gets further on a faster machine.
@@ -18,9 +15,9 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import NoPathError
 from construction_twin.planning.motion_validator import MotionValidator
+from construction_twin.planning.path_search import PathQuery
 
 #: Distance of the points between which a path is pulled tight [rad]: shorter costs more checks and gains little.
 ROPE_STEP = 1.0
@@ -28,24 +25,10 @@ ROPE_STEP = 1.0
 SAME_POINT = 1e-9
 
 
-def planner_kinds() -> dict[str, type]:
+def ompl_planners() -> dict[str, type]:
     """Return OMPL's geometric planners by name."""
     members = ((name, getattr(og, name)) for name in dir(og))
     return {name: kind for name, kind in members if isinstance(kind, type) and issubclass(kind, ob.Planner)}
-
-
-def planner_kind(name: str) -> type:
-    """Return an OMPL planner by its name.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is none of that name; lists what there is.
-    """
-    kinds = planner_kinds()
-    if name not in kinds:
-        raise ConfigurationError("the planner", name, f"one of OMPL's {', '.join(kinds)}")
-    return kinds[name]
 
 
 class _OmplValidator(ob.MotionValidator):
@@ -62,67 +45,38 @@ class _OmplValidator(ob.MotionValidator):
         return self._validator.free(_values(first, self._joints), _values(second, self._joints))
 
 
-def find_path(
-    start: np.ndarray,
-    goals: Sequence[np.ndarray],
-    validator: MotionValidator,
-    bounds: tuple[np.ndarray, np.ndarray],
-    planner: str,
-    budget: float,
-    seed: int,
-) -> np.ndarray:
-    """Find a path from a start to one of several goals, and shorten it.
+class OmplSearch:
+    """One of OMPL's planners: finds a path, and shortens it. `path_search.PathSearch` says what comes in and out.
 
-    Parameters
-    ----------
-    start : array, shape (n,)
-        Free, within `bounds`.
-    goals : sequence of array, shape (n,)
-        At least one; each free and within `bounds`. Planners of the PRM family are given the first only: they add
-        goals from a thread of their own, and with a check in Python that thread blocks for ever.
-    validator : MotionValidator
-    bounds : tuple of array, shape (n,)
-        Lowest and highest joint values searched.
-    planner : str
-        As in `planner_kind`.
-    budget : float
-        Time for the search [s], on OMPL's own clock. Shortening comes on top.
-    seed : int
-        1 to 2**32 - 1.
-
-    Returns
-    -------
-    path : array, shape (m, n)
-        From `start` to a goal, both to the last bit.
-
-    Raises
-    ------
-    NoPathError
-        If none was found within the budget.
-    ConfigurationError
-        If there is no such planner.
+    Planners of the PRM family are given the first goal only: they add goals from a thread of their own, and with a check in Python
+    that thread blocks for ever.
     """
-    kind = planner_kind(planner)
-    # without OMPL's log: results and errors are returned, and its warning that a seed was set late concerns only random
-    # generators that already exist, of which there are none here
-    ou.noOutputHandler()
-    ou.RNG.setSeed(seed)
-    information = _space_information(validator, bounds)
-    if issubclass(kind, og.PRM):
-        goals = goals[:1]
-    problem = _problem(information, start, goals)
-    search = kind(information)
-    search.setProblemDefinition(problem)
-    search.setup()
-    search.solve(ob.timedPlannerTerminationCondition(budget))
-    if not problem.hasExactSolution():
-        raise NoPathError(planner, budget)
-    path = problem.getSolutionPath()
-    _shorten(path, information)
-    joints = range(len(start))
-    points = _without_repeats(np.array([_values(state, joints) for state in path.getStates()]))
-    # OMPL's shortcuts may miss the straight line from start to goal
-    return points[[0, -1]] if len(points) > 2 and validator.free(points[0], points[-1]) else points
+
+    def __init__(self, name: str, kind: type):
+        self.name = name
+        self._kind = kind
+
+    def find(self, query: PathQuery, budget: float) -> np.ndarray:
+        """Find a path from the start to one of the goals; the budget is of OMPL's own clock, shortening comes on top."""
+        # without OMPL's log: results and errors are returned, and its warning that a seed was set late concerns only random
+        # generators that already exist, of which there are none here
+        ou.noOutputHandler()
+        ou.RNG.setSeed(query.seed)
+        information = _space_information(query)
+        goals = query.goals[:1] if issubclass(self._kind, og.PRM) else query.goals
+        problem = _problem(information, query.start, goals)
+        search = self._kind(information)
+        search.setProblemDefinition(problem)
+        search.setup()
+        search.solve(ob.timedPlannerTerminationCondition(budget))
+        if not problem.hasExactSolution():
+            raise NoPathError(self.name, budget)
+        path = problem.getSolutionPath()
+        _shorten(path, information)
+        joints = range(len(query.start))
+        points = _without_repeats(np.array([_values(state, joints) for state in path.getStates()]))
+        # OMPL's shortcuts may miss the straight line from start to goal
+        return points[[0, -1]] if len(points) > 2 and query.validator.free(points[0], points[-1]) else points
 
 
 def _without_repeats(points: np.ndarray) -> np.ndarray:
@@ -132,17 +86,17 @@ def _without_repeats(points: np.ndarray) -> np.ndarray:
     return kept
 
 
-def _space_information(validator: MotionValidator, bounds: tuple[np.ndarray, np.ndarray]) -> ob.SpaceInformation:
-    joints = range(len(bounds[0]))
+def _space_information(query: PathQuery) -> ob.SpaceInformation:
+    joints = range(len(query.start))
     limits = ob.RealVectorBounds(len(joints))
     for joint in joints:
-        limits.setLow(joint, float(bounds[0][joint]))
-        limits.setHigh(joint, float(bounds[1][joint]))
+        limits.setLow(joint, float(query.lower[joint]))
+        limits.setHigh(joint, float(query.upper[joint]))
     space = ob.RealVectorStateSpace(len(joints))
     space.setBounds(limits)
     information = ob.SpaceInformation(space)
-    information.setStateValidityChecker(lambda state: bool(validator.world.is_free(_values(state, joints))))
-    information.setMotionValidator(_OmplValidator(information, validator, joints))
+    information.setStateValidityChecker(lambda state: bool(query.validator.world.is_free(_values(state, joints))))
+    information.setMotionValidator(_OmplValidator(information, query.validator, joints))
     information.setup()
     return information
 

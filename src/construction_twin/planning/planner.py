@@ -17,9 +17,10 @@ from construction_twin.core.motion_errors import CollisionError, NoPathError, Pl
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
+from construction_twin.planning.path_search import PathQuery, PathSearch
+from construction_twin.planning.path_searches import path_search, path_searches
 from construction_twin.planning.recheck import recheck
 from construction_twin.planning.request_limits import PlanBounds, check_request
-from construction_twin.planning.ompl_search import find_path, planner_kinds
 from construction_twin.planning.timing import time_path, with_midpoints
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Plan, PlanReport, content_hash
@@ -45,7 +46,7 @@ class PlannerSettings(pydantic.BaseModel):
     Attributes
     ----------
     planner : str
-        Name of an OMPL planner.
+        Name of a search, as in `path_searches`.
     planning_budget : float
         [s]
     edge_step : float
@@ -76,8 +77,8 @@ class PlannerSettings(pydantic.BaseModel):
     @pydantic.field_validator("planner")
     @classmethod
     def _known(cls, name: str) -> str:
-        if name not in planner_kinds():
-            raise ValueError(f"expected one of {', '.join(planner_kinds())}")
+        if name not in path_searches():
+            raise ValueError(f"expected one of {', '.join(path_searches())}")
         return name
 
     @property
@@ -196,12 +197,14 @@ class Planner:
         settings: PlannerSettings,
         clock: Clock,
         rng: np.random.Generator,
+        search: PathSearch | None = None,
     ):
         self._robot = robot
         self._solver = solver
         self._settings = settings
         self._clock = clock
         self._rng = rng
+        self._search = search or path_search(settings.planner)
 
     def plan_to_joints(
         self, start: JointValues, goal: JointValues, request: PlanRequest, world: CollisionWorld
@@ -320,21 +323,21 @@ class Planner:
                     return _Found(DIRECT, timed)
         goals = goals[: settings.goals]
         seed = settings.seed or int(self._rng.integers(1, 2**31))
+        lower, upper = self._bounds(start, goals)
         attempt = 0
         while (left := settings.planning_budget - (self._clock() - began)) > 0.0:
             try:
-                path = find_path(
-                    start, goals, validator, self._bounds(start, goals), settings.planner, left, seed + attempt
-                )
+                path = self._search.find(PathQuery(start, goals, validator, lower, upper, seed + attempt), left)
             except NoPathError as error:
-                raise NoPathError(settings.planner, self._clock() - began) from error
+                raise NoPathError(self._search.name, self._clock() - began) from error
+            _demand_ends(path, start, goals, self._search.name)
             timed = self._timed(path, request, world)
             if timed is not None:
-                return _Found(settings.planner, timed)
+                return _Found(self._search.name, timed)
             # the path passed through something thinner than the step of its check: check with smaller steps
             attempt += 1
             validator = MotionValidator(world, world.levers, settings.edge_step / 2 ** min(attempt, FINEST_HALVING))
-        raise NoPathError(settings.planner, self._clock() - began)
+        raise NoPathError(self._search.name, self._clock() - began)
 
     def _bounds(self, start: np.ndarray, goals: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return the joint values to search: for a revolute joint with more than one turn, one turn around the ends."""
@@ -378,6 +381,15 @@ class Planner:
                     ) from error
                 path = with_midpoints(path)
         return None
+
+
+def _demand_ends(path: np.ndarray, start: np.ndarray, goals: list[np.ndarray], search: str) -> None:
+    """Refuse a path that does not lead from the start to one of the goals: the re-check looks at what lies between."""
+    if len(path) < 2 or not np.array_equal(path[0], start) or not any(np.array_equal(path[-1], goal) for goal in goals):
+        raise PlanningError(
+            f"the search {search} returned a path of {len(path)} points that does not lead from the start to a goal it was given; "
+            "this is a fault of that search: choose another planner"
+        )
 
 
 def _demand_free(q: np.ndarray, world: CollisionWorld, where: str) -> None:

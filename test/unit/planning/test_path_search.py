@@ -1,4 +1,4 @@
-"""Edges, rounded corners and OMPL's search: what is checked where, bounds, names, every arm."""
+"""Edges, rounded corners, OMPL's search and searches of other makers: what is checked where, bounds, names, every arm."""
 
 from __future__ import annotations
 
@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, ROOT, WALL, world
+from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, ROOT, WALL, planner, world
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.motion_errors import NoPathError
+from construction_twin.core.motion_errors import NoPathError, PlanningError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.curves import rounded
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
+from construction_twin.planning.path_search import PathQuery
+from construction_twin.planning.path_searches import path_search
 from construction_twin.planning.planner import Planner, PlannerSettings
-from construction_twin.planning.ompl_search import find_path, planner_kind
 from construction_twin.robot.description import read_robot_files
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject
@@ -120,7 +121,7 @@ def test_a_path_that_touches_by_itself_is_given_up():
 def test_a_path_begins_at_the_start_and_ends_at_one_of_the_goals():
     edges = MotionValidator(world(WALL), LEVERS, 0.02)
     goals = [LEFT + np.radians([0, 0, 0, 0, 0, turn]) for turn in (0, 90, -90)]
-    path = find_path(RIGHT, goals, edges, BOUNDS, "RRTConnect", 10.0, 3)
+    path = path_search("RRTConnect").find(PathQuery(RIGHT, goals, edges, *BOUNDS, seed=3), 10.0)
     assert path[0].tobytes() == RIGHT.tobytes()
     assert path[-1].tobytes() in [goal.tobytes() for goal in goals]
     assert all(edges.free(a, b) for a, b in zip(path, path[1:]))
@@ -131,20 +132,20 @@ def test_the_search_stays_within_its_bounds():
     edges = MotionValidator(world(WALL), LEVERS, 0.1)
     room = np.minimum(RIGHT, LEFT) - 1.0, np.maximum(RIGHT, LEFT) + 1.0
     bounds = np.maximum(room[0], BOUNDS[0]), np.minimum(room[1], BOUNDS[1])
-    path = find_path(RIGHT, [LEFT], edges, bounds, "RRTConnect", 10.0, 3)
+    path = path_search("RRTConnect").find(PathQuery(RIGHT, [LEFT], edges, *bounds, seed=3), 10.0)
     assert np.all((path >= bounds[0] - 1e-12) & (path <= bounds[1] + 1e-12))
 
 
 def test_a_goal_behind_contact_all_around_is_not_found():
     edges = MotionValidator(Recorder(most=0.3), LEVERS, 0.1)
     with pytest.raises(NoPathError, match="RRTConnect"):
-        find_path(HOME, [HOME + np.eye(6)[0]], edges, BOUNDS, "RRTConnect", 0.05, 1)
+        path_search("RRTConnect").find(PathQuery(HOME, [HOME + np.eye(6)[0]], edges, *BOUNDS, seed=1), 0.05)
 
 
 @pytest.mark.parametrize("name", ["Magic", "PathGeometric", "__doc__", ""])
 def test_what_is_no_planner_of_ompl_s_is_refused_with_a_list(name):
     with pytest.raises(ConfigurationError, match="BITstar.*RRTConnect.*SORRTstar"):
-        planner_kind(name)
+        path_search(name)
 
 
 @pytest.mark.parametrize(
@@ -170,3 +171,45 @@ def test_other_arms_are_planned_for_by_the_same_code(files):
         assert plan.trajectory.joint_names == robot.joint_names
         times = np.arange(0.0, plan.trajectory.duration, 0.004)
         assert surroundings.all_free(plan.trajectory.sample_many(times)[0]) is None
+
+
+class OverTheTop:
+    """A search of another maker: it lifts the arm, turns, and lowers it; or does something else that it was told."""
+
+    name = "over the top"
+
+    def __init__(self, *between, ends=(None, None)):
+        self._between, self._ends = between, ends
+
+    def find(self, query, budget):
+        first, last = self._ends
+        begin = query.start if first is None else first
+        end = query.goals[0] if last is None else last
+        return np.array([begin, *self._between, end])
+
+
+LIFTED = np.radians([0, -35, -25, 0, 0, 0])
+WALLED = world(WALL)
+
+
+def test_a_search_of_another_maker_makes_plans_that_are_timed_and_checked_as_any():
+    found = planner(search=OverTheTop(RIGHT + LIFTED, LEFT + LIFTED)).plan_to_joints(RIGHT, LEFT, REQUEST, WALLED)
+    assert found.planner == "over the top"
+    times = np.arange(0.0, found.trajectory.duration, 0.004)
+    assert WALLED.all_free(found.trajectory.sample_many(times)[0]) is None
+    assert np.max(found.trajectory.positions[:, 1]) > RIGHT[1] - 1e-9 > np.min(found.trajectory.positions[:, 1])
+
+
+def test_a_path_of_it_that_touches_something_becomes_no_plan():
+    with pytest.raises(NoPathError, match="over the top"):
+        planner(search=OverTheTop(), planning_budget=0.1).plan_to_joints(RIGHT, LEFT, REQUEST, WALLED)
+
+
+@pytest.mark.parametrize("ends", [(HOME, None), (None, HOME)])
+def test_a_path_of_it_that_begins_or_ends_elsewhere_is_its_fault_and_says_so(ends):
+    with pytest.raises(
+        PlanningError, match="the search over the top returned a path of 4 points that does not lead from"
+    ):
+        planner(search=OverTheTop(RIGHT + LIFTED, LEFT + LIFTED, ends=ends)).plan_to_joints(
+            RIGHT, LEFT, REQUEST, WALLED
+        )

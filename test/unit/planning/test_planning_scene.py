@@ -14,8 +14,8 @@ from limit_use import limit_use
 from planning_cell import CHAIN, HOME, LEFT, REQUEST, RIGHT, ROBOT, ROOT, WALL, bench_world, planner, solver, world
 
 from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
+from construction_twin.planning.path_searches import path_searches
 from construction_twin.planning.planner import PlanRequest
-from construction_twin.planning.ompl_search import planner_kinds
 from construction_twin.scene.objects import Scene, SceneObject
 
 WALLED = world(WALL)
@@ -73,7 +73,7 @@ def plan_with_growing_budget(name: str):
     return planner(planner=name, planning_budget=30.0).plan_to_joints(RIGHT, LEFT, REQUEST, WALLED)
 
 
-@pytest.mark.parametrize("name", sorted(set(planner_kinds()) - {"RRT"}))
+@pytest.mark.parametrize("name", sorted(set(path_searches()) - {"RRT"}))
 def test_every_planner_goes_round_an_obstacle(name):
     plan = plan_with_growing_budget(name)
     assert plan.planner == name
