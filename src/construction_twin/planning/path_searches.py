@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.planning.ompl_search import OmplSearch, ompl_planners
@@ -11,7 +12,7 @@ from construction_twin.planning.path_search import PathSearch
 
 def path_searches() -> dict[str, Callable[[], PathSearch]]:
     """Return what makes each search, by the name that the planner's settings give it."""
-    return {name: lambda name=name, kind=kind: OmplSearch(name, kind) for name, kind in ompl_planners().items()}
+    return {name: partial(OmplSearch, name, kind) for name, kind in ompl_planners().items()}
 
 
 def path_search(name: str) -> PathSearch:
