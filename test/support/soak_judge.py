@@ -30,6 +30,9 @@ WATCHED = 2.0
 #: The arm follows the twin by no more than this [s]: the playout's delay, the servo and the gate's allowance. What the gateway says
 #: is put off, because replies were lost, comes on top (docs/conventions.md, Lost replies).
 FOLLOWS = 0.6
+#: Where the twin was not heard for longer, by whoever listens, nothing is known of where it was; one that stops telling closes the
+#: gate after 0.1 s [s].
+UNHEARD = 0.05
 #: A pause of the machine of this length explains what is out of order until so long after it [s].
 PAUSE, AFTERMATH = 0.02, 2.0
 #: Growth of a process's memory up to here is noise [MB]; fewer samples than this prove nothing.
@@ -324,6 +327,9 @@ def twin_and_arm_agree(leg: Leg) -> Finding:
         if first == last:
             continue
         seen += 1
+        if (np.diff(leg.twin.times[first:last], prepend=time - leg.follows(time), append=time) > UNHEARD).any():
+            disturbed += 1
+            continue
         off = (np.abs(leg.twin.positions[first:last] - leg.arm.positions[k]) - threshold).max(axis=1).min()
         if off <= 0.0:
             continue

@@ -166,6 +166,14 @@ def test_an_arm_that_trails_by_what_was_put_off_agrees_with_the_twin():
     assert judge(replace(GOOD, arm=later(TWIN, 1.5), put_off=said))["twin and arm agree"].violations == ()
 
 
+def test_where_the_twin_was_not_heard_nothing_is_said_of_its_agreement():
+    heard = (TWIN.times < 5.6) | (TWIN.times > 6.4)
+    deaf = replace(TWIN, times=TWIN.times[heard], numbers=TWIN.numbers[heard], positions=TWIN.positions[heard])
+    found = judge(replace(GOOD, twin=deaf))["twin and arm agree"]
+    assert found.violations == ()
+    assert 8 <= found.disturbed <= 20
+
+
 def test_a_motion_is_what_lies_between_rests():
     first, second = motions(GOOD.arm)
     assert first.begin == pytest.approx(FIRST[0] + LAG, abs=0.01)
