@@ -639,7 +639,8 @@ class Executor:
         if work is None:
             return sentence
         if action is not Action.FINISH:
-            sentence = f"{sentence}; {work.where} the rest is dropped"
+            where = self.beside.do("where a work plan ends", lambda: work.where)
+            sentence = f"{sentence}; {where or 'where it stands'} the rest is dropped"
         was_engaged = self.engagement.engaged
         self._orders += work.end(action is Action.FINISH, self._run.elapsed, sentence)
         if self.engagement.engaged and not was_engaged:

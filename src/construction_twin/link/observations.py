@@ -127,14 +127,14 @@ class LinkObservations:
 
     def _note_stop(self) -> None:
         run, number = self.run, self.fault_number
-        if not run or not number or self.gateway == OFFLINE:
+        if not run or number is None or self.gateway == OFFLINE:
             return
         if not self.fault:
             self._clear = run, number
             if self._stopped_in == run:
                 self._stopped_in = ""
-        elif (run, number) != self._clear:
-            # a program that ends stops too, which gets no number
+        elif self.gateway_failed or (number and (run, number) != self._clear):
+            # a program that ends stops too, which gets no number; one that has failed may not have got as far as one
             self._stopped_in, self._stop_told = run, self.gateway_reason
 
     def forget_stop(self) -> None:
@@ -201,6 +201,11 @@ class LinkObservations:
         """Number of the last stop or fault in the gateway's run; None when its status names none."""
         number = self.status.get("fault_number")
         return number if type(number) is int else None
+
+    @property
+    def stop_told(self) -> str:
+        """Why the gateway was stopped in the newest run that told it, if nobody has reset it; else ""."""
+        return self._stop_told if self._stopped_in else ""
 
     @property
     def stopped_before(self) -> str:

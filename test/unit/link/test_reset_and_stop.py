@@ -162,6 +162,41 @@ class TestRestart:
         assert_stands(bench, fault=False)
 
     @pytest.mark.parametrize("farewell", [True, False])
+    def test_a_stop_outlasts_gateway_and_bridge_one_after_the_other(self, farewell):
+        bench = begun("stopped")
+        bench.restart_gateway(farewell)
+        bench.run(1.0 if farewell else 5.0)
+        bench.restart_bridge()
+        bench.run(1.0)
+        assert "stop: asked for by account anna" in bench.supervisor.reason
+        assert_stands(bench, fault=False)
+
+    def test_a_bridge_that_is_started_again_says_what_the_gateway_says_of_the_stop(self):
+        bench = begun("stopped")
+        before = bench.supervisor.reason
+        bench.restart_bridge()
+        bench.run(1.0)
+        assert bench.supervisor.reason == before and "(stop 1)" in before
+        assert_stands(bench)
+
+    @pytest.mark.parametrize("number", [0, 1])
+    def test_a_program_that_failed_before_it_could_number_that_is_a_stop_too(self, number):
+        scripted = Bench()
+        scripted.gateway["fault_number"] = number
+        scripted.run(1.0)
+        assert scripted.state is LinkState.ARMED
+        scripted.gateway |= {"state": "failed", "reason": "KeyError in poll", "fault": True, "session": ""}
+        scripted.run(0.5)
+        assert scripted.state is LinkState.NEEDS_RESET
+        scripted.gateway |= {"state": "ready", "reason": "", "fault": False, "fault_number": 0, "run": "run2"}
+        scripted.supervisor.on_status({"state": "offline", "reason": "connection lost", "run": "run1"}, scripted.now)
+        scripted.run(5.0)
+        assert scripted.state is LinkState.NEEDS_RESET and "KeyError in poll" in scripted.supervisor.reason
+        scripted.supervisor.request_reset(scripted.now)
+        scripted.run(1.0)
+        assert scripted.state is LinkState.ARMED
+
+    @pytest.mark.parametrize("farewell", [True, False])
     @pytest.mark.parametrize("late", range(0, 200, 20))
     def test_a_reset_that_a_restart_overtakes_clears_nothing(self, late, farewell):
         bench = begun("stopped")
@@ -232,6 +267,36 @@ class TestWithdrawal:
             # the controller's program is started again
             bench.cell.ipoc += 100_000
         assert_stands(bench, 10.0, fault=interruption != "gateway")
+
+    @pytest.mark.parametrize("ended", ["withdrawn", "halted"])
+    def test_nor_by_a_bridge_that_is_started_again_before_the_gateway_has_heard_of_it(self, ended):
+        bench = begun("armed")
+        bench.loses = lambda control: control.verb == "stop"
+        if ended == "halted":
+            bench.halt()
+        else:
+            self.failed(bench)
+        bench.run(1.0)
+        # what it had not sent yet dies with it
+        bench.restart_bridge()
+        bench.loses = lambda control: False
+        assert not bench.gateway.fault
+        assert_stands(bench, 10.0, fault=False)
+
+    @pytest.mark.parametrize("late", range(0, 300, 20))
+    def test_nor_by_a_bridge_that_ended_while_the_request_was_under_way(self, late):
+        bench = begun("stopped")
+        bench.reset()
+        bench.run((late + 20) / 1000)
+        armed = bench.link is LinkState.ARMED
+        bench.restart_bridge()
+        for _ in range(1000):
+            bench.step()
+            assert armed or bench.link in (LinkState.NEEDS_RESET, LinkState.DISCONNECTED)
+            assert armed or bench.gateway.state is not State.FOLLOWING
+        assert_a_reset_arms(bench)
+        bench.restart_bridge()
+        bench.run_until(lambda: bench.link is LinkState.ARMED)
 
     @pytest.mark.parametrize("lost", ["nothing", "answers to arm"])
     def test_an_arm_that_is_accepted_late_is_disarmed(self, lost):

@@ -60,6 +60,8 @@ _NAMELESS = (
 )
 #: Period at which the node compares what the broker holds with what it should hold [s].
 CHECK_PERIOD = 1.0
+#: Between two writings of the log [s].
+LOG_PERIOD = 0.1
 
 
 class Settings(MqttSettings):
@@ -115,7 +117,7 @@ class MqttReview:
         self._review_plan = review_plan
         self._broker = broker
         self._client = client
-        self._connection = report_of(broker)
+        self._connection = report_of(broker, interventions.said)
         self._diagnostics = diagnostics(self.report)
         self._interventions = interventions
         self._beside = interventions.beside
@@ -131,6 +133,7 @@ class MqttReview:
         }
         self._interventions.start()
         threading.Thread(target=self.run_rejections, name="reject", daemon=True).start()
+        threading.Thread(target=self.run_log, name="log", daemon=True).start()
         connect(self._client, self._broker, self._connection, self.on_connect, self.on_disconnect, on_message)
 
     @property
@@ -145,7 +148,6 @@ class MqttReview:
                 self.carry_out(self._reviews.get(timeout=0.2))
             except queue.Empty:
                 self._check_plan()
-            self._beside.tell(rospy.logerr)
         self._client.publish(self._topics.plan, b"", qos=1, retain=True)
         self._client.disconnect()
         self._client.loop_stop()
@@ -157,6 +159,12 @@ class MqttReview:
                 self.carry_out(self._rejections.get(timeout=0.2))
             except queue.Empty:
                 continue
+
+    def run_log(self) -> None:
+        """Write the log until shutdown, in a thread of its own: nothing else here waits for a disk or a terminal."""
+        while not rospy.is_shutdown():
+            self._interventions.write_log()
+            time.sleep(LOG_PERIOD)
 
     # -- ROS to MQTT
 
@@ -293,7 +301,7 @@ class MqttReview:
         with self._lock:
             self._verdicts["taken" if ok else "not taken"] += 1
         said = review.verdict, review.plan_id, review.reviewer, sentence
-        self._beside.do("the log", rospy.loginfo, "%s of plan %s by %s: %s", *said)
+        self._interventions.say("%s of plan %s by %s: %s", *said)
 
     def _answer(
         self, review: RemoteReview | None, ok: bool, sentence: str, account: str = "", expired: bool = False
