@@ -188,6 +188,16 @@ def test_a_rejection_does_not_wait_behind_an_approval_whose_record_waits_for_a_d
         thread.join(10.0)
 
 
+def test_a_rejection_asks_no_master_while_the_connection_to_the_executor_stands(bench, monkeypatch):
+    def no_master(name, timeout):
+        raise rospy.ROSException(f"timeout exceeded while waiting for service {name}")
+
+    monkeypatch.setattr(rospy, "wait_for_service", no_master)
+    bench.node.carry_out(RemoteReview("p1", "cafe", "rejected", "Ann", ""))
+    bench.node.carry_out(RemoteReview("p1", "cafe", "approved", "Ann", "", moment=MOMENT))
+    assert [answer["ok"] for answer in reviews(bench)] == [True, False]
+
+
 def fail(*_given, **_named):
     raise RuntimeError("nobody foresaw this")
 
