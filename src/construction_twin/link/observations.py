@@ -112,6 +112,9 @@ class LinkObservations:
             if status.get("state") == OFFLINE:
                 return f"the last will of run {run!r}, while run {self.run!r} answers: it changes nothing"
             return f"status of run {run!r}, while run {self.run!r} answers too"
+        former, present = status.get("connection"), self.status.get("connection")
+        if status.get("state") == OFFLINE and type(former) is type(present) is int and former < present:
+            return f"the last will of a former connection of run {run!r}, which answers over another one: it changes nothing"
         number, known = status.get("fault_number"), self.fault_number
         if type(number) is int and known is not None and number < known:
             # a client sends again what was not acknowledged, behind what is newer

@@ -68,6 +68,16 @@ class TestEveryMoment:
             bench.cut = False
             stop_and_watch(bench, route, late)
 
+    @pytest.mark.parametrize("route", sorted(STOPS))
+    def test_it_stands_too_after_the_end_of_mirror_mode(self, route):
+        for late in range(0, 600, 40):
+            bench = begun("armed")
+            bench.supervisor.begin_mirror(bench.now)
+            bench.run(1.0)
+            assert bench.link is LinkState.MIRROR and not bench.commands
+            bench.supervisor.end_mirror(bench.now)
+            stop_and_watch(bench, route, late * MS)
+
     @pytest.mark.parametrize("route", ["stop/anna", "control"])
     @pytest.mark.parametrize("early", range(-4, 61, 4))
     def test_a_stop_before_the_call_is_cleared_only_if_it_was_shown_by_then(self, route, early):
@@ -514,6 +524,23 @@ class TestTwoGateways:
             bench.step()
             assert bench.link is LinkState.ARMED and bench.gateway.state is State.FOLLOWING
         assert bench.supervisor.session == session
+
+    def test_a_late_last_will_of_a_former_connection_of_the_same_run_changes_nothing(self):
+        scripted = Bench()
+        scripted.gateway["connection"] = 2
+        scripted.run(1.0)
+        will = {"state": "offline", "reason": "connection lost", "run": scripted.gateway["run"], "connection": 1}
+        assert "last will of a former connection" in scripted.supervisor.on_status(will, scripted.now)
+        scripted.run(0.02)
+        assert scripted.state is LinkState.ARMED
+        # that of the present one counts, and so does one that names none
+        for present in ({"connection": 2}, {}):
+            word = {key: text for key, text in will.items() if key != "connection"} | present
+            assert not scripted.supervisor.on_status(word, scripted.now)
+            scripted.supervisor.poll(scripted.now)
+            assert scripted.state is LinkState.GATEWAY_OFFLINE
+            scripted.run(1.0)
+            assert scripted.state is LinkState.ARMED
 
     def test_the_own_last_will_counts_at_once(self):
         bench = begun("armed")

@@ -1,4 +1,4 @@
-"""A service over a connection that stays open, from `open` or the first call on: a later call asks no master and shakes no hands."""
+"""A service over a connection that stays open, from `open` or the first call on: later calls ask no master and shake no hands."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ class PersistentService(rospy.ServiceProxy):
     A call whose connection broke is repeated once over a new one. So only a service may be called that may be called twice: of a
     broken connection it is unknown whether the request had arrived.
     """
+
+    transport: TCPROSTransport | None
 
     def __init__(self, service: str, kind: type):
         super().__init__(service, kind, persistent=True)
