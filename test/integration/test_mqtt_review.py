@@ -171,11 +171,12 @@ class MqttReviewTest(unittest.TestCase):
         mine = TOPICS.pause_by(ACCOUNT)
         for payload in (b"", b"pause", b'{"id": 1}', b'{"id": "1", "account": "x"}'):
             self.assertTrue(self.tablet.may_publish(mine, payload))
+        again = json.dumps({"id": "the same", "moment": str(present())}).encode()
         for _ in range(3):
-            self.assertTrue(self.tablet.may_publish(mine, b'{"id": "the same"}'))
-        wait(lambda: self.refused("repeated") == before["repeated"] + 2, "the counter of repeated pauses")
+            self.assertTrue(self.tablet.may_publish(TOPICS.resume_by(ACCOUNT), again))
+        wait(lambda: self.refused("repeated") == before["repeated"] + 2, "the counter of repeated resumes")
         self.assertEqual(self.refused("pause"), before["pause"] + 4)
-        self.assertEqual(self.pressed, ["pause"])
+        self.assertEqual(self.pressed, ["resume"])
 
     def test_rejection_reaches_review_plan(self):
         answer = self.tablet.verdict(self.offer("reject me"), "rejected")

@@ -150,6 +150,7 @@ class BridgeBench:
         if self.commands:
             self.bridge.on_command(self.clocks.wall, START)
         self.bridge.poll()
+        self.bridge.write_log()
 
     def run_bare(self, steps: int = 1, commands: bool = True) -> None:
         """Let 20 ms pass, `steps` times, with a bare PLC that is ready at rest where it is commanded; then poll."""

@@ -39,7 +39,7 @@ class ResetBench:
         self.cell = Cell()
         self.up, self.down = up, down
         ids = (f"id{number}" for number in itertools.count(1))
-        self._make = lambda: LinkSupervisor.of(self.cell.config, lambda: next(ids))
+        self._make = lambda waits="": LinkSupervisor.of(self.cell.config, lambda: next(ids), waits=waits)
         self.supervisor = self._make()
         self.supervisor.on_connection(True)
         #: Control messages for which this returns True are lost on their way.
@@ -191,8 +191,8 @@ class ResetBench:
         self._status_at = self.now
 
     def restart_bridge(self) -> None:
-        """Kill the bridge and start it again: it knows nothing."""
-        self.supervisor = self._make()
+        """Kill the bridge and start it again: it knows nothing but why its predecessor waited for a person."""
+        self.supervisor = self._make(self.supervisor.waits_for)
         self.supervisor.on_connection(True)
         self._session = ""
         self.tell()

@@ -461,8 +461,13 @@ class Executor:
             return f"plan {self._run.plan.id} is {before.name} already"
         return f"plan {self._run.plan.id} comes to rest on its path; resume goes on"
 
-    def resume(self) -> str:
+    def resume(self, may_wait: int = LIFETIME) -> str:
         """Go on along the same path; return one sentence. The approval that started the plan covers it.
+
+        Parameters
+        ----------
+        may_wait : int, optional
+            A plan that had not begun to move, and does not for longer than this, ends [ns].
 
         Raises
         ------
@@ -477,7 +482,7 @@ class Executor:
             raise ExecutionError(f"the arm is not armed ({self._unarmed}); resume when it is")
         if problem := self.neighbour.problem(self._run.plan.id):
             raise ExecutionError(f"plan {self._run.plan.id} may not go on: {problem}")
-        self._begin_by = self._now + LIFETIME
+        self._begin_by = self._now + may_wait
         self._on(ExecutorEvent.RESUME, "resumed")
         rest = self._run.plan.trajectory.duration - self._run.elapsed
         return f"plan {self._run.plan.id} goes on; {rest:.3f} s of it are left"
@@ -639,7 +644,8 @@ class Executor:
         if work is None:
             return sentence
         if action is not Action.FINISH:
-            sentence = f"{sentence}; {work.where} the rest is dropped"
+            where = self.beside.do("where a work plan ends", lambda: work.where)
+            sentence = f"{sentence}; {where or 'where it stands'} the rest is dropped"
         was_engaged = self.engagement.engaged
         self._orders += work.end(action is Action.FINISH, self._run.elapsed, sentence)
         if self.engagement.engaged and not was_engaged:

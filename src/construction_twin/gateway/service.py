@@ -113,8 +113,9 @@ class GatewayService:
         self._cause: BaseException | None = None
         self._selector = selectors.DefaultSelector()
         self._selector.register(sock, selectors.EVENT_READ, None)
-        # a last will may come late, when another run speaks already: it says whose it is
-        client = make_client(broker, unique_id(topics.robot, "gateway"), topics.status, offline_word(run))
+        # a last will may come late, when another run, or this one over another connection, speaks already: it says whose it is
+        self._number = 1
+        client = make_client(broker, unique_id(topics.robot, "gateway"), topics.status, offline_word(run, self._number))
         self._connection = ConnectionReport(broker, log.error)
         # guarded here, because paho would handle a message again whose callback raised
         client.on_connect = partial(self.guarded, self._on_connect)
@@ -374,6 +375,8 @@ class GatewayService:
 
     def _on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
         self._connection.lost(reason_code)
+        self._number += 1
+        client.will_set(self._topics.status, offline_word(self.gateway.run, self._number), qos=1, retain=True)
 
     def _on_command(self, payload: bytes, pairs: list[tuple[str, str]], retained: bool) -> None:
         if retained:
@@ -464,7 +467,7 @@ class GatewayService:
         self._status.sent(time.monotonic())
         if not self._mqtt.connected:
             return None
-        status = document()
+        status = document() | {"connection": self._number}
         if final:
             status |= {"state": "offline", "reason": "gateway stopped"}
         return self._mqtt.client.publish(self._topics.status, json.dumps(status), qos=1, retain=True)

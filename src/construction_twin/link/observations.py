@@ -112,6 +112,9 @@ class LinkObservations:
             if status.get("state") == OFFLINE:
                 return f"the last will of run {run!r}, while run {self.run!r} answers: it changes nothing"
             return f"status of run {run!r}, while run {self.run!r} answers too"
+        former, present = status.get("connection"), self.status.get("connection")
+        if status.get("state") == OFFLINE and type(former) is type(present) is int and former < present:
+            return f"the last will of a former connection of run {run!r}, which answers over another one: it changes nothing"
         number, known = status.get("fault_number"), self.fault_number
         if type(number) is int and known is not None and number < known:
             # a client sends again what was not acknowledged, behind what is newer
@@ -127,14 +130,14 @@ class LinkObservations:
 
     def _note_stop(self) -> None:
         run, number = self.run, self.fault_number
-        if not run or not number or self.gateway == OFFLINE:
+        if not run or number is None or self.gateway == OFFLINE:
             return
         if not self.fault:
             self._clear = run, number
             if self._stopped_in == run:
                 self._stopped_in = ""
-        elif (run, number) != self._clear:
-            # a program that ends stops too, which gets no number
+        elif self.gateway_failed or (number and (run, number) != self._clear):
+            # a program that ends stops too, which gets no number; one that has failed may not have got as far as one
             self._stopped_in, self._stop_told = run, self.gateway_reason
 
     def forget_stop(self) -> None:
@@ -201,6 +204,11 @@ class LinkObservations:
         """Number of the last stop or fault in the gateway's run; None when its status names none."""
         number = self.status.get("fault_number")
         return number if type(number) is int else None
+
+    @property
+    def stop_told(self) -> str:
+        """Why the gateway was stopped in the newest run that told it, if nobody has reset it; else ""."""
+        return self._stop_told if self._stopped_in else ""
 
     @property
     def stopped_before(self) -> str:

@@ -40,6 +40,8 @@ class LinkSupervisor:
         Returns a new unique id.
     mirrors : bool, optional
         Whether the arm leads from the start: it did when the process before this one ended, and only a person ends that.
+    waits : str, optional
+        What `waits_for` said when the process before this one ended: then nothing is armed before a person resets.
 
     Attributes
     ----------
@@ -73,6 +75,7 @@ class LinkSupervisor:
         last_digits: Sequence[float],
         new_id: Callable[[], str],
         mirrors: bool = False,
+        waits: str = "",
     ):
         self._hash = config_hash
         self._new_id = new_id
@@ -90,7 +93,9 @@ class LinkSupervisor:
         self._shown: tuple[str, int | None] = ("", None)
         self._arm_refused = False
         # why only a person leads on: `halt` was called, or what a person asked for has failed
-        self._halted: str | None = None
+        self._halted: str | None = waits or None
+        # the same of the process before this one; and that a person's request was under way
+        self._found, self._under_way = bool(waits), ""
         #: How often `halt` was called: what was asked for before a halt is not asked for any more.
         self.halts = 0
         #: How often a person asked for a session.
@@ -145,7 +150,7 @@ class LinkSupervisor:
                 f"gateway was stopped before it was started again ({self.inputs.stopped_before}), and is "
                 f"{self.inputs.gateway}; {self._remedy}"
             ),
-            Action.TELL_HALT: lambda reason, now: self._halted or "",
+            Action.TELL_HALT: self._tell_halt,
             Action.TELL_RESET: lambda reason, now: f"{self._gateway_sentence}; call reset",
             Action.SEND_RESET: lambda reason, now: self._send_reset(self.session, now),
             Action.SEND_STOP: lambda reason, now: self._send("stop", self._withdrawn_session, now),
@@ -154,10 +159,12 @@ class LinkSupervisor:
         }
 
     @classmethod
-    def of(cls, config: GatewayConfig, new_id: Callable[[], str], mirrors: bool = False) -> LinkSupervisor:
+    def of(
+        cls, config: GatewayConfig, new_id: Callable[[], str], mirrors: bool = False, waits: str = ""
+    ) -> LinkSupervisor:
         """Return the supervisor of a robot whose gateway runs `config`."""
         digits = config.limits.last_digits(config.decimals)
-        return cls(config.hash, config.decimals, config.start_tolerances, digits, new_id, mirrors)
+        return cls(config.hash, config.decimals, config.start_tolerances, digits, new_id, mirrors, waits)
 
     @property
     def status(self) -> dict:
@@ -168,6 +175,18 @@ class LinkSupervisor:
     def mirrors(self) -> bool:
         """True from `begin_mirror` to its end, also while the arm's pose is not known."""
         return self._mirror.active
+
+    @property
+    def waits_for(self) -> str:
+        """Why only a person leads on, in a sentence for the process after this one; "" when nothing stands against arming.
+
+        A request counts until the link is armed: should this process end before, it has failed for the person who made it.
+        """
+        if not self.sends_control:
+            return ""
+        stop = self.inputs.stop_told
+        told = f"gateway was stopped before this bridge was started again ({stop}); call reset" if stop else ""
+        return self._halted or told or self._under_way
 
     # -- what comes in
 
@@ -438,7 +457,7 @@ class LinkSupervisor:
 
     def _begin_session(self, reason: str) -> str:
         self.session = self._new_id()
-        self._pending, self._halted, self._asked_for = None, None, False
+        self._pending, self._halted, self._asked_for, self._found = None, None, False, False
         self._arm_refused = self._owes_stop = False
         self.inputs.forget_command()
         return reason
@@ -447,6 +466,7 @@ class LinkSupervisor:
         self._reset_wanted = False
         self._begin_session("")
         self._asked_for = True
+        self._under_way = "the bridge was started again while a reset was under way; call reset"
         return "reset asked for"
 
     def _begin_session_after_refusal(self, reason: str, now: int) -> str:
@@ -457,7 +477,7 @@ class LinkSupervisor:
         return f"another session, because {self.reason}"
 
     def _note_armed(self, reason: str, now: int) -> str:
-        self._was_armed = True
+        self._was_armed, self._under_way = True, ""
         self.inputs.forget_stop()
         # in commissioning mode the link is armed, and yet the arm stands still
         mode = "; gateway is in commissioning mode" if self.status.get("mode") == "commissioning" else ""
@@ -473,6 +493,10 @@ class LinkSupervisor:
             f"gateway was stopped (stop {self.inputs.fault_number}) and is {self.inputs.gateway}: {self.inputs.gateway_reason}; "
             f"{self._remedy}"
         )
+
+    def _tell_halt(self, reason: str, now: int) -> str:
+        # what the gateway still knows it tells better than the process before this one
+        return self._tell_stop(reason, now) if self._found and self.inputs.fault else self._halted or ""
 
     @property
     def _remedy(self) -> str:

@@ -79,9 +79,12 @@ def unique_id(robot: str, role: str) -> str:
 OFFLINE = json.dumps({"state": "offline", "reason": "connection lost"})
 
 
-def offline_word(run: str) -> str:
-    """Return what the broker says in a client's place when its connection is lost, and of which run of its program it says so."""
-    return json.dumps({"state": "offline", "reason": "connection lost", "run": run})
+def offline_word(run: str, connection: int) -> str:
+    """Return what the broker says in a client's place when its connection is lost.
+
+    It says so of a run of the client's program, and of one of that run's connections: a broker may notice late that one is lost.
+    """
+    return json.dumps({"state": "offline", "reason": "connection lost", "run": run, "connection": connection})
 
 
 def make_client(

@@ -26,7 +26,7 @@ from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.execution.boundary import FIRE_TIMEOUT, LEAD, SCENE_TIMEOUT
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.execution.segment_run import RECORD_TIMEOUT
+from construction_twin.execution.segment_run import RECORD_TIMEOUT, SegmentRun
 from construction_twin.execution.states import ACTIVE
 from construction_twin.execution.tool_report import NO_ARM, ToolReport
 from construction_twin.monitor.gate import RESUME, SyncState
@@ -541,6 +541,25 @@ def test_a_stop_at_a_boundary_voids_what_is_armed(bench):
     bench.run(300)
     assert bench.executor.outcome == "stopped" and bench.tool.fired == []
     assert [order.id for order in bench.tool.orders] == ["w/1/0/1", ""]
+
+
+@pytest.mark.parametrize("at_boundary", [True, False])
+def test_a_stop_is_carried_out_although_where_it_stands_cannot_be_told(bench, monkeypatch, at_boundary):
+    def fail(_run):
+        raise RuntimeError("nobody foresaw this")
+
+    bench.approve(make_work_plan())
+    if at_boundary:
+        bench.run_to_end_of(1)
+        bench.run(3)
+    else:
+        bench.run_into(1)
+    monkeypatch.setattr(SegmentRun, "where", property(fail))
+    bench.executor.stop(bench.stamp)
+    bench.run(300)
+    assert bench.executor.outcome == "stopped" and bench.state is ExecutorState.IDLE and bench.tool.fired == []
+    assert ([order.id for order in bench.tool.orders] == ["w/1/0/1", ""]) is at_boundary
+    assert bench.executor.beside.counts()["where a work plan ends"] == 1
 
 
 class TestBeforeTheFirstSegment:

@@ -68,6 +68,16 @@ class TestEveryMoment:
             bench.cut = False
             stop_and_watch(bench, route, late)
 
+    @pytest.mark.parametrize("route", sorted(STOPS))
+    def test_it_stands_too_after_the_end_of_mirror_mode(self, route):
+        for late in range(0, 600, 40):
+            bench = begun("armed")
+            bench.supervisor.begin_mirror(bench.now)
+            bench.run(1.0)
+            assert bench.link is LinkState.MIRROR and not bench.commands
+            bench.supervisor.end_mirror(bench.now)
+            stop_and_watch(bench, route, late * MS)
+
     @pytest.mark.parametrize("route", ["stop/anna", "control"])
     @pytest.mark.parametrize("early", range(-4, 61, 4))
     def test_a_stop_before_the_call_is_cleared_only_if_it_was_shown_by_then(self, route, early):
@@ -162,6 +172,41 @@ class TestRestart:
         assert_stands(bench, fault=False)
 
     @pytest.mark.parametrize("farewell", [True, False])
+    def test_a_stop_outlasts_gateway_and_bridge_one_after_the_other(self, farewell):
+        bench = begun("stopped")
+        bench.restart_gateway(farewell)
+        bench.run(1.0 if farewell else 5.0)
+        bench.restart_bridge()
+        bench.run(1.0)
+        assert "stop: asked for by account anna" in bench.supervisor.reason
+        assert_stands(bench, fault=False)
+
+    def test_a_bridge_that_is_started_again_says_what_the_gateway_says_of_the_stop(self):
+        bench = begun("stopped")
+        before = bench.supervisor.reason
+        bench.restart_bridge()
+        bench.run(1.0)
+        assert bench.supervisor.reason == before and "(stop 1)" in before
+        assert_stands(bench)
+
+    @pytest.mark.parametrize("number", [0, 1])
+    def test_a_program_that_failed_before_it_could_number_that_is_a_stop_too(self, number):
+        scripted = Bench()
+        scripted.gateway["fault_number"] = number
+        scripted.run(1.0)
+        assert scripted.state is LinkState.ARMED
+        scripted.gateway |= {"state": "failed", "reason": "KeyError in poll", "fault": True, "session": ""}
+        scripted.run(0.5)
+        assert scripted.state is LinkState.NEEDS_RESET
+        scripted.gateway |= {"state": "ready", "reason": "", "fault": False, "fault_number": 0, "run": "run2"}
+        scripted.supervisor.on_status({"state": "offline", "reason": "connection lost", "run": "run1"}, scripted.now)
+        scripted.run(5.0)
+        assert scripted.state is LinkState.NEEDS_RESET and "KeyError in poll" in scripted.supervisor.reason
+        scripted.supervisor.request_reset(scripted.now)
+        scripted.run(1.0)
+        assert scripted.state is LinkState.ARMED
+
+    @pytest.mark.parametrize("farewell", [True, False])
     @pytest.mark.parametrize("late", range(0, 200, 20))
     def test_a_reset_that_a_restart_overtakes_clears_nothing(self, late, farewell):
         bench = begun("stopped")
@@ -232,6 +277,36 @@ class TestWithdrawal:
             # the controller's program is started again
             bench.cell.ipoc += 100_000
         assert_stands(bench, 10.0, fault=interruption != "gateway")
+
+    @pytest.mark.parametrize("ended", ["withdrawn", "halted"])
+    def test_nor_by_a_bridge_that_is_started_again_before_the_gateway_has_heard_of_it(self, ended):
+        bench = begun("armed")
+        bench.loses = lambda control: control.verb == "stop"
+        if ended == "halted":
+            bench.halt()
+        else:
+            self.failed(bench)
+        bench.run(1.0)
+        # what it had not sent yet dies with it
+        bench.restart_bridge()
+        bench.loses = lambda control: False
+        assert not bench.gateway.fault
+        assert_stands(bench, 10.0, fault=False)
+
+    @pytest.mark.parametrize("late", range(0, 300, 20))
+    def test_nor_by_a_bridge_that_ended_while_the_request_was_under_way(self, late):
+        bench = begun("stopped")
+        bench.reset()
+        bench.run((late + 20) / 1000)
+        armed = bench.link is LinkState.ARMED
+        bench.restart_bridge()
+        for _ in range(1000):
+            bench.step()
+            assert armed or bench.link in (LinkState.NEEDS_RESET, LinkState.DISCONNECTED)
+            assert armed or bench.gateway.state is not State.FOLLOWING
+        assert_a_reset_arms(bench)
+        bench.restart_bridge()
+        bench.run_until(lambda: bench.link is LinkState.ARMED)
 
     @pytest.mark.parametrize("lost", ["nothing", "answers to arm"])
     def test_an_arm_that_is_accepted_late_is_disarmed(self, lost):
@@ -449,6 +524,23 @@ class TestTwoGateways:
             bench.step()
             assert bench.link is LinkState.ARMED and bench.gateway.state is State.FOLLOWING
         assert bench.supervisor.session == session
+
+    def test_a_late_last_will_of_a_former_connection_of_the_same_run_changes_nothing(self):
+        scripted = Bench()
+        scripted.gateway["connection"] = 2
+        scripted.run(1.0)
+        will = {"state": "offline", "reason": "connection lost", "run": scripted.gateway["run"], "connection": 1}
+        assert "last will of a former connection" in scripted.supervisor.on_status(will, scripted.now)
+        scripted.run(0.02)
+        assert scripted.state is LinkState.ARMED
+        # that of the present one counts, and so does one that names none
+        for present in ({"connection": 2}, {}):
+            word = {key: text for key, text in will.items() if key != "connection"} | present
+            assert not scripted.supervisor.on_status(word, scripted.now)
+            scripted.supervisor.poll(scripted.now)
+            assert scripted.state is LinkState.GATEWAY_OFFLINE
+            scripted.run(1.0)
+            assert scripted.state is LinkState.ARMED
 
     def test_the_own_last_will_counts_at_once(self):
         bench = begun("armed")

@@ -6,6 +6,7 @@ The real mosquitto with the site's configuration, and the package's own clients.
 from __future__ import annotations
 
 import contextlib
+import json
 import socket
 import struct
 import subprocess
@@ -18,10 +19,14 @@ from paho.mqtt import client as paho
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
 from processes import ROOT, listens, wait_until
+from service_cell import CONFIG
 from site_broker import SiteBroker, free_ports
 
+from construction_twin.gateway.service import GatewayService
 from construction_twin.mqtt.client import Broker, make_client
 from construction_twin.mqtt.failures import ConnectionReport
+from construction_twin.mqtt.messages import Topics
+from construction_twin.rsi.udp import bind
 
 ID = "one-bridge-0123456789abcdef"
 #: The random part of it.
@@ -133,6 +138,39 @@ def test_a_connection_that_fell_silent_returns_with_the_id_it_had(tmp_path):
                 other.loop_stop()
 
 
+def test_what_the_broker_says_late_of_a_former_connection_of_the_gateway_says_so(tmp_path):
+    """A connection that the network has reset returns under another id, while the broker still holds it: until its keepalive."""
+    said: list[dict] = []
+    with mosquitto((ROOT / "config/mosquitto.conf").read_text(), tmp_path / "log") as port:
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            line = Line(listener, port)
+            broker = Broker("127.0.0.1", listener.getsockname()[1], keepalive=1)
+            topics = Topics("twin", "one")
+            service = GatewayService(CONFIG, bind("127.0.0.1", 0), broker, topics, "run1", measures=False)
+            thread = threading.Thread(target=service.run)
+            watcher = paho.Client(paho.CallbackAPIVersion.VERSION2, protocol=paho.MQTTv5)
+            watcher.on_message = lambda client, data, message: said.append(json.loads(message.payload))
+            watcher.connect("127.0.0.1", port)
+            watcher.subscribe(topics.status)
+            watcher.loop_start()
+            thread.start()
+            try:
+                wait_until(lambda: any(each["connection"] == 1 for each in said), what="the first status")
+                line.cut.set()
+                line.reset()
+                wait_until(lambda: any(each["connection"] == 2 for each in said), 20.0, "a status of the second one")
+                wait_until(lambda: any(each["state"] == "offline" for each in said), 20.0, "the first one's last will")
+                will = next(each for each in said if each["state"] == "offline")
+                assert (will["run"], will["connection"]) == ("run1", 1)
+                assert any(each["connection"] == 2 for each in said[: said.index(will)])
+            finally:
+                service.stop()
+                thread.join(10.0)
+                watcher.disconnect()
+                watcher.loop_stop()
+    assert (said[-1]["state"], said[-1]["connection"]) == ("offline", 2)
+
+
 def test_a_broker_that_tells_of_a_takeover_is_repeated_in_a_sentence():
     said = []
     report = ConnectionReport(Broker(), said.append)
@@ -147,6 +185,7 @@ class Line:
     def __init__(self, listener: socket.socket, port: int):
         self.cut = threading.Event()
         self._port = port
+        self._first: socket.socket | None = None
         threading.Thread(target=self._accept, args=(listener,), daemon=True).start()
 
     def _accept(self, listener: socket.socket) -> None:
@@ -157,10 +196,18 @@ class Line:
             except OSError:
                 # the test is over
                 return
+            self._first = self._first or near
             far = socket.create_connection(("127.0.0.1", self._port))
             for source, sink in ((near, far), (far, near)):
                 threading.Thread(target=self._pass, args=(source, sink, cut), daemon=True).start()
             cut = threading.Event()
+
+    def reset(self) -> None:
+        """Reset the first connection towards the client alone."""
+        assert self._first is not None
+        self._first.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self._first.shutdown(socket.SHUT_RD)
+        self._first.close()
 
     @staticmethod
     def _pass(source: socket.socket, sink: socket.socket, cut: threading.Event) -> None:

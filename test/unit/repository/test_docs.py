@@ -269,7 +269,7 @@ def test_parameters_of_the_namespace_are_in_its_table():
     code = "".join(file.read_text() for file in sorted((PACKAGE / "ros").rglob("*.py")))
     # without a slash or ~: relative to the robot's namespace; `publishers` stands behind any namespace
     read = set(re.findall(r"get_param\(f?\"(?:\{\w+\})?(\w+)\"", code))
-    constants = {mqtt_bridge.MIRROR_MODE, stop_memory.PARAMETER}
+    constants = {mqtt_bridge.MIRROR_MODE, mqtt_bridge.WAITS, stop_memory.PARAMETER}
     assert "publishers" in read
     assert sorted((read | constants) - rows) == []
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import threading
+from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 import rospy
@@ -77,6 +80,71 @@ def test_with_a_stop_that_cannot_be_sent_the_commands_end_and_the_person_is_told
     assert not answer.success and "could not be sent to the gateway, which brakes by itself" in answer.message
     assert_halted(armed)
     assert armed.bridge.report().values["failed beside an act: the stop for the gateway"] == 1
+
+
+def test_with_a_log_that_hangs_the_link_is_polled_and_the_gateway_is_told(armed, clocks, monkeypatch):
+    hangs = threading.Event()
+    monkeypatch.setattr(rospy, "loginfo", lambda *words: hangs.wait(10.0))
+    writer = threading.Thread(target=armed.bridge.write_log)
+    for number in range(1, 4):
+        assert armed.bridge.on_halt(None).success
+        assert [control.verb for control in armed.client.controls[-number:]] == ["stop"] * number
+        if number == 1:
+            writer.start()
+        clocks.run(0.02)
+        armed.bridge.poll()
+    assert armed.links[-1][0].text == "NEEDS_RESET" and writer.is_alive()
+    hangs.set()
+    writer.join(10.0)
+
+
+def test_that_a_person_is_waited_for_outlasts_the_bridge_until_a_person_has_reset(clocks):
+    kept = []
+    bench = BridgeBench(clocks, remember=kept.append)
+    bench.arm_and_rest()
+    assert kept == []
+    bench.bridge.on_halt(None)
+    bench.step()
+    wait_until(lambda: kept == ["stopped at the gateway on request; call reset"], what="the sentence")
+    # the stop never came to the gateway, and this process ends
+    after = BridgeBench(clocks, waits=kept[-1], remember=kept.append)
+    after.connect()
+    for _ in range(500):
+        after.step()
+        assert after.bridge.link is not LinkState.ARMED and not after.client.controls
+    assert after.links[-1][0].reason == kept[0] and after.bridge.link is LinkState.NEEDS_RESET
+    done = []
+
+    def answer() -> None:
+        after.step()
+        for control in after.client.controls[len(done) :]:
+            done.append(control)
+            state = "armed" if control.verb == "arm" else "ready"
+            after.gateway |= {"state": state, "session": control.session * (state == "armed")}
+            after.bridge.on_status(json.dumps(after.gateway).encode())
+            after.bridge.on_answer(json.dumps({"id": control.id, "ok": True, "verb": control.verb}).encode())
+
+    clocks.while_waiting = answer
+    assert after.bridge.on_reset(None).success
+    after.step()
+    wait_until(lambda: kept[-1] == "", what="the end of it")
+
+
+def test_a_master_that_does_not_keep_that_is_shown(clocks):
+    def away(waits):
+        raise ConnectionRefusedError("nobody there")
+
+    bench = BridgeBench(clocks, remember=away)
+    bench.arm_and_rest()
+    bench.bridge.on_halt(None)
+    bench.step()
+    wait_until(lambda: "waits_for_person was not written (nobody there)" in bench.bridge.report().sentence)
+    assert bench.bridge.report().level == WARN
+
+
+def test_a_new_launch_begins_without_waiting():
+    launch = ElementTree.parse(Path(__file__).parents[3] / "launch/link.launch").getroot()
+    assert [param.get("value") for param in launch.findall("param") if param.get("name") == mqtt_bridge.WAITS] == [""]
 
 
 @pytest.mark.parametrize("error", [RuntimeError, OSError])

@@ -285,6 +285,7 @@ def test_halt_is_published_before_it_is_logged_or_anything_else_is_done(bench, m
     assert happened == ["twin/arm/control"] and bench.client.controls[-1].verb == "stop"
     assert bench.bridge.link is LinkState.NEEDS_RESET
     bench.bridge.poll()
+    bench.bridge.write_log()
     assert happened.count("log") == 2 and happened[1] == "twin/arm/bridge/status"
 
 

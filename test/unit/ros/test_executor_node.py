@@ -299,6 +299,25 @@ class TestAge:
         assert node.on_screen_resume(ResumeFromScreenRequest(world.shown())).success
         assert world.run(5).executor.state is ExecutorState.PLAYING
 
+    @pytest.mark.parametrize("age, begins", [(0.5, True), (2.5, False)])
+    def test_what_a_resume_starts_has_begun_within_3_s_of_what_its_screen_had_shown(self, world, age, begins):
+        plan, node = world.waiting(), world.node
+        node.on_limit(limit(0.0))
+        assert world.from_screen(plan, world.shown()).success
+        world.run(5)
+        assert node.on_pause(None).success
+        world.run(5)
+        world.booted += 3 * NANOSECONDS
+        assert node.on_screen_resume(ResumeFromScreenRequest(world.shown(age))).success
+        for _ in range(4):
+            # 1 s, in which somebody stands before the sensor
+            node.on_limit(limit(0.0))
+            world.run(63)
+        assert (world.executor.state is ExecutorState.PLAYING) is begins
+        node.on_limit(limit(1.0))
+        world.run(50)
+        assert (world.executor.rate > 0.0) is begins
+
     def test_a_pause_whose_moment_cannot_be_read_is_carried_out_and_no_screen_undoes_it(self, world, monkeypatch):
         node = world.playing().node
         with monkeypatch.context() as broken:

@@ -188,6 +188,16 @@ def test_a_rejection_does_not_wait_behind_an_approval_whose_record_waits_for_a_d
         thread.join(10.0)
 
 
+def test_a_rejection_asks_no_master_while_the_connection_to_the_executor_stands(bench, monkeypatch):
+    def no_master(name, timeout):
+        raise rospy.ROSException(f"timeout exceeded while waiting for service {name}")
+
+    monkeypatch.setattr(rospy, "wait_for_service", no_master)
+    bench.node.carry_out(RemoteReview("p1", "cafe", "rejected", "Ann", ""))
+    bench.node.carry_out(RemoteReview("p1", "cafe", "approved", "Ann", "", moment=MOMENT))
+    assert [answer["ok"] for answer in reviews(bench)] == [True, False]
+
+
 def fail(*_given, **_named):
     raise RuntimeError("nobody foresaw this")
 
@@ -196,6 +206,7 @@ def fail(*_given, **_named):
 def test_a_verdict_is_answered_although_the_log_fails(bench, monkeypatch, verdict):
     monkeypatch.setattr(rospy, "loginfo", fail)
     bench.node.carry_out(RemoteReview("p1", "cafe", verdict, "Ann", ""))
+    bench.interventions.write_log()
     assert reviews(bench)[-1]["ok"]
     report = bench.node.report()
     assert report.level == WARN and "RuntimeError: nobody foresaw this" in report.sentence
@@ -275,8 +286,54 @@ def test_a_press_is_answered_although_the_log_fails_and_the_next_one_is_taken(pr
     for number in range(2):
         press(pressing, verb, str(number))
         wait_until(lambda: len(acks(pressing, verb)) > number, what="an answer")
+        wait_until(
+            lambda: pressing.interventions.write_log() or pressing.interventions.beside.counts()["the log"] > number
+        )
     assert [answer["ok"] for answer in acks(pressing, verb)] == [True, True]
-    wait_until(lambda: pressing.interventions.beside.counts() == {"the log": 2}, what="the count")
+    assert pressing.interventions.beside.counts() == {"the log": 2}
+
+
+@pytest.mark.parametrize("verb", [STOP, PAUSE, "reject"])
+def test_no_press_waits_for_the_log_of_the_one_before(pressing, monkeypatch, verb):
+    """A disk or a terminal that hangs holds the log of a node up, for everybody who writes in it."""
+    hangs = threading.Event()
+    monkeypatch.setattr(rospy, "loginfo", lambda *words: hangs.wait(10.0))
+    # the thread that writes may wait
+    writer = threading.Thread(target=pressing.interventions.write_log)
+    rejecting = threading.Thread(target=pressing.node.run_rejections, daemon=True)
+    rejecting.start()
+    for number in range(3):
+        if verb == "reject":
+            pressing.verdict(verdict="rejected")
+            wait_until(lambda: len(reviews(pressing)) > number, what="an answer")
+        else:
+            press(pressing, verb, str(number))
+            wait_until(lambda: len(acks(pressing, verb)) > number, what="an answer")
+        if number == 0:
+            writer.start()
+    hangs.set()
+    writer.join(10.0)
+
+
+def test_a_pause_waits_for_no_resume_that_waits_for_the_master(pressing):
+    resume = pressing.services[RESUME]
+    resume.free.clear()
+    press(pressing, "resume")
+    press(pressing, "pause", "2")
+    wait_until(lambda: acks(pressing, "pause"), what="the answer to the pause")
+    assert pressing.pressed == ["pause"] and acks(pressing, "pause")[0]["id"] == "2"
+    resume.free.set()
+    wait_until(lambda: len(acks(pressing, "pause")) == 2, what="the answer to the resume")
+
+
+def test_a_resume_for_which_there_was_no_room_may_be_pressed_again(bench):
+    for number in range(remote_interventions.WAITING + 1):
+        press(bench, "resume", str(number))
+    assert [answer["ok"] for answer in acks(bench, "pause")] == [False] and bench.made.refused == {"busy": 1}
+    bench.interventions.start()
+    wait_until(lambda: len(bench.pressed) == remote_interventions.WAITING, what="those that waited")
+    press(bench, "resume", str(remote_interventions.WAITING))
+    wait_until(lambda: len(bench.pressed) == remote_interventions.WAITING + 1, what="the one that had no room")
 
 
 @pytest.mark.parametrize("verb", [STOP, PAUSE])
@@ -291,10 +348,16 @@ def test_a_press_whose_answer_cannot_be_sent_is_carried_out_and_so_is_the_next_o
 
 
 def test_a_resume_that_came_before_starts_nothing_again(pressing):
-    for verb, moment in (("resume", MOMENT), ("pause", MOMENT), ("resume", "c0ffee00-9000")):
-        press(pressing, verb, "1", moment=moment)
-    press(pressing, "resume", "2")
-    wait_until(lambda: len(acks(pressing, "pause")) == 3, what="three answers")
+    answers = 0
+    for verb, moment, id_ in (
+        ("resume", MOMENT, "1"),
+        ("pause", MOMENT, "1"),
+        ("resume", "c0ffee00-9000", "1"),
+        ("resume", MOMENT, "2"),
+    ):
+        press(pressing, verb, id_, moment=moment)
+        answers += moment == MOMENT
+        wait_until(lambda: len(acks(pressing, "pause")) == answers, what="its answer")
     assert pressing.pressed == ["resume", "pause", "resume"] and pressing.made.refused == {"repeated": 1}
 
 
@@ -306,10 +369,12 @@ def test_a_resume_that_was_too_old_is_told(pressing):
     assert (answer["id"], answer["ok"], answer["expired"]) == ("7", False, True)
 
 
-def test_a_stop_is_carried_out_as_often_as_it_comes(pressing):
+@pytest.mark.parametrize("verb", [STOP, PAUSE])
+def test_a_stop_and_a_pause_are_carried_out_and_answered_as_often_as_they_come(pressing, verb):
     for _ in range(3):
-        press(pressing, "stop", "the same")
-    wait_until(lambda: pressing.pressed == ["stop"] * 3, what="three stops")
+        press(pressing, verb, "the same")
+    wait_until(lambda: len(acks(pressing, verb)) == 3, what="three answers")
+    assert pressing.pressed == [verb] * 3 and not pressing.made.refused
 
 
 @pytest.mark.parametrize("verb, ack", [("stop", "stop"), ("pause", "pause"), ("resume", "pause")])

@@ -125,6 +125,41 @@ def test_a_call_over_an_open_connection_asks_no_master(world):
     assert (world.asked, len(world.service.connections), world.service.calls) == (1, 1, 3)
 
 
+def test_a_connection_that_was_opened_before_serves_the_first_call_without_a_master(world):
+    stop = PersistentService("/kr120/stop", Trigger)
+    stop.open()
+    stop.open()
+    assert (world.asked, len(world.service.connections), world.service.calls) == (1, 1, 0)
+    # the master is gone, and the service lives on
+    service, world.service = world.service, None
+    assert stop().message == "braking" and world.asked == 1 and service.calls == 1
+    service.kill()
+
+
+def test_what_cannot_be_opened_is_opened_later_and_keeps_no_call_back(world, monkeypatch):
+    stop = PersistentService("/kr120/stop", Trigger)
+    service, world.service = world.service, None
+    stop.open()
+    world.service = service
+    hangs, asking = threading.Event(), threading.Event()
+    lookup = world.lookupService
+
+    def hanging(name):
+        asking.set()
+        hangs.wait(10.0)
+        return lookup(name)
+
+    monkeypatch.setattr(world, "lookupService", hanging)
+    opening = threading.Thread(target=stop.open)
+    opening.start()
+    assert asking.wait(10.0)
+    monkeypatch.setattr(world, "lookupService", lookup)
+    assert stop().success and opening.is_alive()
+    hangs.set()
+    opening.join(10.0)
+    assert stop().success and service.calls == 2
+
+
 def test_a_service_that_was_started_anew_is_found(world):
     stop = PersistentService("/kr120/stop", Trigger)
     assert stop().success and world.asked == 1

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import threading
+from types import SimpleNamespace
+
 import pytest
 import rospy
+from processes import wait_until
 
+from construction_twin.ros.shared import diagnostics as module
 from construction_twin.ros.shared.refusal_log import KEPT, PERIOD, RefusalLog, warn_of_refusals
 
 
@@ -54,3 +59,30 @@ def test_a_program_without_diagnostics_says_it_with_its_name(monkeypatch):
     for _ in range(3):
         refuse("publisher", sentence("sync"))
     assert said == [f"/kr120/build refused (publisher): {sentence('sync')}"]
+
+
+@pytest.fixture
+def diagnostics(monkeypatch):
+    """The diagnostics of a node, without a master."""
+    updater = SimpleNamespace(setHardwareID=lambda name: None, add=lambda name, task: None)
+    monkeypatch.setattr(module.diagnostic_updater, "Updater", lambda: updater)
+    monkeypatch.setattr(module, "Publisher", lambda *_, **__: None)
+    monkeypatch.setattr(rospy, "Timer", lambda *_: None)
+    monkeypatch.setattr(rospy, "on_shutdown", lambda hook: None)
+    monkeypatch.setattr(rospy, "get_name", lambda: "/kr120/executor")
+    return module.NodeDiagnostics("kr120", lambda: module.Report(module.OK, "well"))
+
+
+def test_who_refuses_waits_for_no_log(diagnostics, monkeypatch):
+    """What refuses a plan holds the lock of the executor's cycle: a disk or a terminal that hangs must not stop that."""
+    hangs, said = threading.Event(), []
+    monkeypatch.setattr(rospy, "logwarn", lambda *words: hangs.wait(10.0) and said.append(words[0] % words[1:]))
+    refusing = threading.Thread(target=lambda: [diagnostics.refuse(reason, "no") for reason in ("plan", "limit")])
+    refusing.start()
+    refusing.join(5.0)
+    assert not refusing.is_alive() and diagnostics.refused == {"plan": 1, "limit": 1} and said == []
+    hangs.set()
+    wait_until(lambda: len(said) == 2, what="both lines")
+    assert said == ["/kr120/executor refused (plan): no", "/kr120/executor refused (limit): no"]
+    diagnostics.refuse("scene", "no")
+    wait_until(lambda: len(said) == 3, what="the next line")

@@ -29,7 +29,7 @@ from construction_twin.core.errors import (
     RecordError,
     ReviewError,
 )
-from construction_twin.core.freshness import Moment, is_newer, parse_moment, staleness
+from construction_twin.core.freshness import LIFETIME, Moment, is_newer, parse_moment, staleness
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
@@ -509,13 +509,14 @@ class ExecutorNode:
         try:
             seen = parse_moment(request.moment)
             with self._lock:
-                if problem := staleness(seen, present()):
+                now = present()
+                if problem := staleness(seen, now):
                     raise ExpiredError(f"the resume is {problem}")
                 if not is_newer(seen, self._rested):
                     raise ExpiredError(
                         "the resume is void: the arm was paused or stopped since; look again, and then ask anew"
                     )
-                sentence = self._executor.resume()
+                sentence = self._executor.resume(LIFETIME - (now.at - seen.at))
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
             return ResumeFromScreenResponse(False, str(error), False)

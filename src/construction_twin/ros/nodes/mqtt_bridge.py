@@ -51,6 +51,7 @@ from construction_twin.ros.shared.gateway_config import config_from_parameters
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.stop_memory import StopMemory
 from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, now_ns
 from construction_twin.ros.transport.publisher import Publisher, Sink
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
@@ -67,6 +68,10 @@ HALTED_PLC = (
 )
 #: Parameter in the robot's namespace: whether the arm leads. A node that is started again goes on with it.
 MIRROR_MODE = "mirror_mode"
+#: The same: why a person is waited for, a sentence; empty: nobody is. The launch file clears it.
+WAITS = "waits_for_person"
+#: Between two writings of the log [s].
+LOG_PERIOD = 0.05
 
 
 class Settings(MqttSettings):
@@ -118,6 +123,10 @@ class MqttBridge:
         Takes `report`; returns the node's NodeDiagnostics.
     mirrors : bool, optional
         Whether the arm leads from the start.
+    waits : str, optional
+        Why the bridge before this one waited for a person, in a sentence; empty: it did not.
+    remember : callable, optional
+        Keeps such a sentence for the bridge after this one; it may take as long as the master does.
     """
 
     def __init__(
@@ -131,6 +140,8 @@ class MqttBridge:
         outputs: Outputs,
         diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
         mirrors: bool = False,
+        waits: str = "",
+        remember: Callable[[str], object] = lambda waits: None,
     ):
         self._settings = settings
         self._codec = codec
@@ -141,7 +152,7 @@ class MqttBridge:
         self._read_beside = no_properties if bare else read_state_properties
         self._lock = threading.Lock()
         kind = BareSupervisor if bare else LinkSupervisor
-        self._supervisor: LinkSupervisor = kind.of(config, lambda: uuid.uuid4().hex, mirrors)
+        self._supervisor: LinkSupervisor = kind.of(config, lambda: uuid.uuid4().hex, mirrors, waits)
         self._speed = SpeedForwarder(config.speed_limit_deadline)
         self._tool = ToolLink(lambda: uuid.uuid4().hex)
         # orders what is published on `tool`: it comes from several threads
@@ -160,9 +171,12 @@ class MqttBridge:
         self._topics = Topics(settings.prefix, robot)
         self._broker = broker
         self._client = client
-        self._connection = report_of(broker)
         # what tells of a halt, and cannot fail it
         self._beside, self._said = Beside(), DeferredLog()
+        self._connection = report_of(broker, self._said)
+        # why only a person leads on, for the bridge after this one
+        self._waits = waits
+        self._memory = StopMemory(waits, remember, WAITS)
         self._diagnostics = diagnostics(self.report)
 
     def connect(self) -> None:
@@ -186,6 +200,7 @@ class MqttBridge:
 
     def run(self) -> None:
         """Poll the link until shutdown."""
+        threading.Thread(target=self._run_log, name="log", daemon=True).start()
         while not rospy.is_shutdown():
             self.poll()
             time.sleep(POLL)
@@ -203,13 +218,25 @@ class MqttBridge:
             listens = self._supervisor.state is LinkState.ARMED and self._supervisor.sends_control
             armed = self._supervisor.session if listens else ""
             limit = self._speed.poll(armed, now)
+            waits = self._supervisor.waits_for
         if control is not None:
             self._send_control(control)
         if limit is not None:
             # repeated for as long as its source sends: no line in the log
             self._publish_control(Control(str(self._speed.number), armed, "speed_limit", limit))
+        # the first sentence stays until nobody is waited for: figures may waver in those that follow
+        self._waits = waits and (self._waits or waits)
+        self._memory.keep(self._waits, now)
         self._publish_link()
         self._publish_tool()
+
+    def _run_log(self) -> None:
+        while not rospy.is_shutdown():
+            self.write_log()
+            time.sleep(LOG_PERIOD)
+
+    def write_log(self) -> None:
+        """Write what is to be said, and what has failed: not for the poll, which waits for no disk and no terminal."""
         self._beside.do("the log", self._said.flush)
         self._beside.tell(rospy.logerr)
 
@@ -265,7 +292,8 @@ class MqttBridge:
         if control is not None:
             self._publish_control(control)
         self._publish_tool()
-        rospy.loginfo("tool: %s", "void" if message.verb == ToolCommand.VOID else f"{message.id} {message.output}")
+        told = "void" if message.verb == ToolCommand.VOID else f"{message.id} {message.output}"
+        self._said.add(rospy.loginfo, "tool: %s", told)
 
     def on_execution(self, message: Execution) -> None:
         """Take which plan is played: only its switches are armed."""
@@ -280,7 +308,7 @@ class MqttBridge:
             control = self._tool.on_gate(message.state == Sync.IN_SYNC, session) if supervisor.sends_control else None
         if control is not None:
             self._publish_control(control)
-            rospy.loginfo("tool: void, the monitor's gate is closed")
+            self._said.add(rospy.loginfo, "tool: void, the monitor's gate is closed")
 
     def _publish_tool(self) -> None:
         """Tell what is known of the tool, when it has changed."""
@@ -618,6 +646,8 @@ class MqttBridge:
         if not self._properties:
             values["comparison"] = "instant: the link carries no MQTT 5 properties"
         values |= self._beside.report()
+        if self._memory.problem:
+            return Report(WARN, f"{state.name}: {reason}; {self._memory.problem}", values)
         if failed := self._beside.sentence:
             return Report(WARN, f"{state.name}: {reason}; {failed}", values)
         level = OK if state in (LinkState.ARMED, LinkState.MIRROR) else WARN
@@ -660,6 +690,8 @@ def start() -> MqttBridge:
         partial(NodeDiagnostics, robot.name),
         # not a private parameter: those hold settings, and this was asked for while the bridge ran
         mirrors=rospy.get_param(MIRROR_MODE, False) is True,
+        waits=str(rospy.get_param(WAITS, "")),
+        remember=partial(rospy.set_param, WAITS),
     )
     bridge.connect()
     JointSubscriber("command/joint_states", robot.joint_names, bridge.on_command, bridge.refuse)

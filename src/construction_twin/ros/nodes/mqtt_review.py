@@ -5,6 +5,7 @@ A node of its own: the bridge has 4 ms.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 import queue
@@ -12,7 +13,7 @@ import threading
 import time
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import pydantic
@@ -47,7 +48,7 @@ from construction_twin.ros.shared.params import read_parameters, robot_from_para
 from construction_twin.ros.shared.remote_interventions import RemoteInterventions
 from construction_twin.ros.transport.persistent_service import NO_ANSWER, PersistentService
 from construction_twin.ros.transport.subscriber import Subscriber
-from construction_twin.srv import ResumeFromScreen, ReviewFromScreen
+from construction_twin.srv import ResumeFromScreen, ReviewFromScreen, ReviewFromScreenResponse
 
 #: Verdicts that may wait while one is carried out; a tablet sends one at a time.
 WAITING = 8
@@ -60,6 +61,8 @@ _NAMELESS = (
 )
 #: Period at which the node compares what the broker holds with what it should hold [s].
 CHECK_PERIOD = 1.0
+#: Between two writings of the log [s].
+LOG_PERIOD = 0.1
 
 
 class Settings(MqttSettings):
@@ -86,6 +89,10 @@ class MqttReview:
     interventions : RemoteInterventions
     diagnostics : callable
         Takes `report`; returns the node's NodeDiagnostics.
+    reject_plan : rospy.ServiceProxy, optional
+        The same as `review_plan`, for rejections, which may come twice and ask no master.
+    connections : sequence of PersistentService, optional
+        What is to be connected before it is called.
     """
 
     def __init__(
@@ -97,6 +104,8 @@ class MqttReview:
         review_plan: rospy.ServiceProxy,
         interventions: RemoteInterventions,
         diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
+        reject_plan: rospy.ServiceProxy | None = None,
+        connections: Sequence[PersistentService] = (),
     ):
         self._settings = settings
         self._board = PlanBoard()
@@ -112,10 +121,11 @@ class MqttReview:
         self._verdicts: Counter[str] = Counter()
         self._malformed = MalformedAnswers("verdicts")
         self._topics = Topics(settings.prefix, robot)
-        self._review_plan = review_plan
+        self._review_plan, self._reject_plan = review_plan, reject_plan or review_plan
+        self._connections = connections
         self._broker = broker
         self._client = client
-        self._connection = report_of(broker)
+        self._connection = report_of(broker, interventions.said)
         self._diagnostics = diagnostics(self.report)
         self._interventions = interventions
         self._beside = interventions.beside
@@ -131,6 +141,8 @@ class MqttReview:
         }
         self._interventions.start()
         threading.Thread(target=self.run_rejections, name="reject", daemon=True).start()
+        threading.Thread(target=self.run_log, name="log", daemon=True).start()
+        threading.Thread(target=self.run_connections, name="connections", daemon=True).start()
         connect(self._client, self._broker, self._connection, self.on_connect, self.on_disconnect, on_message)
 
     @property
@@ -145,7 +157,6 @@ class MqttReview:
                 self.carry_out(self._reviews.get(timeout=0.2))
             except queue.Empty:
                 self._check_plan()
-            self._beside.tell(rospy.logerr)
         self._client.publish(self._topics.plan, b"", qos=1, retain=True)
         self._client.disconnect()
         self._client.loop_stop()
@@ -157,6 +168,19 @@ class MqttReview:
                 self.carry_out(self._rejections.get(timeout=0.2))
             except queue.Empty:
                 continue
+
+    def run_log(self) -> None:
+        """Write the log until shutdown, in a thread of its own: nothing else here waits for a disk or a terminal."""
+        while not rospy.is_shutdown():
+            self._interventions.write_log()
+            time.sleep(LOG_PERIOD)
+
+    def run_connections(self) -> None:
+        """Connect to the executor until shutdown, in a thread of its own: a master that dies later keeps no stop back."""
+        while not rospy.is_shutdown():
+            for service in self._connections:
+                service.open()
+            time.sleep(CHECK_PERIOD)
 
     # -- ROS to MQTT
 
@@ -276,15 +300,7 @@ class MqttReview:
     def carry_out(self, review: RemoteReview) -> None:
         """Give a verdict to the executor, and its answer to the reviewer."""
         try:
-            rospy.wait_for_service(self._review_plan.resolved_name, SERVICE_TIMEOUT)
-            answer = self._review_plan(
-                plan_id=review.plan_id,
-                plan_hash=review.plan_hash,
-                approve=review.approves,
-                reviewer=review.reviewer,
-                reason=recorded_reason(review),
-                moment=review.moment,
-            )
+            answer = self._ask(review)
             ok, sentence, expired = answer.success, answer.message, answer.expired
         except (rospy.ROSException, *NO_ANSWER) as error:
             ok, expired = False, False
@@ -293,7 +309,23 @@ class MqttReview:
         with self._lock:
             self._verdicts["taken" if ok else "not taken"] += 1
         said = review.verdict, review.plan_id, review.reviewer, sentence
-        self._beside.do("the log", rospy.loginfo, "%s of plan %s by %s: %s", *said)
+        self._interventions.say("%s of plan %s by %s: %s", *said)
+
+    def _ask(self, review: RemoteReview) -> ReviewFromScreenResponse:
+        request = {
+            "plan_id": review.plan_id,
+            "plan_hash": review.plan_hash,
+            "approve": review.approves,
+            "reviewer": review.reviewer,
+            "reason": recorded_reason(review),
+            "moment": review.moment,
+        }
+        if not review.approves:
+            # over the connection that is open, as a stop
+            with contextlib.suppress(*NO_ANSWER):
+                return self._reject_plan(**request)
+        rospy.wait_for_service(self._review_plan.resolved_name, SERVICE_TIMEOUT)
+        return self._review_plan(**request)
 
     def _answer(
         self, review: RemoteReview | None, ok: bool, sentence: str, account: str = "", expired: bool = False
@@ -425,8 +457,11 @@ def start() -> MqttReview:
     services = {name: PersistentService(name, Trigger) for name in (STOP, PAUSE)}
     services[RESUME] = rospy.ServiceProxy("resume_from_screen", ResumeFromScreen)
     interventions = RemoteInterventions(topics, services, lambda topic, payload: client.publish(topic, payload, qos=1))
+    # a plan is rejected once, and a second time it is said to be
+    reject = PersistentService("review_from_screen", ReviewFromScreen)
+    connections = (services[STOP], services[PAUSE], reject)
     diagnostics = functools.partial(NodeDiagnostics, robot)
-    node = MqttReview(settings, robot, broker, client, review_plan, interventions, diagnostics)
+    node = MqttReview(settings, robot, broker, client, review_plan, interventions, diagnostics, reject, connections)
     node.connect()
     Subscriber("plan", Plan, node.on_plan, node.refuse, queue_size=5)
     Subscriber("plan_caller", PlanCaller, node.on_caller, node.refuse, queue_size=5)

@@ -11,6 +11,7 @@ import diagnostic_updater
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
+from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.refusal_log import RefusalLog
 from construction_twin.ros.transport.publisher import Publisher
 
@@ -36,6 +37,8 @@ class Report:
 class NodeDiagnostics:
     """Counts refusals and reports them with a node's state; for use from several threads.
 
+    Who refuses may hold the lock of a cycle, or be the thread in which the next stop comes: it never waits for the log.
+
     Parameters
     ----------
     hardware_id : str
@@ -50,6 +53,9 @@ class NodeDiagnostics:
         #: The last sentence of each reason.
         self._sentences: dict[str, str] = {}
         self._log = RefusalLog()
+        self._said, self._news = DeferredLog(), threading.Event()
+        threading.Thread(target=self._write, name="refusals", daemon=True).start()
+        rospy.on_shutdown(self._said.flush)
         self._report = report
         self._updater = diagnostic_updater.Updater()
         # quiet at shutdown, as every publisher of ours
@@ -66,10 +72,20 @@ class NodeDiagnostics:
             return Counter(self._refused)
 
     def refuse(self, reason: str, sentence: str) -> None:
-        """Count a rejected input, and say it in the log with this node's name (`RefusalLog`); `/diagnostics` shows the last one."""
+        """Count a rejected input, and have it said in the log with this node's name (`RefusalLog`), in a thread that may wait.
+
+        `/diagnostics` shows the last one.
+        """
         self.count(reason, sentence)
         if self._log.take(reason, sentence):
-            rospy.logwarn("%s refused (%s): %s", rospy.get_name(), reason, sentence)
+            self._said.add(rospy.logwarn, "%s refused (%s): %s", rospy.get_name(), reason, sentence)
+            self._news.set()
+
+    def _write(self) -> None:
+        while True:
+            self._news.wait()
+            self._news.clear()
+            self._said.flush()
 
     def count(self, reason: str, sentence: str) -> None:
         """Count a rejected input that the node itself writes to its log."""

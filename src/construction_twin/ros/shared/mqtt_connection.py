@@ -12,6 +12,7 @@ from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.plain_client import PlainClient
+from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.params import NodeSettings
 
 
@@ -43,9 +44,11 @@ def broker_of(settings: MqttSettings) -> Broker:
     return Broker(settings.host, settings.port, settings.protocol, account=account)
 
 
-def report_of(broker: Broker) -> ConnectionReport:
-    """Return a report that goes to the node's log."""
-    return ConnectionReport(broker, lambda sentence: rospy.logerr("%s", sentence))
+def report_of(broker: Broker, said: DeferredLog | None = None) -> ConnectionReport:
+    """Return a report that goes to the node's log; with `said` when that is written, so that the MQTT thread waits for no disk."""
+    if said is None:
+        return ConnectionReport(broker, lambda sentence: rospy.logerr("%s", sentence))
+    return ConnectionReport(broker, lambda sentence: said.add(rospy.logerr, "%s", sentence))
 
 
 def connect(

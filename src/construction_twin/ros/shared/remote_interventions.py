@@ -1,9 +1,10 @@
 """`stop`, `pause` and `resume` by MQTT, carried out by the executor and answered there; part of mqtt_review.
 
-A stop has a thread of its own: nothing else that was asked for is waited for. The gateway reads the same stops itself, so this one
-brakes along the path what the gateway brakes within its limits, and voids the plans that wait.
+Each verb has a thread of its own: a stop and a pause wait for nothing else that was asked for. The gateway reads the same stops
+itself, so this one brakes along the path what the gateway brakes within its limits, and voids the plans that wait.
 
-What was asked for is carried out first and answered next; counts and log lines come after that (`Beside`).
+What was asked for is carried out first and answered next; counts come after that (`Beside`), and log lines are left to `write_log`:
+the next stop waits for no disk and no terminal.
 """
 
 from __future__ import annotations
@@ -29,14 +30,15 @@ from construction_twin.mqtt.interventions import (
     parse_intervention,
 )
 from construction_twin.mqtt.messages import Topics, account_of
+from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.malformed_answers import MalformedAnswers
 from construction_twin.ros.transport.persistent_service import NO_ANSWER
 
-#: What may wait while one is carried out, for each of the two threads.
+#: What may wait while one is carried out, for each of the threads.
 WAITING = 8
 #: Longest wait for a service of the executor to exist [s].
 SERVICE_TIMEOUT = 1.0
-#: Pauses and resumes that are remembered: QoS 1 may deliver twice, and a recording can be replayed.
+#: Resumes that are remembered: QoS 1 may deliver twice, and a recording can be replayed.
 MEMORY = 1000
 
 
@@ -55,6 +57,8 @@ class RemoteInterventions:
     ----------
     beside : Beside
         What tells of an intervention, and cannot fail it.
+    said : DeferredLog
+        What `write_log` writes.
     """
 
     def __init__(
@@ -64,15 +68,15 @@ class RemoteInterventions:
         publish: Callable[[str, bytes], object],
     ):
         self.beside = Beside()
+        self.said = DeferredLog()
         self._services = services
         self._publish = publish
         self._acks = {STOP: topics.stop_ack, PAUSE: topics.pause_ack, RESUME: topics.pause_ack}
-        stops: queue.Queue[Intervention] = queue.Queue(WAITING)
-        others: queue.Queue[Intervention] = queue.Queue(WAITING)
-        self._queues = {STOP: stops, PAUSE: others, RESUME: others}
+        self._queues: dict[str, queue.Queue[Intervention]] = {verb: queue.Queue(WAITING) for verb in self._acks}
+        # a resume asks the master first; when a pause overtakes it, its moment is older than that pause, and it is void
         self._threads = [
-            threading.Thread(target=self._run, args=(waiting,), name=name, daemon=True)
-            for name, waiting in (("stop", stops), ("pause", others))
+            threading.Thread(target=self._run, args=(waiting,), name=verb, daemon=True)
+            for verb, waiting in self._queues.items()
         ]
         self._known: deque[Intervention] = deque(maxlen=MEMORY)
         self._lock = threading.Lock()
@@ -97,6 +101,15 @@ class RemoteInterventions:
             counts = {f"interventions {name}": count for name, count in sorted(self._counts.items())}
         return counts | self._malformed.report()
 
+    def write_log(self) -> None:
+        """Write what is to be said, and what has failed; for a thread that may wait for a disk or a terminal."""
+        self.beside.do("the log", self.said.flush)
+        self.beside.tell(rospy.logerr)
+
+    def say(self, *line: object) -> None:
+        """Have a line written by `write_log`."""
+        self.beside.do("the log", self.said.add, rospy.loginfo, *line)
+
     def _take(self, verb: str, message: MQTTMessage) -> None:
         account = id_ = ""
         try:
@@ -106,9 +119,11 @@ class RemoteInterventions:
                 return
             wanted = parse_intervention(verb, account, bytes(message.payload), message.retain)
             id_ = wanted.id
-            if verb != STOP:
+            if verb == RESUME:
                 self._check_new(wanted)
             self._queues[verb].put_nowait(wanted)
+            if verb == RESUME:
+                self._known.append(wanted)
         except PayloadError as error:
             self.refuse(error.reason, str(error))
             # one that came before was answered then
@@ -123,7 +138,6 @@ class RemoteInterventions:
         """Refuse one that came before (PayloadError): a `resume` must not start again what was paused since."""
         if wanted in self._known:
             raise PayloadError("repeated", f"{wanted.verb} {wanted.id!r} of account {wanted.account} came before")
-        self._known.append(wanted)
 
     def _run(self, waiting: queue.Queue[Intervention]) -> None:
         while not rospy.is_shutdown():
@@ -144,7 +158,7 @@ class RemoteInterventions:
         self.beside.do("the answer", self._answer, wanted.verb, wanted.id, wanted.account, ok, sentence, expired)
         with self._lock:
             self._counts["taken" if ok else "not taken"] += 1
-        self.beside.do("the log", rospy.loginfo, "%s by MQTT account %s: %s", wanted.verb, wanted.account, sentence)
+        self.say("%s by MQTT account %s: %s", wanted.verb, wanted.account, sentence)
 
     @staticmethod
     def _call(service: rospy.ServiceProxy, wanted: Intervention):

@@ -1,4 +1,5 @@
-"""Keeps the STOPPED session on the parameter server, so that a restarted monitor begins STOPPED."""
+"""Keeps on the parameter server what a node that is started again must know: the session in which the gate is STOPPED, or why the
+link waits for a person."""
 
 from __future__ import annotations
 
@@ -18,14 +19,16 @@ _AGAIN = NANOSECONDS
 
 
 class StopMemory:
-    """The command session in which the gate is STOPPED; empty when it is not.
+    """A text on the parameter server, empty when nothing is stopped: the session of a gate, or the sentence of a link.
 
     Parameters
     ----------
     session : str
         What is on the parameter server now.
     write : callable
-        Puts a session there. It may take as long as the master does, so it is called in a thread of its own.
+        Puts a text there. It may take as long as the master does, so it is called in a thread of its own.
+    name : str, optional
+        Of the parameter.
 
     Attributes
     ----------
@@ -33,8 +36,9 @@ class StopMemory:
         Why it could not be kept; empty when it could.
     """
 
-    def __init__(self, session: str, write: Callable[[str], None]):
+    def __init__(self, session: str, write: Callable[[str], object], name: str = PARAMETER):
         self.problem = ""
+        self._name = name
         self._write = write
         self._written = session
         self._writer: threading.Thread | None = None
@@ -46,7 +50,7 @@ class StopMemory:
         return self._writer is not None and self._writer.is_alive()
 
     def keep(self, session: str, now: int) -> None:
-        """Keep a session, empty for none; returns at once. To be called again and again, from one thread, `now` in ns."""
+        """Keep a text, empty for none; returns at once. To be called again and again, from one thread, `now` in ns."""
         if session == self._written or self.writing:
             return
         if self._tried is not None and self.problem and now - self._tried < _AGAIN:
@@ -59,8 +63,6 @@ class StopMemory:
         try:
             self._write(session)
         except (OSError, rospy.ROSException, xmlrpc.client.Error, http.client.HTTPException) as error:
-            self.problem = (
-                f"that the gate is STOPPED would not outlast this node: {PARAMETER} was not written ({error})"
-            )
+            self.problem = f"that it is stopped would not outlast this node: {self._name} was not written ({error})"
             return
         self._written, self.problem = session, ""

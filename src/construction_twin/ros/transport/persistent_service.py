@@ -1,44 +1,67 @@
-"""A service over a connection that stays open from the first call on: a later call asks no master and shakes no hands."""
+"""A service over a connection that stays open, from `open` or the first call on: later calls ask no master and shake no hands."""
 
 from __future__ import annotations
 
+import contextlib
 import threading
 
 import rospy
 from rospy.exceptions import TransportException
+from rospy.impl.tcpros_base import TCPROSTransport
 
 #: The errors of a call whose node is not there, or goes away.
 NO_ANSWER = (rospy.ServiceException, TransportException, OSError)
 
 
 class PersistentService(rospy.ServiceProxy):
-    """As a persistent `rospy.ServiceProxy`, for a service without arguments, and from several threads.
+    """As a persistent `rospy.ServiceProxy`, from several threads; arguments are named.
 
     A call whose connection broke is repeated once over a new one. So only a service may be called that may be called twice: of a
     broken connection it is unknown whether the request had arrived.
     """
 
+    transport: TCPROSTransport | None
+
     def __init__(self, service: str, kind: type):
         super().__init__(service, kind, persistent=True)
         self._busy = threading.Lock()
 
-    def __call__(self):
+    def __call__(self, **request):
         """Call the service; return the answer, or raise ServiceException."""
         if not self._busy.acquire(blocking=False):
             # another thread waits for its answer on the connection
-            return rospy.ServiceProxy(self.resolved_name, self.service_class)()
+            return rospy.ServiceProxy(self.resolved_name, self.service_class)(**request)
         try:
-            return self._call_twice()
+            return self._call_twice(request)
         finally:
             self._busy.release()
 
-    def _call_twice(self):
+    def open(self) -> None:
+        """Connect where there is no connection yet, if the service can be found: the first call does not ask the master then.
+
+        For a thread that may wait as long as the master does.
+        """
+        if self.transport is not None:
+            return
+        with contextlib.suppress(*NO_ANSWER):
+            # beside the calls, which must not wait for it
+            uri = self._get_service_uri(self.request_class())
+            transport = TCPROSTransport(self.protocol, self.resolved_name)
+            transport.buff_size = self.buff_size
+            transport.connect(*rospy.core.parse_rosrpc_uri(uri), uri)
+            with self._busy:
+                if self.transport is None:
+                    self.transport = transport
+                else:
+                    transport.close()
+
+    def _call_twice(self, request: dict[str, object]):
         try:
-            return self.call()
+            return self.call(**request)
         except NO_ANSWER:
             self._forget()
         try:
-            return self.call()
+            return self.call(**request)
         except NO_ANSWER as error:
             self._forget()
             raise rospy.ServiceException(f"no answer twice: {error}") from error
