@@ -116,7 +116,8 @@ class TraceWriter:
     ------
     ConfigurationError
         If the path is a device, a folder or anything else but a regular file: it is not opened. If another gateway records in the
-        file. If the file cannot be written, or not at its full length: one that was made for it is removed, one that was there before is left, empty.
+        file. If the file cannot be written, or not at its full length: one that was made for it is removed, one that was there
+        before is left, empty.
     """
 
     def __init__(self, path: str, axes: int, cycles: int = DEFAULT_CYCLES):
