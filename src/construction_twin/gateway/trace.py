@@ -35,6 +35,11 @@ def _entry(axes: int) -> struct.Struct:
     return struct.Struct(f"<QqHHB3x{axes}d")
 
 
+def room(axes: int, cycles: int = DEFAULT_CYCLES) -> int:
+    """Return what a trace of so many values per position and cycles takes on the disk [bytes]."""
+    return _HEADER.size + cycles * _entry(axes).size
+
+
 def _open(path: str) -> tuple[str, BinaryIO]:
     """Return the path of a file that was made, "" for one that was there before, and the open file, empty and locked."""
     try:
@@ -123,7 +128,7 @@ class TraceWriter:
     def __init__(self, path: str, axes: int, cycles: int = DEFAULT_CYCLES):
         self._entry = _entry(axes)
         self._numbers = {state: number for number, state in enumerate(_STATES)}
-        self._end = _HEADER.size + cycles * self._entry.size
+        self._end = room(axes, cycles)
         self._at = _HEADER.size
         self.dropped = 0
         try:
