@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
@@ -192,8 +193,7 @@ def test_a_trace_that_the_gateway_could_not_write_is_refused(tmp_path):
 def test_a_trace_without_room_on_its_disk_is_refused(tmp_path, monkeypatch):
     """Otherwise all but the gateway would run, and that would be started again and again."""
     given = KR120 | {"gateway": "true", "gateway_trace": f"{tmp_path}/a.trace"}
-    usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage._replace(free=64_000_000))
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=64_000_000))
     said = preflight.contents_problem(given)
     assert said.startswith(f"gateway_trace:={tmp_path}/a.trace: ") and "64.0 MB of room" in said and "64.8 MB" in said
     # what the file holds already it may hold again
