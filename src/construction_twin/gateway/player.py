@@ -37,8 +37,9 @@ class Player:
         self._config = config
         self._counters = counters
         governor = Governor(config.limits, config.decimals, config.cycle_ns)
-        self._playout = Playout(PlayoutBounds.of(config), governor, config.cycle_ns)
         self._smoother = Smoother(config.smoothing_cycles, config.cycle_ns) if config.smoothing_cycles else None
+        behind = self._smoother.delay if self._smoother is not None else 0
+        self._playout = Playout(PlayoutBounds.of(config), governor, config.cycle_ns, behind)
         self._longest_hole = round(config.silence * NANOSECONDS)
         self._stalled: _Stall | None = None
         self._smoothing_ms = config.smoothing_cycles * config.cycle_ns / 1e6
@@ -120,7 +121,7 @@ class Player:
             return self._brake(follower, elapsed, measured)
         self.braking = None
         if self._smoother is not None:
-            target = self._smoother.smooth(target)
+            target = self._smoother.smooth(target, self.stamp)
         position = follower.follow(target)
         if follower.settling:
             self._counters["settling"] += 1
@@ -138,13 +139,17 @@ class Player:
         taken_back : bool
             True: the last position did not arrive either.
         """
-        self._playout.stand(pause, taken_back)
+        stands_at = None
+        if self._smoother is not None and self.stamp and self.braking is None:
+            # where the arm is, which an average of targets has led
+            stands_at = self._smoother.stamp(taken_back)
+        self._playout.stand(pause, taken_back, stands_at)
         if taken_back:
             self.stamp = self._stamp_before
         self.stood = self.stood + 1 if self._playout.backlog else 0
         if self._smoother is not None:
             self._smoother.clear()
-            self._smoother.smooth(follower.position)
+            self._smoother.smooth(follower.position, self._playout.now)
 
     def _brake(self, follower: Follower, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
         if self.braking is None:

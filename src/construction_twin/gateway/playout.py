@@ -66,14 +66,20 @@ class Playout:
     cycle_ns : int, optional
         The controller's cycle [ns]. Commands come every 4 ms whatever it is, and what depends on them counts in 4 ms: the
         margin, and the delay's grid.
+    behind : int, optional
+        How far the arm trails the targets that it is led by [ns]: so far `stand` can go back.
     """
 
-    def __init__(self, bounds: PlayoutBounds, governor: Governor | None = None, cycle_ns: int = CYCLE_NS):
+    def __init__(
+        self, bounds: PlayoutBounds, governor: Governor | None = None, cycle_ns: int = CYCLE_NS, behind: int = 0
+    ):
         self.bounds = bounds
         self._governor = governor
         self._governed = False
         # stamp and pose; plain tuples, and no records: they are made and unpacked in every cycle of 4 ms
         self._commands: deque[tuple[int, Pose]] = deque()
+        # those that were played, the newest last; a rate above 1 needs a few more than the time says
+        self._past: deque[tuple[int, Pose]] = deque(maxlen=1 + (2 * behind // CYCLE_NS))
         self._arrivals = Arrivals(max(0, bounds.start - MARGIN))
         self._slew = Slew(cycle_ns)
         self._calm, self._urgent, self._catch_up = [pace.of_cycle(cycle_ns) for pace in (CALM, URGENT, CATCH_UP)]
@@ -86,7 +92,7 @@ class Playout:
         self._slew.clear()
         self._pace = self._calm
         self._commands.clear()
-        self._before: tuple[int, Pose] | None = None
+        self._past.clear()
         self._newest = 0
         self._now = 0
         # playout time before the last advance: that one is taken back when the reply it was for does not arrive
@@ -98,6 +104,11 @@ class Playout:
             self._governor.restart()
             self._governed = self._governor.active
         self.delay = self.bounds.delay(self._arrivals.learned)
+
+    @property
+    def now(self) -> int:
+        """Playout time, on the sender's clock [ns]."""
+        return self._now
 
     @property
     def newest(self) -> int:
@@ -209,7 +220,7 @@ class Playout:
         """
         commands = self._commands
         while len(commands) > 1 and commands[1][0] <= self._now:
-            self._before = commands.popleft()
+            self._past.append(commands.popleft())
         if self._put_off:
             self._skip_rest()
         before = self._advanced_from = self._now
@@ -281,7 +292,7 @@ class Playout:
                 self._pace = self._catch_up
         self._governed = governor.active
 
-    def stand(self, pause: int, taken_back: bool) -> None:
+    def stand(self, pause: int, taken_back: bool, stands_at: int | None = None) -> None:
         """Begin anew from a standstill: the arm was not told to move on.
 
         What is not played now is put off, and the motion starts again on its path, with a rate that rises from 0.
@@ -292,11 +303,15 @@ class Playout:
             Controller time that the arm has stood for [ns].
         taken_back : bool
             True: the last target was not reached either, because it did not arrive.
+        stands_at : int, optional
+            Stamp of the target at which the arm stands, where it trails the one that was played last [ns].
         """
         put_off = pause
         if taken_back:
             put_off += self._now - self._advanced_from
             self._now = self._advanced_from
+        if stands_at is not None and stands_at < self._now:
+            put_off += self._go_back(stands_at)
         self._clock += pause
         self._slew.remaining += put_off
         self._put_off += put_off
@@ -305,13 +320,22 @@ class Playout:
             self._governor.stand()
             self._governed = True
 
+    def _go_back(self, stamp: int) -> int:
+        """Set playout time back to a stamp [ns], as far as commands are remembered; return by how much [ns]."""
+        commands, past = self._commands, self._past
+        while past and commands[0][0] > stamp:
+            commands.appendleft(past.pop())
+        before = self._now
+        self._now = min(before, max(stamp, commands[0][0]))
+        return before - self._now
+
     def _target(self, stamp: int) -> Pose:
         """Return the pose at a stamp [ns] not far ahead of playout time, without moving on."""
         return self._at(stamp)[1]
 
     def _at(self, stamp: int) -> tuple[int, Pose]:
         """Return stamp and pose at a stamp [ns] not far ahead of the oldest command, between the oldest and the newest one."""
-        commands, before = self._commands, self._before
+        commands, before = self._commands, self._past[-1] if self._past else None
         index = 0
         while index + 1 < len(commands) and commands[index + 1][0] <= stamp:
             before = commands[index]
@@ -324,9 +348,9 @@ class Playout:
 
     def _skip_rest(self) -> None:
         """Skip a rest that has been put off: while every stamp has the same pose, playout time can be set without a motion."""
-        commands = self._commands
-        while self._put_off and len(commands) > 2 and self._before is not None and self._now >= commands[0][0]:
-            if not self._before[1] == commands[0][1] == commands[1][1] == commands[2][1]:
+        commands, past = self._commands, self._past
+        while self._put_off and len(commands) > 2 and past and self._now >= commands[0][0]:
+            if not past[-1][1] == commands[0][1] == commands[1][1] == commands[2][1]:
                 return
             hop = min(self._put_off, commands[1][0] - self._now)
             self._now += hop
@@ -334,4 +358,4 @@ class Playout:
             self._slew.remaining -= hop
             if self._now < commands[1][0]:
                 return
-            self._before = commands.popleft()
+            past.append(commands.popleft())

@@ -49,18 +49,28 @@ class Smoother:
         self.delay = cycles * cycle_ns
         self._weights = henderson_weights(cycles)
         self._targets: deque[tuple[float, ...]] = deque(maxlen=2 * cycles + 1)
+        self._stamps: deque[int] = deque(maxlen=2 * cycles + 2)
 
     def clear(self) -> None:
         """Forget everything; the next target stands for all before it."""
         self._targets.clear()
+        self._stamps.clear()
 
-    def smooth(self, target: tuple[float, ...]) -> tuple[float, ...]:
-        """Take a cycle's target [rad] and return the average [rad]."""
+    def stamp(self, before: bool) -> int:
+        """Return the average of the stamps of the targets in the last average, or in the one before it [ns]."""
+        stamps = list(self._stamps)
+        stamps = stamps[:-1] if before else stamps[1:]
+        return stamps[-1] + round(sum([weight * (stamp - stamps[-1]) for weight, stamp in zip(self._weights, stamps)]))
+
+    def smooth(self, target: tuple[float, ...], stamp: int) -> tuple[float, ...]:
+        """Take a cycle's target [rad] with its stamp [ns] and return the average [rad]."""
         targets = self._targets
         if not targets:
             targets.extend([target] * len(self._weights))
+            self._stamps.extend([stamp] * (len(self._weights) + 1))
             return target
         targets.append(target)
+        self._stamps.append(stamp)
         # as differences from the newest: equal targets give exactly that target
         return tuple(
             [

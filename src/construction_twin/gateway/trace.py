@@ -2,11 +2,13 @@
 
 The file gets all its blocks at the start, and is mapped into memory: recording is one write into memory, without a system call in
 the cycle, and nothing is lost when the process is killed. A disk without room for all of it is refused at the start: a block that
-is missing later would end the process in the middle of a motion, without an exception (SIGBUS). Standard library only; rad and ns.
+is missing later would end the process in the middle of a motion, without an exception (SIGBUS). For the same reason a file in which
+another gateway records is refused, before it is changed. Standard library only; rad and ns.
 """
 
 from __future__ import annotations
 
+import fcntl
 import mmap
 import os
 import stat
@@ -33,14 +35,19 @@ def _entry(axes: int) -> struct.Struct:
     return struct.Struct(f"<QqHHB3x{axes}d")
 
 
+def room(axes: int, cycles: int = DEFAULT_CYCLES) -> int:
+    """Return what a trace of so many values per position and cycles takes on the disk [bytes]."""
+    return _HEADER.size + cycles * _entry(axes).size
+
+
 def _open(path: str) -> tuple[str, BinaryIO]:
-    """Return the path of a file that was made, "" for one that was there before, and the open file, empty."""
+    """Return the path of a file that was made, "" for one that was there before, and the open file, empty and locked."""
     try:
         mode = os.stat(path).st_mode
     except FileNotFoundError:
         # where a link leads that has no file yet
         made = os.path.realpath(path)
-        return made, open(made, "x+b")
+        return made, _locked(open(made, "x+b"), path)
     if not stat.S_ISREG(mode):
         # a gateway that runs as root could open a device, and remove it
         raise ConfigurationError(
@@ -48,7 +55,23 @@ def _open(path: str) -> tuple[str, BinaryIO]:
             path,
             "a regular file, or a path where none is yet; this is a device, a folder, a pipe or a socket",
         )
-    return "", open(path, "w+b")
+    # not with "w", which would take the blocks of a file that another gateway has mapped
+    file = _locked(open(path, "r+b"), path)
+    file.truncate(0)
+    return "", file
+
+
+def _locked(file: BinaryIO, path: str) -> BinaryIO:
+    """Return the file, which nobody else takes while it is open; the lock ends with the process, however that ends."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        file.close()
+        raise ConfigurationError("--trace", path, "a file of its own; another gateway records in it") from error
+    except OSError:
+        file.close()
+        raise
+    return file
 
 
 @dataclass(frozen=True)
@@ -97,14 +120,15 @@ class TraceWriter:
     Raises
     ------
     ConfigurationError
-        If the path is a device, a folder or anything else but a regular file: it is not opened. If the file cannot be written, or
-        not at its full length: one that was made for it is removed, one that was there before is left, empty.
+        If the path is a device, a folder or anything else but a regular file: it is not opened. If another gateway records in the
+        file. If the file cannot be written, or not at its full length: one that was made for it is removed, one that was there
+        before is left, empty.
     """
 
     def __init__(self, path: str, axes: int, cycles: int = DEFAULT_CYCLES):
         self._entry = _entry(axes)
         self._numbers = {state: number for number, state in enumerate(_STATES)}
-        self._end = _HEADER.size + cycles * self._entry.size
+        self._end = room(axes, cycles)
         self._at = _HEADER.size
         self.dropped = 0
         try:

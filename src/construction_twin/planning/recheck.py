@@ -2,7 +2,7 @@
 
 The samples are the setpoints that twin and arm are sent. Between two of them each joint is taken to go evenly from one to the
 next. The plan's own curve is beside that line by about (4 ms)^2 / 8 times the acceleration per joint: at the limits of all joints
-of the KR 120 at once, no point of it by more than 0.1 mm.
+of the KR 120 at once, no point of the arm by more than 0.1 mm, the end of a bar of 4 m by 0.4 mm (docs/planning.md).
 
 What it measures is shown to the reviewer: the smallest clearance and where it is, and the largest use of each limit.
 """

@@ -15,16 +15,16 @@ CYCLES = (2, 3, 4, 5, 10)
 
 def smoothed(cycles, values):
     smoother = Smoother(cycles)
-    return np.array([smoother.smooth((value, -value)) for value in values])[:, 0]
+    return np.array([smoother.smooth((value, -value), 0) for value in values])[:, 0]
 
 
 @given(st.sampled_from(CYCLES), st.floats(-7, 7), st.lists(st.floats(-7, 7), max_size=10))
 def test_at_rest_it_is_exact_to_the_last_bit(cycles, q, before):
     smoother = Smoother(cycles)
     for value in before:
-        smoother.smooth((value,))
+        smoother.smooth((value,), 0)
     for _ in range(2 * cycles + 1):
-        result = smoother.smooth((q,))
+        result = smoother.smooth((q,), 0)
     assert result == (q,)
 
 
@@ -63,6 +63,16 @@ def test_the_ripple_of_rounding_falls_to_what_is_documented(cycles, left):
 
 def test_a_cleared_one_begins_at_the_next_target():
     smoother = Smoother(3)
-    smoother.smooth((1.0,))
+    smoother.smooth((1.0,), 0)
     smoother.clear()
-    assert smoother.smooth((5.0,)) == (5.0,)
+    assert smoother.smooth((5.0,), 0) == (5.0,)
+
+
+def test_the_stamp_of_an_average_is_that_of_what_it_stands_for():
+    smoother = Smoother(3)
+    for k in range(20):
+        smoother.smooth((float(k),), 4_000_000 * k)
+    assert (smoother.stamp(False), smoother.stamp(True)) == (4_000_000 * 16, 4_000_000 * 15)
+    smoother.clear()
+    smoother.smooth((2.0,), 7)
+    assert (smoother.stamp(False), smoother.stamp(True)) == (7, 7)

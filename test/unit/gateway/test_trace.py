@@ -197,6 +197,37 @@ def test_a_limit_on_the_length_of_files_is_refused_at_the_start(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
+#: Takes a folder and what else happens to the file, and records before and after that.
+_RECORDS_ON = (
+    "import subprocess, sys\n"
+    "from construction_twin.gateway.states import State\n"
+    "from construction_twin.gateway.trace import TraceWriter\n"
+    "writer = TraceWriter(sys.argv[1] + '/trace', 6, 1000)\n"
+    "writer.record(4, 1, State.FOLLOWING, 7, (0.1,) * 6)\n"
+    "print(subprocess.run([sys.executable, '-c', sys.argv[2], sys.argv[1]], capture_output=True, text=True).stderr)\n"
+    "for k in range(2, 1000):\n"
+    "    writer.record(4 * k, 1, State.FOLLOWING, 7, (0.1,) * 6)\n"
+    "writer.close()\n"
+)
+
+
+@pytest.mark.parametrize("how", ["begins and ends", "is refused"])
+def test_another_gateway_with_the_same_path_is_refused_and_takes_nothing_from_the_first(tmp_path, how):
+    """It would take the blocks of the file in which the first one records, which would end that one by SIGBUS."""
+    other = (
+        "import os, sys\n"
+        "from construction_twin.gateway.trace import TraceWriter\n"
+        + ("def refuse(*_): raise OSError(28, 'full')\nos.posix_fallocate = refuse\n" if how == "is refused" else "")
+        + "TraceWriter(sys.argv[1] + '/trace', 6, 1000).close()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", _RECORDS_ON, str(tmp_path), other], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done
+    assert "another gateway records in it" in done.stdout
+    assert [entry.ipoc for entry in read_trace(str(tmp_path / "trace"))] == list(range(4, 4000, 4))
+
+
 def test_all_of_its_blocks_are_there_before_the_first_cycle(tmp_path):
     writer = TraceWriter(str(tmp_path / "trace"), 6, cycles=50_000)
     status = os.stat(tmp_path / "trace")

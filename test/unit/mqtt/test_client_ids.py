@@ -20,15 +20,16 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
 from processes import ROOT, listens, wait_until
 from service_cell import CONFIG
-from site_broker import SiteBroker, free_ports
+from site_broker import Listener, SiteBroker, free_ports
 
 from construction_twin.gateway.service import GatewayService
-from construction_twin.mqtt.client import Broker, make_client
+from construction_twin.mqtt.client import OFFLINE, Broker, make_client
 from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.messages import Topics
 from construction_twin.rsi.udp import bind
 
 ID = "one-bridge-0123456789abcdef"
+WILL_TOPIC = "twin/one/bridge/status"
 #: The random part of it.
 SECRET = "0123456789abcdef"
 
@@ -48,7 +49,7 @@ class Program:
         self.said: list[str] = []
         self.welcomes = 0
         self.report = ConnectionReport(broker, self.said.append)
-        self.client = make_client(broker, client_id, "twin/one/bridge/status", direct=direct)
+        self.client = make_client(broker, client_id, WILL_TOPIC, direct=direct)
         self.client.on_connect = self._on_connect
         self.client.on_disconnect = lambda c, u, f, code, p: self.report.lost(code)
         self.client.connect_async(broker.host, broker.port, broker.keepalive)
@@ -66,6 +67,14 @@ class Program:
     def __exit__(self, *_) -> None:
         self.client.disconnect()
         self.client.loop_stop()
+
+
+class Speaker(Program):
+    """One that says after each welcome that it is here."""
+
+    def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
+        super()._on_connect(client, userdata, flags, reason_code, properties)
+        client.publish(WILL_TOPIC, "here", qos=1, retain=True)
 
 
 def thief(broker: Broker, client_id: str) -> paho.Client:
@@ -93,9 +102,9 @@ def test_whoever_has_learned_an_id_takes_the_connection_away_once_and_that_is_sa
         assert "lost: the broker or the network has closed it" in program.said[0] and SECRET not in "".join(
             program.said
         )
+        wait_until(lambda: not first.is_connected(), what="the end of what the broker held under the former id")
         second = thief(viewer, ID)
-        # the broker has closed the thief's own former connection, and nothing else
-        wait_until(lambda: not first.is_connected(), what="the end of the first thief")
+        # it is nobody's any more
         assert second.is_connected() and program.client.is_connected()
         assert program.welcomes == 2 and len(program.said) == 1
         for client in (first, second):
@@ -110,7 +119,8 @@ def test_the_same_where_there_are_no_accounts(direct, tmp_path):
         with Program(broker, ID, direct) as program:
             other = thief(broker, ID)
             wait_until(lambda: program.welcomes == 2, what="its return")
-            assert other.is_connected() and len(program.said) == 1
+            wait_until(lambda: not other.is_connected(), what="the end of what the broker held under the former id")
+            assert len(program.said) == 1
             other.disconnect()
             other.loop_stop()
 
@@ -138,8 +148,8 @@ def test_a_connection_that_fell_silent_returns_with_the_id_it_had(tmp_path):
                 other.loop_stop()
 
 
-def test_what_the_broker_says_late_of_a_former_connection_of_the_gateway_says_so(tmp_path):
-    """A connection that the network has reset returns under another id, while the broker still holds it: until its keepalive."""
+def test_what_the_broker_says_of_a_former_connection_of_the_gateway_says_of_which(tmp_path):
+    """It may be said late, when another connection of the same run has spoken already; then it must change nothing."""
     said: list[dict] = []
     with mosquitto((ROOT / "config/mosquitto.conf").read_text(), tmp_path / "log") as port:
         with socket.create_server(("127.0.0.1", 0)) as listener:
@@ -156,19 +166,35 @@ def test_what_the_broker_says_late_of_a_former_connection_of_the_gateway_says_so
             thread.start()
             try:
                 wait_until(lambda: any(each["connection"] == 1 for each in said), what="the first status")
-                line.cut.set()
                 line.reset()
                 wait_until(lambda: any(each["connection"] == 2 for each in said), 20.0, "a status of the second one")
                 wait_until(lambda: any(each["state"] == "offline" for each in said), 20.0, "the first one's last will")
                 will = next(each for each in said if each["state"] == "offline")
                 assert (will["run"], will["connection"]) == ("run1", 1)
-                assert any(each["connection"] == 2 for each in said[: said.index(will)])
             finally:
                 service.stop()
                 thread.join(10.0)
                 watcher.disconnect()
                 watcher.loop_stop()
     assert (said[-1]["state"], said[-1]["connection"]) == ("offline", 2)
+
+
+@pytest.mark.parametrize("direct", [True, False])
+def test_a_connection_that_the_network_has_reset_is_ended_at_the_broker_before_the_new_one_speaks(direct, tmp_path):
+    """Or its last will would come later, behind what the new connection has said, and as if it had been lost again."""
+    with (
+        mosquitto((ROOT / "config/mosquitto.conf").read_text(), tmp_path / "log") as port,
+        contextlib.closing(Listener(Broker("127.0.0.1", port), WILL_TOPIC)) as listener,
+        socket.create_server(("127.0.0.1", 0)) as server,
+    ):
+        line = Line(server, port)
+        with Speaker(Broker("127.0.0.1", server.getsockname()[1], keepalive=3), ID, direct) as program:
+            wait_until(lambda: len(listener.messages) == 1, what="its first word")
+            line.reset()
+            wait_until(lambda: len(listener.messages) == 3, 20.0, "its last will, and its word after the return")
+        words = [payload for _, payload in listener.messages]
+        assert words[:3] == [b"here", OFFLINE.encode(), b"here"]
+        assert program.welcomes == 2
 
 
 def test_a_broker_that_tells_of_a_takeover_is_repeated_in_a_sentence():
@@ -185,8 +211,16 @@ class Line:
     def __init__(self, listener: socket.socket, port: int):
         self.cut = threading.Event()
         self._port = port
-        self._first: socket.socket | None = None
+        self._near: list[socket.socket] = []
         threading.Thread(target=self._accept, args=(listener,), daemon=True).start()
+
+    def reset(self) -> None:
+        """Cut the first connection, and reset it at the client's end only, as a router does that has forgotten it."""
+        self.cut.set()
+        near = self._near[0]
+        near.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        near.shutdown(socket.SHUT_RD)
+        near.close()
 
     def _accept(self, listener: socket.socket) -> None:
         cut = self.cut
@@ -196,18 +230,11 @@ class Line:
             except OSError:
                 # the test is over
                 return
-            self._first = self._first or near
+            self._near.append(near)
             far = socket.create_connection(("127.0.0.1", self._port))
             for source, sink in ((near, far), (far, near)):
                 threading.Thread(target=self._pass, args=(source, sink, cut), daemon=True).start()
             cut = threading.Event()
-
-    def reset(self) -> None:
-        """Reset the first connection towards the client alone."""
-        assert self._first is not None
-        self._first.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        self._first.shutdown(socket.SHUT_RD)
-        self._first.close()
 
     @staticmethod
     def _pass(source: socket.socket, sink: socket.socket, cut: threading.Event) -> None:

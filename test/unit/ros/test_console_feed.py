@@ -36,8 +36,13 @@ class Broker:
     def __init__(self):
         self.published: list[tuple[str, object, int, bool]] = []
         self.refused: list[str] = []
+        # happens before the next message is taken
+        self.meanwhile = None
 
     def publish(self, topic, payload, qos, retain):
+        meanwhile, self.meanwhile = self.meanwhile, None
+        if meanwhile is not None:
+            meanwhile()
         self.published.append((topic, json.loads(payload) if payload else None, qos, retain))
 
     def refuse(self, reason, sentence):
@@ -102,6 +107,16 @@ def test_the_scene_is_retained_with_its_meshes_by_digest_and_their_files_are_the
     vertices, triangles = parse_mesh("wedge", "wedge.stl", contents, (1.0, 1.0, 1.0))
     np.testing.assert_array_equal(vertices[triangles], CORNERS)
     assert contents == binary_stl(CORNERS)
+
+
+def test_a_scene_that_comes_during_the_welcome_is_the_one_that_stays(tmp_path, broker):
+    given = scene(tmp_path)
+    newer = Scene(given.objects[:1], 0.03)
+    made = feed(broker)
+    made.on_scene(message(given))
+    broker.meanwhile = lambda: made.on_scene(message(newer))
+    made.welcome()
+    assert broker.newest(TOPICS.scene)["hash"] == newer.hash
 
 
 def test_a_scene_whose_meshes_cannot_be_written_or_read_is_refused_and_not_told(tmp_path, broker):

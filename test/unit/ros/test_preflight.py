@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import shutil
 import socket
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
@@ -186,6 +188,17 @@ def test_a_trace_that_the_gateway_could_not_write_is_refused(tmp_path):
         assert preflight.contents_problem(given | {"gateway_trace": trace}) == ""
     check = ElementTree.parse(ROOT / "launch" / "bringup.launch").getroot().find("arg[@name='check']")
     assert check is not None and "gateway_trace:=$(arg gateway_trace)" in check.attrib["value"]
+
+
+def test_a_trace_without_room_on_its_disk_is_refused(tmp_path, monkeypatch):
+    """Otherwise all but the gateway would run, and that would be started again and again."""
+    given = KR120 | {"gateway": "true", "gateway_trace": f"{tmp_path}/a.trace"}
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=64_000_000))
+    said = preflight.contents_problem(given)
+    assert said.startswith(f"gateway_trace:={tmp_path}/a.trace: ") and "64.0 MB of room" in said and "64.8 MB" in said
+    # what the file holds already it may hold again
+    (tmp_path / "a.trace").write_bytes(bytes(2_000_000))
+    assert preflight.contents_problem(given) == ""
 
 
 def test_what_the_package_ships_is_fine(tmp_path):

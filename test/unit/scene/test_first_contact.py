@@ -6,17 +6,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scene_samples import kr120, kr120_pairs
+from scene_samples import ROOT, kr120, kr120_pairs, track7, track7_pairs
 
 from construction_twin.core.motion_errors import CollisionError
 from construction_twin.core.units import CYCLE
 from construction_twin.kinematics.chain import Chain
 from construction_twin.planning.recheck import recheck
 from construction_twin.planning.timing import time_path
+from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.distance_bounds import RESOLUTION
 from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.self_collision import sample_self_collision
 
 ROBOT = kr120()
 CHAIN = Chain(ROBOT)
@@ -155,6 +157,55 @@ def test_nothing_is_passed_and_nothing_free_is_refused(case):
         if first is not None:
             deepest = min(pair.distance - pair.margin for pair in world.distances(earlier[first]))
             assert deepest > -0.5 * RESOLUTION - 2e-6
+
+
+def redundant() -> RobotModel:
+    return read_robot_files(ROOT / "test/data/iiwa_like.urdf", ROOT / "test/data/iiwa_like.yaml")
+
+
+@pytest.mark.parametrize(
+    "robot, pairs, away", [(track7, track7_pairs, (-1.0, 0.0, 0.0)), (redundant, None, (0.0, 0.0, 1.0))]
+)
+def test_the_same_holds_on_a_rail_and_for_a_redundant_arm_with_a_load(robot, pairs, away):
+    arm = robot()
+    checked = pairs() if pairs else sample_self_collision(arm, samples=300)
+    chain, rng = Chain(arm), np.random.default_rng(3)
+    # where the load points away from the arm at home, in the frame of the tool
+    outwards = np.array(away)
+    size = tuple(np.where(outwards != 0.0, 3.0, 0.02))
+    load = SceneObject("load", "box", size, tuple(1.6 * outwards + (0.0, 0.0, 0.1)), link=arm.tip_link)
+    free = between_only = 0
+    for _ in range(60):
+        step = rng.normal(size=7) * rng.choice([0.0, 0.01, 0.03], 7)
+        rows = np.array(arm.home) + rng.uniform(-0.3, 0.3, 7) + np.arange(8)[:, None] * step
+        pose = chain.forward(rows[rng.integers(0, 7)] + rng.uniform() * step)
+        at = pose.position + pose.rotation @ (rng.uniform(0.8, 3.1) * outwards + (0.0, 0.0, 0.1))
+        at += rng.normal(0.0, 0.03, 3)
+        post = SceneObject("post", "box", (0.006, 0.006, 0.2), tuple(at))
+        world = CollisionWorld(arm, Scene((load, post)), checked)
+        fine = between(rows)
+        if world.first_contact(rows) is None:
+            free += 1
+            row = world.all_free(fine)
+            if row is not None:
+                deepest = min(pair.distance - pair.margin for pair in world.distances(fine[row]))
+                assert deepest > -0.5 * RESOLUTION - 2e-6
+        else:
+            between_only += world.all_free(rows) is None
+    assert free >= 5 and between_only >= 3
+
+
+def test_the_plan_s_own_curve_is_beside_the_line_by_what_the_documents_say():
+    """The bound is the time between two setpoints squared, times an eighth of all joints' acceleration limits at once."""
+    text = (ROOT / "docs/planning.md").read_text()
+    for objects, cycle, word in (
+        ((), CYCLE, "0.1 mm"),
+        ((BAR,), CYCLE, "0.4 mm"),
+        ((), 3 * CYCLE, "0.7 mm"),
+        ((BAR,), 3 * CYCLE, "3.7 mm"),
+    ):
+        beside = cycle**2 / 8.0 * np.array(ROBOT.acceleration) @ cell(*objects).levers
+        assert f"{1e3 * beside:.1f} mm" == word and word in text
 
 
 def test_the_cases_were_of_both_kinds():

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import shutil
 import socket
 import sys
 import urllib.parse
@@ -24,6 +25,7 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.files import check_writable
 from construction_twin.core.network import port_is_free, reaches_itself
 from construction_twin.core.validation import configuration_error
+from construction_twin.gateway.trace import room as trace_room
 from construction_twin.mqtt.account import load_account
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
 from construction_twin.robot.tool import read_tool
@@ -177,8 +179,8 @@ def _check_results(given: Given, _robot: RobotModel) -> None:
     check_writable(Path(given["results_dir"]).expanduser())
 
 
-def _check_trace(given: Given, _robot: RobotModel) -> None:
-    """Check that the gateway can make the file: it makes no folders."""
+def _check_trace(given: Given, robot: RobotModel) -> None:
+    """Check that the gateway can make the file: it makes no folders, and does not start without room for all of it."""
     if not given["gateway_trace"] or given.get("arm") == "none" or not has_gateway_here(given):
         return
     path = ros_home() / given["gateway_trace"]
@@ -187,6 +189,12 @@ def _check_trace(given: Given, _robot: RobotModel) -> None:
     if not os.path.lexists(path.parent):
         raise ConfigurationError(str(path.parent), "no such folder", "one that is there, make it first")
     check_writable(path.parent)
+    path = path.resolve()
+    there = path.stat().st_blocks * 512 if path.is_file() else 0
+    needed, free = trace_room(len(robot.joint_names)), shutil.disk_usage(path.parent).free + there
+    if free < needed:
+        found, expected = f"{free / 1e6:.1f} MB of room", f"a disk with {needed / 1e6:.1f} MB, reserved at the start"
+        raise ConfigurationError(str(path.parent), found, expected)
 
 
 def _check_console(given: Given, _robot: RobotModel) -> None:

@@ -118,6 +118,10 @@ class ConsoleFeed:
             self._told_at = float("-inf")
         for topic, payload in retained.items():
             self._publish(topic, payload, 1, True)
+            newest = self._retained[topic]
+            if newest is not payload:
+                # it came meanwhile, and what is retained must not be the older one, which may have been sent behind it
+                self._publish(topic, newest, 1, True)
 
     def farewell(self) -> None:
         """Take away what is retained: nobody keeps it up to date any more."""
