@@ -156,6 +156,7 @@ class Schedule:
         everything = reading.jobs()
         unmade = reading.unmade(everything)
         ordered = _in_order(everything, model.tasks)
+        reading.notes += _order_notes(everything, model.tasks, proposed)
         remarks = {
             job.id: (*model.remarks.get(job.task, ()), *model.remarks.get(job.element, ())) for job in everything
         }
@@ -473,7 +474,15 @@ class _Reading:
         parts = set(self._parts(element))
         if not parts:
             return (element,)
-        elsewhere = {one for name, task in self._tasks.items() if name != identifier for one in task.products}
+        # also the parts of an assembly within this one that has a task of its own, done or not
+        elsewhere = {
+            part
+            for name, task in self._tasks.items()
+            if name != identifier
+            for one in task.products
+            if one in parts
+            for part in (one, *self._parts(one))
+        }
         wanted = [one for one in workpieces(model) if one in parts - elsewhere]
         task = self._tasks[identifier]
         if wanted:
@@ -620,6 +629,23 @@ def _places(jobs: tuple[Job, ...], tasks: Mapping[str, Task]) -> dict[str, tuple
         return {identifier: (0.0, number) for identifier, number in numbers.items()}
     moments = {identifier: start.timestamp() for identifier, start in starts.items()}
     return {identifier: (moments.get(identifier, -math.inf), number) for identifier, number in numbers.items()}
+
+
+def _order_notes(jobs: tuple[Job, ...], tasks: Mapping[str, Task], proposed: bool) -> list[str]:
+    """Return what a person should know of the order: that dates are not used, or that the file says none."""
+    starts = {job.task: tasks[job.task].start for job in jobs if job.task in tasks}
+    without = [identifier for identifier, start in starts.items() if not start]
+    if without and len(without) < len(starts):
+        return [
+            f"Dates are not used for the order, because there is no start for {len(without)} of {len(starts)} tasks: "
+            f"{_listed(without)}. What no sequence orders comes as it stands in the file."
+        ]
+    free = not any(wait.job != job.id and not wait.job.startswith(f"{job.task}/") for job in jobs for wait in job.after)
+    if len(starts) > 1 and without and free and not proposed:
+        return [
+            "The file says no order of its tasks, neither sequences nor dates: they come as they stand in the file."
+        ]
+    return []
 
 
 def _counted(ids: Iterable[str], what: str) -> str:
