@@ -1,4 +1,4 @@
-"""Models that were read wrongly without a word: kinds and ends of tasks that stand elsewhere, lost lines and parts, units, places."""
+"""Models that were read wrongly without a word: kinds and ends of tasks, lost lines and parts, units, places."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_what_a_record_of_what_was_done_has_as_completed_is_not_placed_again(rea
     model.task("begun", [open_], schedule=record, Status="STARTED")
     found = read(model)
     assert jobs(found) == ["b", "c", "d"]
-    assert remarked(found, first, "ACTUAL says that they are completed") and remarked(found, second, "A PART IS DONE")
+    assert remarked(found, first, "ACTUAL says are completed") and remarked(found, second, "A PART IS DONE")
 
 
 def test_a_baseline_of_ifc2x3_is_left_out(read):

@@ -60,7 +60,8 @@ _ANY = (5.0, 23000.0)
 def read_properties(product: ifcopenshell.entity_instance, at: str, units: Units, notes: Notes) -> Sets:
     """Return the values by set and name; the type's own included, the element's win.
 
-    What is noted stands at the id `at`, the element's record. A set that cannot be read is left out with a note: it says nothing about where the element is or what shape it has.
+    What is noted stands at the id `at`, the element's record. A set that cannot be read is left out with a note: it says nothing
+    about where the element is or what shape it has.
     """
     sets: Sets = {}
     try:

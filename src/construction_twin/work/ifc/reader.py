@@ -213,7 +213,8 @@ def _note_origin(file: ifcopenshell.file, found: _Found) -> None:
             shift = ", ".join(f"{value * found.units.length:.3f}" for value in matrix[:3, 3])
             turn = "" if np.allclose(matrix[:3, :3], np.eye(3), atol=1e-9) else ", turned"
             found.notes.add(
-                f"The world coordinate system of the model's context ({shift} m{turn}) is left out: poses are those of the placements"
+                f"The world coordinate system of the model's context ({shift} m{turn}) is left out: poses are those of the "
+                "placements"
             )
 
 

@@ -250,10 +250,13 @@ def _as_recorded(task: Task, recorded: set[str], notes: Notes) -> Task:
     if task.kind != "makes" or task.completed or not made:
         return task
     if made == set(task.products):
-        sentence = "Tasks of which a schedule of the kind ACTUAL says that they are completed: not done again, what they made stands"
+        sentence = "Tasks that a schedule of the kind ACTUAL says are completed: not done again, what they made stands"
         notes.add(sentence, task.name or task.id, task.id)
         return replace(task, completed=True)
-    sentence = "TASKS OF WHICH A SCHEDULE OF THE KIND ACTUAL SAYS THAT A PART IS DONE, taken as still to be done; skip what stands already"
+    sentence = (
+        "TASKS OF WHICH A SCHEDULE OF THE KIND ACTUAL SAYS THAT A PART IS DONE, taken as still to be done; skip what stands "
+        "already"
+    )
     notes.add(sentence, task.name or task.id, task.id)
     return task
 
@@ -362,8 +365,8 @@ def _doubt_names(
         name = each.Name or ""
         if any(word in name.casefold() for word in _TAKES_DOWN_WORDS if word != "tear"):
             sentence = (
-                f"TASKS THAT MAY TAKE DOWN WHAT THEY ARE TAKEN TO PLACE: the name {name!r} says so, their kind does not; skip them, "
-                "or have the model say the kind"
+                f"TASKS THAT MAY TAKE DOWN WHAT THEY ARE TAKEN TO PLACE: the name {name!r} says so, their kind does not; skip "
+                "them, or have the model say the kind"
             )
             notes.add(sentence, shown, task_id)
             return
