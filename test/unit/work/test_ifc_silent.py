@@ -347,6 +347,33 @@ def test_items_that_are_all_made_and_lines_beside_them_are_no_doubt(read, openin
     assert read(model).elements[member.GlobalId].doubt == ""
 
 
+def csg(model):
+    """A block."""
+    return model.make("IfcCsgSolid", model.make("IfcBlock", model.axes(), 100.0, 100.0, 100.0))
+
+
+def surfaces(model, kind, shell):
+    """A square as a surface model."""
+    points = [model.point(*corner, 0.0) for corner in ((0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.0, 0.1))]
+    bound = model.make("IfcFaceOuterBound", model.make("IfcPolyLoop", points), True)
+    return model.make(kind, [model.make(shell, [model.make("IfcFace", [bound])])])
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        csg,
+        lambda model: surfaces(model, "IfcFaceBasedSurfaceModel", "IfcConnectedFaceSet"),
+        lambda model: surfaces(model, "IfcShellBasedSurfaceModel", "IfcOpenShell"),
+    ],
+)
+def test_items_that_the_kernel_calls_by_their_parts_are_no_doubt(read, make):
+    model = IfcModel()
+    member = model.element("IfcMember", "m", model.representation(make(model), kind="SolidModel"))
+    found = read(model).elements[member.GlobalId]
+    assert found.bodies and found.doubt == ""
+
+
 # -- units, masses, places
 
 
@@ -414,3 +441,21 @@ def test_a_body_without_a_placement_and_a_context_that_is_elsewhere_are_told(rea
     model.context.WorldCoordinateSystem = model.axes((10.0, 0.0, 0.0), z=(0, 0, 1), x=(0, 1, 0))
     (note,) = read(model).notes
     assert "(10.000, 0.000, 0.000 m, turned) is left out" in note
+
+
+def test_a_second_body_and_an_opening_without_one_are_told(read):
+    model, (double, holed), _ = two_studs()
+    shape = double.Representation
+    more = model.representation(model.extrusion(model.rectangle(2.0, 0.2), 0.2))
+    shape.Representations = [*shape.Representations, more]
+    hole = model.element("IfcOpeningElement", "hole", within=holed)
+    model.root("IfcRelVoidsElement", RelatingBuildingElement=holed, RelatedOpeningElement=hole)
+    found = read(model)
+    assert remarked(found, double, "with 2 bodies of one kind") and remarked(found, holed, "Openings without a body")
+    assert len(found.notes) == 2
+
+
+def test_a_file_that_the_parser_refuses_is_told_with_its_reason(read):
+    text = two_studs()[0].text().replace("'a'", "'a\\X\\ZZ'")
+    with pytest.raises(BuildingError, match="Syntax error during parse, check logs: .*"):
+        read(text)

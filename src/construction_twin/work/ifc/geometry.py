@@ -211,9 +211,16 @@ def _less(items: list[Item], owners: np.ndarray) -> str:
     missing = [
         f"#{item.entity.id()}={item.entity.is_a()}"
         for item in items
-        if item.entity.id() not in made and any(item.entity.is_a(kind) for kind in _SURFACES)
+        if any(item.entity.is_a(kind) for kind in _SURFACES) and made.isdisjoint(_numbers(item.entity))
     ]
     return ", ".join(dict.fromkeys(missing[:3]))
+
+
+def _numbers(item: ifcopenshell.entity_instance) -> set[int]:
+    """Return the numbers by which the kernel may call an item: its own, a CSG solid's tree's, a surface model's shells'."""
+    parts = (getattr(item, name, ()) or () for name in ("TreeRootExpression", "FbsmFaces", "SbsmBoundary"))
+    flat = (each for part in parts for each in (part if isinstance(part, tuple) else (part,)))
+    return {item.id(), *(each.id() for each in flat)}
 
 
 def _crossed(items: list[Item], unit: float) -> list[np.ndarray]:

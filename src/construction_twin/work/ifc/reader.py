@@ -26,7 +26,7 @@ from construction_twin.work.ifc.placements import Placements, check_rigid
 from construction_twin.work.ifc.properties import read_mass, read_material, read_properties, read_status
 from construction_twin.work.ifc.relations import Relations, read_relations
 from construction_twin.work.ifc.representations import body_of
-from construction_twin.work.ifc.step_text import check_whole, in_ascii, kernel_says, note_parser_log
+from construction_twin.work.ifc.step_text import check_whole, first_error, in_ascii, kernel_says, note_parser_log
 from construction_twin.work.ifc.tasks import read_tasks, unique_id
 from construction_twin.work.ifc.units import Units, read_units
 from construction_twin.work.ifc.unread import note_unread
@@ -181,7 +181,8 @@ def _open(path: str | Path, name: str) -> ifcopenshell.file:
             entities = len(file.types())
     except BuildingError as error:
         expected = f"an IFC file (ISO 10303-21) of {', '.join(SCHEMAS)} as published, no release candidate"
-        raise BuildingError(name, "the file", error.found, expected) from error
+        why = first_error(ifcopenshell.get_log())
+        raise BuildingError(name, "the file", f"{error.found}: {why}" if why else error.found, expected) from error
     if entities == 0:
         raise BuildingError(name, "the file", "no entities", "an IFC file (ISO 10303-21)")
     return file
@@ -232,6 +233,7 @@ def _elements(file: ifcopenshell.file, found: _Found, progress: Progress) -> tup
             matrices[product.id()] = placements.matrix(product)
             if (body := body_of(product)) is not None:
                 bodies[product.id()] = body
+                _note_more(product, body, ids[product.id()], found.notes)
     cut = frozenset(
         product.id()
         for product in products
@@ -263,6 +265,27 @@ def _elements(file: ifcopenshell.file, found: _Found, progress: Progress) -> tup
     return _without_doubles(elements, found.notes), {
         entity: element for entity, element in ids.items() if element in elements
     }
+
+
+def _note_more(
+    product: ifcopenshell.entity_instance, body: ifcopenshell.entity_instance, element_id: str, notes: Notes
+) -> None:
+    """Note what else a product says of its shape: bodies beside the one that is taken, openings without one."""
+    about = product.Name or element_id
+    same = [
+        each
+        for each in product.Representation.Representations
+        if (each.RepresentationIdentifier, each.ContextOfItems) == (body.RepresentationIdentifier, body.ContextOfItems)
+    ]
+    if len(same) > 1:
+        notes.add(
+            f"Elements with {len(same)} bodies of one kind, of which the first is taken and the others are not",
+            about,
+            element_id,
+        )
+    voids = getattr(product, "HasOpenings", None) or ()
+    if any(body_of(relation.RelatedOpeningElement) is None for relation in voids):
+        notes.add("Openings without a body are not cut out of", about, element_id)
 
 
 def _take_kernel_log(file: ifcopenshell.file, file_name: str, made: dict[int, Shape], notes: Notes) -> None:

@@ -187,6 +187,12 @@ def _line_of(contents: bytes, offset: str | None) -> str:
     return "" if not before else f"#{before[-1][0].decode()}={before[-1][1].decode().upper()}"
 
 
+def first_error(log: str) -> str:
+    """Return the first error that the parser logged; empty: none."""
+    logged = (_LOGGED.match(entry) for entry in log.splitlines())
+    return next((entry.group(3)[:_SHOWN] for entry in logged if entry is not None and entry.group(1) == "error"), "")
+
+
 @dataclass(frozen=True)
 class KernelSays:
     """What the geometry kernel logged.
@@ -223,10 +229,13 @@ def kernel_says(log: str) -> list[KernelSays]:
         entity = _ENTITY.match(after)
         if sentence.endswith(":") and entity is not None:
             sentence = f"{sentence[:-1].rstrip()} {entity.group(1)}"
+        sentence = _PLAIN.get(line.group(2), sentence)
         found.append(KernelSays(name, sentence[:_SHOWN], line.group(2) or "", line.group(1) == "error"))
     return found
 
 
+#: In plainer words.
+_PLAIN = {"GEO132": "an opening or a clipping does not meet a body, nothing is cut from it"}
 _ENTITY = re.compile(r"(#\d+=\w+)\(")
 #: Messages of the kernel that are not about shapes: no style for a colour, a precision of the whole file, a style that is missing.
 _NOT_SHAPE = ("GEO031", "SYS033", "GEO301")
