@@ -648,6 +648,8 @@ def _order_notes(jobs: tuple[Job, ...], tasks: Mapping[str, Task], proposed: boo
             f"Dates are not used for the order, because there is no start for {len(without)} of {len(starts)} tasks: "
             f"{_listed(_called(tasks[one].name, one) for one in without)}. What no sequence orders comes as it stands in the file."
         ]
+    if not without and len({_has_zone(start) for start in starts.values()}) > 1:
+        return ["Dates are not used for the order, because some starts have a time zone and others have none."]
     free = not any(wait.job != job.id and not wait.job.startswith(f"{job.task}/") for job in jobs for wait in job.after)
     if len(starts) > 1 and without and free and not proposed:
         return [
@@ -659,6 +661,14 @@ def _order_notes(jobs: tuple[Job, ...], tasks: Mapping[str, Task], proposed: boo
 def _counted(ids: Iterable[str], what: str) -> str:
     count = len(tuple(ids))
     return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def _has_zone(start: str) -> bool | None:
+    """Return whether a start has a time zone; None: it is no date."""
+    try:
+        return datetime.fromisoformat(start).tzinfo is not None
+    except ValueError:
+        return None
 
 
 def _called(name: str, identifier: str) -> str:

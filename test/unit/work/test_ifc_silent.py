@@ -255,6 +255,15 @@ def test_dates_that_are_not_used_and_an_order_that_nobody_says_are_told(read, da
         assert len(notes) == 1 and words in notes[0]
 
 
+def test_dates_of_which_some_have_a_time_zone_are_told_as_not_used(read):
+    model = IfcModel()
+    for k, start in enumerate(("2027-01-02T08:00:00Z", "2027-01-01T08:00:00")):
+        task = model.task(f"{k}", [model.box(f"{k}", STUD, at=(k, 0, 0))])
+        task.TaskTime = model.make("IfcTaskTime", ScheduleStart=start)
+    (note,) = Schedule.of(read(model)).notes
+    assert "some starts have a time zone" in note
+
+
 @pytest.mark.parametrize("at", ["summary", "schedule"])
 def test_a_calendar_of_what_tasks_nest_in_is_told_at_the_tasks(read, at):
     model, _, tasks = two_studs()
@@ -459,3 +468,12 @@ def test_a_file_that_the_parser_refuses_is_told_with_its_reason(read):
     text = two_studs()[0].text().replace("'a'", "'a\\X\\ZZ'")
     with pytest.raises(BuildingError, match="Syntax error during parse, check logs: .*"):
         read(text)
+
+
+def test_a_reason_calls_elements_by_their_names(read):
+    model, (stud, other), _ = two_studs()
+    found = read(model)
+    said = f"{stud.GlobalId}/0 would touch {other.GlobalId}/12 and tool/cups and floor/1"
+    assert (
+        found.called(said, stud.GlobalId) == f"the element would touch b ({other.GlobalId}) and tool/cups and floor/1"
+    )
