@@ -6,6 +6,7 @@ placement, without map conversion), `element` is the product's placement. Record
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -168,6 +169,10 @@ class Sequence:
     lag: float = 0.0
 
 
+#: A body of an element in the scene.
+_BODY = re.compile(r"(?<![\w$#/])([\w$#]{1,64})/\d+(?![\w/])")
+
+
 @dataclass(frozen=True, eq=False)
 class BuildingModel:
     """One IFC file.
@@ -218,3 +223,23 @@ class BuildingModel:
                 self.file, f"element {global_id!r}", "none of that GlobalId", "one of the model's elements"
             )
         return self.elements[global_id]
+
+    def called(self, sentence: str, own: str = "") -> str:
+        """Return a sentence with elements by their names where it has bodies of theirs, ``<GlobalId>/<number>``.
+
+        Parameters
+        ----------
+        sentence : str
+        own : str
+            GlobalId of the element that the sentence is about, which is called "the element".
+        """
+
+        def name(found: re.Match[str]) -> str:
+            element = self.elements.get(found.group(1))
+            if element is None:
+                return found.group()
+            if element.id == own:
+                return "the element"
+            return f"{element.name} ({element.id})" if element.name else element.id
+
+        return _BODY.sub(name, sentence)

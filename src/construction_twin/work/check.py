@@ -165,7 +165,7 @@ class Checker:
             found = replace(found, planning=self._clock() - began, reason=str(error))
             if isinstance(error, TaskPlanningError):
                 found = replace(found, stage=error.stage, grip=error.grip, reason=error.reason)
-            return found
+            return replace(found, reason=self._layout.building.called(found.reason, job.element))
         return replace(self._described(found, plan), planning=self._clock() - began)
 
     def changed(self, found: CheckedTask, until: float) -> CheckedTask:

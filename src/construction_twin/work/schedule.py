@@ -156,6 +156,7 @@ class Schedule:
         everything = reading.jobs()
         unmade = reading.unmade(everything)
         ordered = _in_order(everything, model.tasks)
+        reading.notes += _order_notes(everything, model.tasks, proposed)
         remarks = {
             job.id: (*model.remarks.get(job.task, ()), *model.remarks.get(job.element, ())) for job in everything
         }
@@ -304,8 +305,16 @@ class _Reading:
         made = {job.element for job in jobs} | self._standing
         left = tuple(identifier for identifier in workpieces(self._model) if identifier not in made)
         if left:
-            self.notes.append(f"No task makes {_counted(left, 'element')}: {_listed(left)}; the arm leaves them alone.")
+            self.notes.append(
+                f"No task makes {_counted(left, 'element')}: {self._called(left)}; the arm leaves them alone."
+            )
         return left
+
+    def _called(self, ids: Iterable[str]) -> str:
+        """Return elements or tasks by name and id, the first few."""
+        names = {one: element.name for one, element in self._model.elements.items()}
+        names |= {one: task.name for one, task in self._tasks.items()}
+        return _listed(_called(names[one], one) for one in ids)
 
     def _takes_down(self, identifier: str) -> bool:
         """Return whether a task removes what is assigned to it: by its kind, or because all of that is to be removed."""
@@ -404,7 +413,7 @@ class _Reading:
                 )
             if nested and known:
                 self.notes.append(
-                    f"What task {identifier} ({task.name!r}) makes is taken from the tasks that nest in it: {_listed(known)}."
+                    f"What task {identifier} ({task.name!r}) makes is taken from the tasks that nest in it: {self._called(known)}."
                 )
             if nested:
                 continue
@@ -426,7 +435,7 @@ class _Reading:
         idle = [one for one in idle if not self._is_completed(one)]
         if idle:
             self.notes.append(
-                f"{_counted(idle, 'task')} without element: {_listed(idle)}; kept for the order, no time is waited for."
+                f"{_counted(idle, 'task')} without element: {self._called(idle)}; kept for the order, no time is waited for."
             )
         return found
 
@@ -446,7 +455,7 @@ class _Reading:
         if there:
             self._standing |= set(there)
             self.notes.append(
-                f"Task {identifier} ({task.name!r}) makes {_listed(there)}, which the model has as existing or to be taken "
+                f"Task {identifier} ({task.name!r}) makes {self._called(there)}, which the model has as existing or to be taken "
                 "down: not placed."
             )
         found: list[str] = []
@@ -473,7 +482,15 @@ class _Reading:
         parts = set(self._parts(element))
         if not parts:
             return (element,)
-        elsewhere = {one for name, task in self._tasks.items() if name != identifier for one in task.products}
+        # also the parts of an assembly within this one that has a task of its own, done or not
+        elsewhere = {
+            part
+            for name, task in self._tasks.items()
+            if name != identifier
+            for one in task.products
+            if one in parts
+            for part in (one, *self._parts(one))
+        }
         wanted = [one for one in workpieces(model) if one in parts - elsewhere]
         task = self._tasks[identifier]
         if wanted:
@@ -484,7 +501,7 @@ class _Reading:
         how = "its parts are placed one after the other, in an order from the geometry that a person must accept"
         self.notes.append(
             f"Task {identifier} ({task.name!r}) makes {model.elements[element].name or element}, an assembly without a body of "
-            f"its own: {how if wanted else 'none of its parts is left for this task'}: {_listed(wanted)}."
+            f"its own: {how if wanted else 'none of its parts is left for this task'}: {self._called(wanted)}."
         )
         return tuple(wanted)
 
@@ -497,7 +514,7 @@ class _Reading:
             removed |= set(found[identifier])
             if placed:
                 self.notes.append(
-                    f"Task {identifier} ({self._tasks[identifier].name!r}) takes down {_listed(placed)}, which another task "
+                    f"Task {identifier} ({self._tasks[identifier].name!r}) takes down {self._called(placed)}, which another task "
                     "places: not read, it stays; what comes after does not wait for it to be gone."
                 )
             left = tuple(element for element in found[identifier] if element not in {*placed, *twice})
@@ -622,9 +639,40 @@ def _places(jobs: tuple[Job, ...], tasks: Mapping[str, Task]) -> dict[str, tuple
     return {identifier: (moments.get(identifier, -math.inf), number) for identifier, number in numbers.items()}
 
 
+def _order_notes(jobs: tuple[Job, ...], tasks: Mapping[str, Task], proposed: bool) -> list[str]:
+    """Return what a person should know of the order: that dates are not used, or that the file says none."""
+    starts = {job.task: tasks[job.task].start for job in jobs if job.task in tasks}
+    without = [identifier for identifier, start in starts.items() if not start]
+    if without and len(without) < len(starts):
+        return [
+            f"Dates are not used for the order, because there is no start for {len(without)} of {len(starts)} tasks: "
+            f"{_listed(_called(tasks[one].name, one) for one in without)}. What no sequence orders comes as it stands in the file."
+        ]
+    if not without and len({_has_zone(start) for start in starts.values()}) > 1:
+        return ["Dates are not used for the order, because some starts have a time zone and others have none."]
+    free = not any(wait.job != job.id and not wait.job.startswith(f"{job.task}/") for job in jobs for wait in job.after)
+    if len(starts) > 1 and without and free and not proposed:
+        return [
+            "The file says no order of its tasks, neither sequences nor dates: they come as they stand in the file."
+        ]
+    return []
+
+
 def _counted(ids: Iterable[str], what: str) -> str:
     count = len(tuple(ids))
     return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def _has_zone(start: str) -> bool | None:
+    """Return whether a start has a time zone; None: it is no date."""
+    try:
+        return datetime.fromisoformat(start).tzinfo is not None
+    except ValueError:
+        return None
+
+
+def _called(name: str, identifier: str) -> str:
+    return f"{name} ({identifier})" if name and name != identifier else identifier
 
 
 def _listed(ids: Iterable[str]) -> str:

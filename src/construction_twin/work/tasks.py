@@ -183,9 +183,13 @@ def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: 
         raise TaskPlanningError(task, "the model has not been read in this process yet")
     session = _SESSIONS[0]
     job = session.layout.job_for(element, scene, task)
-    if held:
-        return session.planner.plan_carried(job, start, scene, pose_of_tuple(held))
-    return session.planner.plan(job, start, scene)
+    try:
+        if held:
+            return session.planner.plan_carried(job, start, scene, pose_of_tuple(held))
+        return session.planner.plan(job, start, scene)
+    except TaskPlanningError as error:
+        reason = session.layout.building.called(error.reason, element)
+        raise TaskPlanningError(error.task, reason, error.stage, error.grip) from error
 
 
 #: What the parent may ask for.

@@ -10,7 +10,7 @@ from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.work.build_report import Decision, TaskResult, rows, summary, write_report
 
 #: 2027-01-04 08:00 UTC.
-EIGHT = 1_798_963_200.0
+EIGHT = 1_799_049_600.0
 
 
 def result(name, number, **changes):

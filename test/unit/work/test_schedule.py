@@ -71,7 +71,7 @@ def test_a_milestone_passes_order_and_lag_on():
 def test_a_task_without_element_is_noted_and_kept_as_order():
     schedule = Schedule.of(model([*leaves("a", "b"), Task("x", "Cure")], [Sequence("a", "x"), Sequence("x", "b")]))
     assert [wait.job for wait in schedule.job("b").after] == ["a"]
-    assert schedule.notes == ("1 task without element: x; kept for the order, no time is waited for.",)
+    assert schedule.notes == ("1 task without element: Cure (x); kept for the order, no time is waited for.",)
 
 
 def test_a_sequence_between_nesting_tasks_holds_for_all_that_they_nest():

@@ -44,7 +44,20 @@ _CRUMB = 1e-9
 #: Why a body is doubted, and what stands for it.
 _HULL = "a hull stands for it as an obstacle"
 CROSSED = f"its profile crosses itself, and nobody can say what of it is solid; {_HULL}"
+#: The message of the kernel's after which a part of a shape that crosses another is missing.
+MISSING_CODE = "GEO161"
 MISSING = f"the geometry kernel finds that a part of its shape crosses another; {_HULL}"
+WITH_ERROR = (
+    "the geometry kernel cannot make all of its shape ({}); what it made stands as an obstacle, and may be more or less"
+)
+#: Messages of the kernel's after which its lengths are none.
+NO_UNIT_CODES = ("GEO308", "GEO309", "GEO312")
+LESS = "the geometry kernel cannot make a part of its shape ({}); a hull of the rest stands as an obstacle, WITHOUT THAT PART"
+#: Items that have a surface: one that gives no triangle is missed.
+_SURFACES = (
+    *("IfcSolidModel", "IfcBooleanResult", "IfcCsgPrimitive3D", "IfcTessellatedItem", "IfcFaceBasedSurfaceModel"),
+    *("IfcShellBasedSurfaceModel", "IfcSurface"),
+)
 IN_PIECES = "it is in {} pieces that do not touch, after its openings; it stands as an obstacle"
 
 
@@ -129,9 +142,12 @@ def shapes(
                 check_mesh(name, product, vertices, total)
                 resolved = items.resolved(bodies[shape.id])
                 crossed = _crossed(resolved, unit)
+                less = _less(resolved, owners)
                 resolved = [] if shape.id in cut else resolved
                 if crossed:
                     found = hull(np.concatenate([vertices, *crossed]))
+                elif less:
+                    found = hull(vertices)
                 else:
                     found = tuple(_bodies(vertices, triangles, owners, resolved, unit, product.GlobalId, notes))
                 matrix = np.array(shape.transformation.matrix, dtype=float).reshape(4, 4, order="F")
@@ -139,10 +155,9 @@ def shapes(
             if _is_of(shape.geometry.id, bodies[shape.id]):
                 made.add(shape.id)
                 progress(len(made), len(bodies))
-                pieces = pieces_of(found) if shape.id in cut and not crossed else 1
-                yield Shape(
-                    shape.id, found, matrix, CROSSED if crossed else IN_PIECES.format(pieces) if pieces > 1 else ""
-                )
+                pieces = pieces_of(found) if shape.id in cut and not (crossed or less) else 1
+                doubt = IN_PIECES.format(pieces) if pieces > 1 else ""
+                yield Shape(shape.id, found, matrix, CROSSED if crossed else LESS.format(less) if less else doubt)
         more = bool(iterator.next())
 
 
@@ -188,6 +203,24 @@ def _mesh(vertices: np.ndarray, triangles: np.ndarray) -> coal.BVHModelOBBRSS:
 def _touch(one: coal.BVHModelOBBRSS, other: coal.BVHModelOBBRSS) -> bool:
     identity = coal.Transform3s.Identity()
     return bool(coal.distance(one, identity, other, identity, coal.DistanceRequest(), coal.DistanceResult()) <= _TOUCH)
+
+
+def _less(items: list[Item], owners: np.ndarray) -> str:
+    """Return the items with a surface that gave no triangle, as ``#12=IfcExtrudedAreaSolid``; empty: there is none."""
+    made = set(owners.tolist())
+    missing = [
+        f"#{item.entity.id()}={item.entity.is_a()}"
+        for item in items
+        if any(item.entity.is_a(kind) for kind in _SURFACES) and made.isdisjoint(_numbers(item.entity))
+    ]
+    return ", ".join(dict.fromkeys(missing[:3]))
+
+
+def _numbers(item: ifcopenshell.entity_instance) -> set[int]:
+    """Return the numbers by which the kernel may call an item: its own, a CSG solid's tree's, a surface model's shells'."""
+    parts = (getattr(item, name, ()) or () for name in ("TreeRootExpression", "FbsmFaces", "SbsmBoundary"))
+    flat = (each for part in parts for each in (part if isinstance(part, tuple) else (part,)))
+    return {item.id(), *(each.id() for each in flat)}
 
 
 def _crossed(items: list[Item], unit: float) -> list[np.ndarray]:

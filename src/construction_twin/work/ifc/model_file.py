@@ -19,7 +19,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.work.building import Body, BuildingModel, Element, Extrusion, Sequence, Task
 
 #: Of the form below and of what the reader understands: another number, and what is in a cache is read anew.
-VERSION = 2
+VERSION = 3
 #: Largest file [bytes].
 MOST_BYTES = 1 << 30
 _ARRAYS = {

@@ -7,6 +7,8 @@ from collections.abc import Collection
 
 import ifcopenshell
 import ifcopenshell.util.element
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import Body, Value
@@ -23,8 +25,18 @@ _LIGHTEST, _HEAVIEST = 1.0, 25000.0
 _LONGEST_TEXT = 4000
 #: What a number in a project of feet or inches may mean that does not say its unit of mass: pounds [kg], and per cubic foot [m³].
 _POUND, _CUBIC_FOOT = 0.45359237, 0.3048**3
+#: Bodies whose volumes together are larger by this part than their convex hull overlap.
+_OVERLAP = 1e-3
 #: Values of `Status` of what is to be made, or of which nothing is said.
 _MADE = {"NEW", "NOTKNOWN", "UNSET", "NOTDEFINED", ""}
+#: Values of `Status` of what stands, and the beginnings of those of what is to go.
+_STANDS = ("EXISTING", "BESTAND", "VORHANDEN")
+_GOES = ("DEMOLISH", "REMOVE", "ABBRUCH", "ABRISS", "RÜCKBAU")
+#: Parts of the names of properties in which programs write a status of their own, those that name when something goes, and values
+#: that say nothing.
+_STATUS_NAMES = ("status", "phase", "renovation", "umbau", "abbruch", "demol")
+_GONE_NAMES = ("demol", "abbruch", "abgebrochen")
+_NOTHING = ("", "none", "keine", "false", "no", "nein", "unset", "notdefined")
 #: A weight and volume times density that differ by more than this factor are told.
 _UNLIKE = 1.5
 #: Smallest and largest likely density [kg/m³] by words in a material's name, the first that fits; with room for what is hollow.
@@ -45,38 +57,39 @@ _MATERIALS = (
 _ANY = (5.0, 23000.0)
 
 
-def read_properties(product: ifcopenshell.entity_instance, units: Units, notes: Notes) -> Sets:
+def read_properties(product: ifcopenshell.entity_instance, at: str, units: Units, notes: Notes) -> Sets:
     """Return the values by set and name; the type's own included, the element's win.
 
-    A set that cannot be read is left out with a note: it says nothing about where the element is or what shape it has.
+    What is noted stands at the id `at`, the element's record. A set that cannot be read is left out with a note: it says nothing
+    about where the element is or what shape it has.
     """
     sets: Sets = {}
     try:
         with Where("", product):
             for set_name, values in ifcopenshell.util.element.get_psets(product, verbose=True).items():
                 sets[str(set_name)] = {
-                    str(name): _value(value, units, f"{set_name}.{name}", product, notes)
+                    str(name): _value(value, units, f"{set_name}.{name}", product, at, notes)
                     for name, value in values.items()
                     if name is not None and isinstance(value, dict)
                 }
     except BuildingError:
-        notes.add("Property sets that cannot be read are left out of", label(product), product.GlobalId)
+        notes.add("Property sets that cannot be read are left out of", label(product), at)
     return sets
 
 
-def _value(entry: dict, units: Units, what: str, product: ifcopenshell.entity_instance, notes: Notes) -> Value:
+def _value(entry: dict, units: Units, what: str, product: ifcopenshell.entity_instance, at: str, notes: Notes) -> Value:
     value = entry.get("value")
     measure = entry.get("value_type") or entry.get("class") or ""
     if isinstance(value, bool) or value is None:
         return value
     if isinstance(value, (int, float)):
         if not math.isfinite(value):
-            notes.add("Values that are no finite numbers are left out", "", product.GlobalId)
+            notes.add("Values that are no finite numbers are left out", "", at)
             return None
         factor = _factor(product.file.by_id(entry["id"]), measure, units) if "id" in entry else units.factor(measure)
         if factor is None:
-            about = f"{product.Name or product.GlobalId} ({what})"
-            notes.add("Values with a unit of their own that is none of theirs, left out, of", about, product.GlobalId)
+            about = f"{product.Name or at} ({what})"
+            notes.add("Values with a unit of their own that is none of theirs, left out, of", about, at)
             return None
         return value if factor == 1.0 else value * factor
     if isinstance(value, str):
@@ -100,51 +113,63 @@ def _factor(holder: ifcopenshell.entity_instance, measure: str, units: Units) ->
     return factor if factor is not None and math.isfinite(factor) and factor > 0 else None
 
 
-def read_material(product: ifcopenshell.entity_instance, notes: Notes) -> str:
+def read_material(product: ifcopenshell.entity_instance, at: str, notes: Notes) -> str:
     """Return the names of the materials, those of layers and constituents from the first to the last, without repeats."""
     try:
         with Where("", product):
             materials = ifcopenshell.util.element.get_materials(product)
             return ", ".join(dict.fromkeys(material.Name for material in materials if material.Name))
     except BuildingError:
-        notes.add("Materials that cannot be read are left out of", label(product), product.GlobalId)
+        notes.add("Materials that cannot be read are left out of", label(product), at)
     return ""
 
 
-def read_status(product: ifcopenshell.entity_instance, sets: Sets, notes: Notes) -> str:
-    """Return ``existing``, ``demolish`` or nothing: the property `Status` of a set ``Pset_...Common``, in any case."""
-    about = product.Name or product.GlobalId
-    others = []
+def read_status(product: ifcopenshell.entity_instance, at: str, sets: Sets, notes: Notes) -> str:
+    """Return ``existing``, ``demolish``, ``new`` or nothing: the property `Status` of a set ``Pset_...Common``, in any case.
+
+    What an author says elsewhere, in a set of his own or as a phase, is noted where it is not that of a new element.
+    """
+    about = product.Name or at
+    found = ""
     for name, values in sets.items():
-        given = values.get("Status")
-        if not isinstance(given, str):
-            continue
-        words = {word.strip(" .").upper() for word in given.split(",")}
-        status = _status(words)
-        if not (name.casefold().startswith("pset_") and name.casefold().endswith("common")):
-            others += [(name, given)] if status else []
-            continue
-        if status:
-            return status
-        for word in sorted(words - _MADE):
-            notes.add(f"Elements with the status {word!r}, taken as still to be made", about, product.GlobalId)
-    for name, given in others:
-        notes.add(
-            f"Elements with the status {given!r} in {name}, which is no set Pset_...Common: not used, taken as still to be made",
-            about,
-            product.GlobalId,
-        )
-    return ""
+        common = name.casefold().startswith("pset_") and name.casefold().endswith("common")
+        for key, given in values.items():
+            if not isinstance(given, str):
+                continue
+            if common and key == "Status":
+                words = {word.strip(" .").upper() for word in given.split(",")}
+                status = _status(words)
+                found = found or status or ("new" if words == {"NEW"} else "")
+                for word in () if status else sorted(words - _MADE):
+                    notes.add(f"Elements with the status {word!r}, taken as still to be made", about, at)
+            elif any(word in key.casefold() for word in _STATUS_NAMES) and _stands(key, given):
+                where = name if key == "Status" else f"{name} ({key})"
+                notes.add(
+                    f"Elements with the status {given[:40]!r} in {where}, which is no `Status` of a set Pset_...Common: not used, "
+                    "taken as still to be made",
+                    about,
+                    at,
+                )
+    return found
 
 
 def _status(words: Collection[str]) -> str:
-    if any(word.startswith(("DEMOLISH", "REMOVE")) for word in words):
+    if any(word.startswith(_GOES) for word in words):
         return "demolish"
-    return "existing" if "EXISTING" in words else ""
+    return "existing" if any(word in _STANDS for word in words) else ""
+
+
+def _stands(name: str, given: str) -> bool:
+    """Return whether a value of a name like ``Phase Demolished`` says that an element stands already, or is to go."""
+    low = given.casefold()
+    if any(word in name.casefold() for word in _GONE_NAMES):
+        return low.strip(" .-") not in _NOTHING
+    return any(word.casefold() in low for word in (*_STANDS, *_GOES))
 
 
 def read_mass(
     product: ifcopenshell.entity_instance,
+    at: str,
     sets: Sets,
     material: str,
     bodies: tuple[Body, ...],
@@ -157,33 +182,51 @@ def read_mass(
     """
     closed = bool(bodies) and all(is_closed(body.triangles) for body in bodies)
     whole = sum(volume(body.vertices, body.triangles) for body in bodies) if closed else 0.0
-    density = _density(product, units, notes)
+    if len(bodies) > 1 and whole > _hull_volume(bodies) * (1.0 + _OVERLAP):
+        notes.add(
+            "ITS BODIES OVERLAP: volume, and mass by density, are larger than they are, of",
+            product.Name or label(product),
+            at,
+        )
+    density = _density(product, at, units, notes)
     for quantity in _WEIGHTS:
         for name, values in sets.items():
             value = values.get(quantity)
             if "quantit" not in name.lower() and not name.startswith("Qto_"):
                 continue
-            if isinstance(value, (int, float)) and not isinstance(value, bool) and value > 0:
+            if isinstance(value, (int, float)) and not isinstance(value, bool):
+                if value <= 0:
+                    notes.add("Weights that are not above 0, left out, of", product.Name or label(product), at)
+                    continue
                 if not units.weighs and not _has_own_unit(product, name, quantity):
                     if not _is_power_of_ten(units.length):
                         notes.add(
                             f"A weight of {value:.6g} without a unit can be kilograms or pounds: the project has no unit of "
                             "mass, and its unit of length is not metric; not used, of",
                             product.Name or label(product),
-                            product.GlobalId,
+                            at,
                         )
                         continue
                     notes.add("The project has no unit of mass; weights are taken as kilograms")
-                _doubt(product, float(value), whole, material, density, notes)
+                _doubt(product, at, float(value), whole, material, density, notes)
                 return float(value)
     if density is None or whole <= 0.0:
         return None
-    _doubt(product, density * whole, whole, material, None, notes)
+    _doubt(product, at, density * whole, whole, material, None, notes)
     return density * whole
+
+
+def _hull_volume(bodies: tuple[Body, ...]) -> float:
+    """Return the volume of the convex hull of bodies [m³], at most that of bodies that do not overlap; inf: they lie in a plane."""
+    try:
+        return float(ConvexHull(np.concatenate([body.vertices for body in bodies])).volume)
+    except QhullError:
+        return math.inf
 
 
 def _doubt(
     product: ifcopenshell.entity_instance,
+    at: str,
     mass: float,
     whole: float,
     material: str,
@@ -193,12 +236,12 @@ def _doubt(
     """Note a mass that its volume [m³] and material or density [kg/m³] do not bear out."""
     if whole <= 0.0:
         return
-    shown, found = product.Name or product.GlobalId, mass / whole
+    shown, found = product.Name or at, mass / whole
     if density is not None and not 1 / _UNLIKE <= found / density <= _UNLIKE:
         sentence = (
             f"THE MASS IS DOUBTFUL: {mass:.3g} kg by its quantity, {density * whole:.3g} kg by volume and density"
         )
-        notes.add(sentence, shown, product.GlobalId)
+        notes.add(sentence, shown, at)
         return
     lightest, heaviest = _densities(material)
     if not lightest <= found <= heaviest:
@@ -207,7 +250,7 @@ def _doubt(
             f"THE MASS IS DOUBTFUL: {mass:.3g} kg for {1e3 * whole:.3g} l{of} is {found:.3g} kg/m³, "
             f"expected {lightest:g} to {heaviest:g}"
         )
-        notes.add(sentence, shown, product.GlobalId)
+        notes.add(sentence, shown, at)
 
 
 def _densities(material: str) -> tuple[float, float]:
@@ -216,7 +259,7 @@ def _densities(material: str) -> tuple[float, float]:
     return next((span for words, span in _MATERIALS if any(word in low for word in words)), _ANY)
 
 
-def _density(product: ifcopenshell.entity_instance, units: Units, notes: Notes) -> float | None:
+def _density(product: ifcopenshell.entity_instance, at: str, units: Units, notes: Notes) -> float | None:
     try:
         with Where("", product):
             materials = ifcopenshell.util.element.get_materials(product)
@@ -233,7 +276,7 @@ def _density(product: ifcopenshell.entity_instance, units: Units, notes: Notes) 
             f"A density of {shown} without a unit can be kg/m³ or of the project's units of mass and volume "
             "(pounds where it has feet or inches and no unit of mass), or is none of either; the mass is not known of",
             product.Name or label(product),
-            product.GlobalId,
+            at,
         )
         return None
     if units.density is None and found[1] is None and factor == 1.0 and not _is_metric(units):

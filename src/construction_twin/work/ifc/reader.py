@@ -13,20 +13,20 @@ from pathlib import Path
 
 import ifcopenshell
 import ifcopenshell.util.element
-import ifcopenshell.util.geolocation
+import ifcopenshell.util.placement
 import numpy as np
 
 from construction_twin.core.files import read_file
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.work.building import Body, BuildingModel, Element
-from construction_twin.work.ifc.geometry import MISSING, Shape, shapes
+from construction_twin.work.ifc.geometry import MISSING, MISSING_CODE, NO_UNIT_CODES, WITH_ERROR, Shape, shapes
 from construction_twin.work.ifc.notes import Notes, Where
 from construction_twin.work.ifc.placements import Placements, check_rigid
 from construction_twin.work.ifc.properties import read_mass, read_material, read_properties, read_status
 from construction_twin.work.ifc.relations import Relations, read_relations
 from construction_twin.work.ifc.representations import body_of
-from construction_twin.work.ifc.step_text import check_whole, in_ascii, kernel_says, note_parser_log
+from construction_twin.work.ifc.step_text import check_whole, first_error, in_ascii, kernel_says, note_parser_log
 from construction_twin.work.ifc.tasks import read_tasks, unique_id
 from construction_twin.work.ifc.units import Units, read_units
 from construction_twin.work.ifc.unread import note_unread
@@ -54,6 +54,31 @@ _STATUS = {
     "existing": "Existing elements: obstacles, never placed",
     "demolish": "Elements that are to be taken down: obstacles until a person says that they are gone (`twin work removed`)",
 }
+#: What says where something is, what shape it has or in which unit; and what of that only says how it looks.
+_GEOMETRY = (
+    *(
+        "IfcObjectPlacement",
+        "IfcRepresentationItem",
+        "IfcRepresentation",
+        "IfcProductRepresentation",
+        "IfcRepresentationMap",
+    ),
+    *(
+        "IfcProfileDef",
+        "IfcUnitAssignment",
+        "IfcNamedUnit",
+        "IfcDerivedUnit",
+        "IfcDerivedUnitElement",
+        "IfcMeasureWithUnit",
+    ),
+)
+_LOOKS = (
+    "IfcStyledItem",
+    "IfcStyledRepresentation",
+    "IfcPresentationItem",
+    "IfcAnnotationOccurrence",
+    "IfcFillAreaStyleTiles",
+)
 _SPATIAL = ("IfcSpatialElement", "IfcSpatialStructureElement")
 
 
@@ -102,13 +127,15 @@ def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: 
     with Where(name, "the file"):
         note_parser_log(
             ifcopenshell.get_log(), read, set(file.entity_names()),
-            lambda number: getattr(file.by_id(number), "GlobalId", "") or "", name, schema, notes,
+            lambda number: getattr(file.by_id(number), "GlobalId", "") or "",
+            lambda number: _is_geometry(file.by_id(number)), name, schema, notes,
         )  # fmt: skip
     # it can be large, and the geometry needs room
     del contents, read
     progress("open", 1, 1)
     found = _Found(name, read_units(file, name, notes), read_relations(file, name), notes)
     _note_map(file, found)
+    _note_origin(file, found)
     elements, ids = _elements(file, found, progress)
     parents = {element.assembly for element in elements.values()}
     workpieces = [element.id for element in elements.values() if is_workpiece(element, element.id in parents)]
@@ -122,6 +149,13 @@ def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: 
         name, digest, schema, title, found.units.length, elements, tasks, sequences, notes.sentences(names),
         notes.remarks({*elements, *tasks}),
     )  # fmt: skip
+
+
+def _is_geometry(entity: ifcopenshell.entity_instance) -> bool:
+    """Return whether an entity says where something is, what shape it has or in which unit; of a product: what it says is lost."""
+    if _is(entity, "IfcProduct"):
+        return entity.ObjectPlacement is None or entity.Representation is None
+    return any(_is(entity, kind) for kind in _GEOMETRY) and not any(_is(entity, kind) for kind in _LOOKS)
 
 
 def _contents(path: str | Path, name: str, most_bytes: int) -> bytes:
@@ -147,7 +181,8 @@ def _open(path: str | Path, name: str) -> ifcopenshell.file:
             entities = len(file.types())
     except BuildingError as error:
         expected = f"an IFC file (ISO 10303-21) of {', '.join(SCHEMAS)} as published, no release candidate"
-        raise BuildingError(name, "the file", error.found, expected) from error
+        why = first_error(ifcopenshell.get_log())
+        raise BuildingError(name, "the file", f"{error.found}: {why}" if why else error.found, expected) from error
     if entities == 0:
         raise BuildingError(name, "the file", "no entities", "an IFC file (ISO 10303-21)")
     return file
@@ -167,6 +202,23 @@ def _note_map(file: ifcopenshell.file, found: _Found) -> None:
         )
 
 
+def _note_origin(file: ifcopenshell.file, found: _Found) -> None:
+    """Note where the coordinate system of the model's context is elsewhere than that of its placements."""
+    for context in file.by_type("IfcGeometricRepresentationContext", include_subtypes=False):
+        with Where(found.name, context):
+            system = context.WorldCoordinateSystem
+            if context.ContextType != "Model" or system is None or not system.is_a("IfcAxis2Placement3D"):
+                continue
+            matrix = np.array(ifcopenshell.util.placement.get_axis2placement(system), dtype=float)
+        if not np.allclose(matrix, np.eye(4), atol=1e-9):
+            shift = ", ".join(f"{value * found.units.length:.3f}" for value in matrix[:3, 3])
+            turn = "" if np.allclose(matrix[:3, :3], np.eye(3), atol=1e-9) else ", turned"
+            found.notes.add(
+                f"The world coordinate system of the model's context ({shift} m{turn}) is left out: poses are those of the "
+                "placements"
+            )
+
+
 def _elements(file: ifcopenshell.file, found: _Found, progress: Progress) -> tuple[dict[str, Element], dict[int, str]]:
     products = _products(file, found)
     placements = Placements(found.name, found.units.length)
@@ -181,6 +233,7 @@ def _elements(file: ifcopenshell.file, found: _Found, progress: Progress) -> tup
             matrices[product.id()] = placements.matrix(product)
             if (body := body_of(product)) is not None:
                 bodies[product.id()] = body
+                _note_more(product, body, ids[product.id()], found.notes)
     cut = frozenset(
         product.id()
         for product in products
@@ -193,7 +246,7 @@ def _elements(file: ifcopenshell.file, found: _Found, progress: Progress) -> tup
             lambda done, total: progress("geometry", done, total),
         )
     }  # fmt: skip
-    _take_kernel_log(file, made, found.notes)
+    _take_kernel_log(file, found.name, made, found.notes)
     elements = {}
     for count, product in enumerate(products):
         if count % 100 == 0:
@@ -214,18 +267,50 @@ def _elements(file: ifcopenshell.file, found: _Found, progress: Progress) -> tup
     }
 
 
-def _take_kernel_log(file: ifcopenshell.file, made: dict[int, Shape], notes: Notes) -> None:
-    """Note what the kernel said of shapes; where a part of one is missing, it is doubted as a whole."""
-    for name, sentence, wrong in kernel_says(ifcopenshell.get_log()):
-        about = name
-        if name:
+def _note_more(
+    product: ifcopenshell.entity_instance, body: ifcopenshell.entity_instance, element_id: str, notes: Notes
+) -> None:
+    """Note what else a product says of its shape: bodies beside the one that is taken, openings without one."""
+    about = product.Name or element_id
+    same = [
+        each
+        for each in product.Representation.Representations
+        if (each.RepresentationIdentifier, each.ContextOfItems) == (body.RepresentationIdentifier, body.ContextOfItems)
+    ]
+    if len(same) > 1:
+        notes.add(
+            f"Elements with {len(same)} bodies of one kind, of which the first is taken and the others are not",
+            about,
+            element_id,
+        )
+    voids = getattr(product, "HasOpenings", None) or ()
+    if any(body_of(relation.RelatedOpeningElement) is None for relation in voids):
+        notes.add("Openings without a body are not cut out of", about, element_id)
+
+
+def _take_kernel_log(file: ifcopenshell.file, file_name: str, made: dict[int, Shape], notes: Notes) -> None:
+    """Note what the kernel said of shapes; where a part of one is missing, it is doubted as a whole.
+
+    Raises
+    ------
+    BuildingError
+        If the kernel does not know in which unit the lengths are.
+    """
+    for said in kernel_says(ifcopenshell.get_log()):
+        if said.code in NO_UNIT_CODES:
+            expected = "one project whose unit of length the geometry kernel can read: of the SI, or converted to that in one step"
+            raise BuildingError(file_name, "units of the project", said.sentence, expected)
+        if said.about:
             try:
-                number = file.by_guid(name).id()
+                number = file.by_guid(said.about).id()
             except RuntimeError:
                 number = 0
-            if wrong and number in made and not made[number].doubt:
-                made[number] = made[number].doubted(MISSING)
-        notes.add(f"The geometry kernel says: {sentence}", about)
+            shape = made.get(number)
+            if shape is not None and not shape.doubt and said.code == MISSING_CODE:
+                made[number] = shape.doubted(MISSING)
+            elif shape is not None and not shape.doubt and said.is_error:
+                made[number] = replace(shape, doubt=WITH_ERROR.format(said.sentence))
+        notes.add(f"The geometry kernel says: {said.sentence}", said.about)
 
 
 def _products(file: ifcopenshell.file, found: _Found) -> list[ifcopenshell.entity_instance]:
@@ -266,11 +351,17 @@ def _element(
         found.notes.add("Placed on a grid or an alignment, as the geometry kernel says", element_id)
     if shape is not None:
         bodies = _in_frame(shape, matrix)
+        if product.ObjectPlacement is None:
+            found.notes.add(
+                "HAS A BODY AND NO PLACEMENT: where it is nobody says, taken at the model's origin",
+                product.Name or element_id,
+                element_id,
+            )
     if np.abs(matrix[:3, 3]).max() > _FAR:
         found.notes.add("More than 10 km from the model's origin (map coordinates in a placement?)", element_id)
     doubt = "" if shape is None else shape.doubt
-    properties = read_properties(product, found.units, found.notes)
-    material = read_material(product, found.notes)
+    properties = read_properties(product, element_id, found.units, found.notes)
+    material = read_material(product, element_id, found.notes)
     kind = ifcopenshell.util.element.get_type(product)
     assembly = next((ids[whole.id()] for whole in found.relations.wholes(product) if whole.id() in ids), "")
     return Element(
@@ -285,8 +376,8 @@ def _element(
         model_T_element=Pose(matrix[:3, 3].copy(), matrix[:3, :3].copy()),
         bodies=bodies,
         properties=properties,
-        mass=read_mass(product, properties, material, () if doubt else bodies, found.units, found.notes),
-        status=read_status(product, properties, found.notes),
+        mass=read_mass(product, element_id, properties, material, () if doubt else bodies, found.units, found.notes),
+        status=read_status(product, element_id, properties, found.notes),
         doubt=doubt,
     )
 
@@ -303,13 +394,15 @@ def _in_frame(shape: Shape, matrix: np.ndarray) -> tuple[Body, ...]:
 
 
 def _hand_down_status(elements: dict[str, Element], notes: Notes) -> None:
-    """Give parts the status of the nearest whole that has one; note what is not to be made."""
+    """Give parts the status of the nearest whole that has one; note what is not to be made. What is new has none in the end."""
+    said = {name: element.status for name, element in elements.items()}
     for name, element in elements.items():
         status, whole = element.status, element.assembly
         while not status and whole in elements:
-            status, whole = elements[whole].status, elements[whole].assembly
+            status, whole = said[whole], elements[whole].assembly
+        status = "" if status == "new" else status
+        elements[name] = replace(element, status=status)
         if status:
-            elements[name] = replace(element, status=status)
             notes.add(_STATUS[status], element.name or name, name)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection
+from dataclasses import dataclass
 
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.ifc.notes import Notes
@@ -18,10 +19,11 @@ _TEXTS = re.compile(rb"'[^']*+'|/\*(?:[^*]|\*(?!/))*+\*/")
 #: A line without its end: another one, or the end of the section, comes before its semicolon.
 _BROKEN = re.compile(rb"#(\d+)\s*=[^;=]*=|[^;\s]\s*(ENDSEC)\s*;")
 _LINE = re.compile(rb"#(\d+)\s*=\s*(\w*)([^;]*)")
+_BEGUN = re.compile(rb"#(\d+)\s*=\s*(\w+)")
 _REFERENCE = re.compile(rb"#(\d+)")
 _OTHER_LETTERS = re.compile(rb"[^\x00-\x7f]+")
 #: What is beyond the letters of the file, as the parser's log has it.
-_UNKNOWN = re.compile(r"Entity with name '([^']*)' not found in schema '([^']*)'")
+_UNKNOWN = re.compile(r"Entity with name '([^']*)' not found in schema '([^']*)'(?: at offset (\d+))?")
 _MISSING = re.compile(r"Instance reference #(\d+) used by instance #(\d+)")
 _TWICE = re.compile(r"Overwriting instance with name #(\d+)")
 _VALUES = re.compile(r"Expected (\d+) attribute values, found (\d+) for instance #(\d+)")
@@ -92,6 +94,7 @@ def note_parser_log(
     contents: bytes,
     present: Collection[int],
     global_id: Callable[[int], str],
+    is_geometry: Callable[[int], bool],
     name: str,
     schema: str,
     notes: Notes,
@@ -108,6 +111,8 @@ def note_parser_log(
         Numbers of the lines that it kept.
     global_id : callable
         Returns the GlobalId of a line that it kept; empty: it has none.
+    is_geometry : callable
+        Returns whether a line that it kept says where something is, what shape it has or in which unit.
     name, schema : str
         For messages.
     notes : Notes
@@ -115,18 +120,21 @@ def note_parser_log(
     Raises
     ------
     BuildingError
-        If a line refers to one that the file does not have, or has the number of another one.
+        If a line refers to one that the file does not have, or has the number of another one; or if one that says where something
+        is or what shape it has refers to one that the parser dropped.
     """
     about = {int(number) for entry in log.splitlines() for number in re.findall(r"(?:instance|name) #(\d+)", entry)}
     about |= {int(number) for entry in log.splitlines() for number in re.findall(r"reference #(\d+)", entry)}
     kinds: dict[int, str] = {}
     dropped: dict[int, list[int]] = {}
+    referring: dict[int, list[int]] = {}
     for line in _LINE.finditer(_without_texts(contents)):
         number = int(line.group(1))
         if number not in present:
             dropped.setdefault(number, [int(each) for each in _REFERENCE.findall(line.group(3))])
         if number in about or number in dropped:
             kinds[number] = line.group(2).decode().upper()
+            referring[number] = [int(each) for each in _REFERENCE.findall(line.group(3))]
 
     def shown(number: int) -> str:
         return f"#{number}={kinds.get(number, '')}"
@@ -137,6 +145,14 @@ def note_parser_log(
             if missing not in dropped:
                 broken = f"{shown(by)} refers to #{missing}, which is not there: the file is not whole"
                 raise BuildingError(name, "the file", broken, "a whole IFC file")
+            if by in present and is_geometry(by):
+                lost = (
+                    f"{shown(by)} refers to {shown(missing)}, of a kind that {schema} does not have or that cannot be read: "
+                    "where something is or what shape it has is lost"
+                )
+                raise BuildingError(name, "the file", lost, f"lines of {schema}")
+            # a hole whose opening was dropped, for one, is missed by the wall
+            dropped[missing] += [by, *referring.get(by, [])]
         elif (found := _TWICE.search(entry)) is not None:
             raise BuildingError(name, f"#{found.group(1)}", "two lines of this number", "one")
         elif (found := _VALUES.search(entry)) is not None:
@@ -145,7 +161,15 @@ def note_parser_log(
                 f"A line with {given} values instead of {expected} ({schema}), taken as if the others were not said"
             )
             notes.add(sentence, shown(number), global_id(number) if number in present else "")
-        elif _UNKNOWN.search(entry) is None:
+            for each in referring.get(number, ()):
+                if each in present and (named := global_id(each)):
+                    notes.remark(f"{sentence}: {shown(number)}", named)
+        elif (found := _UNKNOWN.search(entry)) is not None:
+            unknown = found.group(1).upper()
+            if unknown not in {kinds[number] for number in dropped}:
+                sentence = f"VALUES LEFT OUT, of a kind that {schema} does not have: {unknown}, in"
+                notes.add(sentence, _line_of(contents, found.group(3)))
+        else:
             plain = _LOGGED.match(entry)
             if plain is not None and plain.group(1) in ("error", "warning"):
                 notes.add("The parser says", plain.group(3)[:_SHOWN])
@@ -157,26 +181,61 @@ def note_parser_log(
                 notes.remark(f"{sentence}: {shown(number)}", named)
 
 
-def kernel_says(log: str) -> list[tuple[str, str, bool]]:
-    """Return what the geometry kernel logged of shapes, its own statistics left out.
+def _line_of(contents: bytes, offset: str | None) -> str:
+    """Return the line of a file that holds an offset, as ``#12=IFCWALL``; empty: nobody says."""
+    before = [] if offset is None else _BEGUN.findall(contents, 0, int(offset))
+    return "" if not before else f"#{before[-1][0].decode()}={before[-1][1].decode().upper()}"
 
-    Returns
-    -------
-    list of (str, str, bool)
-        GlobalId (empty: of none), the sentence, and whether the shape is not what the model says.
+
+def first_error(log: str) -> str:
+    """Return the first error that the parser logged; empty: none."""
+    logged = (_LOGGED.match(entry) for entry in log.splitlines())
+    return next((entry.group(3)[:_SHOWN] for entry in logged if entry is not None and entry.group(1) == "error"), "")
+
+
+@dataclass(frozen=True)
+class KernelSays:
+    """What the geometry kernel logged.
+
+    Attributes
+    ----------
+    about : str
+        GlobalId; empty: of none.
+    sentence : str
+        With the entity that it is about.
+    code : str
+        Of the kind of message.
+    is_error : bool
+        Else it is a warning.
     """
+
+    about: str
+    sentence: str
+    code: str
+    is_error: bool
+
+
+def kernel_says(log: str) -> list[KernelSays]:
+    """Return what the geometry kernel logged of shapes, its own statistics left out."""
     found = []
-    for entry in log.splitlines():
+    lines = log.splitlines()
+    for entry, after in zip(lines, (*lines[1:], "")):
         line = _LOGGED.match(entry)
         if line is None or line.group(1) not in ("error", "warning") or line.group(2) in _NOT_SHAPE:
             continue
         about = re.match(r"\{([^}]*)\} ?(.*)", line.group(3))
         name, sentence = about.groups() if about else ("", line.group(3))
-        found.append((name, sentence[:_SHOWN], line.group(2) in _WRONG_SHAPE))
+        # the entity stands on the next line
+        entity = _ENTITY.match(after)
+        if sentence.endswith(":") and entity is not None:
+            sentence = f"{sentence[:-1].rstrip()} {entity.group(1)}"
+        sentence = _PLAIN.get(line.group(2), sentence)
+        found.append(KernelSays(name, sentence[:_SHOWN], line.group(2) or "", line.group(1) == "error"))
     return found
 
 
+#: In plainer words.
+_PLAIN = {"GEO132": "an opening or a clipping does not meet a body, nothing is cut from it"}
+_ENTITY = re.compile(r"(#\d+=\w+)\(")
 #: Messages of the kernel that are not about shapes: no style for a colour, a precision of the whole file, a style that is missing.
 _NOT_SHAPE = ("GEO031", "SYS033", "GEO301")
-#: Those after which a part of the shape is missing: a curve that crosses itself.
-_WRONG_SHAPE = ("GEO161",)

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Collection, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 
 import ifcopenshell
 import ifcopenshell.util.date
+import ifcopenshell.util.element
 import isodate
 
 from construction_twin.core.work_errors import BuildingError
@@ -22,17 +23,25 @@ from construction_twin.work.ifc.notes import Notes, Where, label
 _CALENDAR = (
     "Calendars are not read: lags and durations count around the clock, holidays and nights included, of tasks of one"
 )
+_NO_TIME = "The project has no unit of time: a lag or duration that is a number is taken as seconds"
 _KINDS = ("FINISH_START", "START_START", "FINISH_FINISH", "START_FINISH")
 #: Resources that do work; materials and products are no robots.
 _WORKERS = ("IfcConstructionEquipmentResource", "IfcCrewResource", "IfcLaborResource", "IfcSubContractResource")
 #: Schedules that are not what is to be done.
 _OTHER_SCHEDULES = ("ACTUAL", "BASELINE")
 #: Kinds of tasks that put in place what is assigned to them; all others but those below make nothing.
-_MAKES = (None, "CONSTRUCTION", "INSTALLATION", "NOTDEFINED", "USERDEFINED")
+_MAKES = ("CONSTRUCTION", "INSTALLATION")
 #: Kinds of tasks after which what is assigned to them is no longer there.
 _TAKES_DOWN = ("DEMOLITION", "DISMANTLE", "DISPOSAL", "REMOVAL")
 #: The same in the words of an author's own kind.
-_TAKES_DOWN_WORDS = ("demol", "dismantl", "remov", "tear", "abbruch", "abbau", "abriss", "rückbau")
+_TAKES_DOWN_WORDS = (
+    *("demol", "dismantl", "dispos", "remov", "tear", "strip out"),
+    *("abbruch", "abbau", "abriss", "rückbau", "rueckbau", "demontage", "entfern", "entsorg"),
+)
+#: Kinds that place nothing, by which an author calls his own (of IFC2x3, which has no kinds): the schema's words.
+_OTHER_KINDS = ("ATTENDANCE", "INSPECTION", "LOGISTIC", "MAINTENANCE", "MOVE", "OPERATION", "RENOVATION", "TESTING")
+#: Kinds with which nothing is said, or only by the author's own word.
+_OPEN = (None, "NOTDEFINED", "USERDEFINED")
 #: Words of the status of a task, see `_status_word`: done, not to be done any more, and not begun.
 _DONE_WORDS = (
     *("COMPLETED", "COMPLETE", "DONE", "FINISHED", "CLOSED"),
@@ -63,7 +72,7 @@ def read_tasks(
     name: str,
     ids: dict[int, str],
     workpieces: Collection[str],
-    time_unit: float,
+    time_unit: float | None,
     notes: Notes,
 ) -> tuple[dict[str, Task], tuple[Sequence, ...]]:
     """Read tasks and sequences.
@@ -77,8 +86,8 @@ def read_tasks(
         Id of the element's record, by the entity's id.
     workpieces : collection of str
         Ids of elements that are workpieces by default.
-    time_unit : float
-        Seconds per unit of time, for IFC2x3's times that are numbers.
+    time_unit : float or None
+        Seconds per unit of time, for IFC2x3's times that are numbers; None: the project has none.
     notes : Notes
 
     Returns
@@ -90,19 +99,21 @@ def read_tasks(
     BuildingError
     """
     assigned = _assigned(file, name, notes)
-    entities = _scheduled(sorted(file.by_type("IfcTask"), key=lambda task: task.id()), assigned, notes)
+    every = sorted(file.by_type("IfcTask"), key=lambda task: task.id())
+    entities = _scheduled(every, assigned, notes)
+    recorded = _recorded(every, entities, assigned, ids)
     task_ids: dict[int, str] = {}
     for entity in entities:
         with Where(name, entity):
             task_ids[entity.id()] = unique_id(entity, task_ids.values(), notes)
     tasks = {}
     for entity in entities:
-        if (calendar := assigned.calendars.get(entity.id())) is not None:
+        if calendar := _calendar(entity, assigned):
             about = entity.Name or task_ids[entity.id()]
             notes.add(f"{_CALENDAR} ({calendar})", about, task_ids[entity.id()])
         with Where(name, entity):
             task = _task(entity, name, task_ids, assigned, ids, set(workpieces), time_unit, notes)
-            tasks[task.id] = task
+            tasks[task.id] = _as_recorded(task, recorded, notes)
     sequences = []
     for relation in file.by_type("IfcRelSequence"):
         with Where(name, relation):
@@ -128,7 +139,8 @@ def unique_id(entity: ifcopenshell.entity_instance, taken: Collection[str], note
 
 def _assigned(file: ifcopenshell.file, name: str, notes: Notes) -> _Assigned:
     found = _Assigned()
-    for relation in file.by_type("IfcRelNests"):
+    # IFC wants nesting; some authors aggregate
+    for relation in (*file.by_type("IfcRelNests"), *file.by_type("IfcRelAggregates")):
         with Where(name, relation):
             if relation.RelatingObject.is_a("IfcTask"):
                 for part in relation.RelatedObjects:
@@ -154,10 +166,10 @@ def _assigned(file: ifcopenshell.file, name: str, notes: Notes) -> _Assigned:
     for relation in file.by_type("IfcRelAssignsToControl"):
         with Where(name, relation):
             for each in relation.RelatedObjects:
-                if not each.is_a("IfcTask"):
-                    continue
                 if relation.RelatingControl.is_a("IfcWorkCalendar"):
                     found.calendars[each.id()] = relation.RelatingControl.Name or label(relation.RelatingControl)
+                if not each.is_a("IfcTask"):
+                    continue
                 if relation.RelatingControl.is_a("IfcWorkControl"):
                     found.schedules.setdefault(each.id(), relation.RelatingControl)
                 if getattr(relation, "TimeForTask", None) is not None:
@@ -187,7 +199,7 @@ def _scheduled(
             key, schedules[0] = 0, ("(tasks without a schedule)", "")
         else:
             key = schedule.id()
-            schedules[key] = (schedule.Name or "", getattr(schedule, "PredefinedType", None) or "")
+            schedules[key] = (schedule.Name or "", _schedule_kind(schedule))
         by_schedule[key].append(entity)
     kept = [key for key, (_, kind) in schedules.items() if kind not in _OTHER_SCHEDULES] or list(schedules)
     for key in schedules.keys() - set(kept):
@@ -199,6 +211,56 @@ def _scheduled(
     return [entity for entity in entities if entity.id() in wanted]
 
 
+def _calendar(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> str:
+    """Return the name of the calendar of a task, of what it nests in, or of its schedule; empty: it has none."""
+    above = [*_above(entity, assigned)]
+    schedule = assigned.schedules.get(above[-1].id())
+    holders = [*above, *([] if schedule is None else [schedule])]
+    return next((assigned.calendars[each.id()] for each in holders if each.id() in assigned.calendars), "")
+
+
+def _schedule_kind(schedule: ifcopenshell.entity_instance | None) -> str:
+    # the second is IFC2x3's
+    return getattr(schedule, "PredefinedType", None) or getattr(schedule, "WorkControlType", None) or ""
+
+
+def _recorded(
+    every: list[ifcopenshell.entity_instance],
+    kept: list[ifcopenshell.entity_instance],
+    assigned: _Assigned,
+    ids: dict[int, str],
+) -> set[str]:
+    """Return the elements that are made by completed tasks of a schedule of the kind ``ACTUAL`` that is left out."""
+    left_out = {entity.id(): entity for entity in every}
+    for entity in kept:
+        del left_out[entity.id()]
+    found: set[str] = set()
+    for entity in left_out.values():
+        above = [*_above(entity, assigned)]
+        if _schedule_kind(assigned.schedules.get(above[-1].id())) != "ACTUAL":
+            continue
+        if any(_says_completed(each, assigned.times.get(each.id())) for each in above):
+            found |= {ids[each.id()] for each in assigned.products[entity.id()] if each.id() in ids}
+    return found
+
+
+def _as_recorded(task: Task, recorded: set[str], notes: Notes) -> Task:
+    """Return a task, completed where a record of what was done says so of everything that it makes."""
+    made = recorded.intersection(task.products)
+    if task.kind != "makes" or task.completed or not made:
+        return task
+    if made == set(task.products):
+        sentence = "Tasks that a schedule of the kind ACTUAL says are completed: not done again, what they made stands"
+        notes.add(sentence, task.name or task.id, task.id)
+        return replace(task, completed=True)
+    sentence = (
+        "TASKS OF WHICH A SCHEDULE OF THE KIND ACTUAL SAYS THAT A PART IS DONE, taken as still to be done; skip what stands "
+        "already"
+    )
+    notes.add(sentence, task.name or task.id, task.id)
+    return task
+
+
 def _task(
     entity: ifcopenshell.entity_instance,
     name: str,
@@ -206,7 +268,7 @@ def _task(
     assigned: _Assigned,
     ids: dict[int, str],
     workpieces: set[str],
-    time_unit: float,
+    time_unit: float | None,
     notes: Notes,
 ) -> Task:
     task_id = task_ids[entity.id()]
@@ -214,7 +276,7 @@ def _task(
     products = _elements(assigned.products[entity.id()], ids, shown, task_id, notes)
     inputs = _elements(assigned.inputs[entity.id()], ids, shown, task_id, notes)
     cancelled = _is_cancelled(entity, assigned)
-    kind = _kind(entity, task_id, shown, notes) if not cancelled else "other"
+    kind = _kind(entity, assigned, task_id, shown, notes) if not cancelled else "other"
     if cancelled:
         sentence = "Tasks that the file says are cancelled: not done, nothing waits for them but what comes before"
         notes.add(sentence, shown, task_id)
@@ -225,8 +287,10 @@ def _task(
             task_id,
         )
         products, inputs = made, [each for each in inputs if each not in made]
+    if kind == "makes" and products:
+        _doubt_names(entity, assigned, task_id, shown, notes)
     parent = assigned.parents.get(entity.id())
-    start, finish, duration = _times(entity, assigned.times.get(entity.id()), time_unit, shown, notes)
+    start, finish, duration = _times(entity, assigned.times.get(entity.id()), time_unit, shown, task_id, notes)
     return Task(
         id=task_id,
         name=entity.Name or "",
@@ -240,26 +304,82 @@ def _task(
         finish=finish,
         duration=duration,
         kind=kind,
-        completed=not cancelled and _completed(entity, assigned.times.get(entity.id()), task_id, shown, notes),
+        completed=not cancelled and _completed(entity, assigned, task_id, shown, notes),
     )
 
 
-def _kind(entity: ifcopenshell.entity_instance, task_id: str, shown: str, notes: Notes) -> str:
-    given = getattr(entity, "PredefinedType", None)
-    # of IFC2x3, and of a kind of its own: the author's word for it
-    own = (entity.ObjectType or "") if given in (None, "USERDEFINED") else ""
-    if given in _TAKES_DOWN or any(word in own.casefold() for word in _TAKES_DOWN_WORDS):
-        given = own or given
+def _kind(entity: ifcopenshell.entity_instance, assigned: _Assigned, task_id: str, shown: str, notes: Notes) -> str:
+    """Return ``makes``, ``takes_down`` or ``other``: of the task, else of its type, else of what it nests in."""
+    said = ""
+    for each in _above(entity, assigned):
+        said = _said_kind(each)
+        if said:
+            break
+    of = "" if said and said == _said_kind(entity) else " (said of what they nest in)"
+    if said in _TAKES_DOWN or any(word in said.casefold() for word in _TAKES_DOWN_WORDS):
         notes.add(
-            f"Tasks of the kind {given}: the arm takes nothing down, a person says when it is gone", shown, task_id
+            f"Tasks of the kind {said}{of}: the arm takes nothing down, a person says when it is gone", shown, task_id
         )
         return "takes_down"
-    if given not in _MAKES:
-        notes.add(f"Tasks of the kind {given}, which places nothing; kept for the order", shown, task_id)
+    if said and said not in _MAKES:
+        notes.add(f"Tasks of the kind {said}{of}, which places nothing; kept for the order", shown, task_id)
         return "other"
-    if given == "USERDEFINED":
+    own = _own_word(entity)
+    if own and own.upper() not in _MAKES:
         notes.add(f"Tasks of a kind of their own ({own!r}), taken as placing", shown, task_id)
     return "makes"
+
+
+def _said_kind(entity: ifcopenshell.entity_instance) -> str:
+    """Return the kind that a task or its type says, the schema's or the author's own that is understood; empty: it says none."""
+    given = _given_kind(entity)
+    if given not in _OPEN:
+        return str(given)
+    own = _own_word(entity)
+    if own.upper() in (*_MAKES, *_TAKES_DOWN, *_OTHER_KINDS):
+        return own.upper()
+    return own if any(word in own.casefold() for word in _TAKES_DOWN_WORDS) else ""
+
+
+def _given_kind(entity: ifcopenshell.entity_instance) -> str | None:
+    given = getattr(entity, "PredefinedType", None)
+    if given not in (None, "NOTDEFINED"):
+        return str(given)
+    kind = ifcopenshell.util.element.get_type(entity)
+    return getattr(kind, "PredefinedType", None) or given
+
+
+def _own_word(entity: ifcopenshell.entity_instance) -> str:
+    """Return the author's own word for the kind of a task, the only one in IFC2x3; empty: none, or the schema's counts."""
+    if _given_kind(entity) not in _OPEN:
+        return ""
+    kind = ifcopenshell.util.element.get_type(entity)
+    return str(entity.ObjectType or getattr(kind, "ProcessType", None) or "").strip()
+
+
+def _doubt_names(
+    entity: ifcopenshell.entity_instance, assigned: _Assigned, task_id: str, shown: str, notes: Notes
+) -> None:
+    """Note a task whose name, or the name of what it nests in, says that something is taken down, and whose kind does not."""
+    for each in _above(entity, assigned):
+        name = each.Name or ""
+        if any(word in name.casefold() for word in _TAKES_DOWN_WORDS if word != "tear"):
+            sentence = (
+                f"TASKS THAT MAY TAKE DOWN WHAT THEY ARE TAKEN TO PLACE: the name {name!r} says so, their kind does not; skip "
+                "them, or have the model say the kind"
+            )
+            notes.add(sentence, shown, task_id)
+            return
+
+
+def _above(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> Iterator[ifcopenshell.entity_instance]:
+    """Yield a task and those that it nests in, from inside; a loop, which is refused elsewhere, once."""
+    at: ifcopenshell.entity_instance | None = entity
+    seen: set[int] = set()
+    while at is not None and at.is_a("IfcTask") and at.id() not in seen:
+        yield at
+        seen.add(at.id())
+        at = assigned.parents.get(at.id())
 
 
 def _status_word(entity: ifcopenshell.entity_instance) -> str:
@@ -269,33 +389,29 @@ def _status_word(entity: ifcopenshell.entity_instance) -> str:
 
 def _is_cancelled(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> bool:
     """Return whether the file says of a task, or of what it nests in, that it is not to be done any more."""
-    above: ifcopenshell.entity_instance | None = entity
-    seen: set[int] = set()
-    while above is not None and above.is_a("IfcTask") and above.id() not in seen:
-        if _status_word(above) in _CANCELLED_WORDS:
-            return True
-        seen.add(above.id())
-        above = assigned.parents.get(above.id())
-    return False
+    return any(_status_word(each) in _CANCELLED_WORDS for each in _above(entity, assigned))
+
+
+def _says_completed(entity: ifcopenshell.entity_instance, control: ifcopenshell.entity_instance | None) -> bool:
+    """Return whether a task says of itself that it is done: by its status, or by its times (`control`: those of IFC2x3)."""
+    time = control if control is not None else getattr(entity, "TaskTime", None)
+    part = getattr(time, "Completion", None)
+    return (
+        _status_word(entity) in _DONE_WORDS
+        or (isinstance(part, (int, float)) and part >= (100.0 if part > 1.0 else 1.0))
+        or getattr(time, "ActualFinish", None) is not None
+    )
 
 
 def _completed(
-    entity: ifcopenshell.entity_instance,
-    control: ifcopenshell.entity_instance | None,
-    task_id: str,
-    shown: str,
-    notes: Notes,
+    entity: ifcopenshell.entity_instance, assigned: _Assigned, task_id: str, shown: str, notes: Notes
 ) -> bool:
     """Return whether the file says that a task is done; one that is under way, or says both, is noted."""
+    control = assigned.times.get(entity.id())
     time = control if control is not None else getattr(entity, "TaskTime", None)
     status = _status_word(entity)
     part = getattr(time, "Completion", None)
-    signs = [
-        status in _DONE_WORDS,
-        isinstance(part, (int, float)) and part >= (100.0 if part > 1.0 else 1.0),
-        getattr(time, "ActualFinish", None) is not None,
-    ]
-    if any(signs):
+    if _says_completed(entity, control):
         sentence = "Tasks that the file says are completed: not done again, what they made stands"
         notes.add(sentence, shown, task_id)
         if status and status not in _DONE_WORDS:
@@ -304,8 +420,22 @@ def _completed(
             )
         return True
     begun = getattr(time, "ActualStart", None) is not None or (isinstance(part, (int, float)) and part > 0)
+    said = f"status {entity.Status!r}" if status else "a start or a part that is done"
+    whole = next(
+        (each for each in _above(entity, assigned) if _says_completed(each, assigned.times.get(each.id()))), None
+    )
+    if whole is not None:
+        about = f"what they nest in ({whole.Name or whole.GlobalId}) is"
+        if status or begun:
+            notes.add(
+                f"TASKS THAT MAY NOT BE COMPLETED ({said}), taken as completed because {about}: what they make counts as standing",
+                shown,
+                task_id,
+            )
+        else:
+            notes.add(f"Tasks taken as completed because {about}: what they made stands", shown, task_id)
+        return False
     if begun or (status and status not in _NOT_BEGUN_WORDS):
-        said = f"status {entity.Status!r}" if status else "a start or a part that is done"
         notes.add(
             f"TASKS THAT MAY HAVE BEGUN ({said}), taken as still to be done; if what they make stands already, skip them",
             shown,
@@ -326,21 +456,24 @@ def _elements(
 def _times(
     entity: ifcopenshell.entity_instance,
     control: ifcopenshell.entity_instance | None,
-    time_unit: float,
+    time_unit: float | None,
     task: str,
+    task_id: str,
     notes: Notes,
 ) -> tuple[str, str, float | None]:
     time = control if control is not None else getattr(entity, "TaskTime", None)
     if time is None:
         return "", "", None
-    start, finish = (_moment(value, task, notes) for value in (time.ScheduleStart, time.ScheduleFinish))
+    start, finish = (_moment(value, task, task_id, notes) for value in (time.ScheduleStart, time.ScheduleFinish))
     given = time.ScheduleDuration
     if isinstance(given, str):
-        return start, finish, _seconds(given, task, notes)
-    return start, finish, None if given is None else given * time_unit
+        return start, finish, _seconds(given, task, (task_id,), notes)
+    if given and time_unit is None:
+        notes.add(_NO_TIME, task, task_id)
+    return start, finish, None if given is None else given * (time_unit or 1.0)
 
 
-def _moment(value: str | ifcopenshell.entity_instance | None, task: str, notes: Notes) -> str:
+def _moment(value: str | ifcopenshell.entity_instance | None, task: str, task_id: str, notes: Notes) -> str:
     if value is None:
         return ""
     try:
@@ -349,7 +482,7 @@ def _moment(value: str | ifcopenshell.entity_instance | None, task: str, notes: 
                 return str(ifcopenshell.util.date.ifc2datetime(value).isoformat())  # type: ignore[union-attr]
             return _date_and_time(value).isoformat()
     except BuildingError:
-        notes.add("A time that is no date, left out, of tasks", task)
+        notes.add("A time that is no date, left out, of tasks", task, task_id)
         return ""
 
 
@@ -364,59 +497,76 @@ def _date_and_time(value: ifcopenshell.entity_instance) -> datetime:
     return datetime(date.YearComponent, date.MonthComponent, date.DayComponent, *clock)
 
 
-def _seconds(value: str, task: str, notes: Notes) -> float | None:
+def _seconds(value: str, about: str, at: Iterable[str], notes: Notes) -> float | None:
+    """Return a duration [s]; one that cannot be read is noted, also at the tasks of these ids."""
+    sentence = ""
     try:
         parsed = isodate.parse_duration(value)
     except (ValueError, TypeError, OverflowError, ArithmeticError):
-        notes.add(f"{value[:40]!r} is no duration of ISO 8601, left out, of tasks", task)
-        return None
-    if not isinstance(parsed, timedelta):
-        notes.add(f"A duration in years or months ({value[:40]!r}) has no length in seconds, left out, of tasks", task)
-        return None
-    return parsed.total_seconds()
+        sentence = f"{value[:40]!r} is no duration of ISO 8601, left out, of tasks"
+    else:
+        if isinstance(parsed, timedelta):
+            return parsed.total_seconds()
+        sentence = f"A duration in years or months ({value[:40]!r}) has no length in seconds, left out, of tasks"
+    _told(sentence, about, at, notes)
+    return None
+
+
+def _told(sentence: str, about: str, at: Iterable[str], notes: Notes) -> None:
+    """Add a note on a relation, and a remark at each of the tasks that it is between."""
+    notes.add(sentence, about)
+    for task in at:
+        notes.remark(sentence, task)
 
 
 def _sequence(
     relation: ifcopenshell.entity_instance,
     task_ids: dict[int, str],
-    time_unit: float,
+    time_unit: float | None,
     tasks: dict[str, Task],
     notes: Notes,
 ) -> Sequence | None:
     before, after = (task_ids.get(end.id()) for end in (relation.RelatingProcess, relation.RelatedProcess))
     if before is None or after is None:
-        notes.add("Orders with something that is no task of the schedule, left out", label(relation))
+        at = [task for task in (before, after) if task is not None]
+        _told("Orders with something that is no task of the schedule, left out", label(relation), at, notes)
         return None
     kind = relation.SequenceType
     if kind not in _KINDS:
-        notes.add("Orders without one of the four kinds, taken as finish to start", label(relation))
+        sentence = "Orders without one of the four kinds, taken as finish to start"
+        _told(sentence, label(relation), (before, after), notes)
         kind = _KINDS[0]
-    return Sequence(before, after, kind, _lag(relation, tasks[before], time_unit, notes))
+    return Sequence(before, after, kind, _lag(relation, tasks[before], after, time_unit, notes))
 
 
-def _lag(relation: ifcopenshell.entity_instance, before: Task, time_unit: float, notes: Notes) -> float:
+def _lag(
+    relation: ifcopenshell.entity_instance, before: Task, after: str, time_unit: float | None, notes: Notes
+) -> float:
     lag = relation.TimeLag
     if lag is None:
         return 0.0
-    about = label(relation)
+    about, at = label(relation), (before.id, after)
     if isinstance(lag, (int, float)):
-        seconds: float | None = lag * time_unit
+        seconds: float | None = lag * (time_unit or 1.0)
+        if lag and time_unit is None:
+            _told(_NO_TIME, about, at, notes)
     else:
         value = lag.LagValue
         if value.is_a("IfcRatioMeasure"):
             if before.duration is None:
-                notes.add("A lag that is a part of a duration that is not known, left out, of", about)
+                _told("A lag that is a part of a duration that is not known, left out, of", about, at, notes)
                 return 0.0
             seconds = value.wrappedValue * before.duration
-            notes.add("A lag that is a part of the duration of the task before, of", about)
+            _told("A lag that is a part of the duration of the task before, of", about, at, notes)
         else:
-            seconds = _seconds(value.wrappedValue, about, notes)
+            seconds = _seconds(value.wrappedValue, about, at, notes)
         if lag.DurationType == "WORKTIME" and seconds:
-            sentence = (
-                "A lag in working time is waited for around the clock (no calendar is read), between the tasks of"
+            _told(
+                "A lag in working time is waited for around the clock (no calendar is read), between the tasks of",
+                about,
+                at,
+                notes,
             )
-            notes.add(sentence, about)
-            notes.remark(sentence, before.id)
     if seconds is None or not math.isfinite(seconds):
         return 0.0
     return float(seconds)

@@ -36,8 +36,10 @@ class Units:
 
     Attributes
     ----------
-    length, area, volume, mass, angle, time : float
-        [m], [m²], [m³], [kg], [rad], [s]
+    length, area, volume, mass, angle : float
+        [m], [m²], [m³], [kg], [rad]
+    time : float or None
+        [s]; None: the project has no unit of time.
     density : float or None
         [kg/m³]; None: the project has no unit of density.
     weighs : bool
@@ -49,7 +51,7 @@ class Units:
     volume: float
     mass: float
     angle: float
-    time: float
+    time: float | None
     density: float | None = None
     weighs: bool = True
 
@@ -61,7 +63,7 @@ class Units:
             (self.volume, _VOLUME),
             (self.mass, _MASS),
             (self.angle, _ANGLE),
-            (self.time, _TIME),
+            (1.0 if self.time is None else self.time, _TIME),
             (1.0 if self.density is None else self.density, _DENSITY),
         ):
             if measure in measures:
@@ -80,6 +82,10 @@ def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
     projects = file.by_type("IfcProject")
     if not projects:
         raise BuildingError(name, "IFCPROJECT", "none", "a project, which says in which units the model is")
+    if len(projects) > 1:
+        raise BuildingError(
+            name, "IFCPROJECT", str(len(projects)), "one project, which says in which units the model is"
+        )
     with Where(name, projects[0]):
         assignment = projects[0].UnitsInContext
         given = [getattr(unit, "UnitType", None) for unit in assignment.Units] if assignment else []
@@ -102,7 +108,7 @@ def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
         # ifcopenshell's unit of mass is SI's root, the gram; without a unit IFC's is the kilogram
         _scale(file, name, "MASSUNIT") / 1e3 if "MASSUNIT" in given else 1.0,
         _scale(file, name, "PLANEANGLEUNIT") if "PLANEANGLEUNIT" in given else 1.0,
-        _scale(file, name, "TIMEUNIT") if "TIMEUNIT" in given else 1.0,
+        _scale(file, name, "TIMEUNIT") if "TIMEUNIT" in given else None,
         _density(assignment, name) if "MASSDENSITYUNIT" in given else None,
         "MASSUNIT" in given,
     )

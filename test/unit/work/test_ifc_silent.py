@@ -1,0 +1,479 @@
+"""Models that were read wrongly without a word: kinds and ends of tasks, lost lines and parts, units, places."""
+
+from __future__ import annotations
+
+import pytest
+from ifc_models import IfcModel
+
+from construction_twin.core.work_errors import BuildingError
+from construction_twin.work.ifc.model_file import load, save
+from construction_twin.work.ifc.reader import read_ifc
+from construction_twin.work.schedule import Schedule
+
+STUD = (0.1, 0.1, 1.0)
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Write a model or its text, and read it again, through the file in which another process hands it over."""
+
+    def write_and_read(model):
+        path = tmp_path / "model.ifc"
+        if isinstance(model, IfcModel):
+            model.save(path)
+        else:
+            path.write_text(model, encoding="ascii")
+        found = read_ifc(path, 1 << 24)
+        save(found, tmp_path / "model.npz")
+        return load(tmp_path / "model.npz", found.file, found.digest)
+
+    return write_and_read
+
+
+def remarked(model, one, words: str) -> bool:
+    """Whether these words are said at one element or task."""
+    return any(words in remark for remark in model.remarks.get(one.GlobalId, ()))
+
+
+def two_studs(schema="IFC4"):
+    """A model with two studs, each placed by a task, the second after the first."""
+    model = IfcModel(schema)
+    studs = [model.box(name, STUD, at=(k, 0, 0)) for k, name in enumerate(("a", "b"))]
+    tasks = [model.task(f"place {stud.Name}", [stud]) for stud in studs]
+    model.sequence(*tasks)
+    return model, studs, tasks
+
+
+def jobs(found):
+    """What is placed, by name."""
+    return [found.elements[job.element].name for job in Schedule.of(found).jobs]
+
+
+def removals(found):
+    """What people take down, by name."""
+    return [found.elements[job.element].name for job in Schedule.of(found).removals]
+
+
+# -- kinds of tasks
+
+
+def kind_of_the_whole(model, task):
+    model.root("IfcRelNests", RelatingObject=model.task("old", PredefinedType="DEMOLITION"), RelatedObjects=[task])
+
+
+def kind_of_the_aggregate(model, task):
+    model.aggregate(model.task("old", PredefinedType="REMOVAL"), [task])
+
+
+def kind_of_the_type(model, task):
+    kind = model.root("IfcTaskType", Name="old", PredefinedType="DEMOLITION")
+    model.root("IfcRelDefinesByType", RelatedObjects=[task], RelatingType=kind)
+
+
+def kind_in_a_word(model, task):
+    task.PredefinedType, task.ObjectType = "NOTDEFINED", "Rückbau"
+
+
+@pytest.mark.parametrize("say", [kind_of_the_whole, kind_of_the_aggregate, kind_of_the_type, kind_in_a_word])
+def test_what_is_taken_down_is_so_wherever_the_file_says_it(read, say):
+    model, _, (first, _) = two_studs()
+    say(model, first)
+    found = read(model)
+    assert (jobs(found), removals(found)) == (["b"], ["a"])
+    assert remarked(found, first, "the arm takes nothing down")
+
+
+def test_a_task_that_says_its_own_kind_has_it_within_another(read):
+    model, _, (first, _) = two_studs()
+    first.PredefinedType = "CONSTRUCTION"
+    kind_of_the_whole(model, first)
+    assert jobs(read(model)) == ["a", "b"]
+
+
+@pytest.mark.parametrize(("word", "down"), [("DISPOSAL", ["a"]), ("Demolition", ["a"]), ("MAINTENANCE", [])])
+def test_words_of_ifc2x3_are_kinds(read, word, down):
+    model, _, (first, _) = two_studs("IFC2X3")
+    first.ObjectType = word
+    found = read(model)
+    assert (jobs(found), removals(found)) == (["b"], down)
+
+
+@pytest.mark.parametrize("name", ["Abbruch Stütze", "Remove old stud"])
+def test_a_name_that_says_that_something_is_taken_down_is_doubted(read, name):
+    model, _, (first, second) = two_studs()
+    first.Name = name
+    found = read(model)
+    assert len(jobs(found)) == 2 and remarked(found, first, "MAY TAKE DOWN WHAT THEY ARE TAKEN TO PLACE")
+    assert second.GlobalId not in found.remarks
+
+
+# -- what is done
+
+
+def test_a_task_in_a_completed_one_that_says_otherwise_is_told_as_taken(read):
+    model, _, tasks = two_studs()
+    whole = model.task("floor", Status="COMPLETED")
+    model.root("IfcRelNests", RelatingObject=whole, RelatedObjects=tasks)
+    tasks[0].Status = "STARTED"
+    found = read(model)
+    assert jobs(found) == []
+    assert remarked(found, tasks[0], "MAY NOT BE COMPLETED") and not remarked(found, tasks[0], "still to be done")
+    assert remarked(found, tasks[1], "taken as completed because what they nest in (floor) is")
+
+
+def test_what_a_record_of_what_was_done_has_as_completed_is_not_placed_again(read):
+    model = IfcModel()
+    done, part, rest, open_ = (model.box(name, STUD, at=(k, 0, 0)) for k, name in enumerate(("a", "b", "c", "d")))
+    plan, record = (model.schedule(kind, PredefinedType=kind) for kind in ("PLANNED", "ACTUAL"))
+    first, second, _ = (
+        model.task(f"{k}", made, schedule=plan) for k, made in enumerate(([done], [part, rest], [open_]))
+    )
+    model.task("done", [done, part], schedule=record, Status="COMPLETED")
+    model.task("begun", [open_], schedule=record, Status="STARTED")
+    found = read(model)
+    assert jobs(found) == ["b", "c", "d"]
+    assert remarked(found, first, "ACTUAL says are completed") and remarked(found, second, "A PART IS DONE")
+
+
+def test_a_baseline_of_ifc2x3_is_left_out(read):
+    model = IfcModel("IFC2X3")
+    studs = [model.box(name, STUD, at=(k, 0, 0)) for k, name in enumerate(("a", "b"))]
+    plan, base = model.schedule("plan"), model.schedule("base")
+    base.WorkControlType = "BASELINE"
+    for stud, schedule in zip(studs, (plan, base)):
+        model.task("place", [stud], schedule=schedule)
+    assert jobs(read(model)) == ["a"]
+
+
+def test_a_new_part_of_what_exists_is_placed(read):
+    model = IfcModel()
+    panel = model.element("IfcElementAssembly", "panel")
+    new, old = (model.box(name, STUD, at=(k, 0, 0), within=panel) for k, name in enumerate(("new", "old")))
+    model.aggregate(panel, [new, old])
+    model.properties(panel, "Pset_ElementAssemblyCommon", Status="EXISTING")
+    model.properties(new, "Pset_MemberCommon", Status="NEW")
+    model.task("place", [new])
+    found = read(model)
+    assert [found.elements[one.GlobalId].status for one in (panel, new, old)] == ["existing", "", "existing"]
+    assert jobs(found) == ["new"]
+
+
+@pytest.mark.parametrize(
+    ("name", "properties", "words"),
+    [
+        ("Phasing", {"Phase Created": "Existing"}, "the status 'Existing' in Phasing (Phase Created)"),
+        ("Phasen", {"Phase Demolished": "Phase 2"}, "the status 'Phase 2' in Phasen (Phase Demolished)"),
+        ("AC_Pset_Renovation", {"Renovation Status": "To be demolished"}, "'To be demolished'"),
+        ("Phasing", {"Phase Created": "New construction", "Phase Demolished": "None"}, ""),
+        ("Site", {"Status": "ok", "Phase": 3}, ""),
+    ],
+)
+def test_a_phase_of_an_authors_own_that_is_not_that_of_a_new_element_is_told(read, name, properties, words):
+    model, (stud, _), _ = two_studs()
+    model.properties(stud, name, **properties)
+    found = read(model)
+    assert remarked(found, stud, words) if words else found.notes == ()
+
+
+@pytest.mark.parametrize(("status", "means"), [("Bestand", "existing"), ("ABBRUCH", "demolish")])
+def test_a_status_is_read_in_german(read, status, means):
+    model, (stud, _), _ = two_studs()
+    model.properties(stud, "Pset_MemberCommon", Status=status)
+    assert read(model).elements[stud.GlobalId].status == means
+
+
+def test_an_assembly_within_another_has_a_task_of_its_own(read):
+    model = IfcModel()
+    outer = model.element("IfcElementAssembly", "outer")
+    inner = model.element("IfcElementAssembly", "inner", within=outer)
+    own, part = model.box("own", STUD, within=outer), model.box("part", STUD, at=(1, 0, 0), within=inner)
+    model.aggregate(outer, [inner, own])
+    model.aggregate(inner, [part])
+    model.task("outer up", [outer])
+    task = model.task("inner up", [inner])
+    assert jobs(read(model)) == ["own", "part"]
+    task.Status = "COMPLETED"
+    assert jobs(read(model)) == ["own"]
+
+
+# -- orders
+
+
+def test_an_order_of_tasks_that_are_aggregated_holds_for_their_parts(read):
+    model, _, (first, second) = two_studs()
+    model.file.remove(model.file.by_type("IfcRelSequence")[0])
+    wholes = [model.task(f"floor {task.Name}") for task in (first, second)]
+    for whole, task in zip(wholes, (first, second)):
+        model.aggregate(whole, [task])
+    model.sequence(*reversed(wholes))
+    assert jobs(read(model)) == ["b", "a"]
+
+
+def test_a_lag_of_a_project_without_a_unit_of_time_is_told(read):
+    model, _, tasks = two_studs("IFC2X3")
+    model.file.by_type("IfcRelSequence")[0].TimeLag = 7.0
+    found = read(model)
+    assert all(remarked(found, task, "no unit of time") for task in tasks)
+    second = model.make("IfcSIUnit", UnitType="TIMEUNIT", Name="SECOND")
+    model.project.UnitsInContext.Units = [*model.project.UnitsInContext.Units, second]
+    assert read(model).notes == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda model: setattr(model.file.by_type("IfcLagTime")[0], "LagValue", model.make("IfcDuration", "P1M")),
+            "P1M",
+        ),
+        (lambda model: setattr(model.file.by_type("IfcRelSequence")[0], "SequenceType", None), "four kinds"),
+    ],
+)
+def test_what_of_an_order_is_left_out_is_said_at_both_tasks(read, change, words):
+    model = IfcModel()
+    studs = [model.box(name, STUD, at=(k, 0, 0)) for k, name in enumerate(("a", "b"))]
+    tasks = [model.task(stud.Name, [stud]) for stud in studs]
+    model.sequence(*tasks, lag="P1D")
+    change(model)
+    found = read(model)
+    assert all(remarked(found, task, words) for task in tasks)
+
+
+@pytest.mark.parametrize("dated", [0, 1, 2])
+def test_dates_that_are_not_used_and_an_order_that_nobody_says_are_told(read, dated):
+    model = IfcModel()
+    for k, name in enumerate(("a", "b")):
+        task = model.task(name, [model.box(name, STUD, at=(k, 0, 0))])
+        if k < dated:
+            task.TaskTime = model.make("IfcTaskTime", ScheduleStart=f"2027-01-0{2 - k}T08:00:00")
+    found = read(model)
+    notes = Schedule.of(found).notes
+    if dated == 2:
+        assert (jobs(found), notes) == (["b", "a"], ())
+    else:
+        words = ("The file says no order of its tasks", "no start for 1 of 2 tasks")[dated]
+        assert len(notes) == 1 and words in notes[0]
+
+
+def test_dates_of_which_some_have_a_time_zone_are_told_as_not_used(read):
+    model = IfcModel()
+    for k, start in enumerate(("2027-01-02T08:00:00Z", "2027-01-01T08:00:00")):
+        task = model.task(f"{k}", [model.box(f"{k}", STUD, at=(k, 0, 0))])
+        task.TaskTime = model.make("IfcTaskTime", ScheduleStart=start)
+    (note,) = Schedule.of(read(model)).notes
+    assert "some starts have a time zone" in note
+
+
+@pytest.mark.parametrize("at", ["summary", "schedule"])
+def test_a_calendar_of_what_tasks_nest_in_is_told_at_the_tasks(read, at):
+    model, _, tasks = two_studs()
+    if at == "schedule":
+        holder = model.schedule()
+        model.root("IfcRelAssignsToControl", RelatedObjects=tasks, RelatingControl=holder)
+    else:
+        holder = model.task("floor")
+        model.root("IfcRelNests", RelatingObject=holder, RelatedObjects=tasks)
+    calendar = model.root("IfcWorkCalendar", Name="Five days")
+    model.root("IfcRelAssignsToControl", RelatedObjects=[holder], RelatingControl=calendar)
+    found = read(model)
+    assert all(remarked(found, task, "Calendars are not read") for task in tasks)
+
+
+# -- what the parser and the kernel lose
+
+
+def renamed(model, entity) -> str:
+    """The text of a model in which the schema does not know an entity's kind."""
+    line = f"#{entity.id()}={entity.is_a().upper()}"
+    assert f"{line}(" in model.text()
+    return model.text().replace(f"{line}(", f"{line}X(")
+
+
+@pytest.mark.parametrize("what", ["placement", "storey", "axes", "body", "item", "unit"])
+def test_a_dropped_line_that_says_where_or_what_something_is_refuses_the_file(read, what):
+    model, (_, stud), _ = two_studs()
+    shape = stud.Representation.Representations[0]
+    lines = {
+        "placement": stud.ObjectPlacement,
+        "storey": model.storey.ObjectPlacement,
+        "axes": stud.ObjectPlacement.RelativePlacement,
+        "body": stud.Representation,
+        "item": shape.Items[0],
+        "unit": model.project.UnitsInContext.Units[1],
+    }
+    with pytest.raises(BuildingError, match=f"refers to #{lines[what].id()}=\\w+X, of a kind that IFC4 does not have"):
+        read(renamed(model, lines[what]))
+
+
+def test_a_dropped_opening_is_told_at_its_wall(read):
+    model, (stud, _), _ = two_studs()
+    opening = model.opening(stud, (0.05, 0.05, 0.3), (0, 0, 0.2))
+    assert remarked(read(renamed(model, opening)), stud, "LINES LEFT OUT")
+
+
+def test_a_value_of_an_unknown_kind_is_told_with_its_line(read):
+    model, (stud, _), _ = two_studs()
+    model.properties(stud, "Pset_MemberCommon", Reference="r")
+    found = read(model.text().replace("IFCLABEL('r')", "IFCLABELX('r')"))
+    assert any("VALUES LEFT OUT" in note and "IFCPROPERTYSINGLEVALUE" in note for note in found.notes)
+
+
+def half(model):
+    """A member of two items, of which the kernel makes only one."""
+    low, high = (model.extrusion(model.rectangle(1.0, 0.1), 0.1, at=(0, 0, z)) for z in (0.0, 0.5))
+    high.Depth = 0.0
+    return model.element("IfcMember", "half", model.representation(low, high))
+
+
+def unclipped(model):
+    """A member whose clipping plane has no direction."""
+    plane = model.make("IfcPlane", model.axes((0.0, 0.0, 0.05), z=(0.0, 0.0, 0.0)))
+    cut = model.make("IfcHalfSpaceSolid", plane, False)
+    body = model.make("IfcBooleanClippingResult", "DIFFERENCE", model.extrusion(model.rectangle(1.0, 0.1), 0.1), cut)
+    return model.element("IfcMember", "whole", model.representation(body, kind="Clipping"))
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [(half, "cannot make a part of its shape"), (unclipped, "cannot make all of its shape (gp_Dir()")],
+)
+def test_a_body_of_which_the_kernel_makes_less_or_more_is_not_placed(read, make, words):
+    model = IfcModel()
+    member = make(model)
+    model.task("place", [member])
+    found = read(model)
+    assert words in found.elements[member.GlobalId].doubt and remarked(found, member, "THE BODY IS DOUBTFUL")
+
+
+@pytest.mark.parametrize("opening", [False, True])
+def test_items_that_are_all_made_and_lines_beside_them_are_no_doubt(read, opening):
+    model = IfcModel()
+    items = [model.extrusion(model.rectangle(1.0, 0.1), 0.1, at=(0, 0, z)) for z in (0.0, 0.1)]
+    line = model.make("IfcPolyline", [model.point(0.0, 0.0, 0.0), model.point(1.0, 0.0, 0.0)])
+    member = model.element("IfcMember", "whole", model.representation(*items, line))
+    if opening:
+        model.opening(member, (0.1, 0.02, 0.05), (0, 0, 0.05))
+    assert read(model).elements[member.GlobalId].doubt == ""
+
+
+def csg(model):
+    """A block."""
+    return model.make("IfcCsgSolid", model.make("IfcBlock", model.axes(), 100.0, 100.0, 100.0))
+
+
+def surfaces(model, kind, shell):
+    """A square as a surface model."""
+    points = [model.point(*corner, 0.0) for corner in ((0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.0, 0.1))]
+    bound = model.make("IfcFaceOuterBound", model.make("IfcPolyLoop", points), True)
+    return model.make(kind, [model.make(shell, [model.make("IfcFace", [bound])])])
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        csg,
+        lambda model: surfaces(model, "IfcFaceBasedSurfaceModel", "IfcConnectedFaceSet"),
+        lambda model: surfaces(model, "IfcShellBasedSurfaceModel", "IfcOpenShell"),
+    ],
+)
+def test_items_that_the_kernel_calls_by_their_parts_are_no_doubt(read, make):
+    model = IfcModel()
+    member = model.element("IfcMember", "m", model.representation(make(model), kind="SolidModel"))
+    found = read(model).elements[member.GlobalId]
+    assert found.bodies and found.doubt == ""
+
+
+# -- units, masses, places
+
+
+def test_units_that_the_kernel_cannot_read_and_two_projects_are_refused(read):
+    model = IfcModel(unit="inch")
+    inch = model.project.UnitsInContext.Units[0]
+    factor = model.make("IfcMeasureWithUnit", model.make("IfcLengthMeasure", 12.0), inch)
+    foot = model.make("IfcConversionBasedUnit", inch.Dimensions, "LENGTHUNIT", "FOOT", factor)
+    model.project.UnitsInContext.Units = [foot, *model.project.UnitsInContext.Units[1:]]
+    model.box("box", (1.0, 0.1, 0.1))
+    with pytest.raises(BuildingError, match="whose unit of length the geometry kernel can read"):
+        read(model)
+    model = two_studs()[0]
+    model.root("IfcProject", Name="other", UnitsInContext=model.project.UnitsInContext)
+    with pytest.raises(BuildingError, match="IFCPROJECT: found 2"):
+        read(model)
+
+
+def weigh(model, element, weight: float):
+    """Give an element a weight."""
+    quantity = model.make("IfcQuantityWeight", "NetWeight", None, None, weight)
+    quantities = model.root("IfcElementQuantity", Name="Qto_MemberBaseQuantities", Quantities=[quantity])
+    model.root("IfcRelDefinesByProperties", RelatedObjects=[element], RelatingPropertyDefinition=quantities)
+
+
+def kilograms(model):
+    """Give the project a unit of mass."""
+    kilogram = model.make("IfcSIUnit", UnitType="MASSUNIT", Prefix="KILO", Name="GRAM")
+    model.project.UnitsInContext.Units = [*model.project.UnitsInContext.Units, kilogram]
+
+
+@pytest.mark.parametrize("weight", [0.0, -4.2])
+def test_a_weight_of_nothing_or_less_is_told(read, weight):
+    model, (stud, _), _ = two_studs()
+    kilograms(model)
+    weigh(model, stud, weight)
+    found = read(model)
+    assert found.elements[stud.GlobalId].mass is None and remarked(found, stud, "not above 0")
+
+
+def test_bodies_that_overlap_are_told(read):
+    model = IfcModel()
+    twice = [model.extrusion(model.rectangle(1.0, 0.1), 0.1) for _ in range(2)]
+    beside = [model.extrusion(model.rectangle(1.0, 0.1), 0.1, at=(0, 0, z)) for z in (0.0, 0.1)]
+    double, pair = (model.element("IfcMember", "m", model.representation(*items)) for items in (twice, beside))
+    found = read(model)
+    assert remarked(found, double, "ITS BODIES OVERLAP") and pair.GlobalId not in found.remarks
+
+
+def test_what_is_doubted_of_a_double_of_a_globalid_is_said_at_the_double(read):
+    model, (stud, double), _ = two_studs()
+    kilograms(model)
+    double.GlobalId = stud.GlobalId
+    weigh(model, double, 0.001)
+    found = read(model)
+    assert stud.GlobalId not in found.remarks
+    assert any("THE MASS IS DOUBTFUL" in remark for remark in found.remarks[f"#{double.id()}"])
+
+
+def test_a_body_without_a_placement_and_a_context_that_is_elsewhere_are_told(read):
+    model, (stud, _), _ = two_studs()
+    stud.ObjectPlacement = None
+    assert remarked(read(model), stud, "HAS A BODY AND NO PLACEMENT")
+    model = two_studs()[0]
+    model.context.WorldCoordinateSystem = model.axes((10.0, 0.0, 0.0), z=(0, 0, 1), x=(0, 1, 0))
+    (note,) = read(model).notes
+    assert "(10.000, 0.000, 0.000 m, turned) is left out" in note
+
+
+def test_a_second_body_and_an_opening_without_one_are_told(read):
+    model, (double, holed), _ = two_studs()
+    shape = double.Representation
+    more = model.representation(model.extrusion(model.rectangle(2.0, 0.2), 0.2))
+    shape.Representations = [*shape.Representations, more]
+    hole = model.element("IfcOpeningElement", "hole", within=holed)
+    model.root("IfcRelVoidsElement", RelatingBuildingElement=holed, RelatedOpeningElement=hole)
+    found = read(model)
+    assert remarked(found, double, "with 2 bodies of one kind") and remarked(found, holed, "Openings without a body")
+    assert len(found.notes) == 2
+
+
+def test_a_file_that_the_parser_refuses_is_told_with_its_reason(read):
+    text = two_studs()[0].text().replace("'a'", "'a\\X\\ZZ'")
+    with pytest.raises(BuildingError, match="Syntax error during parse, check logs: .*"):
+        read(text)
+
+
+def test_a_reason_calls_elements_by_their_names(read):
+    model, (stud, other), _ = two_studs()
+    found = read(model)
+    said = f"{stud.GlobalId}/0 would touch {other.GlobalId}/12 and tool/cups and floor/1"
+    assert (
+        found.called(said, stud.GlobalId) == f"the element would touch b ({other.GlobalId}) and tool/cups and floor/1"
+    )
