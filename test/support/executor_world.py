@@ -41,6 +41,7 @@ class World:
         self.said: list[tuple[str, object]] = []
         self.logged: list[tuple[str, str]] = []
         self.refused: list[tuple[str, str]] = []
+        self.counted: list[tuple[str, str]] = []
         self.cycles = 0
         patch = monkeypatch.setattr
         patch(module, "now_ns", lambda: self.wall)
@@ -65,7 +66,9 @@ class World:
                 *map(self.topic, ("next/joint_states", "execution", "review", "tool_command", "engagement"))
             ),
             EngagementFile(tmp_path / "engagement.json", ROBOT.joint_names),
-            lambda _: SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
+            lambda _: SimpleNamespace(
+                refuse=lambda *said: self.refused.append(said), count=lambda *said: self.counted.append(said)
+            ),
         )
 
     def logger(self, level: str):

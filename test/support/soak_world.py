@@ -295,8 +295,10 @@ class SoakWorld(ExitStack):
 
 
 def _unnamed(words: list[str]) -> str:
-    """Return what a program is called that has no name of a node: the broker has become mosquitto."""
+    """Return what a program is called that has no name of a node: the broker is mosquitto, the gateway a program without ROS."""
     name = Path(words[0]).name if words and words[0] else ""
+    if "construction_twin.gateway" in words:
+        return "rsi_gateway"
     return {"mosquitto": "broker"}.get(name, "rosmaster" if any(w.endswith("rosmaster") for w in words) else "")
 
 

@@ -44,16 +44,12 @@ class PathQuery:
 
 
 class PathSearch(Protocol):
-    """A planner of paths.
-
-    Attributes
-    ----------
-    name : str
-        As in the planner's settings and in the plans that it made.
-    """
+    """A planner of paths."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """As in the planner's settings and in the plans that it made."""
+        ...
 
     def find(self, query: PathQuery, budget: float) -> np.ndarray:
         """Find a path from the start to one of the goals.

@@ -210,6 +210,24 @@ def test_nobody_reviews_under_the_names_that_the_executor_writes(world, reviewer
     assert world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "")).success
 
 
+def test_every_request_of_a_person_that_is_turned_down_is_counted_beside_its_answer(world):
+    node, plan = world.node, world.waiting()
+    assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "")).success
+    answers = [
+        node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "")),
+        node.on_pause(None),
+        node.on_resume(None),
+        node.on_screen_resume(ResumeFromScreenRequest(world.shown())),
+        node.on_stop_plan(StopPlanRequest("of another one")),
+        node.on_release(ReleaseEngagementRequest("Ada", "by hand")),
+    ]
+    assert not any(answer.success for answer in answers)
+    assert world.counted == [
+        (name, answer.message)
+        for name, answer in zip(("review", "pause", "resume", "resume", "stop_plan", "release_engagement"), answers)
+    ]
+
+
 class TestAge:
     """What a person at a screen starts is void 3 s after what the screen had shown, and the person is told."""
 

@@ -408,7 +408,7 @@ class ExecutorNode:
             if expired:
                 self._diagnostics.refuse("too_old", str(error))
             else:
-                self._say(rospy.logwarn, "review refused: %s", error)
+                self._turn_down("review", error)
             return False, str(error), expired
         if taken.verdict.approved:
             # a rejection is told with what the executor decides by itself
@@ -444,7 +444,7 @@ class ExecutorNode:
                 sentence = self._executor.stop_plan(request.plan_id, f"stop requested by {caller or 'a client'}")
                 self._note_rest()
         except ExecutionError as error:
-            self._say(rospy.logwarn, "stop_plan refused: %s", error)
+            self._turn_down("stop_plan", error)
             return StopPlanResponse(False, str(error))
         self._say(rospy.logwarn, "stop_plan: %s", sentence)
         return StopPlanResponse(True, sentence)
@@ -459,6 +459,11 @@ class ExecutorNode:
     def _say(self, write: Callable[..., None], *words) -> None:
         """Have a line written after the answer."""
         self._beside.do("the log", self._said.add, write, *words)
+
+    def _turn_down(self, request: str, error: Exception) -> None:
+        """Count a person's request that was refused, and have it written after the answer."""
+        self._beside.do("the count of refusals", self._diagnostics.count, request, str(error))
+        self._say(rospy.logwarn, "%s refused: %s", request, error)
 
     def on_release(self, request: ReleaseEngagementRequest) -> ReleaseEngagementResponse:
         """Take a person's word that the arm was freed; recorded before it counts."""
@@ -481,7 +486,7 @@ class ExecutorNode:
                 self._log.append(replace(release, refused=str(error)))
                 raise
         except ConstructionTwinError as error:
-            rospy.logwarn("release_engagement refused: %s", error)
+            self._turn_down("release_engagement", error)
             return ReleaseEngagementResponse(False, str(error))
         sentence = f"the arm, left in segment {left.segment!r} of plan {left.plan_id}, was freed by {person}: {reason}"
         rospy.logwarn("release_engagement: %s", sentence)
@@ -524,7 +529,7 @@ class ExecutorNode:
             self._diagnostics.refuse("too_old", str(error))
             return ResumeFromScreenResponse(False, str(error), True)
         except ConstructionTwinError as error:
-            rospy.logwarn("resume refused: %s", error)
+            self._turn_down("resume", error)
             return ResumeFromScreenResponse(False, str(error), False)
         rospy.loginfo("resume: %s", sentence)
         return ResumeFromScreenResponse(True, sentence, False)
@@ -534,7 +539,7 @@ class ExecutorNode:
             with self._lock:
                 sentence = action()
         except ConstructionTwinError as error:
-            self._say(rospy.logwarn, "%s refused: %s", name, error)
+            self._turn_down(name, error)
             return TriggerResponse(False, str(error))
         self._say(rospy.loginfo, "%s: %s", name, sentence)
         return TriggerResponse(True, sentence)
