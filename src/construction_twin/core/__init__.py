@@ -1,8 +1,8 @@
 """Units, errors, motion limits, files, real-time scheduling, network addresses and travel times.
 
 In: numbers, stamps and texts from any other folder. Out: converted values, typed errors, motion checks, bounded motion of one
-joint (``follower``), cubic interpolation, the form of every state machine's table (``state_table``). May import the standard
-library only, because the cell PC has nothing else.
+joint (``follower``), cubic interpolation, the form of every state machine's table (``state_table``), where the package's files are
+(``share``), the names of a folder (``exports``). May import the standard library only, because the cell PC has nothing else.
 """
 
 from typing import TYPE_CHECKING
