@@ -1,7 +1,7 @@
 """How well twin and arm agreed: alignment, tables, figures and report of a recording.
 
-In: recorded joint states, feedback, plans, executions and link reports. Out: error tables beside those of the paper, timing,
-figures, ``summary.json`` and ``report.html``. May import ``core``, ``robot`` and ``kinematics``.
+In: joint states, feedback, plans, executions and link reports, of a bag or another recording. Out: error tables beside those of
+the paper, timing, figures, ``summary.json`` and ``report.html``. May import ``core``, ``robot`` and ``kinematics``.
 """
 
 from typing import TYPE_CHECKING
@@ -17,8 +17,13 @@ if TYPE_CHECKING:
     from construction_twin.evaluation.alignment import align_lag_removed as align_lag_removed
     from construction_twin.evaluation.alignment import estimate_lag as estimate_lag
     from construction_twin.evaluation.alignment import task_window as task_window
+    from construction_twin.evaluation.bag import Bag as Bag
+    from construction_twin.evaluation.bag import recording_of as recording_of
     from construction_twin.evaluation.paper import PaperError as PaperError
     from construction_twin.evaluation.paper import paper_error as paper_error
+    from construction_twin.evaluation.pure_bag import PureBag as PureBag
+    from construction_twin.evaluation.pure_bag import open_bag as open_bag
+    from construction_twin.evaluation.pure_bag import read_recording as read_recording
     from construction_twin.evaluation.recording import FeedbackStream as FeedbackStream
     from construction_twin.evaluation.recording import LinkSnapshot as LinkSnapshot
     from construction_twin.evaluation.recording import PlayedPlan as PlayedPlan
