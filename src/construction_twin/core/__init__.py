@@ -11,6 +11,8 @@ from construction_twin.core.exports import lazy_exports
 
 if TYPE_CHECKING:
     from construction_twin.core.beside import Beside as Beside
+    from construction_twin.core.clock import MONOTONIC as MONOTONIC
+    from construction_twin.core.clock import Clock as Clock
     from construction_twin.core.errors import ConfigurationError as ConfigurationError
     from construction_twin.core.errors import ConstructionTwinError as ConstructionTwinError
     from construction_twin.core.errors import EthernetXmlError as EthernetXmlError
@@ -77,6 +79,7 @@ if TYPE_CHECKING:
     from construction_twin.core.motion_errors import UnreachableOrientationError as UnreachableOrientationError
     from construction_twin.core.motion_errors import WaypointsError as WaypointsError
     from construction_twin.core.motion_errors import WaypointTimesError as WaypointTimesError
+    from construction_twin.core.share import share_file as share_file
     from construction_twin.core.speed_limit_source import SpeedLimitSource as SpeedLimitSource
     from construction_twin.core.state_table import Row as Row
     from construction_twin.core.state_table import cells as cells

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from construction_twin.planning.path_search import PathQuery as PathQuery
     from construction_twin.planning.path_search import PathSearch as PathSearch
     from construction_twin.planning.pipeline import PlanningPipeline as PlanningPipeline
-    from construction_twin.planning.planner import Clock as Clock
     from construction_twin.planning.planner import Planner as Planner
     from construction_twin.planning.planner import PlannerSettings as PlannerSettings
     from construction_twin.planning.planner import PlanRequest as PlanRequest

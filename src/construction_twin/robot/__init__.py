@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from construction_twin.robot.new_robot import find_ends as find_ends
     from construction_twin.robot.new_robot import new_description as new_description
     from construction_twin.robot.new_robot import robot_name as robot_name
+    from construction_twin.robot.new_robot import robot_of_urdf as robot_of_urdf
     from construction_twin.robot.new_robot import robot_yaml as robot_yaml
     from construction_twin.robot.new_robot import rsi_axes as rsi_axes
     from construction_twin.robot.new_robot import with_home as with_home
