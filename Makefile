@@ -15,7 +15,7 @@ help:
 	@echo "make soak             the whole loop for an hour: memory and late replies per minute; then the console's page for half an hour; ARGS=faults two hours of faults, every promise checked after each"
 	@echo "make screenshots      take the pictures of docs/images again; needs no display; ARGS=\"one marker track two_robots\", ARGS=console"
 	@echo "make setup            only install and build"
-	@echo "make clean            remove the workspace and the venv (.ws)"
+	@echo "make clean            remove the workspace and the venv (.ws), and what pip built here"
 
 setup:
 	@bash setup/setup.sh
@@ -56,4 +56,4 @@ screenshots:
 	@bash -c 'source .ws/env.bash; [ "$$1" = console ] || python tools/screenshots.py "$$@" || exit; case "$$1" in ""|console) exec .ws/browser/bin/python tools/console_pictures.py;; esac' screenshots $(ARGS)
 
 clean:
-	rm -rf .ws
+	rm -rf .ws build src/*.egg-info

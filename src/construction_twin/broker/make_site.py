@@ -19,8 +19,9 @@ from construction_twin.broker.access import ROLES, Site, SiteAccount, access_rul
 from construction_twin.broker.certificates import Authority, expiry, make_folder, run_tool, write_private
 from construction_twin.broker.console_files import ConsoleFiles
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, SiteError
+from construction_twin.core.share import share_file
 
-_TEMPLATES = Path(__file__).resolve().parents[3] / "config/mosquitto"
+_TEMPLATES = share_file("config/mosquitto")
 #: Where `site.json` keeps the names of people, by role.
 _FIELDS = {"tablet": "people"} | {role: f"{role}s" for role in ROLES if role != "tablet"}
 _SERVER = "construction_twin broker"

@@ -3,3 +3,16 @@
 In: requests of browsers, a folder of files, the broker's address. Out: files with their hashes, MQTT bytes in both directions,
 unchanged. It has no rights of its own: who may do what is the broker's decision alone. May import ``core``.
 """
+
+from typing import TYPE_CHECKING
+
+from construction_twin.core.exports import lazy_exports
+
+if TYPE_CHECKING:
+    from construction_twin.console.pipe import BrokerAddress as BrokerAddress
+    from construction_twin.console.pipe import PipeLimits as PipeLimits
+    from construction_twin.console.places import PlaceLimits as PlaceLimits
+    from construction_twin.console.server import ConsoleServer as ConsoleServer
+    from construction_twin.console.server import ServerSettings as ServerSettings
+else:
+    __getattr__, __dir__, __all__ = lazy_exports(__name__)

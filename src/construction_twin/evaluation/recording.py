@@ -1,7 +1,7 @@
 """A recorded run as plain arrays: the input of an evaluation, independent of the file format.
 
 Stamps are int64 nanoseconds, positions float64 rad, columns in the order of `Recording.joint_names`. No ROS here:
-`construction_twin.ros.commands.bag` reads a rosbag into these, a simulation may fill them directly.
+`bag` makes these of a bag's messages, a simulation may fill them directly.
 """
 
 from __future__ import annotations

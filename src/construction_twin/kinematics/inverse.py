@@ -5,10 +5,9 @@ Users of solutions import from here; the classes behind are chosen by the arm's 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
+from construction_twin.core.clock import MONOTONIC, Clock
 from construction_twin.kinematics.axes import joint_axes
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.closed_form import ClosedFormInverse
@@ -24,18 +23,22 @@ __all__ = ["Configuration", "IkSettings", "IkSolution", "InverseKinematics", "in
 
 
 def inverse_kinematics(
-    chain: Chain, settings: IkSettings, rng: np.random.Generator, clock: Callable[[], float]
+    chain: Chain,
+    settings: IkSettings | None = None,
+    rng: np.random.Generator | None = None,
+    clock: Clock = MONOTONIC,
 ) -> InverseKinematics:
     """Return the inverse kinematics that fits an arm.
 
     Parameters
     ----------
     chain : Chain
-    settings : IkSettings
-    rng : numpy Generator
-        Source of the search's starting points.
-    clock : callable
-        Returns the present time [s], e.g. ``time.monotonic``: for the search's budget.
+    settings : IkSettings, optional
+        Default: those of an `IkSettings` without arguments.
+    rng : numpy Generator, optional
+        Source of the search's starting points. Default: one with a fixed seed, so that a program finds the same each time.
+    clock : callable, optional
+        Returns the present time [s]: for the search's budget.
 
     Returns
     -------
@@ -44,6 +47,8 @@ def inverse_kinematics(
         axis (`rail`), seven joints of which one can be held (`redundant`), the search (`numeric`). Its `kind` says why. Not for
         use from several threads at once.
     """
+    settings = settings or IkSettings()
+    rng = rng or np.random.default_rng(0)
     model = find_opw(chain)
     if isinstance(model, OpwModel):
         return ClosedFormInverse(chain, model, settings)

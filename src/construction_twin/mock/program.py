@@ -18,6 +18,7 @@ import pydantic
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.realtime import request_realtime
+from construction_twin.core.share import share_file
 from construction_twin.core.units import from_wire, radians, to_wire
 from construction_twin.core.validation import configuration_error
 from construction_twin.mock.config import MockConfig
@@ -31,8 +32,6 @@ from construction_twin.rsi.ethernet_xml import load_ethernet_xml, read_ethernet_
 from construction_twin.rsi.layout import AxisUnit, RsiLayout
 
 log = logging.getLogger(__name__)
-
-_ROOT = Path(__file__).resolve().parents[3]
 
 _Degrees = list[Annotated[float, pydantic.Field(allow_inf_nan=False)]]
 
@@ -189,10 +188,12 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
         argument_default=argparse.SUPPRESS,
     )
     option = parser.add_argument
-    option("--robot-xacro", type=Path, default=_ROOT / "urdf/kr120r2500.urdf.xacro", help="URDF or xacro [%(default)s]")
+    option(
+        "--robot-xacro", type=Path, default=share_file("urdf/kr120r2500.urdf.xacro"), help="URDF or xacro [%(default)s]"
+    )
     option("--robot-xacro-args", metavar="'NAME=VALUE ...'", help="arguments of the xacro [its defaults]")
-    option("--robot-config", type=Path, default=_ROOT / "config/kr120.yaml", help="robot YAML [%(default)s]")
-    option("--ethernet-xml", type=Path, default=_ROOT / "krl/ethernet/ctwin_ethernet.xml", metavar="FILE",
+    option("--robot-config", type=Path, default=share_file("config/kr120.yaml"), help="robot YAML [%(default)s]")
+    option("--ethernet-xml", type=Path, default=share_file("krl/ethernet/ctwin_ethernet.xml"), metavar="FILE",
            help="the controller's RSI Ethernet XML [%(default)s]")  # fmt: skip
     option("--tool", type=Path, metavar="FILE", help="tool file of the gripper that is simulated [none]")
     option(

@@ -77,7 +77,7 @@ class JointStringCodec:
         self._pattern = re.compile(b",".join(rb"([+-]\d{%d}\.\d{%d})" % (digits, decimals) for digits in self._digits))
 
     @classmethod
-    def of(cls, robot, decimals: int) -> JointStringCodec:
+    def of(cls, robot, decimals: int = 3) -> JointStringCodec:
         """Return the codec for a `RobotModel`'s joints."""
         mapping = [(axis.sign, axis.offset) for axis in robot.axes]
         return cls(len(robot.joint_names), decimals, mapping, [axis.rsi for axis in robot.axes], robot.linear)

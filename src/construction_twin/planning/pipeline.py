@@ -12,11 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from construction_twin.core.clock import MONOTONIC, Clock
 from construction_twin.core.motion_errors import NoSceneError, SceneChangedError, SceneError, WaypointTimesError
-from construction_twin.kinematics.chain import Pose
-from construction_twin.kinematics.inverse import InverseKinematics
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.inverse import InverseKinematics, inverse_kinematics
 from construction_twin.planning.cartesian import plan_cartesian
-from construction_twin.planning.planner import Clock, Planner, PlannerSettings, PlanRequest
+from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
 from construction_twin.planning.recheck import recheck
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.way_back import WAY_BACK, way_back
@@ -30,7 +31,7 @@ from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import Scene
-from construction_twin.scene.self_collision import SelfCollision
+from construction_twin.scene.self_collision import SelfCollision, sample_self_collision
 
 
 class PlanningPipeline:
@@ -43,12 +44,16 @@ class PlanningPipeline:
     Parameters
     ----------
     robot : RobotModel
-    solver : InverseKinematics
-    settings : PlannerSettings
-    self_collision : SelfCollision
-    clock : callable
+    solver : InverseKinematics, optional
+        Default: the one that fits the robot.
+    settings : PlannerSettings, optional
+        Default: the shipped ones.
+    self_collision : SelfCollision, optional
+        Default: found anew by `sample_self_collision`, which takes some seconds; a program keeps it in a file.
+    clock : callable, optional
         Returns seconds from any fixed origin; measures planning time.
-    rng : numpy Generator
+    rng : numpy Generator, optional
+        Default: one with a fixed seed.
     source : str
         Name of the source of scenes, for the message when there is no scene.
     neighbour : callable, optional
@@ -58,20 +63,21 @@ class PlanningPipeline:
     def __init__(
         self,
         robot: RobotModel,
-        solver: InverseKinematics,
-        settings: PlannerSettings,
-        self_collision: SelfCollision,
-        clock: Clock,
-        rng: np.random.Generator,
+        solver: InverseKinematics | None = None,
+        settings: PlannerSettings | None = None,
+        self_collision: SelfCollision | None = None,
+        clock: Clock = MONOTONIC,
+        rng: np.random.Generator | None = None,
         source: str = "scene",
         neighbour: Callable[[], Iterable[Obstacle]] | None = None,
     ):
+        rng = rng or np.random.default_rng(0)
         self._robot = robot
-        self._solver = solver
-        self._settings = settings
-        self._self_collision = self_collision
+        self._solver = solver or inverse_kinematics(Chain(robot), rng=rng, clock=clock)
+        self._settings = settings or PlannerSettings.shipped()
+        self._self_collision = self_collision or sample_self_collision(robot)
         self._clock = clock
-        self._planner = Planner(robot, solver, settings, clock, rng)
+        self._planner = Planner(robot, self._solver, self._settings, clock, rng)
         self._source = source
         self._neighbour = neighbour
         # kinematics, collision worlds and OMPL are not thread-safe
@@ -121,13 +127,17 @@ class PlanningPipeline:
             if not self._scene_changed.wait_for(lambda: self._scene is not None or self._problem is not None, timeout):
                 raise NoSceneError(self._source)
 
-    def to_joints(self, start: JointValues, goal: JointValues, request: PlanRequest) -> Plan:
+    def to_joints(self, start: JointValues, goal: JointValues, request: PlanRequest | None = None) -> Plan:
         """Plan a motion between two joint vectors; see `Planner.plan_to_joints`."""
-        return self._in_scene(lambda world: self._planner.plan_to_joints(start, goal, request, world))
+        asked = request or PlanRequest()
+        return self._in_scene(lambda world: self._planner.plan_to_joints(start, goal, asked, world))
 
-    def to_pose(self, start: JointValues, pose: Pose, request: PlanRequest, configuration: str = "") -> Plan:
+    def to_pose(
+        self, start: JointValues, pose: Pose, request: PlanRequest | None = None, configuration: str = ""
+    ) -> Plan:
         """Plan a motion that brings the tip to a pose; see `Planner.plan_to_pose`."""
-        return self._in_scene(lambda world: self._planner.plan_to_pose(start, pose, request, world, configuration))
+        asked = request or PlanRequest()
+        return self._in_scene(lambda world: self._planner.plan_to_pose(start, pose, asked, world, configuration))
 
     def along(
         self, start: JointValues, waypoints: Sequence[ToolWaypoint], speed: float | None, request: PlanRequest

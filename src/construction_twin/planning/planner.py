@@ -6,14 +6,17 @@ is valid only for the collision world it was made in; callers compare scene hash
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import uuid
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
 import pydantic
+import yaml
 
+from construction_twin.core.clock import Clock
 from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
+from construction_twin.core.share import share_file
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
@@ -26,6 +29,7 @@ from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Plan, PlanReport, content_hash
 from construction_twin.robot.segments import Segment
 from construction_twin.robot.trajectory import Trajectory
+from construction_twin.robot.urdf import read_text
 from construction_twin.scene.collision_world import CollisionWorld
 
 #: How often a path is timed, each time with corners half as wide, before another path is searched.
@@ -37,11 +41,9 @@ TURN = 2.0 * np.pi
 #: Name of the planner in a plan that is a straight line between two joint vectors.
 DIRECT = "direct"
 
-Clock = Callable[[], float]
-
 
 class PlannerSettings(pydantic.BaseModel):
-    """How the planner works. The values, each explained, are in config/planner.yaml; none has a second default here.
+    """How the planner works. The values, each explained, are in config/planner.yaml; none has a second default here: `shipped`.
 
     Attributes
     ----------
@@ -81,6 +83,12 @@ class PlannerSettings(pydantic.BaseModel):
             raise ValueError(f"expected one of {', '.join(path_searches())}")
         return name
 
+    @classmethod
+    def shipped(cls) -> PlannerSettings:
+        """Return the values of config/planner.yaml, which also holds what only the node needs."""
+        values = yaml.safe_load(read_text(share_file("config/planner.yaml")))
+        return cls(**{name: values[name] for name in PlannerSettings.model_fields})
+
     @property
     def bounds(self) -> PlanBounds:
         """The largest plan that is made, of any kind."""
@@ -93,10 +101,10 @@ class PlanRequest:
 
     Attributes
     ----------
-    plan_id : str
-        Unique id of the plan to be made.
-    created_ns : int
-        Time of the request [ns, ROS time].
+    plan_id : str, optional
+        Unique id of the plan to be made. Default: a new one.
+    created_ns : int, optional
+        Time of the request [ns, ROS time]. Default: 0, it is not told.
     source : str
         Name of the requester, for the reviewer.
     duration : float, optional
@@ -109,8 +117,8 @@ class PlanRequest:
         None: the default of `timing.time_path`.
     """
 
-    plan_id: str
-    created_ns: int
+    plan_id: str = field(default_factory=lambda: str(uuid.uuid4()))
+    created_ns: int = 0
     source: str = "request"
     duration: float | None = None
     speed_scale: float | None = None

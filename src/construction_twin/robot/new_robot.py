@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from urdf_parser_py.urdf import URDF, Joint
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.robot.description import ESTIMATES
-from construction_twin.robot.urdf import chain_joints, parse_urdf
+from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
+from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, xacro_arguments
 
 #: What is an estimate in every file that is written here; `RANGES` as well, where the URDF has a joint without a range.
 ESTIMATED = ("accelerations", "jerks", "axes", "couplings")
@@ -101,6 +102,32 @@ def new_description(urdf: str, name: str, base_link: str, tip_link: str, full_sp
         "estimates": [word for word in ESTIMATES if word in ESTIMATED or (endless and word == RANGES)],
         "joints": {joint.name: _joint(joint, axis, full_speed_in) for joint, axis in zip(joints, axes)},
     }
+
+
+def robot_of_urdf(
+    path: str | Path, base_link: str = "", tip_link: str = "", full_speed_in: float = 1.0, xacro_args: str = ""
+) -> RobotModel:
+    """Build a robot from a URDF alone; `RobotModel.estimates` says what of it is an estimate.
+
+    Parameters
+    ----------
+    path : str or Path
+        A URDF, or a xacro, which is expanded.
+    base_link, tip_link : str, optional
+        Ends of its chain, as of `find_ends`.
+    full_speed_in : float, optional
+        As of `new_description` [s].
+    xacro_args : str, optional
+        Arguments of the xacro, see `urdf.xacro_arguments`.
+
+    Raises
+    ------
+    ConfigurationError
+        As `find_ends` and `new_description`; also for a file that cannot be read.
+    """
+    urdf = expand_xacro(path, xacro_arguments(xacro_args))
+    base_link, tip_link = find_ends(urdf, base_link, tip_link)
+    return load_robot(urdf, new_description(urdf, robot_name(urdf), base_link, tip_link, full_speed_in))
 
 
 def rsi_axes(linear: Sequence[bool]) -> list[str]:

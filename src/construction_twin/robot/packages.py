@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import rospkg
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.share import NAME, share_folder
 
 
 class Packages:
@@ -38,6 +39,9 @@ class Packages:
         try:
             return Path(self._rospack.get_path(name))
         except rospkg.ResourceNotFound as error:
+            if name == NAME:
+                # installed by pip: no folder of ROS_PACKAGE_PATH holds it
+                return share_folder()
             searched = os.pathsep.join(error.ros_paths or ()) or "which names no folder"
             raise ConfigurationError(
                 where,

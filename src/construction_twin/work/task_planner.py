@@ -16,6 +16,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from construction_twin.core.clock import Clock
 from construction_twin.core.motion_errors import KinematicsError, PlanningError, SceneError, UnreachableError
 from construction_twin.core.units import CYCLE
 from construction_twin.core.work_errors import TaskPlanningError
@@ -23,7 +24,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import InverseKinematics
 from construction_twin.planning.cartesian import plan_cartesian
 from construction_twin.planning.limit_usage import cycle_times
-from construction_twin.planning.planner import Clock, Planner, PlannerSettings, PlanRequest
+from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
 from construction_twin.planning.recheck import check_free, check_limits
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.robot.description import JointValues, RobotModel

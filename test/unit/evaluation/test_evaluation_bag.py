@@ -19,14 +19,17 @@ from std_msgs.msg import Header, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import ConstructionTwinError, EvaluationError
+from construction_twin.evaluation import pure_bag
 from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.waypoint_file import parse_waypoints
 from construction_twin.planning.waypoints import plan_waypoints
-from construction_twin.ros.commands.bag import read_recording
+from construction_twin.ros.commands import bag as ros_bag
 from construction_twin.ros.commands.evaluate import main
 from construction_twin.ros.messages.convert import plan_to_msg
 
+#: ROS's reader, and the one that needs no ROS: what holds for one holds for the other.
+READERS = {"rosbag": ros_bag.read_recording, "rosbags": pure_bag.read_recording}
 STATUS = {"state": "running", "counters": {}, "config": {"servo": "realistic"}}
 
 
@@ -69,6 +72,11 @@ def write_robot(bag, recording, namespace="/kr120", physical_names=JOINTS):
     write_joints(bag, f"{namespace}/physical/joint_states", recording.physical, physical_names)
 
 
+@pytest.fixture(params=READERS)
+def read_recording(request):
+    return READERS[request.param]
+
+
 @pytest.fixture(scope="module")
 def recording():
     return run(duration=3.0, decimals=3, links=[link(0.5, 1), link(5.5, 2, lost=4, counts=(9, 8, 7, 6))])
@@ -83,7 +91,7 @@ def full_bag(recording, tmp_path_factory):
     return path
 
 
-def test_everything_written_is_read_back_unchanged(recording, full_bag):
+def test_everything_written_is_read_back_unchanged(read_recording, recording, full_bag):
     read = read_recording(full_bag)
     assert (read.robot, read.joint_names) == ("/kr120", JOINTS)
     for name in ("twin", "physical", "command", "feedback"):
@@ -93,14 +101,20 @@ def test_everything_written_is_read_back_unchanged(recording, full_bag):
     assert read.links == recording.links and read.mock == STATUS
 
 
-def test_bag_gives_the_same_figures_as_the_run_itself(recording, full_bag):
+def test_both_readers_read_the_same(full_bag):
+    first, second = (read(full_bag) for read in READERS.values())
+    assert summarise(evaluate(first)) == summarise(evaluate(second))
+    assert first.changes == second.changes and first.links == second.links and first.plans == second.plans
+
+
+def test_bag_gives_the_same_figures_as_the_run_itself(read_recording, recording, full_bag):
     expected = summarise(evaluate(recording))
     expected |= {"servo": "realistic", "mock": {"servo": "realistic"}}
     assert summarise(evaluate(read_recording(full_bag))) == expected
     assert expected["lag_s"] == pytest.approx(0.012, abs=1e-9)
 
 
-def test_bag_of_the_two_joint_topics_is_enough_for_instant(recording, tmp_path):
+def test_bag_of_the_two_joint_topics_is_enough_for_instant(read_recording, recording, tmp_path):
     with rosbag.Bag(str(tmp_path / "user.bag"), "w") as bag:
         write_robot(bag, recording, "/cell/kr120")
     read = read_recording(tmp_path / "user.bag")
@@ -109,7 +123,7 @@ def test_bag_of_the_two_joint_topics_is_enough_for_instant(recording, tmp_path):
     assert tables["by_command"] is None and tables["lag_removed"] is None and set(tables["instant"]) == set(JOINTS)
 
 
-def test_physical_joints_in_another_order_and_fewer_are_matched_by_name(recording, tmp_path):
+def test_physical_joints_in_another_order_and_fewer_are_matched_by_name(read_recording, recording, tmp_path):
     with rosbag.Bag(str(tmp_path / "subset.bag"), "w") as bag:
         write_robot(bag, recording, physical_names=("joint_a4", "joint_a2"))
     read = read_recording(tmp_path / "subset.bag")
@@ -117,7 +131,7 @@ def test_physical_joints_in_another_order_and_fewer_are_matched_by_name(recordin
     np.testing.assert_array_equal(read.physical.positions, recording.physical.positions[:, [1, 3]])
 
 
-def test_two_robots_need_a_choice(recording, tmp_path):
+def test_two_robots_need_a_choice(read_recording, recording, tmp_path):
     path = tmp_path / "two.bag"
     with rosbag.Bag(str(path), "w") as bag:
         write_robot(bag, recording, "/left")
@@ -135,7 +149,7 @@ def write_bag(path, topic=None, message=None):
             bag.write(topic, message, at(BASE))
 
 
-def test_bags_that_cannot_be_used_say_why(tmp_path):
+def test_bags_that_cannot_be_used_say_why(read_recording, tmp_path):
     path = tmp_path / "x.bag"
     with pytest.raises(EvaluationError, match="cannot be read as a rosbag"):
         read_recording(path)
@@ -153,7 +167,7 @@ def test_bags_that_cannot_be_used_say_why(tmp_path):
         read_recording(path)
 
 
-def test_inconsistent_messages_say_so(tmp_path):
+def test_inconsistent_messages_say_so(read_recording, tmp_path):
     good = JointState(name=["j"], position=[0.0])
     foreign, empty = JointState(name=["k"], position=[0.0]), JointState(name=["j"])
     for bad, sentence in ((foreign, "lacks j"), (empty, "0 positions for 1")):
@@ -165,7 +179,7 @@ def test_inconsistent_messages_say_so(tmp_path):
             read_recording(tmp_path / "x.bag")
 
 
-def test_a_foreign_topic_that_is_not_needed_is_no_obstacle(recording, tmp_path, generated):
+def test_a_foreign_topic_that_is_not_needed_is_no_obstacle(read_recording, recording, tmp_path, generated):
     path = tmp_path / "chatter.bag"
     with rosbag.Bag(str(path), "w") as bag:
         write_robot(bag, recording)
@@ -174,7 +188,7 @@ def test_a_foreign_topic_that_is_not_needed_is_no_obstacle(recording, tmp_path, 
     assert not generated
 
 
-def test_bag_that_was_not_closed_names_the_remedy(full_bag, tmp_path):
+def test_bag_that_was_not_closed_names_the_remedy(read_recording, full_bag, tmp_path):
     cut = tmp_path / "cut.bag.active"
     bag = rosbag.Bag(str(cut), "w")
     bag.write("/a/twin/joint_states", JointState(), at(BASE))
@@ -251,7 +265,7 @@ def generated(monkeypatch):
     return seen
 
 
-def test_a_bag_s_own_definitions_are_never_run(recording, tmp_path, generated):
+def test_a_bag_s_own_definitions_are_never_run(read_recording, recording, tmp_path, generated):
     hostile = with_definition(JointState, HOSTILE)
     with rosbag.Bag(str(tmp_path / "x.bag"), "w") as bag:
         for topic in ("twin", "physical"):
@@ -264,7 +278,7 @@ def test_a_bag_s_own_definitions_are_never_run(recording, tmp_path, generated):
     assert read.twin.positions.ravel().tolist() == [0.0, 1.0, 2.0] and not generated
 
 
-def test_another_definition_of_a_known_type_is_refused_in_one_sentence(tmp_path, generated):
+def test_another_definition_of_a_known_type_is_refused_in_one_sentence(read_recording, tmp_path, generated):
     other = with_definition(JointState, "float64[] position\n", "1" * 32)
     with rosbag.Bag(str(tmp_path / "x.bag"), "w") as bag:
         for topic in ("twin", "physical"):
@@ -276,7 +290,7 @@ def test_another_definition_of_a_known_type_is_refused_in_one_sentence(tmp_path,
     assert not generated
 
 
-def test_a_second_connection_of_a_topic_cannot_bring_another_type(recording, tmp_path, generated):
+def test_a_second_connection_of_a_topic_cannot_bring_another_type(read_recording, recording, tmp_path, generated):
     with rosbag.Bag(str(tmp_path / "x.bag"), "w") as bag:
         bag.write("/a/twin/joint_states", with_definition(String, HOSTILE)("x"), at(BASE))
         write_robot(bag, recording, "/a")
@@ -286,6 +300,7 @@ def test_a_second_connection_of_a_topic_cannot_bring_another_type(recording, tmp
 
 
 def test_rosbag_s_own_reader_is_back_after_reading(full_bag):
+    read_recording = READERS["rosbag"]
     before = rosbag.bag._get_message_type
     read_recording(full_bag)
     with pytest.raises(EvaluationError):
@@ -311,7 +326,7 @@ def test_a_file_that_is_no_bag_is_one_sentence(tmp_path, capsys, contents):
 
 
 @pytest.mark.parametrize("seed", range(200))
-def test_a_damaged_bag_is_read_or_refused(tmp_path, seed):
+def test_a_damaged_bag_is_read_or_refused(read_recording, tmp_path, seed):
     """A byte of it changed: what still can be read is read, and nothing but a typed error comes out."""
     file = tmp_path / "damaged.bag"
     with rosbag.Bag(str(file), "w") as bag:

@@ -7,6 +7,7 @@ import threading
 import numpy as np
 import pytest
 import rospy
+import yaml
 from construction_twin.msg import CartesianWaypoint
 from construction_twin.srv import PlanFromCsvRequest, PlanToJointsRequest
 from geometry_msgs.msg import Point, Quaternion
@@ -24,6 +25,7 @@ from construction_twin.core.motion_errors import (
     WaypointsError,
     WaypointTimesError,
 )
+from construction_twin.core.share import share_file
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
@@ -48,6 +50,18 @@ def pipeline(scene: Scene | None = EMPTY, clock=None, **changes) -> PlanningPipe
     if scene is not None:
         made.set_scene(scene)
     return made
+
+
+def test_what_is_not_given_is_as_shipped_and_the_same_each_time():
+    values = yaml.safe_load(share_file("config/planner.yaml").read_text())
+    assert PlannerSettings.shipped().model_dump().items() <= values.items()
+    plans = []
+    for _ in range(2):
+        plain = PlanningPipeline(ROBOT, self_collision=SELF_COLLISION)
+        plain.set_scene(Scene((WALL,)))
+        plans.append(plain.to_joints(RIGHT, LEFT))
+    assert plans[0].hash == plans[1].hash and plans[0].id != plans[1].id
+    assert plans[0].created_ns == 0
 
 
 def test_without_a_scene_nothing_is_planned():

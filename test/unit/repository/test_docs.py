@@ -365,11 +365,39 @@ def test_a_folder_says_itself_what_it_may_import(folder):
 
 
 @pytest.mark.parametrize("file", sorted(PACKAGE.rglob("__init__.py")), ids=relative)
-def test_a_folder_s_init_holds_its_paragraph_and_nothing_else(file):
+def test_a_folder_s_init_holds_its_paragraph_and_its_exports_and_nothing_else(file):
     code = ast.parse(file.read_text())
-    assert len(code.body) == 1
     paragraph = " ".join((ast.get_docstring(code) or "").split())
     assert file.parent == PACKAGE or all(word in paragraph for word in ("In:", "Out:", "ay import"))
+    if len(code.body) == 1:
+        return
+    folder = ".".join(("construction_twin", *file.parent.relative_to(PACKAGE).parts))
+    *imports, names = code.body[1:]
+    assert [ast.unparse(line) for line in imports] == [
+        "from typing import TYPE_CHECKING",
+        "from construction_twin.core.exports import lazy_exports",
+    ]
+    assert isinstance(names, ast.If) and ast.unparse(names.test) == "TYPE_CHECKING"
+    assert list(map(ast.unparse, names.orelse)) == ["__getattr__, __dir__, __all__ = lazy_exports(__name__)"]
+    for line in names.body:
+        # from the folder's own modules, each under its own name
+        assert isinstance(line, ast.ImportFrom) and (line.module or "").rpartition(".")[0] == folder
+        assert all(alias.asname == alias.name for alias in line.names)
+
+
+@pytest.mark.parametrize("folder", [folder for folder in folder_table()])
+def test_inside_the_package_names_come_from_their_modules(folder):
+    """An import from a folder's `__init__` would hide which module needs which, and load it late."""
+    folders = {
+        ".".join(("construction_twin", *f.parent.relative_to(PACKAGE).parts)) for f in PACKAGE.rglob("__init__.py")
+    }
+    for file in sorted((PACKAGE / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module in folders:
+                modules = {path.stem for path in (PACKAGE.parent / node.module.replace(".", "/")).iterdir()}
+                assert {alias.name for alias in node.names} <= modules | {"msg", "srv"}, (
+                    f"{relative(file)}: {node.module}"
+                )
 
 
 # -- what documents name

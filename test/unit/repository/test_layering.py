@@ -47,7 +47,8 @@ THIRD_PARTY = {
     "mpl_toolkits", "coal", "pinocchio", "eaik", "py_opw_kinematics", "manifold3d", "ifcopenshell", "isodate",
     "rospkg", "shtab",
 }  # fmt: skip
-#: What `setup/setup.sh work` and `console` install, and the only folder or file that may need it: everything else must run without.
+#: The only folder or file that may need a package that is not everywhere: `setup/setup.sh work` and `console` install it, or ROS
+#: has something of its own in its place (rosbags). Everything else must run without.
 OPTIONAL = {
     "segno": "broker/console_files.py",
     "ifcopenshell": "work/ifc",
@@ -55,6 +56,7 @@ OPTIONAL = {
     "coacd": "work",
     "shapely": "work",
     "websockets": "console",
+    "rosbags": "evaluation/pure_bag.py",
 }
 GENERATED = {"msg", "srv", "action"}
 #: Given in the launch files: deployment, not behaviour.
@@ -340,6 +342,7 @@ def test_rviz_begins_at_the_robot_s_home():
 CLOCK = {"time", "monotonic", "perf_counter", "process_time", "clock_gettime", "sleep"}
 #: Modules of the library whose job a clock is, beside those of programs that serve a socket: why.
 CLOCKS = {
+    "core/clock.py": "what searches and plans are measured with where the caller gives no clock",
     "scene/pair_sampling.py": "a bar for who waits",
     "views/ik_report.py": "how long a solution takes",
     "work/tasks.py": "a budget for the search",

@@ -13,9 +13,11 @@ import yaml
 from foreign_packages import BOXES, JOINTS, lay_out, robot_yaml
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.share import share_file
 from construction_twin.kinematics.chain import Chain
 from construction_twin.mock import program as mock_program
 from construction_twin.robot.description import read_robot_files
+from construction_twin.robot.packages import Packages
 from construction_twin.robot.urdf import expand_xacro, xacro_arguments
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld, Contact
@@ -69,6 +71,14 @@ def test_a_package_that_is_not_there_is_named_with_the_file_that_asks_and_where_
     assert error.where == f"{xacro.with_name('kr210l150_macro.xacro')} $(find kuka_resources)"
     assert error.value == "no ROS package 'kuka_resources'"
     assert str(tmp_path / "src") in error.expected and "source the workspace that holds it" in error.expected
+
+
+def test_this_package_is_found_without_ros_too(monkeypatch):
+    monkeypatch.setenv("ROS_PACKAGE_PATH", "")
+    uri = "package://construction_twin/urdf/kr120r2500.urdf.xacro"
+    assert Packages().file(uri, "x") == share_file("urdf/kr120r2500.urdf.xacro")
+    with pytest.raises(ConfigurationError, match="no ROS package 'nowhere'"):
+        Packages().folder("nowhere", "x")
 
 
 def test_a_broken_manifest_on_the_way_is_a_sentence(xacro, tmp_path):

@@ -13,6 +13,7 @@ from construction_twin.robot.new_robot import (
     find_ends,
     new_description,
     robot_name,
+    robot_of_urdf,
     robot_yaml,
     rsi_axes,
     with_home,
@@ -85,6 +86,17 @@ def test_what_is_written_is_read_back_with_its_estimates():
     assert robot.acceleration == pytest.approx([speed / 2 for speed in robot.velocity], rel=0.005)
     assert robot.estimates == ESTIMATED
     assert "#   rosrun construction_twin new_arm /my.urdf\n" in text and "full speed within 2 s" in text
+
+
+def test_a_urdf_alone_makes_a_robot_with_estimates(tmp_path):
+    (tmp_path / "arm.urdf").write_text(ur_like().urdf)
+    robot = robot_of_urdf(tmp_path / "arm.urdf")
+    description = new_description(robot.urdf, robot_name(robot.urdf), *find_ends(robot.urdf), 1.0)
+    assert robot == load_robot(robot.urdf, description)
+    assert (robot.joint_names, robot.velocity) == (ur_like().joint_names, ur_like().velocity)
+    assert "accelerations" in robot.estimates
+    with pytest.raises(ConfigurationError, match="--tip"):
+        robot_of_urdf(tmp_path / "arm.urdf", tip_link="nowhere")
 
 
 def test_estimates_are_words_that_mean_something():

@@ -17,6 +17,7 @@ import rosbag
 import rosbag.bag
 
 from construction_twin.core.errors import EvaluationError
+from construction_twin.evaluation.bag import check_definition
 
 #: rosbag's function from a connection to its message class is one per process.
 _LOCK = threading.Lock()
@@ -80,12 +81,5 @@ def known_class(known: dict[str, type[genpy.Message]], topic: str, name: str, md
     EvaluationError
         If the type is not among them, or its definition is another one.
     """
-    if name not in known:
-        raise EvaluationError(f"{topic} in the bag is a {name}; expected one of {', '.join(sorted(known))}")
-    kind = known[name]
-    if md5 != kind._md5sum:
-        raise EvaluationError(
-            f"{topic} in the bag was recorded with another definition of {name} (md5 {md5}, installed is {kind._md5sum}); "
-            "evaluate it with the version of the package that recorded it"
-        )
-    return kind
+    check_definition({each: kind._md5sum for each, kind in known.items()}, topic, name, md5)
+    return known[name]

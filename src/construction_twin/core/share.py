@@ -1,0 +1,33 @@
+"""Where the files lie that belong to the package and are no modules: ``config``, ``krl``, ``models``, ``msg``, ``urdf``.
+
+In a checkout that is its root, after ``pip install`` and in a catkin install space ``share/construction_twin``. Standard library
+only, and no ROS: which one is found does not depend on ROS_PACKAGE_PATH. Reads none of the files.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+#: The package, whose name its folder below ``share`` has.
+NAME = "construction_twin"
+
+
+def share_file(path: str) -> Path:
+    """Return where a file or folder of the package is.
+
+    Parameters
+    ----------
+    path : str
+        As in the repository: ``config/kr120.yaml``. Whether it is there, whoever reads it finds out.
+    """
+    return share_folder() / path
+
+
+@cache
+def share_folder() -> Path:
+    """Return the folder that holds them; in a copy of the modules alone, the one that would."""
+    here = Path(__file__).resolve()
+    checkout = here.parents[3]
+    places = (checkout, *(above / "share" / NAME for above in here.parents))
+    return next((place for place in places if (place / "package.xml").is_file()), checkout)

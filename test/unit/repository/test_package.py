@@ -1,0 +1,131 @@
+"""What `pip install` and catkin read: pyproject.toml, setup.py, package.xml."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from email.parser import Parser
+from importlib.metadata import packages_distributions
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import tomllib
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[3]
+PACKAGE = ROOT / "src/construction_twin"
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+# fmt: off
+#: What each extra is for; where an extra contains another, the folders of both.
+FOLDERS = {
+    "gateway": {"core", "mqtt", "rsi", "gateway", "link"},
+    "evaluation": {"core", "robot", "kinematics", "evaluation"},
+    "planning": {
+        "scene", "planning", "coordination", "review", "twin", "monitor", "execution", "mock", "scenario", "views",
+    },
+    "work": {"work"},
+    "console": {"console", "broker"},
+}
+# fmt: on
+#: No wheel exists: docs/library.md says where it comes from.
+DEBIAN = {"PyKDL"}
+#: The distribution of a module that no metadata of an installation name.
+BROUGHT_BY = {"pinocchio": ["pin"], "mpl_toolkits": ["matplotlib"]}
+
+
+def requirements(extra: str) -> dict[str, Requirement]:
+    """Return what an extra asks for, with that of the extras that it contains, by name."""
+    found: dict[str, Requirement] = {}
+    for line in PROJECT["optional-dependencies"][extra]:
+        requirement = Requirement(line)
+        if requirement.name == PROJECT["name"]:
+            for inner in requirement.extras:
+                found |= requirements(inner)
+        else:
+            found[canonicalize_name(requirement.name)] = requirement
+    return found
+
+
+def pinned() -> dict[str, str]:
+    """Return the versions of this project's own venv."""
+    lines = [line for file in (ROOT / "setup").glob("requirements*.txt") for line in file.read_text().splitlines()]
+    return {
+        canonicalize_name(name): version for name, version in re.findall(r"^([\w.-]+)==(\S+)$", "\n".join(lines), re.M)
+    }
+
+
+def imported(folder: str) -> set[str]:
+    """Return the packages outside of the standard library that the modules of a folder import."""
+    found = set()
+    for file in (PACKAGE / folder).rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            found |= {name.partition(".")[0] for name in names}
+    return found - sys.stdlib_module_names - {"construction_twin"} - DEBIAN
+
+
+@pytest.mark.parametrize("extra", FOLDERS)
+def test_an_extra_brings_what_its_folders_import(extra):
+    packages = packages_distributions() | BROUGHT_BY
+    brought = set(requirements(extra))
+    needed = set().union(*map(imported, FOLDERS[extra]))
+    assert [
+        name for name in sorted(needed) if brought.isdisjoint(map(canonicalize_name, packages.get(name, [name])))
+    ] == []
+
+
+def test_every_folder_without_ros_is_one_of_an_extra_s():
+    folders = {file.parent.name for file in PACKAGE.glob("*/__init__.py")} - {"ros"}
+    assert set().union(*FOLDERS.values()) == folders
+
+
+def test_without_an_extra_nothing_is_installed():
+    assert PROJECT["dependencies"] == []
+
+
+@pytest.mark.parametrize("extra", PROJECT["optional-dependencies"])
+def test_what_an_extra_allows_is_what_the_tests_run_with(extra):
+    versions = pinned()
+    for name, requirement in requirements(extra).items():
+        # these two come from Debian here
+        if name not in ("pyyaml", "rospkg"):
+            assert requirement.specifier.contains(versions[name]), f"{requirement} and {versions[name]}"
+
+
+@pytest.fixture(scope="module")
+def metadata(tmp_path_factory) -> Path:
+    """The folder with what setuptools says of the package."""
+    folder = tmp_path_factory.mktemp("egg")
+    subprocess.run(
+        ["/usr/bin/python3", "setup.py", "-q", "egg_info", "--egg-base", str(folder)],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+    )
+    return folder / "construction_twin.egg-info"
+
+
+def test_the_version_is_that_of_package_xml(metadata):
+    said = Parser().parsestr((metadata / "PKG-INFO").read_text())
+    assert said["Version"] == ElementTree.parse(ROOT / "package.xml").findtext("version")
+    assert {"planning", "work", "gateway"} <= set(said.get_all("Provides-Extra"))
+
+
+def test_every_module_and_every_shared_file_is_installed(metadata):
+    listed = set((metadata / "SOURCES.txt").read_text().splitlines())
+    modules = {str(file.relative_to(ROOT)) for file in PACKAGE.rglob("*.py")}
+    assert sorted(modules - listed) == []
+    assert "src/construction_twin/py.typed" in listed
+    asked = {
+        name
+        for file in (*PACKAGE.rglob("*.py"), ROOT / "docs/library.md")
+        for name in re.findall(r"share_file\(\"([^\"]+)\"\)", file.read_text())
+    }
+    assert len(asked) > 5
+    for name in asked:
+        assert name in listed or any(each.startswith(f"{name}/") for each in listed), name
