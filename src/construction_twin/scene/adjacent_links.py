@@ -3,8 +3,8 @@
 A joint holds two links: the nearest ones with a shape on its two sides. What else is fixed to them, such as a gripper behind a
 flange or a carriage below a pedestal, is not held by it.
 
-A joint and the mimic joints that follow it are a linkage that the URDF, a tree, cannot close: the piston of a counterbalance hangs on
-the arm that it carries, and there their shapes overlap. So the links that they hold are all held together.
+A joint and the mimic joints that follow it are a linkage that the URDF, a tree, cannot close: the piston of a counterbalance hangs
+on the arm that it carries, and there their shapes overlap. So the links that they hold are all held together.
 """
 
 from __future__ import annotations

@@ -442,7 +442,9 @@ def test_and_so_is_a_name_of_this_machine_that_is(monkeypatch):
         monkeypatch.delenv(variable, raising=False)
     own = rosgraph.network.get_host_name()
     only_ipv6(monkeypatch, own)
-    assert preflight.address_problem(os.environ).startswith(f"this machine's name {own!r}: it has an address of IPv6 alone")
+    assert preflight.address_problem(os.environ).startswith(
+        f"this machine's name {own!r}: it has an address of IPv6 alone"
+    )
 
 
 def test_a_machine_that_does_not_know_its_own_name_is_refused(monkeypatch):
