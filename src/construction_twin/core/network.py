@@ -39,7 +39,7 @@ def port_is_free(kind: socket.SocketKind, port: int, host: str = "127.0.0.1") ->
 
 
 def reaches_itself(host: str, timeout: float) -> str:
-    """Return why no program of this machine is reached by an IPv4 address or name; empty when one is.
+    """Return why no program of this machine that listens by IPv4 is reached by an address or name; empty when one is.
 
     Parameters
     ----------
@@ -55,11 +55,16 @@ def reaches_itself(host: str, timeout: float) -> str:
             found = socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_STREAM)
         except (OSError, UnicodeError) as error:
             return f"it has no IPv4 address ({getattr(error, 'strerror', None) or error})"
-        address = str(found[0][4][0])
+        address, port = str(found[0][4][0]), server.getsockname()[1]
         try:
-            socket.create_connection((address, server.getsockname()[1]), timeout).close()
+            socket.create_connection((address, port), timeout).close()
         except OSError as error:
             return f"nothing of this machine answers at {address} ({error.strerror or error})"
+        try:
+            # by the name, as HTTP does: where /etc/hosts has `::1` alone, who asks for IPv4 still gets 127.0.0.1, HTTP only ::1
+            socket.create_connection((host, port), timeout).close()
+        except OSError as error:
+            return f"it has an address of IPv6 alone, at which no program of ROS listens ({error.strerror or error})"
     return ""
 
 

@@ -33,7 +33,7 @@ _HEADER = """\
 #   rosrun construction_twin self_collision <urdf or xacro> <robot.yaml> <this file>
 # from {samples} random poses within the joint ranges (seed {seed}); run it again when a collision shape, a joint or a range
 # of the robot changes.
-#   adjacent: joined by one joint, or by two joints with one origin
+#   adjacent: joined by one joint, or by two joints with one origin{followers}
 #   always: in contact in every sample: the check would say nothing
 #   never: in no sample closer than {near_mm:g} mm
 """
@@ -143,7 +143,12 @@ def _link_pairs(bodies: RobotBodies) -> tuple[list[tuple[str, str]], list[tuple[
 def self_collision_yaml(robot: RobotModel, found: SelfCollision, samples: int, seed: int) -> str:
     """Return the text of the file: the same to the byte for the same robot, samples and seed."""
     lines = [
-        _HEADER.format(samples=samples, seed=seed, near_mm=NEAR * 1e3),
+        _HEADER.format(
+            samples=samples,
+            seed=seed,
+            near_mm=NEAR * 1e3,
+            followers=", or by a joint and those that follow it" if _has_followers(robot) else "",
+        ),
         f"robot: {robot.name}",
         "# SHA-256 of the shapes, joints and ranges these pairs were found with",
         f"geometry: {found.geometry_hash}",
@@ -153,6 +158,10 @@ def self_collision_yaml(robot: RobotModel, found: SelfCollision, samples: int, s
     ]
     rows = sorted((*sorted(pair), reason) for pair, reason in found.ignored.items())
     return "\n".join([*lines, *(f"  - [{first}, {second}, {reason}]" for first, second, reason in rows), ""])
+
+
+def _has_followers(robot: RobotModel) -> bool:
+    return any(joint.following is not None for joint in robot.other_joints)
 
 
 def load_self_collision(description: Mapping, bodies: RobotBodies, where: str) -> SelfCollision:

@@ -319,7 +319,10 @@ def _finite(text: str) -> float:
         raise argparse.ArgumentTypeError(
             f"{text!r} holds a comma: write decimals with a point, and separate numbers by spaces"
         )
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number") from error
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r} is no finite number")
     return value

@@ -428,6 +428,38 @@ def test_a_localhost_without_ipv4_is_refused(monkeypatch):
     assert preflight.address_problem(os.environ) == ""
 
 
+def only_ipv6(monkeypatch, name: str):
+    """Resolve a name as glibc does where /etc/hosts has `::1` for it, and nothing else."""
+    ask = socket.getaddrinfo
+
+    def answer(host, port, family=0, *arguments, **named):
+        if host == name and family == socket.AF_UNSPEC:
+            return ask("::1", port, family, *arguments, **named)
+        # whoever asks for IPv4 gets the loopback of IPv4 for the one of IPv6
+        return ask("127.0.0.1" if host == name else host, port, family, *arguments, **named)
+
+    monkeypatch.setattr(socket, "getaddrinfo", answer)
+
+
+def test_a_localhost_that_is_the_loopback_of_ipv6_alone_is_refused(monkeypatch):
+    monkeypatch.setenv("ROS_MASTER_URI", "http://localhost:11311")
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
+    only_ipv6(monkeypatch, "localhost")
+    said = preflight.address_problem(os.environ)
+    assert said.startswith("localhost: it has an address of IPv6 alone, at which no program of ROS listens (")
+    assert said.endswith("; write the line `127.0.0.1 localhost` into /etc/hosts")
+
+
+def test_and_so_is_a_name_of_this_machine_that_is(monkeypatch):
+    for variable in ("ROS_IP", "ROS_HOSTNAME"):
+        monkeypatch.delenv(variable, raising=False)
+    own = rosgraph.network.get_host_name()
+    only_ipv6(monkeypatch, own)
+    assert preflight.address_problem(os.environ).startswith(
+        f"this machine's name {own!r}: it has an address of IPv6 alone"
+    )
+
+
 def test_a_machine_that_does_not_know_its_own_name_is_refused(monkeypatch):
     for variable in ("ROS_IP", "ROS_HOSTNAME"):
         monkeypatch.delenv(variable, raising=False)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from scene_samples import kr120, track7, ur_like
+from scene_samples import ROOT, kr120, track7, ur_like
 
 from construction_twin.robot.description import RobotModel, load_robot
+from construction_twin.robot.new_robot import new_description
 from construction_twin.scene.adjacent_links import adjacent_links
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld, Contact
@@ -74,3 +75,27 @@ def test_a_bracket_that_comes_back_is_a_contact():
 )  # fmt: skip
 def test_of_known_arms(robot, expected):
     assert names(robot()) == expected
+
+
+def balanced(piston_on: str = "lower_arm") -> RobotModel:
+    """Return an arm whose shoulder a cylinder on the column and a piston follow."""
+    urdf = (ROOT / "test/data/balanced_like.urdf").read_text()
+    head, joint, tail = urdf.partition('<joint name="balance_piston"')
+    urdf = head + joint + tail.replace('<parent link="lower_arm"/>', f'<parent link="{piston_on}"/>', 1)
+    return load_robot(urdf, new_description(urdf, "balanced", "base_link", "tool0", 1.0))
+
+
+def test_a_joint_and_those_that_follow_it_hold_what_is_on_them_together():
+    """The cylinder and the arm, the column and the piston: the shoulder alone moves them against each other."""
+    linkage = {("column", "cylinder"), ("column", "lower_arm"), ("column", "piston"), ("cylinder", "lower_arm")}
+    linkage |= {("cylinder", "piston"), ("lower_arm", "piston")}
+    found = names(balanced())
+    assert linkage <= found
+    assert {pair for pair in found - linkage if {"cylinder", "piston"} & set(pair)} == set()
+
+
+def test_what_another_joint_moves_too_is_not_held_by_the_linkage():
+    # a piston on the upper arm comes near the column with shoulder and elbow
+    found = names(balanced(piston_on="upper_arm"))
+    assert {pair for pair in found if "piston" in pair} == {("piston", "upper_arm")}
+    assert ("cylinder", "lower_arm") in found

@@ -338,3 +338,11 @@ def test_a_decimal_comma_is_refused_and_not_taken_for_two_values(capsys):
         with pytest.raises(SystemExit):
             parsed(f"plan --joints {words}")
         assert "'30,5' holds a comma: write decimals with a point" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", ["plan --joints 30;-75;70", "plan --pose far 0 0 0 0 0", "home --duration soon"])
+def test_what_is_no_number_is_named_in_words_for_people(words, capsys):
+    with pytest.raises(SystemExit) as ending:
+        parsed(words)
+    assert ending.value.code == Exit.USAGE
+    assert capsys.readouterr().err.rstrip().endswith("' is no number")
