@@ -19,7 +19,6 @@ import signal
 import sys
 import tempfile
 import time
-import tomllib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -27,6 +26,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from queue import SimpleQueue
 from xml.etree import ElementTree
+
+import tomllib
 
 ROOT = Path(__file__).resolve().parent.parent
 LIST = ROOT / "scripts" / "mutations.toml"
@@ -37,7 +38,17 @@ TIME_LIMIT = 60.0
 LEFT_OUT = shutil.ignore_patterns(".git", ".ws", "results", "node_modules")
 #: Processes for tests, forked from one that has imported what takes long: a test of a few lines then takes as long as it takes.
 FORKS = multiprocessing.get_context("forkserver")
-LIBRARIES = ["pytest", "hypothesis", "numpy", "scipy.spatial", "pydantic", "yaml", "paho.mqtt.client", "pinocchio", "rospy"]
+LIBRARIES = [
+    "pytest",
+    "hypothesis",
+    "numpy",
+    "scipy.spatial",
+    "pydantic",
+    "yaml",
+    "paho.mqtt.client",
+    "pinocchio",
+    "rospy",
+]
 FORKS.set_forkserver_preload(LIBRARIES)
 #: How the message of a failure begins that is an answer to the mutation: pytest's assertions, and this package's own refusals.
 ANSWERS = ("assert ", "AssertionError", "Failed: ", f"{PACKAGE}.")
@@ -139,7 +150,8 @@ class Copy:
             return Outcome(f"it took more than {self._time_limit:g} s")
         if process.exitcode == 0:
             return Outcome("")
-        return _failure(result) or Outcome((output.read_text().strip().splitlines() or ["no output"])[-1][:LINE])
+        lines = output.read_text(errors="replace").strip().splitlines() or ["no output"]
+        return _failure(result) or Outcome(next((line for line in lines if line.startswith("ERROR")), lines[-1])[:LINE])
 
 
 def _run_pytest(folder: Path, test: str, result: Path, output: Path, keep_compiled: bool) -> None:
@@ -170,8 +182,10 @@ def _failure(result: Path) -> Outcome | None:
     for case in cases:
         for kind in ("failure", "error"):
             for found in case.findall(kind):
-                message = (found.get("message") or "").strip()
-                return Outcome((message.splitlines() or [kind])[0][:LINE], kind == "failure" and message.startswith(ANSWERS))
+                message = (found.get("message") or kind).strip()
+                last = (found.text or "").strip().splitlines()[-1:] if kind == "error" else []
+                words = ": ".join([message.splitlines()[0], *last])
+                return Outcome(words[:LINE], kind == "failure" and message.startswith(ANSWERS))
     return None
 
 
@@ -186,10 +200,10 @@ def read(file: Path) -> list[Mutation]:
     return found
 
 
-def judge(mutation: Mutation, unbroken: Outcome, copy: Copy) -> str:
+def judge(mutation: Mutation, copy: Copy) -> str:
     """Return why a mutation is not caught; "" when it is."""
-    if unbroken.failure:
-        return f"its test fails with nothing broken: {unbroken.failure}"
+    if unbroken := copy.run(mutation.test, keep_compiled=True).failure:
+        return f"its test fails with nothing broken: {unbroken}"
     try:
         with copy.broken(mutation):
             outcome = copy.run(mutation.test, keep_compiled=False)
@@ -204,30 +218,21 @@ def run(mutations: list[Mutation], root: Path, workers: int, time_limit: float =
     """Judge mutations, each worker in a copy of its own, and say what was found; return the exit code."""
     copies: SimpleQueue[Copy] = SimpleQueue()
 
-    def first(test: str) -> Outcome:
-        copy = copies.get()
-        try:
-            return copy.run(test, keep_compiled=True)
-        finally:
-            copies.put(copy)
-
-    def then(mutation: Mutation) -> tuple[str, float]:
+    def timed(mutation: Mutation) -> tuple[str, float]:
         copy, began = copies.get(), time.monotonic()
         try:
-            return judge(mutation, unbroken[mutation.test], copy), time.monotonic() - began
+            return judge(mutation, copy), time.monotonic() - began
         finally:
             copies.put(copy)
 
     with tempfile.TemporaryDirectory(prefix="mutations_") as folder, ThreadPoolExecutor(workers) as pool:
         for number in range(workers):
             copies.put(Copy(root, Path(folder) / str(number), time_limit))
-        tests = list(dict.fromkeys(mutation.test for mutation in mutations))
-        print(f"[mutations] {len(tests)} tests with nothing broken, then {len(mutations)} mutations", flush=True)
-        unbroken = dict(zip(tests, pool.map(first, tests)))
         missed = 0
-        for mutation, (why, seconds) in zip(mutations, pool.map(then, mutations)):
+        for mutation, (why, seconds) in zip(mutations, pool.map(timed, mutations)):
             missed += bool(why)
-            print(f"{'NOT CAUGHT' if why else 'caught'} ({seconds:.1f} s): {mutation.file}: {mutation.behaviour}", flush=True)
+            verdict = "NOT CAUGHT" if why else "caught"
+            print(f"{verdict} ({seconds:.1f} s): {mutation.file}: {mutation.behaviour}", flush=True)
             if why:
                 print(f"  {why}\n  {mutation.test}", flush=True)
     print(f"{len(mutations) - missed} caught, {missed} not caught")
@@ -245,7 +250,8 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = [
         mutation
         for mutation in read(LIST)
-        if not options.word or any(word in " ".join((mutation.file, mutation.behaviour, mutation.test)) for word in options.word)
+        if not options.word
+        or any(word in " ".join((mutation.file, mutation.behaviour, mutation.test)) for word in options.word)
     ]
     return run(chosen, ROOT, options.workers)
 

@@ -44,17 +44,21 @@ def test_never_passes():
 FAST = "unit/test_guard.py::test_a_fast_one_does_not"
 CAUGHT = Mutation("speed is limited", "guard.py", "speed <= limit", "speed <= 10 * limit", FAST)
 NOT_CAUGHT = {
-    "its test still passes": Mutation("one", "guard.py", "value + value", "2 * value", "unit/test_guard.py::test_twice"),
+    "its test still passes": Mutation(
+        "one", "guard.py", "value + value", "2 * value", "unit/test_guard.py::test_twice"
+    ),
     "the line moved (not found)": Mutation("two", "guard.py", "speed < limit", "True", FAST),
     "the line moved (found 2 times)": Mutation("three", "guard.py", "return ", "return 2 * ", FAST),
     "the broken line is no Python": Mutation("four", "guard.py", "speed <= limit", "speed <=", FAST),
     "No such file": Mutation("five", "gone.py", "speed", "limit", FAST),
     "not by an assertion: NameError": Mutation("six", "guard.py", "speed <= limit", "speed <= most", FAST),
-    "not by an assertion: ERROR": Mutation("seven", "guard.py", "def passes", "def passed", FAST),
+    "not by an assertion: collection failure: E   ImportError: cannot import name 'passes'": Mutation(
+        "seven", "guard.py", "def passes", "def passed", FAST
+    ),
     "fails with nothing broken: assert 4 == 5": Mutation(
         "eight", "guard.py", "value + value", "value", "unit/test_guard.py::test_never_passes"
     ),
-    "fails with nothing broken: ERROR": Mutation(
+    "fails with nothing broken: ERROR: not found": Mutation(
         "nine", "guard.py", "value + value", "value", "unit/test_guard.py::test_that_is_not_there"
     ),
     "more than 20 s": Mutation("ten", "guard.py", "limit = 1.0", "import time; time.sleep(60)", FAST),
@@ -95,7 +99,9 @@ def test_whatever_else_happens_is_not_caught_and_says_why(judged, why):
     mutation = NOT_CAUGHT[why]
     _, lines = judged
     place = next(number for number, line in enumerate(lines) if line.endswith(f": {mutation.behaviour}"))
-    assert lines[place].startswith("NOT CAUGHT") and why in lines[place + 1] and lines[place + 2].strip() == mutation.test
+    assert (
+        lines[place].startswith("NOT CAUGHT") and why in lines[place + 1] and lines[place + 2].strip() == mutation.test
+    )
 
 
 def test_the_checkout_stays_as_it_is(judged, repository):
