@@ -38,17 +38,7 @@ TIME_LIMIT = 60.0
 LEFT_OUT = shutil.ignore_patterns(".git", ".ws", "results", "node_modules")
 #: Processes for tests, forked from one that has imported what takes long: a test of a few lines then takes as long as it takes.
 FORKS = multiprocessing.get_context("forkserver")
-LIBRARIES = [
-    "pytest",
-    "hypothesis",
-    "numpy",
-    "scipy.spatial",
-    "pydantic",
-    "yaml",
-    "paho.mqtt.client",
-    "pinocchio",
-    "rospy",
-]
+LIBRARIES = "pytest hypothesis numpy scipy.spatial pydantic yaml paho.mqtt.client pinocchio rospy".split()
 FORKS.set_forkserver_preload(LIBRARIES)
 #: How the message of a failure begins that is an answer to the mutation: pytest's assertions, and this package's own refusals.
 ANSWERS = ("assert ", "AssertionError", "Failed: ", f"{PACKAGE}.")
