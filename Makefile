@@ -1,6 +1,6 @@
 # construction_twin: `make demo` and `make test` do all the set-up they need.
 
-.PHONY: help setup demo build test lint bench properties fuzz scenarios soak screenshots clean
+.PHONY: help setup demo build test lint mutations bench properties fuzz scenarios soak screenshots clean
 
 help:
 	@echo "make demo             run the paper's experiment headless and print its Table 1"
@@ -8,6 +8,7 @@ help:
 	@echo "make build            build the timber panel of models/ with the mock arm on its track; ARGS=\"quick:=true\" three elements of it"
 	@echo "make test             build and run every test"
 	@echo "make lint             check style, format, order of the folders and types; make test does it too"
+	@echo "make mutations        break chosen lines one at a time: a named test must notice each; ARGS=\"gateway --workers 1\""
 	@echo "make bench            measure inverse kinematics, planning, other planners, link, work and console; writes results/bench/*.json; ARGS=ik for one of them"
 	@echo "make properties       the property tests with new random examples; make test takes the same ones every time; ARGS=\"-k follower\""
 	@echo "make fuzz             a million hostile inputs per campaign: codecs and running gateway; ARGS=\"--count N --seed N\""
@@ -33,6 +34,10 @@ test:
 
 lint: setup
 	@bash -c 'source .ws/env.bash && python scripts/lint.py'
+
+mutations:
+	@bash setup/setup.sh work
+	@bash -c 'source .ws/env.bash && python scripts/mutations.py $(ARGS)'
 
 bench: setup
 	@bash -c 'source .ws/env.bash && python scripts/bench.py $(ARGS)'

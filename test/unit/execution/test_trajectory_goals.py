@@ -63,8 +63,9 @@ class Desk:
         return [effect for effect in self.goals.take_effects() if kind is None or isinstance(effect, kind)]
 
     def end(self) -> End:
-        (end,) = self.effects(End)
-        return end
+        ends = self.effects(End)
+        assert len(ends) == 1
+        return ends[0]
 
     def send(self, *goals: TrajectoryGoal) -> Desk:
         for each in goals:

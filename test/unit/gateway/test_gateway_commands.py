@@ -133,6 +133,8 @@ def test_a_refused_motion_brakes_latches_and_waits_for_reset(reason, q):
     assert cell.state is State.BRAKING
     assert (cell.count(f"refused_{reason}"), cell.count("stops_refused")) == (1, 1)
     assert reason in cell.gateway.reason
+    # a fault with a number, as the bridge reads it: nothing goes on by itself, and a `reset` must name it
+    assert (cell.gateway.status()["fault"], cell.gateway.status()["fault_number"]) == (True, 1)
     cell.cycle(200)
     assert cell.state is State.HOLDING
     held = cell.held()

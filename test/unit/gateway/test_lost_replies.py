@@ -249,6 +249,7 @@ def test_a_pose_is_of_the_present_once_no_reply_has_arrived_for_long(cycle):
         go_on(cell, commands_of(1, cell))
         stamps.append(cell.gateway.state_message(0)[1].command_stamp)
     silent = [stamp == 0 for stamp in stamps]
+    assert True in silent
     # one cycle until `Delay` tells of the first one
     patience = round(cell.config.silence / cell.config.period)
     assert silent.index(True) in (patience, patience + 1, patience + 2)

@@ -126,3 +126,23 @@ def test_the_jerk_of_the_samples_differences_counts():
     q = motion.sample_many(np.arange(0.0, 2.02, CYCLE))[0]
     third = np.max(np.abs(np.diff(q[:, 0], 3))) / CYCLE**3
     assert check_limits(motion, dataclasses.replace(ROBOT, jerk=(1e6,) * 6)).jerk[0] * 1e6 >= third * (1 - 1e-9)
+
+
+def test_the_jerk_that_no_sample_and_no_waypoint_shows_counts():
+    # a waypoint every 4 ms, and between any two of them a jerk that is largest in the middle: the mean of it is what an arm feels
+    jerk = 10.0 * np.repeat([1.0, -1.0, -1.0, 1.0], 25)
+    at, rate, change = np.zeros((3, len(jerk) + 1))
+    for row, mean in enumerate(jerk):
+        change[row + 1] = change[row] + mean * CYCLE
+        rate[row + 1] = rate[row] + change[row] * CYCLE + mean * CYCLE**2 / 2
+        # a jerk of mean - (mean / 2) (6 x^2 - 6 x + 1): half the mean at both ends
+        at[row + 1] = at[row] + rate[row] * CYCLE + change[row] * CYCLE**2 / 2 + mean * CYCLE**3 * (1 / 6 - 1 / 120)
+    axis = np.eye(6)[0]
+    columns = (HOME + at[:, None] * axis, rate[:, None] * axis, change[:, None] * axis)
+    motion = Trajectory(ROBOT.joint_names, np.arange(len(at)) * CYCLE, *columns)
+    shown = np.abs(motion.sample_many(np.arange(len(jerk)) * CYCLE + 1e-9)[3][:, 0])
+    assert np.max(shown) == pytest.approx(5.0, rel=1e-3), (
+        "waypoints and samples must not show it, or this test shows nothing"
+    )
+    wide = dataclasses.replace(ROBOT, jerk=(1e6,) * 6)
+    assert check_limits(motion, wide).jerk[0] * 1e6 == pytest.approx(10.0, rel=0.02)

@@ -320,6 +320,8 @@ def test_people_see_what_comes_next_what_is_there_and_what_is_off(tmp_path, cloc
     one.ledger.add(Entry("finished", "T1", "E1"))
     one.measured("E1", product(one.goal("T1"), at(0.05)), "eva", "tape")
     assert words("E1") == ["off"]
+    there = next(each.pose.position for each in one.appearances(clock()) if each.element == "E1")
+    assert there == pytest.approx(product(one.goal("T1"), at(0.05)).position), "it is drawn where it stands"
     one.skip("T2", "eva", "")
     assert words("E2") == ["skipped"]
 
