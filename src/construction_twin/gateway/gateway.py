@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from construction_twin.core.beside import Beside
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
+from construction_twin.core.rate_limit import SenderLimits, TokenBucket
 from construction_twin.core.state_table import Machine
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
@@ -30,7 +31,7 @@ from construction_twin.gateway.states import CAUSES, NOTES, ROWS, Action, Event,
 from construction_twin.gateway.status import StateReport, Status
 from construction_twin.gateway.stop_report import StopReport
 from construction_twin.gateway.tool_switches import ToolSwitches, stamp_of
-from construction_twin.mqtt.interventions import AnswerPace, Intervention
+from construction_twin.mqtt.interventions import Intervention
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
     PROTOCOL,
@@ -125,7 +126,7 @@ class Gateway:
         self._unread_count = self._unread_since = 0
         self._controller = ControllerSession(config, self.counters)
         self._owners = Ownership()
-        self._stop_pace = AnswerPace(STOP_PERIOD, STOPS_AT_ONCE)
+        self._stop_pace = SenderLimits(lambda: TokenBucket(NANOSECONDS // STOP_PERIOD, STOPS_AT_ONCE))
         self._player = Player(config, self.counters)
         self._stream = CommandIntake(config, self.codec, self._player)
         #: How fast the arm may move, as the source of `speed_limit` asks.
