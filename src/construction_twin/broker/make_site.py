@@ -22,7 +22,7 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 
 _TEMPLATES = Path(__file__).resolve().parents[3] / "config/mosquitto"
 #: Where `site.json` keeps the names of people, by role.
-_FIELDS = {"tablet": "people"} | {role: f"{role}s" for role in ROLES if role != "tablet"}
+_FIELDS = {role: f"{role}s" for role in ROLES}
 _SERVER = "construction_twin broker"
 #: Lifetime of certificates [days]: what most software accepts at most.
 DAYS = 825
@@ -95,8 +95,8 @@ class SiteFolder:
             authority.issue(_SERVER, self._broker / "server.key", self._broker / "server.crt", days, site.hosts)
             said.append(f"signed the broker's certificate for {', '.join(site.hosts)}")
         said += self._make_passwords(site, authority, replace)
-        if not before.get("people") and not before.get("reviewers"):
-            kept = [SiteAccount(robot, site.shared_role).name for robot in site.shared]
+        if not before.get("reviewers"):
+            kept = [SiteAccount(robot, "reviewer").name for robot in site.shared]
             said += [
                 f"kept {name}, an account without a person; --replace shuts out everyone who has its password"
                 for name in kept
@@ -230,7 +230,6 @@ _ROLE_HELP = {
     "stopper": "an account for a person who may stop and pause",
     "viewer": "an account for a person who only watches",
     "planner": "an account for a person or program that plans, on the page or elsewhere, e.g. in Grasshopper",
-    "tablet": "former name of a reviewer, for sites that have some",
 }
 
 
@@ -281,18 +280,19 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
 def _site(arguments: argparse.Namespace, before: dict) -> Site:
     if not 1 <= arguments.days <= 36500:
         raise ConfigurationError("--days", arguments.days, "1 to 36500")
+    # version 0.1.0 writes both into every site.json
+    if before.get("people") or before.get("shared_role", "reviewer") != "reviewer":
+        found = {name: before[name] for name in ("people", "shared_role") if name in before}
+        expected = "no account in the role `tablet`, which is gone: take both out of site.json, and name the people with --reviewer"
+        raise ConfigurationError("people and shared_role of site.json", found, expected)
     named = {role: merged(before.get(field, ()), getattr(arguments, role)) for role, field in _FIELDS.items()}
     # without reviewers by name every robot has an account that they share, which may be in use
-    were_named = before.get("people") or before.get("reviewers")
-    shared = before.get("shared", ()) if were_named else before.get("robots", ())
-    # a site from before there were reviewers calls it tablet
-    shared_role = before.get("shared_role", "tablet" if before else "reviewer")
+    shared = before.get("shared", ()) if before.get("reviewers") else before.get("robots", ())
     given = {
         "hosts": merged(before.get("hosts", ()), arguments.host),
         "robots": merged(before.get("robots", ()), arguments.robot),
         **{field: named[role] for role, field in _FIELDS.items()},
-        "shared": shared if named["tablet"] or named["reviewer"] else (),
-        "shared_role": shared_role,
+        "shared": shared if named["reviewer"] else (),
         "plc": arguments.plc or before.get("plc", False),
         "certificates": arguments.certificates or before.get("certificates", False),
         "consoles": merged(before.get("consoles", ()), arguments.console),
