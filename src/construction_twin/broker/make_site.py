@@ -18,7 +18,7 @@ from pathlib import Path
 from construction_twin.broker.access import ROLES, Site, SiteAccount, access_rules, broker_configuration, merged
 from construction_twin.broker.certificates import Authority, expiry, make_folder, run_tool, write_private
 from construction_twin.broker.console_files import ConsoleFiles
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, SiteError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 
 _TEMPLATES = Path(__file__).resolve().parents[3] / "config/mosquitto"
 #: Where `site.json` keeps the names of people, by role.
@@ -50,14 +50,16 @@ class SiteFolder:
         self._settings = folder / "site.json"
 
     def load(self) -> dict:
-        """Return the settings of the last run, empty before the first one; SiteError when they cannot be read."""
+        """Return the settings of the last run, empty before the first one; ConstructionTwinError when they cannot be read."""
         if not self._settings.exists():
             return {}
         try:
             document = json.loads(self._settings.read_text(encoding="utf-8"))
             return {key: tuple(value) if isinstance(value, list) else value for key, value in document.items()}
         except (OSError, ValueError, AttributeError) as error:
-            raise SiteError(f"{self._settings} cannot be read: {error}; restore it from a backup") from error
+            raise ConstructionTwinError(
+                f"{self._settings} cannot be read: {error}; restore it from a backup"
+            ) from error
 
     def make(
         self, site: Site, days: int = DAYS, renew: bool = False, replace: Iterable[str] = (), renew_ca: bool = False
@@ -127,7 +129,7 @@ class SiteFolder:
                 "needs the new ca.crt"
             ]
         if missing := authority.not_permitted(names):
-            raise SiteError(
+            raise ConstructionTwinError(
                 f"the site's CA may not vouch for {', '.join(missing)}; with --renew-ca its certificate is signed anew, with the "
                 "same key, and then every tablet and every client needs the new ca.crt"
             )
@@ -156,7 +158,9 @@ class SiteFolder:
         try:
             return (self._templates / name).read_text(encoding="utf-8")
         except OSError as error:
-            raise SiteError(f"{self._templates / name}: {error.strerror}; give the folder with --templates") from error
+            raise ConstructionTwinError(
+                f"{self._templates / name}: {error.strerror}; give the folder with --templates"
+            ) from error
 
     def _account_folder(self, account: SiteAccount) -> Path:
         return self._folder / "accounts" / account.name
@@ -220,7 +224,7 @@ def _hash_passwords(passwords: dict[str, str]) -> dict[str, str]:
         lines = path.read_text(encoding="utf-8").splitlines()
     hashed = {line.partition(":")[0]: line for line in lines}
     if set(hashed) != set(passwords) or not all(re.fullmatch(r"[^:]+:\$\d\$.+", line) for line in lines):
-        raise SiteError("mosquitto_passwd did not hash the passwords; is it the one of mosquitto 2?")
+        raise ConstructionTwinError("mosquitto_passwd did not hash the passwords; is it the one of mosquitto 2?")
     return hashed
 
 

@@ -21,7 +21,7 @@ from PIL import Image
 from construction_twin.broker import certificates
 from construction_twin.broker.certificates import Authority, expiry
 from construction_twin.broker.make_site import main
-from construction_twin.core.errors import ConfigurationError, SiteError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.mqtt.account import load_account
 
 ROBOT = ["--robot", "kr120"]
@@ -501,13 +501,13 @@ def test_a_program_that_is_missing_is_named(tmp_path, monkeypatch, capsys, progr
 
 
 def test_a_tool_that_fails_is_told_with_its_last_words(tmp_path):
-    with pytest.raises(SiteError, match="openssl x509 failed with 1: .+"):
+    with pytest.raises(ConstructionTwinError, match="openssl x509 failed with 1: .+"):
         expiry(tmp_path / "missing")
 
 
 def test_half_a_ca_is_not_mended_by_making_another(folder):
     (folder / "ca/ca.key").unlink()
-    with pytest.raises(SiteError, match="only one of ca.key and ca.crt"):
+    with pytest.raises(ConstructionTwinError, match="only one of ca.key and ca.crt"):
         Authority(folder / "ca", "x", ())
 
 

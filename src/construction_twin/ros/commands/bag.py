@@ -17,7 +17,7 @@ import rosbag
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from construction_twin.core.errors import EvaluationError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.evaluation.recording import (
     FeedbackStream,
     LinkSnapshot,
@@ -74,7 +74,7 @@ def read_recording(path: str | Path, namespace: str | None = None) -> Recording:
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If the file cannot be read as a bag, holds no or several robots, a topic of another type or of another definition of
         its type, or too little data.
     """
@@ -95,7 +95,7 @@ def read_plans(path: str | Path, namespace: str | None = None) -> list[PlanValue
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         As `read_recording`.
     TrajectoryError
         For a plan that is not what its hash says.
@@ -115,14 +115,14 @@ def robots_in(topics: Iterable[str]) -> list[str]:
 def _choose_robot(types: dict[str, str], namespace: str | None) -> str:
     robots = robots_in(types)
     if not robots:
-        raise EvaluationError(f"the bag holds no topic .../{TWIN}; record at least .../{TWIN} and .../{PHYSICAL}")
+        raise ConstructionTwinError(f"the bag holds no topic .../{TWIN}; record at least .../{TWIN} and .../{PHYSICAL}")
     if namespace is None:
         if len(robots) > 1:
-            raise EvaluationError(f"the bag holds the robots {', '.join(robots)}; choose one with --robot")
+            raise ConstructionTwinError(f"the bag holds the robots {', '.join(robots)}; choose one with --robot")
         return robots[0]
     wanted = "/" + namespace.strip("/")
     if wanted not in robots:
-        raise EvaluationError(f"the bag holds no robot {wanted}; it holds {', '.join(robots)}")
+        raise ConstructionTwinError(f"the bag holds no robot {wanted}; it holds {', '.join(robots)}")
     return wanted
 
 
@@ -134,7 +134,7 @@ def _read_messages(
     for topic, name in relative.items():
         found = types.get(topic)
         if found not in (None, TYPES[name]._type):
-            raise EvaluationError(f"{topic} in the bag is a {found}; expected a {TYPES[name]._type}")
+            raise ConstructionTwinError(f"{topic} in the bag is a {found}; expected a {TYPES[name]._type}")
     messages: dict[str, list[tuple[int, Any]]] = defaultdict(list)
     for topic, message, received in bag.read_messages(topics=list(relative)):
         messages[relative[topic]].append((received.to_nsec(), message))
@@ -144,7 +144,9 @@ def _read_messages(
 def _to_recording(robot: str, messages: dict[str, list]) -> Recording:
     for name in (TWIN, PHYSICAL):
         if not messages[name]:
-            raise EvaluationError(f"the bag holds no messages on {robot.rstrip('/')}/{name}; is that side recorded?")
+            raise ConstructionTwinError(
+                f"the bag holds no messages on {robot.rstrip('/')}/{name}; is that side recorded?"
+            )
     reported = set(messages[PHYSICAL][0][1].name)
     joints = tuple(name for name in messages[TWIN][0][1].name if name in reported)
     return Recording(
@@ -183,10 +185,14 @@ def _arrays(messages: list, joints: tuple[str, ...], topic: str) -> dict[str, np
         if names not in columns:
             missing = [joint for joint in joints if joint not in names]
             if missing:
-                raise EvaluationError(f"a message on {topic} lacks {', '.join(missing)}; each must name all joints")
+                raise ConstructionTwinError(
+                    f"a message on {topic} lacks {', '.join(missing)}; each must name all joints"
+                )
             columns[names] = [names.index(joint) for joint in joints]
         if len(message.position) != len(names):
-            raise EvaluationError(f"a message on {topic} has {len(message.position)} positions for {len(names)} joints")
+            raise ConstructionTwinError(
+                f"a message on {topic} has {len(message.position)} positions for {len(names)} joints"
+            )
         rows.append([message.position[column] for column in columns[names]])
     return {
         "stamps": np.array([message.header.stamp.to_nsec() for _, message in messages], dtype=np.int64),
@@ -238,5 +244,5 @@ def _mock(messages: list) -> dict | None:
     try:
         status = json.loads(messages[-1][1].data)
     except json.JSONDecodeError as error:
-        raise EvaluationError(f"the last message on {MOCK} is not JSON: {error}") from error
+        raise ConstructionTwinError(f"the last message on {MOCK} is not JSON: {error}") from error
     return status if isinstance(status, dict) else None

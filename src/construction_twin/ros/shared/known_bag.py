@@ -16,7 +16,7 @@ import genpy
 import rosbag
 import rosbag.bag
 
-from construction_twin.core.errors import EvaluationError
+from construction_twin.core.errors import ConstructionTwinError
 
 #: rosbag's function from a connection to its message class is one per process.
 _LOCK = threading.Lock()
@@ -34,7 +34,7 @@ def open_bag(path: str | Path, kinds: Iterable[type[genpy.Message]]) -> Iterator
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         When a message of another type, or of another definition of one of these types, is read; and when the file cannot be read
         as a bag, also if that shows while it is read.
     """
@@ -51,14 +51,14 @@ def open_bag(path: str | Path, kinds: Iterable[type[genpy.Message]]) -> Iterator
             with rosbag.Bag(str(path)) as bag:
                 yield bag
         except rosbag.ROSBagUnindexedException as error:
-            raise EvaluationError(
+            raise ConstructionTwinError(
                 f"{path} was not closed properly; run `rosbag reindex {path}` and try again"
             ) from error
         except (rosbag.ROSBagException, genpy.DeserializationError, OSError) as error:
-            raise EvaluationError(f"{path} cannot be read as a rosbag: {error}") from error
+            raise ConstructionTwinError(f"{path} cannot be read as a rosbag: {error}") from error
         except (ValueError, LookupError, EOFError) as error:
             # rosbag takes what it finds for text, lengths and numbers of connections
-            raise EvaluationError(
+            raise ConstructionTwinError(
                 f"{path} cannot be read as a rosbag: it is damaged, or another kind of file ({error})"
             ) from error
         finally:
@@ -77,14 +77,14 @@ def known_class(known: dict[str, type[genpy.Message]], topic: str, name: str, md
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If the type is not among them, or its definition is another one.
     """
     if name not in known:
-        raise EvaluationError(f"{topic} in the bag is a {name}; expected one of {', '.join(sorted(known))}")
+        raise ConstructionTwinError(f"{topic} in the bag is a {name}; expected one of {', '.join(sorted(known))}")
     kind = known[name]
     if md5 != kind._md5sum:
-        raise EvaluationError(
+        raise ConstructionTwinError(
             f"{topic} in the bag was recorded with another definition of {name} (md5 {md5}, installed is {kind._md5sum}); "
             "evaluate it with the version of the package that recorded it"
         )
