@@ -18,7 +18,7 @@ _DAMPING = 1e-12
 _DIAGONAL, _ONE = np.arange(6), np.eye(4)
 
 
-class ManyPostures:
+class BatchKinematics:
     """The kinematics of many postures of one chain.
 
     Parameters
