@@ -18,9 +18,9 @@ from construction_twin.core.units import NANOSECONDS, for_people
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.engagement import Engagement, EngagementKeeper
+from construction_twin.execution.play_rate import PlayRate
 from construction_twin.execution.playback import Braking, Playback
 from construction_twin.execution.segment_run import SegmentRun
-from construction_twin.execution.speed_limit import PlayRate
 from construction_twin.execution.states import (
     ACTIVE,
     OUTCOMES,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from construction_twin.core.speed_limit_source import SpeedLimitSource
+from construction_twin.core.speed_limit import SpeedLimitSource
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.messages import Control, message_number

@@ -5,7 +5,7 @@ Pure, standard library only.
 
 from __future__ import annotations
 
-from construction_twin.core.speed_limit_source import SpeedLimitSource
+from construction_twin.core.speed_limit import SpeedLimitSource
 from construction_twin.core.units import NANOSECONDS
 
 #: An unchanged limit is repeated no faster than this [ns].

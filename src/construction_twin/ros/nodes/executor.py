@@ -35,8 +35,8 @@ from construction_twin.execution.approval import AUTO_APPROVE, Approval, Without
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.execution.newest_reading import AHEAD, NewestReading
+from construction_twin.execution.play_rate import LimitState, SpeedLimit
 from construction_twin.execution.playback import Braking
-from construction_twin.execution.speed_limit import LimitState, SpeedLimit
 from construction_twin.execution.states import ACTIVE
 from construction_twin.execution.tool_report import NO_ARM, ToolReport
 from construction_twin.execution.way_back import check_way_back

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.speed_limit_source import SpeedLimitSource
+from construction_twin.core.speed_limit import SpeedLimitSource
 
 SECOND = 1_000_000_000
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from enum import Enum
 
 from construction_twin.core.errors import ExecutionError
-from construction_twin.core.speed_limit_source import SpeedLimitSource
+from construction_twin.core.speed_limit import SpeedLimitSource
 
 
 class LimitState(Enum):
