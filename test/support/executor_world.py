@@ -12,9 +12,9 @@ from construction_twin.srv import ReviewFromScreenRequest, ReviewPlanRequest
 from executor_bench import ROBOT, SCENE, make_plan
 
 from construction_twin.core.freshness import Moment
+from construction_twin.core.speed_limit import SpeedLimit as SpeedLimitState
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.executor import Executor
-from construction_twin.execution.speed_limit import SpeedLimit as SpeedLimitState
 from construction_twin.review.record import ReviewLog
 from construction_twin.ros.nodes import executor as module
 from construction_twin.ros.shared.engagement_file import EngagementFile

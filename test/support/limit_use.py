@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from construction_twin.planning.limit_usage import limit_usage
+from construction_twin.planning.limit_usage import check_range, sampled_usage
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.trajectory import Trajectory
 
@@ -18,5 +18,7 @@ class LimitUse(NamedTuple):
 
 
 def limit_use(trajectory: Trajectory, robot: RobotModel) -> LimitUse:
-    usage = limit_usage(trajectory, robot)
+    sampled = sampled_usage(trajectory, robot)
+    check_range(sampled.positions, robot)
+    usage = sampled.largest()
     return LimitUse(max(usage.velocity), max(usage.acceleration), max(usage.jerk))

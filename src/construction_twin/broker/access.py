@@ -13,14 +13,12 @@ from construction_twin.core.errors import ConfigurationError
 
 #: What a right lets an account do is its template, ``right_<right>.acl``. Each has topics of its own, so the broker alone decides.
 RIGHTS = ("view", "stop", "pause", "plan_request", "trajectory", "review")
-_REVIEWER = ("view", "stop", "pause", "review")
-#: Roles of people, and of programs in their place: lists of rights. `tablet` is the former name of `reviewer`.
+#: Roles of people, and of programs in their place: lists of rights.
 ROLES = {
     "viewer": ("view",),
     "stopper": ("view", "stop", "pause"),
     "planner": ("view", "plan_request", "trajectory"),
-    "reviewer": _REVIEWER,
-    "tablet": _REVIEWER,
+    "reviewer": ("view", "stop", "pause", "review"),
 }
 #: Programs of the link, each with rules of its own (``bridge.acl``); `plc` is made on request.
 PROGRAMS, PLC = ("bridge", "gateway"), "plc"
@@ -52,14 +50,11 @@ class Site:
     hosts : tuple of str
         Names and addresses under which clients reach the broker.
     robots : tuple of str
-    people : tuple of str
-        Each gets an account of its own at every robot, in the role `tablet`.
     reviewers, stoppers, viewers, planners : tuple of str
-        The same in the other roles. Without people and reviewers every robot has one account for all who review.
+        People, who each get an account of their own at every robot, in that role. Without reviewers every robot has one account for
+        all who review.
     shared : tuple of str
         Robots that have that account without a person beside those of people, from a run before there were any.
-    shared_role : str
-        Its role: `reviewer`, or `tablet` on a site from before there were reviewers.
     plc : bool
         Also an account for a PLC that commands in place of the bridge.
     certificates : bool
@@ -85,7 +80,6 @@ class Site:
 
     hosts: tuple[str, ...]
     robots: tuple[str, ...]
-    people: tuple[str, ...] = field(default=())
     plc: bool = False
     certificates: bool = False
     port: int = 8883
@@ -97,7 +91,6 @@ class Site:
     reviewers: tuple[str, ...] = field(default=())
     stoppers: tuple[str, ...] = field(default=())
     viewers: tuple[str, ...] = field(default=())
-    shared_role: str = "reviewer"
     consoles: tuple[str, ...] = field(default=())
     console_port: int = 8480
 
@@ -120,8 +113,6 @@ class Site:
             raise ConfigurationError("--port", self.port, "1 to 65534; client certificates use the one above it")
         if not 0 < self.console_port < 65536:
             raise ConfigurationError("--console-port", self.console_port, "1 to 65535")
-        if self.shared_role not in ("reviewer", "tablet"):
-            raise ConfigurationError("shared_role of site.json", self.shared_role, "reviewer or tablet")
         if not self.folder or re.search(r"\s", self.folder):
             raise ConfigurationError(
                 "--broker-folder", self.folder, "a path without spaces: mosquitto.conf cannot hold them"
@@ -136,20 +127,15 @@ class Site:
 
     def named(self, role: str) -> tuple[str, ...]:
         """Return who has a role of `ROLES` by name."""
-        return self.people if role == "tablet" else getattr(self, f"{role}s")
-
-    @property
-    def has_named_reviewers(self) -> bool:
-        """Whether anybody reviews in a name of his own."""
-        return bool(self.people or self.reviewers)
+        return getattr(self, f"{role}s")
 
     def accounts(self) -> list[SiteAccount]:
         """Return every account, in the order of the robots."""
         accounts = []
         for robot in self.robots:
             accounts += [SiteAccount(robot, role) for role in PROGRAMS + (PLC,) * self.plc]
-            if robot in self.shared or not self.has_named_reviewers:
-                accounts.append(SiteAccount(robot, self.shared_role))
+            if robot in self.shared or not self.reviewers:
+                accounts.append(SiteAccount(robot, "reviewer"))
             accounts.append(SiteAccount(robot, "viewer"))
             accounts += [SiteAccount(robot, role, person) for role in ROLES for person in self.named(role)]
         return accounts

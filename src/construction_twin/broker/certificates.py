@@ -16,7 +16,7 @@ from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 
-from construction_twin.core.errors import ConfigurationError, SiteError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 
 #: Lifetime of a CA [days].
 CA_DAYS = 3650
@@ -38,7 +38,7 @@ class Authority:
 
     Raises
     ------
-    SiteError
+    ConstructionTwinError
         When openssl is not installed or fails, or only one half of the CA is there.
     """
 
@@ -47,7 +47,7 @@ class Authority:
         self._key = folder / "ca.key"
         self._name = name
         if self._key.exists() != self.certificate.exists():
-            raise SiteError(
+            raise ConstructionTwinError(
                 f"{folder} holds only one of ca.key and ca.crt; put the other one back, or make a new site in another folder"
             )
         if self._key.exists():
@@ -138,14 +138,14 @@ def write_private(path: Path, content: str | bytes) -> None:
 
 
 def run_tool(program: str, *arguments: object) -> str:
-    """Run a program; return what it printed. SiteError when it is not installed or fails."""
+    """Run a program; return what it printed. ConstructionTwinError when it is not installed or fails."""
     found = shutil.which(program)
     if found is None:
-        raise SiteError(f"{program} is not installed; on Debian: apt-get install {_PACKAGES[program]}")
+        raise ConstructionTwinError(f"{program} is not installed; on Debian: apt-get install {_PACKAGES[program]}")
     done = subprocess.run([found, *map(str, arguments)], capture_output=True, text=True, umask=0o077, check=False)
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise SiteError(f"{program} {arguments[0]} failed with {done.returncode}: {last}")
+        raise ConstructionTwinError(f"{program} {arguments[0]} failed with {done.returncode}: {last}")
     return done.stdout
 
 

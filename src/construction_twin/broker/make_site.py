@@ -18,12 +18,12 @@ from pathlib import Path
 from construction_twin.broker.access import ROLES, Site, SiteAccount, access_rules, broker_configuration, merged
 from construction_twin.broker.certificates import Authority, expiry, make_folder, run_tool, write_private
 from construction_twin.broker.console_files import ConsoleFiles
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, SiteError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.share import share_file
 
 _TEMPLATES = share_file("config/mosquitto")
 #: Where `site.json` keeps the names of people, by role.
-_FIELDS = {"tablet": "people"} | {role: f"{role}s" for role in ROLES if role != "tablet"}
+_FIELDS = {role: f"{role}s" for role in ROLES}
 _SERVER = "construction_twin broker"
 #: Lifetime of certificates [days]: what most software accepts at most.
 DAYS = 825
@@ -51,14 +51,16 @@ class SiteFolder:
         self._settings = folder / "site.json"
 
     def load(self) -> dict:
-        """Return the settings of the last run, empty before the first one; SiteError when they cannot be read."""
+        """Return the settings of the last run, empty before the first one; ConstructionTwinError when they cannot be read."""
         if not self._settings.exists():
             return {}
         try:
             document = json.loads(self._settings.read_text(encoding="utf-8"))
             return {key: tuple(value) if isinstance(value, list) else value for key, value in document.items()}
         except (OSError, ValueError, AttributeError) as error:
-            raise SiteError(f"{self._settings} cannot be read: {error}; restore it from a backup") from error
+            raise ConstructionTwinError(
+                f"{self._settings} cannot be read: {error}; restore it from a backup"
+            ) from error
 
     def make(
         self, site: Site, days: int = DAYS, renew: bool = False, replace: Iterable[str] = (), renew_ca: bool = False
@@ -96,8 +98,8 @@ class SiteFolder:
             authority.issue(_SERVER, self._broker / "server.key", self._broker / "server.crt", days, site.hosts)
             said.append(f"signed the broker's certificate for {', '.join(site.hosts)}")
         said += self._make_passwords(site, authority, replace)
-        if not before.get("people") and not before.get("reviewers"):
-            kept = [SiteAccount(robot, site.shared_role).name for robot in site.shared]
+        if not before.get("reviewers"):
+            kept = [SiteAccount(robot, "reviewer").name for robot in site.shared]
             said += [
                 f"kept {name}, an account without a person; --replace shuts out everyone who has its password"
                 for name in kept
@@ -128,7 +130,7 @@ class SiteFolder:
                 "needs the new ca.crt"
             ]
         if missing := authority.not_permitted(names):
-            raise SiteError(
+            raise ConstructionTwinError(
                 f"the site's CA may not vouch for {', '.join(missing)}; with --renew-ca its certificate is signed anew, with the "
                 "same key, and then every tablet and every client needs the new ca.crt"
             )
@@ -157,7 +159,9 @@ class SiteFolder:
         try:
             return (self._templates / name).read_text(encoding="utf-8")
         except OSError as error:
-            raise SiteError(f"{self._templates / name}: {error.strerror}; give the folder with --templates") from error
+            raise ConstructionTwinError(
+                f"{self._templates / name}: {error.strerror}; give the folder with --templates"
+            ) from error
 
     def _account_folder(self, account: SiteAccount) -> Path:
         return self._folder / "accounts" / account.name
@@ -221,7 +225,7 @@ def _hash_passwords(passwords: dict[str, str]) -> dict[str, str]:
         lines = path.read_text(encoding="utf-8").splitlines()
     hashed = {line.partition(":")[0]: line for line in lines}
     if set(hashed) != set(passwords) or not all(re.fullmatch(r"[^:]+:\$\d\$.+", line) for line in lines):
-        raise SiteError("mosquitto_passwd did not hash the passwords; is it the one of mosquitto 2?")
+        raise ConstructionTwinError("mosquitto_passwd did not hash the passwords; is it the one of mosquitto 2?")
     return hashed
 
 
@@ -231,7 +235,6 @@ _ROLE_HELP = {
     "stopper": "an account for a person who may stop and pause",
     "viewer": "an account for a person who only watches",
     "planner": "an account for a person or program that plans, on the page or elsewhere, e.g. in Grasshopper",
-    "tablet": "former name of a reviewer, for sites that have some",
 }
 
 
@@ -282,18 +285,19 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
 def _site(arguments: argparse.Namespace, before: dict) -> Site:
     if not 1 <= arguments.days <= 36500:
         raise ConfigurationError("--days", arguments.days, "1 to 36500")
+    # version 0.1.0 writes both into every site.json
+    if before.get("people") or before.get("shared_role", "reviewer") != "reviewer":
+        found = {name: before[name] for name in ("people", "shared_role") if name in before}
+        expected = "no account in the role `tablet`, which is gone: take both out of site.json, and name the people with --reviewer"
+        raise ConfigurationError("people and shared_role of site.json", found, expected)
     named = {role: merged(before.get(field, ()), getattr(arguments, role)) for role, field in _FIELDS.items()}
     # without reviewers by name every robot has an account that they share, which may be in use
-    were_named = before.get("people") or before.get("reviewers")
-    shared = before.get("shared", ()) if were_named else before.get("robots", ())
-    # a site from before there were reviewers calls it tablet
-    shared_role = before.get("shared_role", "tablet" if before else "reviewer")
+    shared = before.get("shared", ()) if before.get("reviewers") else before.get("robots", ())
     given = {
         "hosts": merged(before.get("hosts", ()), arguments.host),
         "robots": merged(before.get("robots", ()), arguments.robot),
         **{field: named[role] for role, field in _FIELDS.items()},
-        "shared": shared if named["tablet"] or named["reviewer"] else (),
-        "shared_role": shared_role,
+        "shared": shared if named["reviewer"] else (),
         "plc": arguments.plc or before.get("plc", False),
         "certificates": arguments.certificates or before.get("certificates", False),
         "consoles": merged(before.get("consoles", ()), arguments.console),

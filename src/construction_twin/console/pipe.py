@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-from construction_twin.console.allowance import Allowance
 from construction_twin.console.packets import ClientStream, PacketReader, is_accepted
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.rate_limit import TokenBucket
 
 log = logging.getLogger("console")
 #: Close codes that the page knows (RFC 6455 leaves 4000 to 4999 to applications).
@@ -88,7 +88,7 @@ async def pipe(
     broker: BrokerAddress,
     limits: PipeLimits,
     on_login: Callable[[str], str],
-    clock: Callable[[], float] = time.monotonic,
+    clock: Callable[[], int] = time.monotonic_ns,
 ) -> str:
     """Carry bytes until one side ends; return in one sentence how it ended.
 
@@ -100,7 +100,7 @@ async def pipe(
     on_login : callable
         Called with the account when the broker has accepted it; returns why it may not stay all the same, or an empty text.
     clock : callable, optional
-        Returns seconds from any origin.
+        Returns a time from any origin [ns].
     """
     try:
         connecting = asyncio.open_connection(broker.host, broker.port, ssl=broker.tls)
@@ -151,8 +151,8 @@ async def _finish(writer: asyncio.StreamWriter) -> None:
 async def _from_browser(
     browser: ServerConnection, writer: asyncio.StreamWriter, stream: ClientStream, limits: PipeLimits, clock
 ) -> None:
-    packets = Allowance(limits.packets_per_s, limits.burst_packets)
-    volume = Allowance(limits.bytes_per_s, limits.burst_bytes)
+    packets = TokenBucket(limits.packets_per_s, limits.burst_packets)
+    volume = TokenBucket(limits.bytes_per_s, limits.burst_bytes)
     # of the whole CONNECT, not of a frame: byte by byte it would take for ever
     deadline = asyncio.get_running_loop().time() + limits.login_s
     while True:
@@ -169,14 +169,14 @@ async def _from_browser(
         too_much = Cut(
             TOO_MUCH, f"more than {limits.packets_per_s:g} packets or {limits.bytes_per_s:g} bytes per second"
         )
-        if not volume.take(len(message), now):
+        if not volume.take(now, len(message)):
             raise too_much
         try:
             passed = stream.feed(message)
         except PayloadError as error:
             raise Cut(TOO_MUCH if error.reason == "size" else NOT_MQTT, str(error)) from error
         # an empty frame costs time too
-        if not packets.take(max(1, len(passed)), now):
+        if not packets.take(now, max(1, len(passed))):
             raise too_much
         for packet in passed:
             writer.write(packet.data)

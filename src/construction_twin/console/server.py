@@ -19,7 +19,6 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from construction_twin.console.allowance import Allowance
 from construction_twin.console.delivery import deliver
 from construction_twin.console.listener import Listener, listeners
 from construction_twin.console.origin import refusal
@@ -30,6 +29,7 @@ from construction_twin.console.static_files import FileCache, StaticFile, names
 from construction_twin.console.tickets import Tickets
 from construction_twin.console.visitors import Visitor, visitor_type
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.rate_limit import TokenBucket
 
 log = logging.getLogger("console")
 #: Path of the WebSocket, and of what only who is logged in gets.
@@ -99,7 +99,7 @@ class ConsoleServer:
         self._given: weakref.WeakKeyDictionary[ServerConnection, str] = weakref.WeakKeyDictionary()
         self._delivering: set[Visitor] = set()
         self._cache = FileCache()
-        self._lines = Allowance(rate=1.0, burst=20.0)
+        self._lines = TokenBucket(rate=1, burst=20)
         self._untold = 0
 
     async def run(self, host: str, port: int, ready: asyncio.Event | None = None) -> None:
@@ -219,7 +219,7 @@ class ConsoleServer:
 
     def _tell(self, level: int, sentence: str) -> None:
         """Write a line that anybody on the network can cause: not more of them than a disk can hold."""
-        if self._lines.take(1.0, time.monotonic()):
+        if self._lines.take(time.monotonic_ns()):
             log.log(level, "%s%s", sentence, f" ({self._untold} lines before it were left out)" if self._untold else "")
             self._untold = 0
         else:

@@ -1,8 +1,9 @@
 """Units, errors, motion limits, files, real-time scheduling, network addresses and travel times.
 
 In: numbers, stamps and texts from any other folder. Out: converted values, typed errors, motion checks, bounded motion of one
-joint (``follower``), cubic interpolation, the form of every state machine's table (``state_table``), where the package's files are
-(``share``), the names of a folder (``exports``). May import the standard library only, because the cell PC has nothing else.
+joint (``follower``), cubic interpolation, state machines as a table and its runner (``state_table``), limits on how often
+(``rate_limit``), where the package's files are (``share``), the names of a folder (``exports``). May import the standard library
+only, because the cell PC has nothing else.
 """
 
 from typing import TYPE_CHECKING
@@ -16,11 +17,8 @@ if TYPE_CHECKING:
     from construction_twin.core.errors import ConfigurationError as ConfigurationError
     from construction_twin.core.errors import ConstructionTwinError as ConstructionTwinError
     from construction_twin.core.errors import EthernetXmlError as EthernetXmlError
-    from construction_twin.core.errors import EvaluationError as EvaluationError
     from construction_twin.core.errors import ExecutionError as ExecutionError
-    from construction_twin.core.errors import ExperimentError as ExperimentError
     from construction_twin.core.errors import ExpiredError as ExpiredError
-    from construction_twin.core.errors import FaultError as FaultError
     from construction_twin.core.errors import GoalError as GoalError
     from construction_twin.core.errors import GoalJointsError as GoalJointsError
     from construction_twin.core.errors import MotionRefused as MotionRefused
@@ -32,10 +30,8 @@ if TYPE_CHECKING:
     from construction_twin.core.errors import ReviewError as ReviewError
     from construction_twin.core.errors import ScenarioError as ScenarioError
     from construction_twin.core.errors import SilenceError as SilenceError
-    from construction_twin.core.errors import SiteError as SiteError
     from construction_twin.core.errors import TelegramError as TelegramError
     from construction_twin.core.errors import TransitionLogError as TransitionLogError
-    from construction_twin.core.errors import TransportError as TransportError
     from construction_twin.core.files import check_writable as check_writable
     from construction_twin.core.files import read_file as read_file
     from construction_twin.core.files import write_whole as write_whole
@@ -79,11 +75,16 @@ if TYPE_CHECKING:
     from construction_twin.core.motion_errors import UnreachableOrientationError as UnreachableOrientationError
     from construction_twin.core.motion_errors import WaypointsError as WaypointsError
     from construction_twin.core.motion_errors import WaypointTimesError as WaypointTimesError
+    from construction_twin.core.rate_limit import RollingWindow as RollingWindow
+    from construction_twin.core.rate_limit import SenderLimits as SenderLimits
+    from construction_twin.core.rate_limit import TokenBucket as TokenBucket
     from construction_twin.core.share import share_file as share_file
-    from construction_twin.core.speed_limit_source import SpeedLimitSource as SpeedLimitSource
+    from construction_twin.core.speed_limit import LimitState as LimitState
+    from construction_twin.core.speed_limit import SpeedLimit as SpeedLimit
+    from construction_twin.core.state_table import Machine as Machine
     from construction_twin.core.state_table import Row as Row
+    from construction_twin.core.state_table import Rows as Rows
     from construction_twin.core.state_table import cells as cells
-    from construction_twin.core.state_table import rows as rows
     from construction_twin.core.travel_time import StateCheck as StateCheck
     from construction_twin.core.travel_time import TravelTime as TravelTime
     from construction_twin.core.units import degrees as degrees

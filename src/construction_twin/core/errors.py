@@ -118,43 +118,26 @@ class MotionRefused(ConstructionTwinError):
 
 
 class ProtocolError(ConstructionTwinError):
-    """A message from a network does not follow its protocol."""
+    """A message from a network does not follow its protocol.
+
+    Attributes
+    ----------
+    reason : str
+        Counter name, e.g. ``length``, ``format``, ``ascii``, ``decimals``, ``properties``; of a telegram ``size``, ``xml``,
+        ``element``, ``number``.
+    """
+
+    def __init__(self, reason: str, message: str):
+        self.reason = reason
+        super().__init__(message)
 
 
 class PayloadError(ProtocolError):
-    """An MQTT payload or its properties are not what the interface says.
-
-    Attributes
-    ----------
-    reason : str
-        Counter name, e.g. ``length``, ``format``, ``ascii``, ``decimals``, ``properties``.
-    """
-
-    def __init__(self, reason: str, message: str):
-        self.reason = reason
-        super().__init__(message)
+    """An MQTT payload or its properties are not what the interface says."""
 
 
 class TelegramError(ProtocolError):
-    """An RSI telegram is not what the protocol says.
-
-    Attributes
-    ----------
-    reason : str
-        Counter name, e.g. ``size``, ``xml``, ``element``, ``number``.
-    """
-
-    def __init__(self, reason: str, message: str):
-        self.reason = reason
-        super().__init__(message)
-
-
-class TransportError(ConstructionTwinError):
-    """A socket or a connection cannot be used."""
-
-
-class SiteError(ConstructionTwinError):
-    """The certificates and accounts of a broker's site could not be made."""
+    """An RSI telegram is not what the protocol says."""
 
 
 class PoseUnknownError(ConstructionTwinError):
@@ -176,14 +159,6 @@ class PoseUnknownError(ConstructionTwinError):
         )
 
 
-class EvaluationError(ConstructionTwinError):
-    """A recording does not hold what an evaluation needs."""
-
-
-class ExperimentError(ConstructionTwinError):
-    """The experiment cannot go on: something is not ready in time, or the task was not finished."""
-
-
 class RequestRefused(ConstructionTwinError):
     """The running system has answered a request with no; the message is its own sentence."""
 
@@ -200,24 +175,6 @@ class SilenceError(ConstructionTwinError):
     def __init__(self, where: str, problem: str, to_do: str):
         self.where = where
         super().__init__(f"{where}: {problem}; {to_do}")
-
-
-class FaultError(ConstructionTwinError):
-    """A fault of the mock controller cannot be switched on or off as asked.
-
-    Attributes
-    ----------
-    fault : str
-        Its name.
-    value : object
-        What was given.
-    expected : str
-        What would have been accepted.
-    """
-
-    def __init__(self, fault: str, value: object, expected: str):
-        self.fault, self.value, self.expected = fault, value, expected
-        super().__init__(f"{fault}: found {value!r}, expected {expected}")
 
 
 class ScenarioError(ConstructionTwinError):

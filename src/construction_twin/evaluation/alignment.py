@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from construction_twin.core.errors import EvaluationError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.evaluation.recording import Recording, Stream
 
@@ -113,7 +113,7 @@ class TwinPath:
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If fewer than two samples have increasing stamps.
     """
 
@@ -121,7 +121,9 @@ class TwinPath:
         newest = np.maximum.accumulate(twin.stamps)
         increasing = np.concatenate([[True], twin.stamps[1:] > newest[:-1]])
         if np.count_nonzero(increasing) < 2:
-            raise EvaluationError("the twin's stamps do not increase; was the recording made with a stopped clock?")
+            raise ConstructionTwinError(
+                "the twin's stamps do not increase; was the recording made with a stopped clock?"
+            )
         self.dropped = int(np.count_nonzero(~increasing))
         self._times = (twin.stamps[increasing] - base).astype(float)
         self._positions = twin.positions[increasing]
@@ -164,7 +166,7 @@ def task_window(recording: Recording) -> Window:
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If the streams do not overlap.
     """
     plans = recording.finished_plans
@@ -174,7 +176,9 @@ def task_window(recording: Recording) -> Window:
     stamps = recording.twin.stamps, recording.physical.stamps
     start, end = max(int(s.min()) for s in stamps), min(int(s.max()) for s in stamps)
     if end <= start:
-        raise EvaluationError("twin and physical samples do not overlap in time; were they recorded on one clock?")
+        raise ConstructionTwinError(
+            "twin and physical samples do not overlap in time; were they recorded on one clock?"
+        )
     return Window(start, end, end, False)
 
 
@@ -183,7 +187,7 @@ def align_instant(recording: Recording, window: Window) -> Alignment:
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If no pair exists.
     """
     inside = window.contains(recording.physical.stamps)
@@ -203,7 +207,7 @@ def align_by_command(recording: Recording, window: Window) -> Alignment | None:
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If there are command stamps, but the twin is not recorded at any of them.
     """
     return _align_command("by_command", recording, window, 0.0)
@@ -295,7 +299,7 @@ def _align_command(name: str, recording: Recording, window: Window, lag_ns: floa
 def _paired(name, stamps, times, measured, path: TwinPath, missing: int = 0) -> Alignment:
     covered = path.covers(times)
     if not covered.any():
-        raise EvaluationError(
+        raise ConstructionTwinError(
             f"alignment {name}: no physical sample inside the evaluated time meets the twin's recording"
         )
     errors = measured[covered] - path(times[covered])

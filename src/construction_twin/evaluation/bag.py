@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from construction_twin.core.errors import EvaluationError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.evaluation.recording import (
     FeedbackStream,
     LinkSnapshot,
@@ -63,7 +63,7 @@ class Bag(Protocol):
 
         Raises
         ------
-        EvaluationError
+        ConstructionTwinError
             If a message is of an unknown type, or of another definition of its type, or the bag is damaged.
         """
 
@@ -82,7 +82,7 @@ def recording_of(bag: Bag, namespace: str | None = None) -> Recording:
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If the bag holds no or several robots, a topic of another type or of another definition of its type, or too little data.
     """
     robot = choose_robot(bag.types, namespace)
@@ -101,13 +101,13 @@ def check_definition(known: Mapping[str, str], topic: str, name: str, md5: str) 
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If the type is not among them, or its definition is another one.
     """
     if name not in known:
-        raise EvaluationError(f"{topic} in the bag is a {name}; expected one of {', '.join(sorted(known))}")
+        raise ConstructionTwinError(f"{topic} in the bag is a {name}; expected one of {', '.join(sorted(known))}")
     if md5 != known[name]:
-        raise EvaluationError(
+        raise ConstructionTwinError(
             f"{topic} in the bag was recorded with another definition of {name} (md5 {md5}, installed is {known[name]}); "
             "evaluate it with the version of the package that recorded it"
         )
@@ -122,14 +122,14 @@ def choose_robot(types: Mapping[str, str], namespace: str | None) -> str:
     """Return the namespace of the robot that is asked for, or of the only one; see `recording_of`."""
     robots = robots_in(types)
     if not robots:
-        raise EvaluationError(f"the bag holds no topic .../{TWIN}; record at least .../{TWIN} and .../{PHYSICAL}")
+        raise ConstructionTwinError(f"the bag holds no topic .../{TWIN}; record at least .../{TWIN} and .../{PHYSICAL}")
     if namespace is None:
         if len(robots) > 1:
-            raise EvaluationError(f"the bag holds the robots {', '.join(robots)}; choose one with --robot")
+            raise ConstructionTwinError(f"the bag holds the robots {', '.join(robots)}; choose one with --robot")
         return robots[0]
     wanted = "/" + namespace.strip("/")
     if wanted not in robots:
-        raise EvaluationError(f"the bag holds no robot {wanted}; it holds {', '.join(robots)}")
+        raise ConstructionTwinError(f"the bag holds no robot {wanted}; it holds {', '.join(robots)}")
     return wanted
 
 
@@ -138,14 +138,14 @@ def messages_of(bag: Bag, robot: str, wanted: Iterable[str] = TOPICS) -> dict[st
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If a topic has another type than `TYPES` says; see also `Bag.messages`.
     """
     relative = {f"{robot.rstrip('/')}/{topic}": topic for topic in wanted}
     for topic, name in relative.items():
         found = bag.types.get(topic)
         if found not in (None, TYPES[name]):
-            raise EvaluationError(f"{topic} in the bag is a {found}; expected a {TYPES[name]}")
+            raise ConstructionTwinError(f"{topic} in the bag is a {found}; expected a {TYPES[name]}")
     messages: dict[str, list[tuple[int, Any]]] = defaultdict(list)
     for topic, message, received in bag.messages(list(relative)):
         messages[relative[topic]].append((received, message))
@@ -167,7 +167,7 @@ class _Run:
         for name in (TWIN, PHYSICAL):
             if not messages[name]:
                 topic = f"{self._robot.rstrip('/')}/{name}"
-                raise EvaluationError(f"the bag holds no messages on {topic}; is that side recorded?")
+                raise ConstructionTwinError(f"the bag holds no messages on {topic}; is that side recorded?")
         reported = set(messages[PHYSICAL][0][1].name)
         self._joints = tuple(name for name in messages[TWIN][0][1].name if name in reported)
         return Recording(
@@ -205,10 +205,12 @@ class _Run:
             if names not in columns:
                 missing = [joint for joint in self._joints if joint not in names]
                 if missing:
-                    raise EvaluationError(f"a message on {topic} lacks {', '.join(missing)}; each must name all joints")
+                    raise ConstructionTwinError(
+                        f"a message on {topic} lacks {', '.join(missing)}; each must name all joints"
+                    )
                 columns[names] = [names.index(joint) for joint in self._joints]
             if len(message.position) != len(names):
-                raise EvaluationError(
+                raise ConstructionTwinError(
                     f"a message on {topic} has {len(message.position)} positions for {len(names)} joints"
                 )
             rows.append([message.position[column] for column in columns[names]])
@@ -260,5 +262,5 @@ def _mock(messages: list) -> dict | None:
     try:
         status = json.loads(messages[-1][1].data)
     except json.JSONDecodeError as error:
-        raise EvaluationError(f"the last message on {MOCK} is not JSON: {error}") from error
+        raise ConstructionTwinError(f"the last message on {MOCK} is not JSON: {error}") from error
     return status if isinstance(status, dict) else None

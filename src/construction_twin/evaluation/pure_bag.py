@@ -20,7 +20,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from construction_twin.core.errors import EvaluationError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.share import share_file
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.bag import TYPES, Bag, check_definition, recording_of
@@ -67,7 +67,7 @@ def read_recording(path: str | Path, namespace: str | None = None) -> Recording:
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If the file cannot be read as a bag, holds no or several robots, a topic of another type or of another definition of
         its type, or too little data.
     """
@@ -81,7 +81,7 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If the file cannot be read as a bag, also if that shows while it is read.
     """
     try:
@@ -89,10 +89,10 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
             yield PureBag(reader)
     except (*_DAMAGED, OSError) as error:
         if "not indexed" in str(error):
-            raise EvaluationError(
+            raise ConstructionTwinError(
                 f"{path} was not closed properly; run `rosbag reindex {path}` and try again"
             ) from error
-        raise EvaluationError(f"{path} cannot be read as a rosbag: {error}") from error
+        raise ConstructionTwinError(f"{path} cannot be read as a rosbag: {error}") from error
 
 
 @cache

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from construction_twin.core.errors import EvaluationError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.units import NANOSECONDS
 
 
@@ -36,9 +36,11 @@ class Stream:
     def __post_init__(self):
         if self.positions.ndim != 2 or not len(self.stamps) == len(self.positions) == len(self.received):
             shapes = f"{self.stamps.shape}, {self.positions.shape}, {self.received.shape}"
-            raise EvaluationError(f"stamps, positions and received have shapes {shapes}; expected (k,), (k, n), (k,)")
+            raise ConstructionTwinError(
+                f"stamps, positions and received have shapes {shapes}; expected (k,), (k, n), (k,)"
+            )
         if not np.isfinite(self.positions).all():
-            raise EvaluationError("a recorded joint position is not a finite number; the recording is damaged")
+            raise ConstructionTwinError("a recorded joint position is not a finite number; the recording is damaged")
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -177,7 +179,7 @@ class Recording:
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If there are no joints, a stream has another number of columns, or twin or physical hold fewer than two samples.
     """
 
@@ -196,17 +198,19 @@ class Recording:
 
     def __post_init__(self):
         if not self.joint_names:
-            raise EvaluationError(
+            raise ConstructionTwinError(
                 "twin and physical arm report no joint in common; check the joint names in the recording"
             )
         for name in ("twin", "physical"):
             count = len(getattr(self, name))
             if count < 2:
-                raise EvaluationError(f"the recording holds {count} {name} samples; a comparison needs at least 2")
+                raise ConstructionTwinError(
+                    f"the recording holds {count} {name} samples; a comparison needs at least 2"
+                )
         for name in ("twin", "physical", "feedback", "command"):
             stream = getattr(self, name)
             if stream is not None and stream.positions.shape[1] != len(self.joint_names):
-                raise EvaluationError(
+                raise ConstructionTwinError(
                     f"{name} has {stream.positions.shape[1]} joints, expected {len(self.joint_names)}"
                 )
 

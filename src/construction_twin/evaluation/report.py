@@ -53,7 +53,7 @@ def write_report(recording: Recording, robot: RobotModel | None, directory: str 
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If the recording cannot be evaluated; nothing is written then.
     OSError
         If a file cannot be written.

@@ -56,7 +56,7 @@ def evaluate(recording: Recording) -> Evaluation:
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If twin and physical samples cannot be paired.
     """
     window = alignment.task_window(recording)

@@ -6,19 +6,21 @@ for `stop` and `restart`: these are compared with when a plan was made, on the c
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from construction_twin.core.beside import Beside
 from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.limits import outside_tolerance
+from construction_twin.core.state_table import Machine, Occasion, conditions
 from construction_twin.core.units import NANOSECONDS, for_people
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.engagement import Engagement, EngagementKeeper
+from construction_twin.execution.play_rate import PlayRate
 from construction_twin.execution.playback import Braking, Playback
 from construction_twin.execution.segment_run import SegmentRun
-from construction_twin.execution.speed_limit import PlayRate
 from construction_twin.execution.states import (
     ACTIVE,
     OUTCOMES,
@@ -37,8 +39,6 @@ from construction_twin.review.queue import EXECUTOR, WITHDRAWN, Ending, ReviewQu
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 
-#: What is done where one segment ends and the next begins.
-_AT_BOUNDARIES = (Action.ARRIVE, Action.ENTER, Action.VOID, Action.REARM)
 _BY_GATE = (ExecutorEvent.GATE_HOLDS, ExecutorEvent.GATE_ENDS)
 #: States in which a plan begins, or goes on, without another word of a person.
 _WAITING = (ExecutorState.PLAYING, ExecutorState.HELD, ExecutorState.AT_BOUNDARY)
@@ -93,8 +93,8 @@ class Executor:
     tool : ToolReport, set by `on_tool`
     work : SegmentRun or None
         The present or last execution of a work plan; None when the plan played last is none.
-    cause, reason : str
-        Why the state was entered; and the same with what the speed limit makes of it now.
+    reason : str
+        Why the state was entered, and what the speed limit makes of it now.
     beside : Beside
         Runs what tells of a stop, a pause or a rejection: it can fail none of them.
     """
@@ -105,8 +105,15 @@ class Executor:
         self.lag = 0.0
         self.neighbour = ConflictVerdicts()
         self.queue = ReviewQueue()
-        self.state = ExecutorState.WAITING
-        self.cause = self.reason = "started; waits for twin and physical arm to agree"
+        self._machine = Machine(
+            ROWS,
+            ExecutorState.WAITING,
+            "started; waits for twin and physical arm to agree",
+            conditions(self._guards()),
+            {action: self._with_sentence(act) for action, act in self._actions().items()},
+            after=self._after,
+        )
+        self.reason = self.cause
         self.outcome = ""
         self._playback: Playback | None = None
         self._approved: Plan | None = None
@@ -131,6 +138,16 @@ class Executor:
         self._twin: TwinPose | None = None
         self._setpoint: tuple[float, ...] | None = None
         self._setpoint_stamp = 0
+
+    @property
+    def state(self) -> ExecutorState:
+        """What it does."""
+        return self._machine.state
+
+    @property
+    def cause(self) -> str:
+        """Why the state was entered; `reason` is the same with what the speed limit makes of it now."""
+        return self._machine.reason
 
     @property
     def plan(self) -> Plan | None:
@@ -178,7 +195,8 @@ class Executor:
         """
         self._sync, self._agreed, self._policy, self._passed = state, agreed, policy, held_stamp
         if self._closed and state is SyncState.IN_SYNC:
-            self._enter(self.state, self.cause.replace(self._closed, "the gate held, and is open again"))
+            self._machine.reason = self.cause.replace(self._closed, "the gate held, and is open again")
+            self._begin_saying()
         if self.state not in ACTIVE:
             return
         reason = f"the gate holds ({state.name})"
@@ -492,18 +510,19 @@ class Executor:
     def step(self, stamp: int, now: int) -> tuple[float, ...] | None:
         """Return the setpoint for the cycle with nominal stamp `stamp` [ns], or None when nothing may be sent."""
         self.neighbour.now = self._now = now
-        if self.state in ACTIVE and self.state is not ExecutorState.STOPPING:
+        machine = self._machine
+        if machine.state in ACTIVE and machine.state is not ExecutorState.STOPPING:
             if problem := self.neighbour.problem(self._run.plan.id):
                 self._on(ExecutorEvent.STOP, problem)
-        if self.state is ExecutorState.WAITING and self._agreed and self._fresh_twin(now) is not None:
+        if machine.state is ExecutorState.WAITING and self._agreed and self._fresh_twin(now) is not None:
             self._on(ExecutorEvent.AGREED, "twin and physical arm agree")
-        if self.state is ExecutorState.WAITING:
+        if machine.state is ExecutorState.WAITING:
             return None
-        if self.state in _WAITING and now > self._begin_by and self._run.elapsed == 0.0:
+        if machine.state in _WAITING and now > self._begin_by and self._run.elapsed == 0.0:
             self._on(ExecutorEvent.TIMEOUT, f"not begun, {self._waits_for()}: an approval is void after {_OLDEST:g} s")
-        if self.state is ExecutorState.AT_BOUNDARY:
+        if machine.state is ExecutorState.AT_BOUNDARY:
             self._wait_at_boundary(stamp, now)
-        if self.state is ExecutorState.IDLE:
+        if machine.state is ExecutorState.IDLE:
             return self._repeat_twin(stamp, now)
         return self._advance(stamp)
 
@@ -538,27 +557,27 @@ class Executor:
         else:
             cause = f"stands {work.where}, {work.waits_for()}"
             if cause != self.cause:
-                self.cause = cause
+                self._machine.reason = cause
                 self._say()
 
     def _advance(self, stamp: int) -> tuple[float, ...]:
-        playback = self._run
-        if self.state is ExecutorState.STOPPING:
+        playback, machine = self._run, self._machine
+        if machine.state is ExecutorState.STOPPING:
             self._setpoint = playback.brake(stamp)
             self._stopping.append(self._setpoint)
         else:
-            rate = self.limit.fraction if self.state is ExecutorState.PLAYING else 0.0
+            rate = self.limit.fraction if machine.state is ExecutorState.PLAYING else 0.0
             self._setpoint = playback.advance(stamp, rate)
         self._setpoint_stamp = stamp
         if self.work is not None and playback.goal_stamp:
             self._on(ExecutorEvent.SEGMENT_END, f"stopped {self.work.where}")
-        elif playback.goal_stamp and self.state is not ExecutorState.HELD:
+        elif playback.goal_stamp and machine.state is not ExecutorState.HELD:
             # a hold may still come that takes back the last setpoints: then the plan must be there to go on
             if self._policy != RESUME or self._passed >= playback.goal_stamp:
                 self._on(ExecutorEvent.GOAL, "goal reached")
         elif playback.at_rest:
             self._on(ExecutorEvent.AT_REST)
-            if self.state is ExecutorState.PLAYING and not self.limit.standing and self.limit.fraction == 0.0:
+            if machine.state is ExecutorState.PLAYING and not self.limit.standing and self.limit.fraction == 0.0:
                 self.limit.standing = True
                 self._say()
         elif self.limit.standing:
@@ -570,73 +589,105 @@ class Executor:
 
     def _on(self, event: ExecutorEvent, reason: str = "") -> None:
         """Take an event: the first row of the table whose guard is true counts; without one nothing changes."""
-        for row in ROWS[self.state, event]:
-            if self._is_true(row.guard):
-                self._follow(row, reason)
-                return
+        self._machine.on(event, Occasion(reason))
 
-    def _is_true(self, guard: Guard) -> bool:
-        if guard is Guard.BEGUN:
-            return self.plan_start != 0
-        if guard is Guard.KNOWN:
-            return self._run.knows(self._passed)
-        if guard is Guard.WORK:
-            # `begin` has set it before the event
-            plan = self._approved if self.state is ExecutorState.IDLE else self._run.plan
-            return plan is not None and bool(plan.segments)
-        if guard is Guard.BOUNDARY:
-            return self.work is not None and self.work.at_boundary
-        return self._paused if guard is Guard.PAUSED else True
+    def _guards(self) -> dict[Guard, Callable[[Occasion], bool]]:
+        return {
+            Guard.BEGUN: lambda occasion: self.plan_start != 0,
+            Guard.KNOWN: lambda occasion: self._run.knows(self._passed),
+            Guard.PAUSED: lambda occasion: self._paused,
+            Guard.WORK: lambda occasion: self._is_work(),
+            Guard.BOUNDARY: lambda occasion: self.work is not None and self.work.at_boundary,
+        }
 
-    def _follow(self, row: Row, reason: str) -> None:
-        action = row.action
-        if action is Action.START_FROM_TWIN:
-            assert self._twin is not None  # the event says that its pose is known
-            self._setpoint, self._setpoint_stamp = self._twin.q, 0
-            self.engagement.see(self._twin.q)
-        elif action is Action.FORGET_TWIN:
-            self._twin, self._agreed, self._setpoint = None, False, None
-        elif action is Action.PLAY:
-            assert self._approved is not None  # `begin` has set it
-            self._playback, self.outcome = Playback(self._approved, self._robot), ""
-            self._orders += [] if self.work is None else self.work.take_orders()
-            self.work = None
-            if self._approved.segments:
-                self.work = SegmentRun(self._approved, self.engagement, self._is_way_back(self._approved))
-        elif action is Action.BRAKE:
-            assert self._setpoint is not None  # the row's guard: one was sent
-            self._stopping = [self._setpoint]
-        elif action is Action.STAND:
-            self._run.rest_where(self._passed)
-            self._paused = row.state in (ExecutorState.PAUSING, ExecutorState.PAUSED)
-        elif action is Action.NOTE_PAUSE:
-            self._paused = True
-        elif action in _AT_BOUNDARIES:
-            self._go_through_boundary(action)
-        # what a state is entered for is said of a change that takes place: the arm brakes without the sentence, too
-        sentence = self.beside.do("the executor's sentence", self._sentence, row, reason) or reason
-        if action in OUTCOMES:
-            self.outcome = OUTCOMES[action]
-            sentence = self._end_work(action, sentence)
-            self._events.append(Ending(self._run.plan, self.outcome, sentence))
+    def _is_work(self) -> bool:
+        # `begin` has set it before the event
+        plan = self._approved if self.state is ExecutorState.IDLE else self._run.plan
+        return plan is not None and bool(plan.segments)
+
+    def _actions(self) -> dict[Action, Callable[[Row], None]]:
+        return {
+            Action.NOTHING: lambda row: None,
+            Action.START_FROM_TWIN: self._start_from_twin,
+            Action.FORGET_TWIN: self._forget_twin,
+            Action.PLAY: self._play,
+            Action.BRAKE: self._brake,
+            Action.STAND: self._stand,
+            Action.NOTE_PAUSE: self._note_pause,
+            Action.ARRIVE: self._arrive,
+            Action.ENTER: lambda row: self._run.enter(self._at_boundary.enter()),
+            Action.VOID: lambda row: self._at_boundary.pause(),
+            Action.REARM: lambda row: self._at_boundary.resume(self._now),
+            **{action: self._end for action in OUTCOMES},
+        }
+
+    def _with_sentence(self, act: Callable[[Row], None]) -> Callable[[Row, Occasion], str]:
+        """Return an action that answers with the sentence for the state that is entered."""
+
+        def carry_out(row: Row, occasion: Occasion) -> str:
+            act(row)
+            # what a state is entered for is said of a change that takes place: the arm brakes without the sentence, too
+            sentence = self.beside.do("the executor's sentence", self._sentence, row, occasion.reason)
+            sentence = sentence or occasion.reason
+            if row.action in OUTCOMES:
+                sentence = self._end_work(row.action, sentence)
+                self._events.append(Ending(self._run.plan, self.outcome, sentence))
+            return sentence if self._is_told(row) else self.cause
+
+        return carry_out
+
+    @staticmethod
+    def _is_told(row: Row) -> bool:
         # a restart is told although the state stays
-        if row.target is not row.state or action is Action.FORGET_TWIN:
-            self._enter(row.target or row.state, sentence)
-        if row.event in _BY_GATE and self.state is ExecutorState.IDLE:
-            self._closed = reason
+        return row.target is not row.state or row.action is Action.FORGET_TWIN
 
-    def _go_through_boundary(self, action: Action) -> None:
-        work = self.work
-        assert work is not None  # only a work plan has boundaries
-        if action is Action.ARRIVE:
-            self._run.arrive()
-            work.arrive()
-        elif action is Action.ENTER:
-            self._run.enter(work.enter())
-        elif action is Action.VOID:
-            work.pause()
-        else:
-            work.resume(self._now)
+    def _after(self, row: Row, occasion: Occasion) -> None:
+        if self._is_told(row):
+            self._begin_saying()
+        if row.event in _BY_GATE and self.state is ExecutorState.IDLE:
+            self._closed = occasion.reason
+
+    # -- actions
+
+    def _start_from_twin(self, row: Row) -> None:
+        assert self._twin is not None  # the event says that its pose is known
+        self._setpoint, self._setpoint_stamp = self._twin.q, 0
+        self.engagement.see(self._twin.q)
+
+    def _forget_twin(self, row: Row) -> None:
+        self._twin, self._agreed, self._setpoint = None, False, None
+
+    def _play(self, row: Row) -> None:
+        assert self._approved is not None  # `begin` has set it
+        self._playback, self.outcome = Playback(self._approved, self._robot), ""
+        self._orders += [] if self.work is None else self.work.take_orders()
+        self.work = None
+        if self._approved.segments:
+            self.work = SegmentRun(self._approved, self.engagement, self._is_way_back(self._approved))
+
+    def _brake(self, row: Row) -> None:
+        assert self._setpoint is not None  # the row's guard: one was sent
+        self._stopping = [self._setpoint]
+
+    def _stand(self, row: Row) -> None:
+        self._run.rest_where(self._passed)
+        self._paused = row.state in (ExecutorState.PAUSING, ExecutorState.PAUSED)
+
+    def _note_pause(self, row: Row) -> None:
+        self._paused = True
+
+    @property
+    def _at_boundary(self) -> SegmentRun:
+        assert self.work is not None  # only a work plan has boundaries
+        return self.work
+
+    def _arrive(self, row: Row) -> None:
+        work = self._at_boundary
+        self._run.arrive()
+        work.arrive()
+
+    def _end(self, row: Row) -> None:
+        self.outcome = OUTCOMES[row.action]
 
     def _end_work(self, action: Action, sentence: str) -> str:
         """End the execution of a work plan, if it was one; return the sentence for its end."""
@@ -687,8 +738,8 @@ class Executor:
             return f"{self.cause}; at rest after {distance_along(self._stopping).text(self._robot)}"
         return reason
 
-    def _enter(self, state: ExecutorState, reason: str) -> None:
-        self.state, self.cause, self.limit.standing, self._closed = state, reason, False, ""
+    def _begin_saying(self) -> None:
+        self.limit.standing, self._closed = False, ""
         self._say()
 
     def _say(self) -> None:

@@ -79,70 +79,66 @@ class Action(Enum):
 
 Row = state_table.Row[GoalState, GoalEvent, Guard, Action]
 _S, _E, _A, _G = GoalState, GoalEvent, Action, Guard
-
-
-def _row(state: GoalState, event: GoalEvent, action: Action, target: GoalState, guard: Guard = Guard.ALWAYS) -> Row:
-    return state_table.Row(state, event, guard, action, target)
-
+rows = state_table.Rows(GoalState, GoalEvent, Guard, Action)
 
 #: Of the rows for one state and event the first whose guard is true counts. What is not in the table changes nothing in that state.
 #: A goal that waits is taken as soon as FREE is entered.
 TABLE: tuple[Row, ...] = (
-    _row(_S.FREE, _E.GOAL, _A.TURN_AWAY_BUSY, _S.FREE, _G.BUSY),
-    _row(_S.FREE, _E.GOAL, _A.ASK, _S.PLANNING),
+    *rows(_S.FREE, _E.GOAL, _S.FREE, _A.TURN_AWAY_BUSY, _G.BUSY),
+    *rows(_S.FREE, _E.GOAL, _S.PLANNING, _A.ASK),
     # the planner's answer; nothing of a goal moves before it
-    _row(_S.PLANNING, _E.PLANNED, _A.ACCEPT, _S.REVIEW),
-    _row(_S.PLANNING, _E.NOT_PLANNED, _A.REFUSE, _S.FREE),
-    _row(_S.PLANNING, _E.CANCEL, _A.RECALL, _S.DISCARDING),
-    _row(_S.PLANNING, _E.GOAL, _A.TURN_AWAY, _S.PLANNING, _G.STRANGER),
-    _row(_S.PLANNING, _E.GOAL, _A.REPLACE, _S.DISCARDING),
+    *rows(_S.PLANNING, _E.PLANNED, _S.REVIEW, _A.ACCEPT),
+    *rows(_S.PLANNING, _E.NOT_PLANNED, _S.FREE, _A.REFUSE),
+    *rows(_S.PLANNING, _E.CANCEL, _S.DISCARDING, _A.RECALL),
+    *rows(_S.PLANNING, _E.GOAL, _S.PLANNING, _A.TURN_AWAY, _G.STRANGER),
+    *rows(_S.PLANNING, _E.GOAL, _S.DISCARDING, _A.REPLACE),
     # a plan that nobody wants any more must not stay under review
-    _row(_S.DISCARDING, _E.PLANNED, _A.WITHDRAW, _S.WITHDRAWING),
-    _row(_S.DISCARDING, _E.NOT_PLANNED, _A.NOTHING, _S.STOPPED),
-    _row(_S.DISCARDING, _E.GOAL, _A.TURN_AWAY, _S.DISCARDING, _G.STRANGER),
-    _row(_S.DISCARDING, _E.GOAL, _A.LINE_UP, _S.DISCARDING),
+    *rows(_S.DISCARDING, _E.PLANNED, _S.WITHDRAWING, _A.WITHDRAW),
+    *rows(_S.DISCARDING, _E.NOT_PLANNED, _S.STOPPED),
+    *rows(_S.DISCARDING, _E.GOAL, _S.DISCARDING, _A.TURN_AWAY, _G.STRANGER),
+    *rows(_S.DISCARDING, _E.GOAL, _S.DISCARDING, _A.LINE_UP),
     # a person decides
-    _row(_S.REVIEW, _E.STARTED, _A.SAY_MOVING, _S.MOVING),
-    _row(_S.REVIEW, _E.TURNED_DOWN, _A.ABORT_INVALID, _S.FREE),
-    _row(_S.REVIEW, _E.FINISHED, _A.SAY_MOVING, _S.SETTLING),
-    _row(_S.REVIEW, _E.ENDED, _A.ABORT_PATH, _S.FREE),
-    _row(_S.REVIEW, _E.CANCEL, _A.WITHDRAW, _S.WITHDRAWING),
-    _row(_S.REVIEW, _E.GOAL, _A.TURN_AWAY, _S.REVIEW, _G.STRANGER),
-    _row(_S.REVIEW, _E.GOAL, _A.WITHDRAW_FOR_NEXT, _S.WITHDRAWING),
+    *rows(_S.REVIEW, _E.STARTED, _S.MOVING, _A.SAY_MOVING),
+    *rows(_S.REVIEW, _E.TURNED_DOWN, _S.FREE, _A.ABORT_INVALID),
+    *rows(_S.REVIEW, _E.FINISHED, _S.SETTLING, _A.SAY_MOVING),
+    *rows(_S.REVIEW, _E.ENDED, _S.FREE, _A.ABORT_PATH),
+    *rows(_S.REVIEW, _E.CANCEL, _S.WITHDRAWING, _A.WITHDRAW),
+    *rows(_S.REVIEW, _E.GOAL, _S.REVIEW, _A.TURN_AWAY, _G.STRANGER),
+    *rows(_S.REVIEW, _E.GOAL, _S.WITHDRAWING, _A.WITHDRAW_FOR_NEXT),
     # the withdrawal and an approval may cross
-    _row(_S.WITHDRAWING, _E.TURNED_DOWN, _A.PREEMPT, _S.STOPPED),
-    _row(_S.WITHDRAWING, _E.TOO_LATE, _A.PREEMPT, _S.STOPPED),
-    _row(_S.WITHDRAWING, _E.STARTED, _A.BRAKE, _S.BRAKING),
-    _row(_S.WITHDRAWING, _E.FINISHED, _A.NOTHING, _S.STOPPED),
-    _row(_S.WITHDRAWING, _E.ENDED, _A.NOTHING, _S.STOPPED),
-    _row(_S.WITHDRAWING, _E.GOAL, _A.TURN_AWAY, _S.WITHDRAWING, _G.STRANGER),
-    _row(_S.WITHDRAWING, _E.GOAL, _A.LINE_UP, _S.WITHDRAWING),
+    *rows(_S.WITHDRAWING, _E.TURNED_DOWN, _S.STOPPED, _A.PREEMPT),
+    *rows(_S.WITHDRAWING, _E.TOO_LATE, _S.STOPPED, _A.PREEMPT),
+    *rows(_S.WITHDRAWING, _E.STARTED, _S.BRAKING, _A.BRAKE),
+    *rows(_S.WITHDRAWING, _E.FINISHED, _S.STOPPED),
+    *rows(_S.WITHDRAWING, _E.ENDED, _S.STOPPED),
+    *rows(_S.WITHDRAWING, _E.GOAL, _S.WITHDRAWING, _A.TURN_AWAY, _G.STRANGER),
+    *rows(_S.WITHDRAWING, _E.GOAL, _S.WITHDRAWING, _A.LINE_UP),
     # on the path
-    _row(_S.MOVING, _E.FINISHED, _A.NOTHING, _S.SETTLING),
-    _row(_S.MOVING, _E.ENDED, _A.ABORT_PATH, _S.FREE),
-    _row(_S.MOVING, _E.LOST, _A.ABORT_GOAL, _S.FREE),
-    _row(_S.MOVING, _E.OFF_PATH, _A.BRAKE_OFF_PATH, _S.BRAKING),
-    _row(_S.MOVING, _E.CANCEL, _A.BRAKE, _S.BRAKING),
-    _row(_S.MOVING, _E.GOAL, _A.TURN_AWAY, _S.MOVING, _G.STRANGER),
-    _row(_S.MOVING, _E.GOAL, _A.BRAKE_FOR_NEXT, _S.BRAKING),
+    *rows(_S.MOVING, _E.FINISHED, _S.SETTLING),
+    *rows(_S.MOVING, _E.ENDED, _S.FREE, _A.ABORT_PATH),
+    *rows(_S.MOVING, _E.LOST, _S.FREE, _A.ABORT_GOAL),
+    *rows(_S.MOVING, _E.OFF_PATH, _S.BRAKING, _A.BRAKE_OFF_PATH),
+    *rows(_S.MOVING, _E.CANCEL, _S.BRAKING, _A.BRAKE),
+    *rows(_S.MOVING, _E.GOAL, _S.MOVING, _A.TURN_AWAY, _G.STRANGER),
+    *rows(_S.MOVING, _E.GOAL, _S.BRAKING, _A.BRAKE_FOR_NEXT),
     # the first cause is the cause
-    _row(_S.BRAKING, _E.FINISHED, _A.NOTHING, _S.STOPPED),
-    _row(_S.BRAKING, _E.ENDED, _A.NOTHING, _S.STOPPED),
-    _row(_S.BRAKING, _E.LOST, _A.NOTHING, _S.STOPPED),
-    _row(_S.BRAKING, _E.GOAL, _A.TURN_AWAY, _S.BRAKING, _G.STRANGER),
-    _row(_S.BRAKING, _E.GOAL, _A.LINE_UP, _S.BRAKING),
+    *rows(_S.BRAKING, _E.FINISHED, _S.STOPPED),
+    *rows(_S.BRAKING, _E.ENDED, _S.STOPPED),
+    *rows(_S.BRAKING, _E.LOST, _S.STOPPED),
+    *rows(_S.BRAKING, _E.GOAL, _S.BRAKING, _A.TURN_AWAY, _G.STRANGER),
+    *rows(_S.BRAKING, _E.GOAL, _S.BRAKING, _A.LINE_UP),
     # the executor sends no more of the path; a next plan begins where the twin comes to rest
-    _row(_S.STOPPED, _E.STILL, _A.END_STOPPED, _S.FREE),
-    _row(_S.STOPPED, _E.TOO_LATE, _A.GIVE_UP, _S.FREE),
-    _row(_S.STOPPED, _E.GOAL, _A.TURN_AWAY, _S.STOPPED, _G.STRANGER),
-    _row(_S.STOPPED, _E.GOAL, _A.LINE_UP, _S.STOPPED),
+    *rows(_S.STOPPED, _E.STILL, _S.FREE, _A.END_STOPPED),
+    *rows(_S.STOPPED, _E.TOO_LATE, _S.FREE, _A.GIVE_UP),
+    *rows(_S.STOPPED, _E.GOAL, _S.STOPPED, _A.TURN_AWAY, _G.STRANGER),
+    *rows(_S.STOPPED, _E.GOAL, _S.STOPPED, _A.LINE_UP),
     # the path was played to its end; the arm may still be on its way
-    _row(_S.SETTLING, _E.AT_GOAL, _A.SUCCEED, _S.FREE),
-    _row(_S.SETTLING, _E.TOO_LATE, _A.ABORT_GOAL, _S.FREE),
-    _row(_S.SETTLING, _E.LOST, _A.ABORT_GOAL, _S.FREE),
-    _row(_S.SETTLING, _E.CANCEL, _A.PREEMPT, _S.FREE),
-    _row(_S.SETTLING, _E.GOAL, _A.TURN_AWAY, _S.SETTLING, _G.STRANGER),
-    _row(_S.SETTLING, _E.GOAL, _A.REPLACE, _S.STOPPED),
+    *rows(_S.SETTLING, _E.AT_GOAL, _S.FREE, _A.SUCCEED),
+    *rows(_S.SETTLING, _E.TOO_LATE, _S.FREE, _A.ABORT_GOAL),
+    *rows(_S.SETTLING, _E.LOST, _S.FREE, _A.ABORT_GOAL),
+    *rows(_S.SETTLING, _E.CANCEL, _S.FREE, _A.PREEMPT),
+    *rows(_S.SETTLING, _E.GOAL, _S.SETTLING, _A.TURN_AWAY, _G.STRANGER),
+    *rows(_S.SETTLING, _E.GOAL, _S.STOPPED, _A.REPLACE),
 )
 
 ROWS = state_table.by_cause(TABLE)

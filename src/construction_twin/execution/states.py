@@ -5,7 +5,6 @@ Pure. What causes an event, and how guards and actions are carried out, is in `e
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from enum import Enum
 
 from construction_twin.core import state_table
@@ -96,65 +95,55 @@ ACTIVE = (*MOVING, *RESTING)
 SURVIVED = (SyncState.HOLDING, SyncState.STALE)
 
 _S, _E = ExecutorState, ExecutorEvent
-
-
-def _rows(
-    states: Iterable[ExecutorState],
-    event: ExecutorEvent,
-    action: Action,
-    target: ExecutorState | None = None,
-    guard: Guard = Guard.ALWAYS,
-) -> list[Row]:
-    """Return the same row for several states; without a target each stays what it is."""
-    return [row for state in states for row in state_table.rows([state], event, guard, action, target or state)]
-
+rows = state_table.Rows(ExecutorState, ExecutorEvent, Guard, Action)
 
 #: Of the rows for one state and event the first whose guard is true counts. What is not in the table changes nothing in that state.
 TABLE: tuple[Row, ...] = (
-    *_rows([_S.WAITING], _E.AGREED, Action.START_FROM_TWIN, _S.IDLE),
-    *_rows([_S.IDLE], _E.TWIN_LOST, Action.FORGET_TWIN, _S.WAITING),
-    *_rows([_S.WAITING, _S.IDLE], _E.NEW_SESSION, Action.FORGET_TWIN, _S.WAITING),
+    *rows(_S.WAITING, _E.AGREED, _S.IDLE, Action.START_FROM_TWIN),
+    *rows(_S.IDLE, _E.TWIN_LOST, _S.WAITING, Action.FORGET_TWIN),
+    *rows((_S.WAITING, _S.IDLE), _E.NEW_SESSION, _S.WAITING, Action.FORGET_TWIN),
     # it is in IDLE for a moment: there the event is taken again
-    *_rows(ACTIVE, _E.NEW_SESSION, Action.DROP, _S.IDLE),
-    *_rows([_S.IDLE], _E.APPROVED, Action.PLAY, _S.AT_BOUNDARY, Guard.WORK),
-    *_rows([_S.IDLE], _E.APPROVED, Action.PLAY, _S.PLAYING),
+    *rows(ACTIVE, _E.NEW_SESSION, _S.IDLE, Action.DROP),
+    *rows(_S.IDLE, _E.APPROVED, _S.AT_BOUNDARY, Action.PLAY, Guard.WORK),
+    *rows(_S.IDLE, _E.APPROVED, _S.PLAYING, Action.PLAY),
     # a stop, by a person, a changed scene, or another arm on the path
-    *_rows([_S.PLAYING, _S.PAUSING], _E.STOP, Action.BRAKE, _S.STOPPING, Guard.BEGUN),
-    *_rows([_S.PLAYING, _S.PAUSING], _E.STOP, Action.STOP, _S.IDLE),
-    *_rows(RESTING, _E.STOP, Action.STOP, _S.IDLE),
+    *rows((_S.PLAYING, _S.PAUSING), _E.STOP, _S.STOPPING, Action.BRAKE, Guard.BEGUN),
+    *rows((_S.PLAYING, _S.PAUSING), _E.STOP, _S.IDLE, Action.STOP),
+    *rows(RESTING, _E.STOP, _S.IDLE, Action.STOP),
     # the first cause is the cause, and the path is measured from there
-    *_rows([_S.STOPPING], _E.STOP, Action.NOTHING),
-    *_rows([_S.PLAYING], _E.PAUSE, Action.NOTHING, _S.PAUSING),
-    *_rows([_S.PAUSING, _S.PAUSED], _E.PAUSE, Action.NOTHING),
-    *_rows([_S.HELD], _E.PAUSE, Action.NOTE_PAUSE),
-    *_rows([_S.AT_BOUNDARY], _E.PAUSE, Action.VOID, _S.PAUSED),
-    *_rows([_S.PAUSED], _E.RESUME, Action.REARM, _S.AT_BOUNDARY, Guard.BOUNDARY),
-    *_rows([_S.PAUSING, _S.PAUSED], _E.RESUME, Action.NOTHING, _S.PLAYING),
+    *rows(_S.STOPPING, _E.STOP, _S.STOPPING),
+    *rows(_S.PLAYING, _E.PAUSE, _S.PAUSING),
+    *rows(_S.PAUSING, _E.PAUSE, _S.PAUSING),
+    *rows(_S.PAUSED, _E.PAUSE, _S.PAUSED),
+    *rows(_S.HELD, _E.PAUSE, _S.HELD, Action.NOTE_PAUSE),
+    *rows(_S.AT_BOUNDARY, _E.PAUSE, _S.PAUSED, Action.VOID),
+    *rows(_S.PAUSED, _E.RESUME, _S.AT_BOUNDARY, Action.REARM, Guard.BOUNDARY),
+    *rows((_S.PAUSING, _S.PAUSED), _E.RESUME, _S.PLAYING),
     # the gate has closed, and the plan survives it
     # of a work plan none survives: tool and scene may be in between, so the rest is planned anew
-    *_rows([_S.PLAYING, _S.PAUSING, _S.PAUSED], _E.GATE_HOLDS, Action.LOSE, _S.IDLE, Guard.WORK),
-    *_rows([_S.PLAYING, _S.PAUSING, _S.PAUSED], _E.GATE_HOLDS, Action.STAND, _S.HELD, Guard.KNOWN),
-    *_rows([_S.PLAYING, _S.PAUSING, _S.PAUSED, _S.AT_BOUNDARY], _E.GATE_HOLDS, Action.LOSE, _S.IDLE),
-    *_rows([_S.STOPPING], _E.GATE_HOLDS, Action.STOP, _S.IDLE),
+    *rows((_S.PLAYING, _S.PAUSING, _S.PAUSED), _E.GATE_HOLDS, _S.IDLE, Action.LOSE, Guard.WORK),
+    *rows((_S.PLAYING, _S.PAUSING, _S.PAUSED), _E.GATE_HOLDS, _S.HELD, Action.STAND, Guard.KNOWN),
+    *rows((_S.PLAYING, _S.PAUSING, _S.PAUSED, _S.AT_BOUNDARY), _E.GATE_HOLDS, _S.IDLE, Action.LOSE),
+    *rows(_S.STOPPING, _E.GATE_HOLDS, _S.IDLE, Action.STOP),
     # it has closed, and the plan does not
-    *_rows(ACTIVE, _E.GATE_ENDS, Action.LOSE, _S.IDLE),
-    *_rows([_S.HELD], _E.GATE_OPENS, Action.NOTHING, _S.PAUSED, Guard.PAUSED),
-    *_rows([_S.HELD], _E.GATE_OPENS, Action.NOTHING, _S.PLAYING),
-    *_rows(ACTIVE, _E.DISARMED, Action.DROP, _S.IDLE),
-    *_rows(MOVING, _E.STALLED, Action.DROP, _S.IDLE),
-    *_rows([_S.STOPPING], _E.AT_REST, Action.STOP, _S.IDLE),
-    *_rows([_S.PAUSING], _E.AT_REST, Action.NOTHING, _S.PAUSED),
-    *_rows([_S.PLAYING, _S.STOPPING, _S.PAUSING, _S.PAUSED, _S.AT_BOUNDARY], _E.GOAL, Action.FINISH, _S.IDLE),
+    *rows(ACTIVE, _E.GATE_ENDS, _S.IDLE, Action.LOSE),
+    *rows(_S.HELD, _E.GATE_OPENS, _S.PAUSED, Action.NOTHING, Guard.PAUSED),
+    *rows(_S.HELD, _E.GATE_OPENS, _S.PLAYING),
+    *rows(ACTIVE, _E.DISARMED, _S.IDLE, Action.DROP),
+    *rows(MOVING, _E.STALLED, _S.IDLE, Action.DROP),
+    *rows(_S.STOPPING, _E.AT_REST, _S.IDLE, Action.STOP),
+    *rows(_S.PAUSING, _E.AT_REST, _S.PAUSED),
+    *rows((_S.PLAYING, _S.STOPPING, _S.PAUSING, _S.PAUSED, _S.AT_BOUNDARY), _E.GOAL, _S.IDLE, Action.FINISH),
     # a work plan: nothing passes the end of a segment before tool and scene are as planned
-    *_rows([_S.PLAYING], _E.SEGMENT_END, Action.ARRIVE, _S.AT_BOUNDARY),
-    *_rows([_S.PAUSING], _E.SEGMENT_END, Action.ARRIVE, _S.PAUSED),
-    *_rows([_S.STOPPING], _E.SEGMENT_END, Action.STOP, _S.IDLE),
-    *_rows([_S.AT_BOUNDARY], _E.NEXT_SEGMENT, Action.ENTER, _S.PLAYING),
+    *rows(_S.PLAYING, _E.SEGMENT_END, _S.AT_BOUNDARY, Action.ARRIVE),
+    *rows(_S.PAUSING, _E.SEGMENT_END, _S.PAUSED, Action.ARRIVE),
+    *rows(_S.STOPPING, _E.SEGMENT_END, _S.IDLE, Action.STOP),
+    *rows(_S.AT_BOUNDARY, _E.NEXT_SEGMENT, _S.PLAYING, Action.ENTER),
     # what has not begun when its approval, or a resume, is void never begins by itself
-    *_rows([_S.PLAYING, _S.HELD, _S.AT_BOUNDARY], _E.TIMEOUT, Action.STOP, _S.IDLE),
-    *_rows([_S.AT_BOUNDARY], _E.REFUSED, Action.STOP, _S.IDLE),
-    *_rows([_S.PLAYING, _S.PAUSING], _E.LOST, Action.BRAKE, _S.STOPPING),
-    *_rows([_S.PAUSED, _S.AT_BOUNDARY], _E.LOST, Action.STOP, _S.IDLE),
+    *rows((_S.PLAYING, _S.HELD, _S.AT_BOUNDARY), _E.TIMEOUT, _S.IDLE, Action.STOP),
+    *rows(_S.AT_BOUNDARY, _E.REFUSED, _S.IDLE, Action.STOP),
+    *rows((_S.PLAYING, _S.PAUSING), _E.LOST, _S.STOPPING, Action.BRAKE),
+    *rows((_S.PAUSED, _S.AT_BOUNDARY), _E.LOST, _S.IDLE, Action.STOP),
 )
 
 ROWS = state_table.by_cause(TABLE)

@@ -6,11 +6,13 @@ around it talks to planner, executor and clients. Times are on the monotonic clo
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
+from construction_twin.core.state_table import Machine, Occasion, conditions
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.execution.goal_states import ROWS, GoalEvent, GoalState, Guard, Row
+from construction_twin.execution.goal_states import ROWS, Action, GoalEvent, GoalState, Guard, Row
 from construction_twin.execution.joint_tolerances import Tolerances
 from construction_twin.execution.states import ACTIVE, ExecutorState
 from construction_twin.execution.tracking import Sample
@@ -162,7 +164,6 @@ class TrajectoryGoals:
 
     Attributes
     ----------
-    state : GoalState
     goal : TrajectoryGoal or None
         The one that has the arm.
     """
@@ -170,7 +171,15 @@ class TrajectoryGoals:
     def __init__(self, robot: RobotModel, reviewed_by: str):
         self._robot = robot
         self._reviewed_by = reviewed_by
-        self.state = GoalState.FREE
+        self._heard = _Heard()
+        self._machine = Machine(
+            ROWS,
+            GoalState.FREE,
+            "",
+            conditions({Guard.BUSY: lambda occasion: self._heard.state in ACTIVE, Guard.STRANGER: self._is_strange}),
+            {action: self._action(action) for action in Action if action is not Action.NOTHING},
+            after=self._after,
+        )
         self.goal: TrajectoryGoal | None = None
         self._client = ""
         self._plan: GoalPlan | None = None
@@ -179,9 +188,13 @@ class TrajectoryGoals:
         self._why = ""
         self._off_path = False
         self._retry_at = self._since = self._now = 0
-        self._heard = _Heard()
         self._turned_down: dict[str, str] = {}
         self._effects: list[Effect] = []
+
+    @property
+    def state(self) -> GoalState:
+        """What becomes of the goal."""
+        return self._machine.state
 
     @property
     def plan(self) -> GoalPlan | None:
@@ -361,32 +374,23 @@ class TrajectoryGoals:
     def _on(self, event: GoalEvent, now: int, reason: str = "") -> None:
         """Take an event: the first row of the table whose guard is true counts; without one nothing changes."""
         self._now = now
-        for row in ROWS[self.state, event]:
-            if self._is_true(row.guard):
-                self._follow(row, reason)
-                return
+        self._machine.on(event, Occasion(reason, now))
 
-    def _is_true(self, guard: Guard) -> bool:
-        if guard is Guard.BUSY:
-            return self._heard.state in ACTIVE
-        if guard is Guard.STRANGER:
-            return self._coming is not None and self._coming.client != self._client
-        return True
+    def _is_strange(self, occasion: Occasion) -> bool:
+        return self._coming is not None and self._coming.client != self._client
 
-    def _follow(self, row: Row, reason: str) -> None:
+    def _action(self, action: Action) -> Callable[[Row, Occasion], None]:
+        act = getattr(self, f"_{action.name.lower()}")
+        return lambda row, occasion: act(occasion.reason)
+
+    def _after(self, row: Row, occasion: Occasion) -> None:
         if row.target is not row.state:
-            self._since, self._retry_at = self._now, 0
-        if row.target is not None:
-            self.state = row.target
-        getattr(self, f"_{row.action.name.lower()}")(reason)
+            self._since, self._retry_at = occasion.now, 0
         if self.state is GoalState.FREE:
             self.goal = self._plan = None
             self._why, self._off_path = "", False
 
     # -- actions: one method for each of the table
-
-    def _nothing(self, _reason: str) -> None:
-        """Do nothing."""
 
     def _ask(self, _reason: str) -> None:
         self.goal, self._coming = self._coming, None

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from construction_twin.core.beside import Beside
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
+from construction_twin.core.rate_limit import SenderLimits, TokenBucket
+from construction_twin.core.state_table import Machine
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
 from construction_twin.gateway.config import GatewayConfig
@@ -25,11 +27,11 @@ from construction_twin.gateway.player import Player
 from construction_twin.gateway.refusals import Refusals
 from construction_twin.gateway.rsi_session import ControllerSession, distance_off
 from construction_twin.gateway.speed_limit import SpeedLimit
-from construction_twin.gateway.states import CAUSES, NOTES, Action, Event, Guard, Machine, Mode, Occasion, State
+from construction_twin.gateway.states import CAUSES, NOTES, ROWS, Action, Event, Guard, Mode, Occasion, Row, State
 from construction_twin.gateway.status import StateReport, Status
 from construction_twin.gateway.stop_report import StopReport
 from construction_twin.gateway.tool_switches import ToolSwitches, stamp_of
-from construction_twin.mqtt.interventions import AnswerPace, Intervention
+from construction_twin.mqtt.interventions import Intervention
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
     PROTOCOL,
@@ -124,7 +126,7 @@ class Gateway:
         self._unread_count = self._unread_since = 0
         self._controller = ControllerSession(config, self.counters)
         self._owners = Ownership()
-        self._stop_pace = AnswerPace(STOP_PERIOD, STOPS_AT_ONCE)
+        self._stop_pace = SenderLimits(lambda: TokenBucket(NANOSECONDS // STOP_PERIOD, STOPS_AT_ONCE))
         self._player = Player(config, self.counters)
         self._stream = CommandIntake(config, self.codec, self._player)
         #: How fast the arm may move, as the source of `speed_limit` asks.
@@ -141,6 +143,9 @@ class Gateway:
         #: What the controller says of itself, where its Ethernet XML has the optional channels.
         self._said = ControllerStatus()
         self._machine = Machine(
+            ROWS,
+            State.NO_CONTROLLER,
+            "no telegram yet",
             {
                 Guard.ANSWERS: lambda occasion: "ONLYSEND" if self.mode is Mode.READ_ONLY else "",
                 Guard.READS_ONLY: lambda occasion: "" if self.mode is Mode.READ_ONLY else "no ONLYSEND",
@@ -161,6 +166,7 @@ class Gateway:
                 Action.RESET: self._on_reset,
                 Action.LAST_RESORT: self._on_fault,
             },
+            name="gateway",
         )
 
     @property
@@ -378,7 +384,7 @@ class Gateway:
             else:
                 self._machine.on(Event.CYCLE_FITS, Occasion(self._began))
 
-    def _on_session_began(self, event: Event, occasion: Occasion) -> None:
+    def _on_session_began(self, row: Row, occasion: Occasion) -> None:
         self._player.remove()
         if self.tool is not None:
             self.tool.begin_session()
@@ -390,7 +396,7 @@ class Gateway:
         self._parts.restart()
         self._unread_told, self._unread_count, self._clock_told = "", 0, ""
 
-    def _on_session_ended(self, event: Event, occasion: Occasion) -> None:
+    def _on_session_ended(self, row: Row, occasion: Occasion) -> None:
         self._controller.end()
         self.clock.restart()
         self._said = ControllerStatus()
@@ -468,8 +474,8 @@ class Gateway:
     def _brake(self, event: Event, reason: str, account: str = "", ending: bool = False) -> None:
         self._machine.on(event, Occasion(f"{CAUSES[event]}: {reason}", account=account, ending=ending))
 
-    def _on_brake(self, event: Event, occasion: Occasion) -> None:
-        cause, state, follower = CAUSES[event], self._machine.state, self._player.follower
+    def _on_brake(self, row: Row, occasion: Occasion) -> None:
+        cause, state, follower = CAUSES[row.event], row.state, self._player.follower
         self.counters[f"stops_{cause}"] += 1
         if state is not State.BRAKING and follower is not None:
             # a second stop while braking keeps the first report; after a silent stream, braking began in the first cycle without a
@@ -480,11 +486,11 @@ class Gateway:
             self.beside.do("the way to rest", self._stopping.begin, cause, follower, measured, begun, occasion.account)
         self._disarm(occasion.reason)
 
-    def _on_brake_to_fault(self, event: Event, occasion: Occasion) -> None:
-        self._on_fault(event, occasion)
-        self._on_brake(event, occasion)
+    def _on_brake_to_fault(self, row: Row, occasion: Occasion) -> None:
+        self._on_fault(row, occasion)
+        self._on_brake(row, occasion)
 
-    def _on_fault(self, event: Event, occasion: Occasion) -> None:
+    def _on_fault(self, row: Row, occasion: Occasion) -> None:
         self.fault = self._machine.changed = True
         if not occasion.ending:
             self.fault_number += 1
@@ -555,7 +561,7 @@ class Gateway:
         self._stream.push(stamp, q, waited)
         self.counters["commands_received"] += 1
 
-    def _on_stream_began(self, event: Event, occasion: Occasion) -> None:
+    def _on_stream_began(self, row: Row, occasion: Occasion) -> None:
         assert self._player.follower is not None  # an armed gateway has one
         self._stream.start(self._player.follower.position, occasion.stamp, occasion.q)
 
@@ -616,14 +622,14 @@ class Gateway:
     def _arm(self, control: Control) -> Answer:
         another = self._refusal_of_value(control.value)
         if self.state in (State.ARMED, State.FOLLOWING) and not another:
-            refusal = self._machine.on(Event.ARM, Occasion("", control.session))
+            refusal = self._machine.on(Event.ARM, Occasion(session=control.session))
             if refusal:
                 self._owners.refuse(control.session)
                 return Answer(False, refusal)
             return Answer(True, "already armed for this session")
         refusal = another or self._refusal_of_session(control.session)
         why = f"armed for session {control.session}{NOTES[self.mode]}"
-        refusal = refusal or self._machine.on(Event.ARM, Occasion(why, control.session))
+        refusal = refusal or self._machine.on(Event.ARM, Occasion(why, session=control.session))
         return Answer(False, refusal) if refusal else Answer(True, f"armed{NOTES[self.mode]}")
 
     def _refusal_of_value(self, value: object) -> str:
@@ -662,7 +668,7 @@ class Gateway:
             return f"session {occasion.session} has had its turn; begin another"
         return ""
 
-    def _on_armed(self, event: Event, occasion: Occasion) -> None:
+    def _on_armed(self, row: Row, occasion: Occasion) -> None:
         self._owners.begin(occasion.session)
         self._stream.begin(occasion.session)
         self.refusals.forgive()
@@ -749,7 +755,7 @@ class Gateway:
         return self._ending and self.state in (State.HOLDING, State.MEASURING, State.OTHER_CYCLE)
 
     def _reset(self, control: Control) -> Answer:
-        occasion = Occasion(f"reset{NOTES[self.mode]}", control.session, value=control.value)
+        occasion = Occasion(f"reset{NOTES[self.mode]}", session=control.session, value=control.value)
         refusal = self._machine.on(Event.RESET, occasion)
         return Answer(False, refusal) if refusal else Answer(True, "reset")
 
@@ -780,7 +786,7 @@ class Gateway:
             return f"session {self.session} commands; stop it, or wait until its stream has ended"
         return self._refusal_of_reset(occasion)
 
-    def _on_reset(self, event: Event, occasion: Occasion) -> None:
+    def _on_reset(self, row: Row, occasion: Occasion) -> None:
         self._disarm("reset")
         self.fault = self._ending = False
         self.refusals.forgive()

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from construction_twin.core.speed_limit_source import SpeedLimitSource
+from construction_twin.core import speed_limit
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.messages import Control, message_number
@@ -44,7 +44,7 @@ class SpeedLimit:
     """
 
     def __init__(self, config: GatewayConfig):
-        self._source = SpeedLimitSource(config.speed_limit_deadline, config.speed_limit_silent)
+        self._source = speed_limit.SpeedLimit(config.speed_limit_deadline, config.speed_limit_silent)
         self._grace = round(config.speed_limit_grace * NANOSECONDS)
         #: The fraction given last, that for silence included; 1 before the first one.
         self.given = 1.0

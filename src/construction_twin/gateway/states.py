@@ -6,7 +6,6 @@ machine a function for each. Standard library only.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
@@ -106,17 +105,7 @@ class Action(Enum):
 
 
 Row = state_table.Row[State, Event, Guard, Action]
-
-
-def _rows(
-    states: Iterable[State],
-    event: Event,
-    target: State | None,
-    action: Action = Action.NONE,
-    guard: Guard = Guard.NONE,
-) -> list[Row]:
-    return state_table.rows(states, event, guard, action, target)
-
+rows = state_table.Rows(State, Event, Guard, Action)
 
 _LIVE = tuple(state for state in State if state is not State.FAILED)
 _MOVABLE = (State.ARMED, State.FOLLOWING, State.BRAKING, State.HOLDING)
@@ -125,36 +114,36 @@ _NOTHING_TO_BRAKE = (State.NO_CONTROLLER, State.READ_ONLY, State.JOINED, *_UNMEA
 
 #: Every change of state. What no row names changes nothing: it is refused, or counted.
 TABLE: tuple[Row, ...] = (
-    *_rows(_LIVE, Event.SESSION_BEGAN, State.MEASURING, Action.BEGIN_SESSION, Guard.ANSWERS),
-    *_rows(_LIVE, Event.SESSION_BEGAN, State.READ_ONLY, Action.BEGIN_SESSION, Guard.READS_ONLY),
-    *_rows(_UNMEASURED, Event.CYCLE_FITS, State.READY),
-    *_rows((State.MEASURING, State.READY, State.OTHER_CYCLE), Event.CYCLE_REFUSED, State.OTHER_CYCLE),
-    *_rows((State.ARMED, State.FOLLOWING), Event.CYCLE_REFUSED, State.BRAKING, Action.BRAKE_TO_FAULT),
-    *_rows((State.MEASURING, State.READY), Event.ORIGIN_REFUSED, State.JOINED),
-    *_rows(_LIVE[1:], Event.CONTROLLER_SILENT, State.NO_CONTROLLER, Action.END_SESSION),
-    *_rows((State.READY,), Event.ARM, State.ARMED, Action.OWN, Guard.MAY_ARM),
-    *_rows((State.ARMED, State.FOLLOWING), Event.ARM, None, Action.NONE, Guard.SAME_SESSION),
-    *_rows((State.ARMED,), Event.STREAM_BEGAN, State.FOLLOWING, Action.START_STREAM),
-    *_rows((State.FOLLOWING,), Event.STREAM_SILENT, State.BRAKING, Action.BRAKE),
-    *_rows((State.FOLLOWING,), Event.COMMAND_REFUSED, State.BRAKING, Action.BRAKE_TO_FAULT),
-    *_rows((State.FOLLOWING,), Event.SPEED_IGNORED, State.BRAKING, Action.BRAKE_TO_FAULT),
-    *_rows((State.FOLLOWING,), Event.REPLIES_LOST, State.BRAKING, Action.BRAKE_TO_FAULT),
-    *_rows((State.FOLLOWING,), Event.DRIFTED, State.BRAKING, Action.BRAKE_TO_FAULT),
-    *_rows((State.READY,), Event.STOP, State.BRAKING, Action.BRAKE_TO_FAULT, Guard.HAS_ORIGIN),
-    *_rows((State.READY,), Event.STOP, None, Action.FAULT),
-    *_rows(_MOVABLE, Event.STOP, State.BRAKING, Action.BRAKE_TO_FAULT),
-    *_rows(_NOTHING_TO_BRAKE, Event.STOP, None, Action.FAULT),
-    *_rows((State.BRAKING,), Event.AT_REST, State.HOLDING),
-    *_rows((State.FOLLOWING,), Event.RESET, State.READY, Action.RESET, Guard.OWNER_MAY_RESET),
-    *_rows(
+    *rows(_LIVE, Event.SESSION_BEGAN, State.MEASURING, Action.BEGIN_SESSION, Guard.ANSWERS),
+    *rows(_LIVE, Event.SESSION_BEGAN, State.READ_ONLY, Action.BEGIN_SESSION, Guard.READS_ONLY),
+    *rows(_UNMEASURED, Event.CYCLE_FITS, State.READY),
+    *rows((State.MEASURING, State.READY, State.OTHER_CYCLE), Event.CYCLE_REFUSED, State.OTHER_CYCLE),
+    *rows((State.ARMED, State.FOLLOWING), Event.CYCLE_REFUSED, State.BRAKING, Action.BRAKE_TO_FAULT),
+    *rows((State.MEASURING, State.READY), Event.ORIGIN_REFUSED, State.JOINED),
+    *rows(_LIVE[1:], Event.CONTROLLER_SILENT, State.NO_CONTROLLER, Action.END_SESSION),
+    *rows(State.READY, Event.ARM, State.ARMED, Action.OWN, Guard.MAY_ARM),
+    *rows((State.ARMED, State.FOLLOWING), Event.ARM, None, Action.NONE, Guard.SAME_SESSION),
+    *rows(State.ARMED, Event.STREAM_BEGAN, State.FOLLOWING, Action.START_STREAM),
+    *rows(State.FOLLOWING, Event.STREAM_SILENT, State.BRAKING, Action.BRAKE),
+    *rows(State.FOLLOWING, Event.COMMAND_REFUSED, State.BRAKING, Action.BRAKE_TO_FAULT),
+    *rows(State.FOLLOWING, Event.SPEED_IGNORED, State.BRAKING, Action.BRAKE_TO_FAULT),
+    *rows(State.FOLLOWING, Event.REPLIES_LOST, State.BRAKING, Action.BRAKE_TO_FAULT),
+    *rows(State.FOLLOWING, Event.DRIFTED, State.BRAKING, Action.BRAKE_TO_FAULT),
+    *rows(State.READY, Event.STOP, State.BRAKING, Action.BRAKE_TO_FAULT, Guard.HAS_ORIGIN),
+    *rows(State.READY, Event.STOP, None, Action.FAULT),
+    *rows(_MOVABLE, Event.STOP, State.BRAKING, Action.BRAKE_TO_FAULT),
+    *rows(_NOTHING_TO_BRAKE, Event.STOP, None, Action.FAULT),
+    *rows(State.BRAKING, Event.AT_REST, State.HOLDING),
+    *rows(State.FOLLOWING, Event.RESET, State.READY, Action.RESET, Guard.OWNER_MAY_RESET),
+    *rows(
         (State.READY, State.ARMED, State.BRAKING, State.HOLDING),
         Event.RESET,
         State.READY,
         Action.RESET,
         Guard.MAY_RESET,
     ),
-    *_rows(_UNMEASURED, Event.RESET, None, Action.RESET, Guard.MAY_RESET),
-    *_rows(_LIVE, Event.FAILURE, State.FAILED, Action.LAST_RESORT),
+    *rows(_UNMEASURED, Event.RESET, None, Action.RESET, Guard.MAY_RESET),
+    *rows(_LIVE, Event.FAILURE, State.FAILED, Action.LAST_RESORT),
 )
 
 ROWS = state_table.by_cause(TABLE)
@@ -172,13 +161,11 @@ CAUSES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Occasion:
+class Occasion(state_table.Occasion):
     """What came with an event.
 
     Attributes
     ----------
-    reason : str
-        One sentence for people; the reason of the state that is entered.
     session : str
         Session of the control message; "" where none is involved.
     stamp : int
@@ -193,69 +180,9 @@ class Occasion:
         Of the control message.
     """
 
-    reason: str
     session: str = ""
     stamp: int = 0
     q: tuple[float, ...] = ()
     account: str = ""
     ending: bool = False
     value: object = None
-
-
-class Machine:
-    """The present state, and how it changes.
-
-    Parameters
-    ----------
-    guards : mapping of Guard to callable
-        From the occasion to a sentence that says why the row does not apply; "" when it does.
-    actions : mapping of Action to callable
-        Called with event and occasion.
-
-    Attributes
-    ----------
-    state : State
-    reason : str
-        Why it was entered.
-    changed : bool
-        True after every change of state or reason, until the change is reported.
-    """
-
-    def __init__(
-        self,
-        guards: Mapping[Guard, Callable[[Occasion], str]],
-        actions: Mapping[Action, Callable[[Event, Occasion], None]],
-    ):
-        self.state = State.NO_CONTROLLER
-        self.reason = self._entered_for = "no telegram yet"
-        self.changed = True
-        self._guards = {Guard.NONE: lambda occasion: "", **guards}
-        self._actions = {Action.NONE: lambda event, occasion: None, **actions}
-
-    def on(self, event: Event, occasion: Occasion) -> str:
-        """Take an event.
-
-        Returns
-        -------
-        refusal : str
-            "" when a row applied; else in one sentence why none did.
-        """
-        refusal = f"gateway is {self.state.value}: {self.reason}"
-        for row in ROWS[self.state, event]:
-            refusal = self._guards[row.guard](occasion)
-            if not refusal:
-                self._actions[row.action](event, occasion)
-                if row.target is not None:
-                    self.state, self.changed = row.target, True
-                    self.reason = self._entered_for = occasion.reason
-                return ""
-        return refusal
-
-    def add(self, note: str) -> None:
-        """Add to the reason for which the present state was entered, in place of what was added before."""
-        self.reason = f"{self._entered_for}; {note}"
-
-    def drop(self) -> None:
-        """Take back what was added."""
-        if self.reason != self._entered_for:
-            self.reason, self.changed = self._entered_for, True

@@ -13,7 +13,7 @@ It knows no clock: cycles are counted in telegrams, stamps are the playout's [ns
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass
+from collections.abc import Callable
 from enum import Enum
 
 from construction_twin.core import state_table
@@ -70,48 +70,39 @@ class SwitchAction(Enum):
     SWITCH = "the output has its new value in the same reply"
 
 
+rows = state_table.Rows(SwitchState, SwitchEvent, SwitchGuard, SwitchAction)
+
 #: Every change of a switch. What no row names changes nothing: fired, void and refused are final.
-SWITCH_TABLE: tuple[state_table.Row[SwitchState, SwitchEvent, SwitchGuard, SwitchAction], ...] = tuple(
-    state_table.Row(state, event, SwitchGuard.NONE, action, target)
-    for state, event, action, target in (
-        (SwitchState.ASKED, SwitchEvent.ACCEPTED, SwitchAction.NONE, SwitchState.ARMED),
-        (SwitchState.ASKED, SwitchEvent.DECLINED, SwitchAction.NONE, SwitchState.REFUSED),
-        (SwitchState.ARMED, SwitchEvent.PASSED, SwitchAction.SWITCH, SwitchState.FIRED),
-        (SwitchState.ARMED, SwitchEvent.VOIDED, SwitchAction.NONE, SwitchState.VOID),
-    )
+SWITCH_TABLE = (
+    *rows(SwitchState.ASKED, SwitchEvent.ACCEPTED, SwitchState.ARMED),
+    *rows(SwitchState.ASKED, SwitchEvent.DECLINED, SwitchState.REFUSED),
+    *rows(SwitchState.ARMED, SwitchEvent.PASSED, SwitchState.FIRED, SwitchAction.SWITCH),
+    *rows(SwitchState.ARMED, SwitchEvent.VOIDED, SwitchState.VOID),
 )
 _ROWS = state_table.by_cause(SWITCH_TABLE)
 
 
-@dataclass(slots=True)
 class ToolSwitch:
     """One switch, as `status` tells it.
 
-    Attributes
+    Parameters
     ----------
     id, output : str
     value : bool
     stamp : int
         Of the setpoint with which it fires [ns].
-    phase : SwitchState
-    reason : str
-        One sentence.
+    fire : callable
+        Gives the output its new value.
     """
 
-    id: str
-    output: str
-    value: bool
-    stamp: int
-    phase: SwitchState = SwitchState.ASKED
-    reason: str = ""
+    def __init__(self, id: str, output: str, value: bool, stamp: int, fire: Callable[[ToolSwitch], None]):
+        self.id, self.output, self.value, self.stamp = id, output, value, stamp
+        fires = {SwitchAction.SWITCH: lambda row, occasion: fire(self)}
+        self._machine = state_table.Machine(_ROWS, SwitchState.ASKED, "", {}, fires)
 
-    def on(self, event: SwitchEvent, reason: str) -> SwitchAction | None:
-        """Take an event; return what is to be done, None when it changes nothing."""
-        for row in _ROWS[self.phase, event]:
-            if row.target is not None:
-                self.phase, self.reason = row.target, reason
-            return row.action
-        return None
+    def on(self, event: SwitchEvent, reason: str) -> None:
+        """Take an event; in one that is final it changes nothing."""
+        self._machine.on(event, state_table.Occasion(reason))
 
     def report(self) -> dict:
         """Return it as `status` tells it."""
@@ -120,8 +111,8 @@ class ToolSwitch:
             "output": self.output,
             "value": self.value,
             "stamp": self.stamp,
-            "state": self.phase.value,
-            "reason": self.reason,
+            "state": self._machine.state.value,
+            "reason": self._machine.reason,
         }
 
 
@@ -276,18 +267,16 @@ class ToolSwitches:
     def play(self, stamp: int) -> None:
         """Fire what is due: the playout plays the setpoint of `stamp` [ns] in this reply."""
         while self._armed and self._armed[0].stamp <= stamp:
-            switch = self._armed.pop(0)
-            if switch.on(SwitchEvent.PASSED, "fired") is SwitchAction.SWITCH:
-                self._enabled = True
-                self._dropped = ""
-                self._command(
-                    tuple(
-                        switch.value if name == switch.output else value
-                        for name, value in zip(self._names, self._commanded)
-                    )
-                )
-                self._counters["tool_switches_fired"] += 1
-                self._news = True
+            self._armed.pop(0).on(SwitchEvent.PASSED, "fired")
+
+    def _fire(self, switch: ToolSwitch) -> None:
+        self._enabled = True
+        self._dropped = ""
+        self._command(
+            tuple(switch.value if name == switch.output else value for name, value in zip(self._names, self._commanded))
+        )
+        self._counters["tool_switches_fired"] += 1
+        self._news = True
 
     def _command(self, values: tuple[bool, ...]) -> None:
         self._seen &= {name for name, value in zip(self._names, values) if value}
@@ -324,7 +313,7 @@ class ToolSwitches:
         obstacle : str
             Why nothing may be switched now, whatever is asked for; "" for nothing.
         """
-        switch = _switch_of(value)
+        switch = _switch_of(value, self._fire)
         if switch is None:
             return (
                 f"tool: a switch must have a new id (1 to {LONGEST_TEXT} printable characters), output, value (true or false) "
@@ -337,8 +326,9 @@ class ToolSwitches:
         why = obstacle or self._refusal(switch, lead)
         self._news = True
         if why:
-            switch.on(SwitchEvent.DECLINED, f"tool: {why}")
-            return switch.reason
+            refusal = f"tool: {why}"
+            switch.on(SwitchEvent.DECLINED, refusal)
+            return refusal
         switch.on(SwitchEvent.ACCEPTED, f"fires with the setpoint of {switch.stamp}")
         self._armed.append(switch)
         self._armed.sort(key=lambda waiting: waiting.stamp)
@@ -405,7 +395,7 @@ def stamp_of(value: object) -> int | None:
     return stamp if type(stamp) is int and 0 < stamp < 1 << 63 else None
 
 
-def _switch_of(value: object) -> ToolSwitch | None:
+def _switch_of(value: object, fire: Callable[[ToolSwitch], None]) -> ToolSwitch | None:
     stamp = stamp_of(value)
     if not isinstance(value, dict) or set(value) != {"id", "output", "value", "stamp"} or stamp is None:
         return None
@@ -414,4 +404,4 @@ def _switch_of(value: object) -> ToolSwitch | None:
         return None
     if not isinstance(value["value"], bool):
         return None
-    return ToolSwitch(*texts, value["value"], stamp)
+    return ToolSwitch(*texts, value["value"], stamp, fire)

@@ -11,12 +11,12 @@ from construction_twin.core.exports import lazy_exports
 if TYPE_CHECKING:
     from construction_twin.kinematics.axes import Axis as Axis
     from construction_twin.kinematics.axes import joint_axes as joint_axes
+    from construction_twin.kinematics.batch_kinematics import BatchKinematics as BatchKinematics
     from construction_twin.kinematics.chain import Chain as Chain
     from construction_twin.kinematics.chain import Pose as Pose
     from construction_twin.kinematics.chain import to_frame as to_frame
     from construction_twin.kinematics.chain import to_pose as to_pose
     from construction_twin.kinematics.inverse import inverse_kinematics as inverse_kinematics
-    from construction_twin.kinematics.many import ManyPostures as ManyPostures
     from construction_twin.kinematics.rail_singularities import WristSingularity as WristSingularity
     from construction_twin.kinematics.rail_singularities import find_singularities as find_singularities
     from construction_twin.kinematics.solution import ArmKind as ArmKind

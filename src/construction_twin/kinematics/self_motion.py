@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.kinematics.axes import Axis, joint_axes
+from construction_twin.kinematics.batch_kinematics import BatchKinematics, tangents
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.kinematics.many import ManyPostures, tangents
 from construction_twin.kinematics.solution import TURN
 from construction_twin.robot.description import RobotModel
 
@@ -122,7 +122,7 @@ class SelfMotion:
     def __init__(self, chain: Chain, held: int):
         robot = chain.robot
         self.held = held
-        self.many = ManyPostures(chain)
+        self.batch = BatchKinematics(chain)
         # where the held joint itself sweeps, the samples are dense
         self.hinges = [
             hinge
@@ -299,7 +299,7 @@ class _Search:
         chosen = np.concatenate([node, other, *beside])
         if not len(chosen):
             return self._best
-        along = tangents(motion.many.frames(samples.q[chosen])[1], motion.held)
+        along = tangents(motion.batch.frames(samples.q[chosen])[1], motion.held)
         count = len(node)
         first, last = along[:count], along[count : 2 * count]
         leave = 2.0 * side - 1.0
@@ -320,14 +320,14 @@ class _Search:
     def _beside_seed(self) -> None:
         """Look beside the seed, where it is almost on the pose: such a seed is kept, whatever is between the samples."""
         motion = self._motion
-        q, arrived, jacobian = motion.many.projected(self._seed[None], self._pose)
+        q, arrived, jacobian = motion.batch.projected(self._seed[None], self._pose)
         if not arrived[0] or math.dist(q[0], self._seed) > _BESIDE:
             return
         self._take(q)
         step = max(math.dist(q[0], self._seed), 1e-3)
         places = step * np.array([-3.0, -1.0, 1.0, 3.0])
         start = q + places[:, None] * tangents(jacobian, motion.held)
-        points, arrived, _ = motion.many.projected(start, self._pose)
+        points, arrived, _ = motion.batch.projected(start, self._pose)
         if arrived.all():
             self._refine(places, points)
 
@@ -355,7 +355,7 @@ class _Search:
         motion = self._motion
         inner = _QUARTERS @ links
         shape = inner.shape
-        flat, arrived, jacobian = motion.many.projected(inner.reshape(-1, shape[-1]), self._pose)
+        flat, arrived, jacobian = motion.batch.projected(inner.reshape(-1, shape[-1]), self._pose)
         self._take(flat[arrived])
         flat[~arrived] = math.nan
         points = np.concatenate([links[:, :1], flat.reshape(shape), links[:, 2:3]], axis=1)
@@ -410,7 +410,7 @@ class _Search:
         for row, (_, _, hinge) in enumerate(kept):
             points[row, :, hinge.joint - 1] += _AROUND
             points[row, :, hinge.joint + 1] -= hinge.sense * _AROUND
-        flat, arrived, _ = self._motion.many.projected(points.reshape(-1, points.shape[-1]), self._pose)
+        flat, arrived, _ = self._motion.batch.projected(points.reshape(-1, points.shape[-1]), self._pose)
         self._take(flat[arrived])
         reached = flat.reshape(points.shape)
         lengths = _size(reached[:, 1:] - reached[:, :-1])
@@ -485,7 +485,7 @@ class _Search:
                 way = motion.wrapped(found - q)
                 if way @ way < 0.04:
                     return q + way
-        flat, arrived, _ = motion.many.projected(q[None], self._pose)
+        flat, arrived, _ = motion.batch.projected(q[None], self._pose)
         return flat[0] if arrived[0] else None
 
     def _between(self, along: np.ndarray, q: np.ndarray, value: np.ndarray, row: int) -> tuple[float, bool]:

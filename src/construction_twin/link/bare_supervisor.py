@@ -6,9 +6,12 @@ side arms it, and everything that a gateway would have checked or told stands in
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from construction_twin.core.errors import ReviewError
+from construction_twin.core.state_table import Occasion
 from construction_twin.link.observations import FRESH, LinkObservations
-from construction_twin.link.states import BARE_ROWS, Action, LinkEvent, LinkState
+from construction_twin.link.states import BARE_ROWS, Action, LinkEvent, LinkState, Row
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.messages import OFFLINE, PLC
 
@@ -77,10 +80,12 @@ class BareSupervisor(LinkSupervisor):
         super().__init__(*arguments, **options)
         # the first one that is armed must be another, so that twin and gate start over with it
         self.session = self._new_id()
-        self._actions |= {
-            Action.BEGIN_NAMED_SESSION: lambda reason, now: self._begin_session(reason),
-            Action.NOTE_RESPONSIBLE: lambda reason, now: self._responsible_sentence,
-            Action.TELL_PERSON: lambda reason, now: f"a bare PLC is armed by a person, by name: {ARM_COMMAND}",
+
+    def _actions(self) -> dict[Action, Callable[[Row, Occasion], str]]:
+        return super()._actions() | {
+            Action.BEGIN_NAMED_SESSION: lambda row, at: self._begin_session(at.reason),
+            Action.NOTE_RESPONSIBLE: lambda row, at: self._responsible_sentence,
+            Action.TELL_PERSON: lambda row, at: f"a bare PLC is armed by a person, by name: {ARM_COMMAND}",
         }
 
     def poll(self, now: int) -> None:

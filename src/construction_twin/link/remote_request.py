@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -185,32 +184,6 @@ def ik_answer(
     """
     answer = {"id": request, "reach": reach, "joints": None if joints is None else dict(joints), "sentence": sentence}
     return json.dumps(answer | {"between": list(between)}, allow_nan=False).encode()
-
-
-class AccountRate:
-    """At most so many messages of each account in any second.
-
-    Parameters
-    ----------
-    most : int
-    """
-
-    def __init__(self, most: int):
-        self._most = most
-        self._taken: dict[str, deque[float]] = {}
-
-    def take(self, account: str, now: float) -> bool:
-        """Return whether a message may be taken at `now` (monotonic) [s], and count it if so."""
-        # anybody may call himself something new where a broker knows no accounts
-        self._taken = {name: times for name, times in self._taken.items() if now - times[-1] < 1.0}
-        times = self._taken.get(account, deque())
-        while times and now - times[0] >= 1.0:
-            times.popleft()
-        if len(times) >= self._most:
-            return False
-        times.append(now)
-        self._taken[account] = times
-        return True
 
 
 def _named(document: Mapping[str, Any]) -> str:

@@ -52,30 +52,6 @@ _ACCOUNT = re.compile(r"[A-Za-z0-9_-]{1,100}")
 Values = tuple[float, ...]
 
 
-class SenderPace:
-    """How often one sender's motions are taken.
-
-    Parameters
-    ----------
-    shortest : float
-        Time between two of them [s].
-    """
-
-    def __init__(self, shortest: float):
-        self._shortest = shortest
-        self._taken: dict[str, float] = {}
-
-    def wait(self, sender: str, now: float) -> float:
-        """Return how long a sender has to wait until a motion is taken from it [s], 0 for not at all; `now` is monotonic [s]."""
-        # anybody may call himself something new where a broker knows no accounts
-        self._taken = {name: at for name, at in self._taken.items() if now - at < self._shortest}
-        return self._shortest - (now - self._taken[sender]) if sender in self._taken else 0.0
-
-    def take(self, sender: str, now: float) -> None:
-        """Note that a motion was taken."""
-        self._taken[sender] = now
-
-
 @dataclass(frozen=True)
 class Joints:
     """The robot's joints, base to tip: `names`, and which of them are prismatic."""

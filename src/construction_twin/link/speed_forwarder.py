@@ -5,7 +5,7 @@ Pure, standard library only.
 
 from __future__ import annotations
 
-from construction_twin.core.speed_limit_source import SpeedLimitSource
+from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.core.units import NANOSECONDS
 
 #: An unchanged limit is repeated no faster than this [ns].
@@ -26,7 +26,7 @@ class SpeedForwarder:
     """
 
     def __init__(self, deadline: float):
-        self._source = SpeedLimitSource(deadline)
+        self._source = SpeedLimit(deadline)
         #: The last limit heard; None before the first one.
         self.limit: float | None = None
         #: How many were sent: the last message's id, because the gateway takes none that is not newer than all before.

@@ -7,7 +7,6 @@ of the second table.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from enum import Enum
 
 from construction_twin.core import state_table
@@ -101,15 +100,8 @@ class Action(Enum):
 
 
 Row = state_table.Row[LinkState, LinkEvent, Guard, Action]
+rows = state_table.Rows(LinkState, LinkEvent, Guard, Action)
 
-
-def _rows(
-    states: Iterable[LinkState], event: LinkEvent, guard: Guard, action: Action, target: LinkState | None
-) -> list[Row]:
-    return state_table.rows(states, event, guard, action, target)
-
-
-_RESYNC = (LinkState.RESYNC,)
 #: States that are left as soon as broker, gateway and arm are there.
 _ABSENT = (
     LinkState.DISCONNECTED,
@@ -122,69 +114,61 @@ _WAITING = (*_ABSENT, LinkState.NEEDS_RESET)
 
 #: An event without a row for the present state, or without a guard that holds, changes nothing.
 TABLE: tuple[Row, ...] = (
-    *_rows(LinkState, LinkEvent.BROKER_LOST, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.DISCONNECTED),
-    *_rows(LinkState, LinkEvent.GATEWAY_LOST, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.GATEWAY_OFFLINE),
-    *_rows(LinkState, LinkEvent.MISMATCHED, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.MISMATCH),
-    *_rows(LinkState, LinkEvent.CONTROLLER_LOST, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.NO_CONTROLLER),
+    *rows(LinkState, LinkEvent.BROKER_LOST, LinkState.DISCONNECTED, Action.FORGET_REQUESTS),
+    *rows(LinkState, LinkEvent.GATEWAY_LOST, LinkState.GATEWAY_OFFLINE, Action.FORGET_REQUESTS),
+    *rows(LinkState, LinkEvent.MISMATCHED, LinkState.MISMATCH, Action.FORGET_REQUESTS),
+    *rows(LinkState, LinkEvent.CONTROLLER_LOST, LinkState.NO_CONTROLLER, Action.FORGET_REQUESTS),
     # what a person asks for
-    *_rows(LinkState, LinkEvent.HALTED, Guard.ALWAYS, Action.NOTE_HALT, LinkState.NEEDS_RESET),
+    *rows(LinkState, LinkEvent.HALTED, LinkState.NEEDS_RESET, Action.NOTE_HALT),
     # mirror mode began after the request: the arm leads on
-    *_rows(LinkState, LinkEvent.WITHDRAWN, Guard.ARM_LEADS, Action.NOTE_WITHDRAWAL_IN_MIRROR, None),
-    *_rows(LinkState, LinkEvent.WITHDRAWN, Guard.ALWAYS, Action.NOTE_WITHDRAWAL, LinkState.NEEDS_RESET),
-    *_rows(LinkState, LinkEvent.MIRROR_ASKED, Guard.ALWAYS, Action.BEGIN_MIRROR, LinkState.MIRROR),
-    *_rows(LinkState, LinkEvent.RESET_ASKED, Guard.ALWAYS, Action.BEGIN_ASKED_SESSION, LinkState.RESYNC),
+    *rows(LinkState, LinkEvent.WITHDRAWN, None, Action.NOTE_WITHDRAWAL_IN_MIRROR, Guard.ARM_LEADS),
+    *rows(LinkState, LinkEvent.WITHDRAWN, LinkState.NEEDS_RESET, Action.NOTE_WITHDRAWAL),
+    *rows(LinkState, LinkEvent.MIRROR_ASKED, LinkState.MIRROR, Action.BEGIN_MIRROR),
+    *rows(LinkState, LinkEvent.RESET_ASKED, LinkState.RESYNC, Action.BEGIN_ASKED_SESSION),
     # nothing is missing: which side may command?
-    *_rows(LinkState, LinkEvent.PRESENT, Guard.ARM_LEADS, Action.TELL_MIRROR, LinkState.MIRROR),
+    *rows(LinkState, LinkEvent.PRESENT, LinkState.MIRROR, Action.TELL_MIRROR, Guard.ARM_LEADS),
     # armed is only what shows no fault: this one came later
-    *_rows((LinkState.ARMED,), LinkEvent.PRESENT, Guard.FAULT, Action.TELL_STOP, LinkState.NEEDS_RESET),
-    *_rows((LinkState.ARMED,), LinkEvent.PRESENT, Guard.SESSION_ENDED, Action.TELL_GATEWAY, LinkState.NEEDS_RESET),
-    *_rows(_RESYNC, LinkEvent.PRESENT, Guard.FAULT_UNASKED, Action.TELL_STOP, LinkState.NEEDS_RESET),
-    *_rows(_RESYNC, LinkEvent.PRESENT, Guard.STOPPED_SINCE, Action.VOID_REQUEST, LinkState.NEEDS_RESET),
-    *_rows(_WAITING, LinkEvent.PRESENT, Guard.HALTED_HERE, Action.TELL_HALT, LinkState.NEEDS_RESET),
-    *_rows(_WAITING, LinkEvent.PRESENT, Guard.FAULT, Action.TELL_STOP, LinkState.NEEDS_RESET),
-    *_rows(_WAITING, LinkEvent.PRESENT, Guard.STOPPED_BEFORE, Action.TELL_FORMER_STOP, LinkState.NEEDS_RESET),
-    *_rows(_WAITING, LinkEvent.PRESENT, Guard.FIRST_SESSION, Action.BEGIN_FIRST_SESSION, LinkState.RESYNC),
-    *_rows(_WAITING, LinkEvent.PRESENT, Guard.NOTHING_COULD_JUMP, Action.BEGIN_NEXT_SESSION, LinkState.RESYNC),
-    *_rows(_ABSENT, LinkEvent.PRESENT, Guard.ALWAYS, Action.TELL_RESET, LinkState.NEEDS_RESET),
+    *rows(LinkState.ARMED, LinkEvent.PRESENT, LinkState.NEEDS_RESET, Action.TELL_STOP, Guard.FAULT),
+    *rows(LinkState.ARMED, LinkEvent.PRESENT, LinkState.NEEDS_RESET, Action.TELL_GATEWAY, Guard.SESSION_ENDED),
+    *rows(LinkState.RESYNC, LinkEvent.PRESENT, LinkState.NEEDS_RESET, Action.TELL_STOP, Guard.FAULT_UNASKED),
+    *rows(LinkState.RESYNC, LinkEvent.PRESENT, LinkState.NEEDS_RESET, Action.VOID_REQUEST, Guard.STOPPED_SINCE),
+    *rows(_WAITING, LinkEvent.PRESENT, LinkState.NEEDS_RESET, Action.TELL_HALT, Guard.HALTED_HERE),
+    *rows(_WAITING, LinkEvent.PRESENT, LinkState.NEEDS_RESET, Action.TELL_STOP, Guard.FAULT),
+    *rows(_WAITING, LinkEvent.PRESENT, LinkState.NEEDS_RESET, Action.TELL_FORMER_STOP, Guard.STOPPED_BEFORE),
+    *rows(_WAITING, LinkEvent.PRESENT, LinkState.RESYNC, Action.BEGIN_FIRST_SESSION, Guard.FIRST_SESSION),
+    *rows(_WAITING, LinkEvent.PRESENT, LinkState.RESYNC, Action.BEGIN_NEXT_SESSION, Guard.NOTHING_COULD_JUMP),
+    *rows(_ABSENT, LinkEvent.PRESENT, LinkState.NEEDS_RESET, Action.TELL_RESET),
     # which control message comes next?
-    *_rows(_RESYNC, LinkEvent.TURN, Guard.ANSWER_AWAITED, Action.NOTHING, LinkState.RESYNC),
-    *_rows(_RESYNC, LinkEvent.TURN, Guard.BRAKING, Action.NOTHING, LinkState.RESYNC),
-    *_rows(_RESYNC, LinkEvent.TURN, Guard.NOT_READY, Action.SEND_RESET, LinkState.RESYNC),
-    *_rows(_RESYNC, LinkEvent.TURN, Guard.POSES_DIFFER, Action.NOTHING, LinkState.RESYNC),
-    *_rows(_RESYNC, LinkEvent.TURN, Guard.ARM_REFUSED, Action.BEGIN_SESSION_AFTER_REFUSAL, LinkState.RESYNC),
-    *_rows(_RESYNC, LinkEvent.TURN, Guard.ALWAYS, Action.SEND_ARM, LinkState.RESYNC),
-    *_rows((LinkState.NEEDS_RESET,), LinkEvent.TURN, Guard.ANSWER_AWAITED, Action.NOTHING, LinkState.NEEDS_RESET),
-    *_rows((LinkState.NEEDS_RESET,), LinkEvent.TURN, Guard.WITHDRAWAL_UNTOLD, Action.SEND_STOP, LinkState.NEEDS_RESET),
-    *_rows((LinkState.MIRROR,), LinkEvent.TURN, Guard.ANSWER_AWAITED, Action.NOTHING, LinkState.MIRROR),
-    *_rows((LinkState.MIRROR,), LinkEvent.TURN, Guard.WITHDRAWAL_UNTOLD, Action.SEND_STOP, LinkState.MIRROR),
-    *_rows((LinkState.MIRROR,), LinkEvent.TURN, Guard.OLD_SESSION_COMMANDS, Action.RESET_OLD_SESSION, LinkState.MIRROR),
-    *_rows(_RESYNC, LinkEvent.ARM_ACCEPTED, Guard.ALWAYS, Action.NOTE_ARMED, LinkState.ARMED),
+    *rows(LinkState.RESYNC, LinkEvent.TURN, LinkState.RESYNC, Action.NOTHING, Guard.ANSWER_AWAITED),
+    *rows(LinkState.RESYNC, LinkEvent.TURN, LinkState.RESYNC, Action.NOTHING, Guard.BRAKING),
+    *rows(LinkState.RESYNC, LinkEvent.TURN, LinkState.RESYNC, Action.SEND_RESET, Guard.NOT_READY),
+    *rows(LinkState.RESYNC, LinkEvent.TURN, LinkState.RESYNC, Action.NOTHING, Guard.POSES_DIFFER),
+    *rows(LinkState.RESYNC, LinkEvent.TURN, LinkState.RESYNC, Action.BEGIN_SESSION_AFTER_REFUSAL, Guard.ARM_REFUSED),
+    *rows(LinkState.RESYNC, LinkEvent.TURN, LinkState.RESYNC, Action.SEND_ARM),
+    *rows(LinkState.NEEDS_RESET, LinkEvent.TURN, LinkState.NEEDS_RESET, Action.NOTHING, Guard.ANSWER_AWAITED),
+    *rows(LinkState.NEEDS_RESET, LinkEvent.TURN, LinkState.NEEDS_RESET, Action.SEND_STOP, Guard.WITHDRAWAL_UNTOLD),
+    *rows(LinkState.MIRROR, LinkEvent.TURN, LinkState.MIRROR, Action.NOTHING, Guard.ANSWER_AWAITED),
+    *rows(LinkState.MIRROR, LinkEvent.TURN, LinkState.MIRROR, Action.SEND_STOP, Guard.WITHDRAWAL_UNTOLD),
+    *rows(LinkState.MIRROR, LinkEvent.TURN, LinkState.MIRROR, Action.RESET_OLD_SESSION, Guard.OLD_SESSION_COMMANDS),
+    *rows(LinkState.RESYNC, LinkEvent.ARM_ACCEPTED, LinkState.ARMED, Action.NOTE_ARMED),
 )
 
 #: The same for a bare PLC: nothing is asked of it, and only a person's name leads to ARMED.
 BARE_TABLE: tuple[Row, ...] = (
-    *_rows(LinkState, LinkEvent.BROKER_LOST, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.DISCONNECTED),
-    *_rows(LinkState, LinkEvent.GATEWAY_LOST, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.GATEWAY_OFFLINE),
-    *_rows(LinkState, LinkEvent.MISMATCHED, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.MISMATCH),
-    *_rows(LinkState, LinkEvent.CONTROLLER_LOST, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.NO_CONTROLLER),
+    *rows(LinkState, LinkEvent.BROKER_LOST, LinkState.DISCONNECTED, Action.FORGET_REQUESTS),
+    *rows(LinkState, LinkEvent.GATEWAY_LOST, LinkState.GATEWAY_OFFLINE, Action.FORGET_REQUESTS),
+    *rows(LinkState, LinkEvent.MISMATCHED, LinkState.MISMATCH, Action.FORGET_REQUESTS),
+    *rows(LinkState, LinkEvent.CONTROLLER_LOST, LinkState.NO_CONTROLLER, Action.FORGET_REQUESTS),
     # what a person asks for
-    *_rows(LinkState, LinkEvent.HALTED, Guard.ALWAYS, Action.NOTE_HALT, LinkState.NEEDS_RESET),
-    *_rows(LinkState, LinkEvent.MIRROR_ASKED, Guard.ALWAYS, Action.BEGIN_MIRROR, LinkState.MIRROR),
-    *_rows(
-        (LinkState.NEEDS_RESET,),
-        LinkEvent.RESPONSIBILITY_TAKEN,
-        Guard.ALWAYS,
-        Action.BEGIN_NAMED_SESSION,
-        LinkState.RESYNC,
-    ),
+    *rows(LinkState, LinkEvent.HALTED, LinkState.NEEDS_RESET, Action.NOTE_HALT),
+    *rows(LinkState, LinkEvent.MIRROR_ASKED, LinkState.MIRROR, Action.BEGIN_MIRROR),
+    *rows(LinkState.NEEDS_RESET, LinkEvent.RESPONSIBILITY_TAKEN, LinkState.RESYNC, Action.BEGIN_NAMED_SESSION),
     # nothing is missing
-    *_rows(LinkState, LinkEvent.PRESENT, Guard.ARM_LEADS, Action.TELL_MIRROR, LinkState.MIRROR),
-    *_rows(_ABSENT, LinkEvent.PRESENT, Guard.ALWAYS, Action.TELL_PERSON, LinkState.NEEDS_RESET),
-    *_rows(_RESYNC, LinkEvent.TURN, Guard.NOT_TOGETHER, Action.NOTHING, LinkState.RESYNC),
-    *_rows(_RESYNC, LinkEvent.TURN, Guard.ALWAYS, Action.NOTE_RESPONSIBLE, LinkState.ARMED),
+    *rows(LinkState, LinkEvent.PRESENT, LinkState.MIRROR, Action.TELL_MIRROR, Guard.ARM_LEADS),
+    *rows(_ABSENT, LinkEvent.PRESENT, LinkState.NEEDS_RESET, Action.TELL_PERSON),
+    *rows(LinkState.RESYNC, LinkEvent.TURN, LinkState.RESYNC, Action.NOTHING, Guard.NOT_TOGETHER),
+    *rows(LinkState.RESYNC, LinkEvent.TURN, LinkState.ARMED, Action.NOTE_RESPONSIBLE),
 )
-
-Rows = dict[tuple[LinkState, LinkEvent], tuple[Row, ...]]
 
 #: The rows for a state and an event, in the tables' order.
 ROWS, BARE_ROWS = state_table.by_cause(TABLE), state_table.by_cause(BARE_TABLE)

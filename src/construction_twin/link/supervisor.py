@@ -8,14 +8,15 @@ only then, with a command stream within the start tolerance of the arm, is the g
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from construction_twin.core.errors import ReviewError
+from construction_twin.core.state_table import Machine, Occasion, conditions
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.mirror_mode import MirrorMode
 from construction_twin.link.observations import LinkObservations
-from construction_twin.link.states import ROWS, Action, Guard, LinkEvent, LinkState, Rows
+from construction_twin.link.states import ROWS, Action, Guard, LinkEvent, LinkState, Row
 from construction_twin.mqtt.messages import RSI, Control, arm_value, reset_value
 
 #: Pause before an unanswered control message is sent again [ns].
@@ -45,9 +46,8 @@ class LinkSupervisor:
 
     Attributes
     ----------
-    state : LinkState
-    reason : str
-        One sentence.
+    machine : Machine
+        The link's state, and what changes it.
     session : str
         "" before the first.
     inputs : LinkObservations
@@ -65,7 +65,7 @@ class LinkSupervisor:
     kind, sends_control = RSI, True
     not_checked: tuple[str, ...] = ()
     _observations: type[LinkObservations] = LinkObservations
-    _rows: Rows = ROWS
+    _rows: Mapping[tuple[LinkState, LinkEvent], tuple[Row, ...]] = ROWS
 
     def __init__(
         self,
@@ -80,8 +80,6 @@ class LinkSupervisor:
         self._hash = config_hash
         self._new_id = new_id
         self.inputs = self._observations(config_hash, decimals, start_tolerances, last_digits)
-        self.state = LinkState.DISCONNECTED
-        self.reason = "not connected to the broker yet"
         self.session = new_id() if mirrors else ""
         self.responsible = ""
         self._mirror = MirrorMode(self.inputs, mirrors)
@@ -108,55 +106,13 @@ class LinkSupervisor:
         self._unanswered = False
         self._sent_at = 0
         self._outgoing: Control | None = None
-        self._guards: dict[Guard, Callable[[int], bool]] = {
-            Guard.ARM_LEADS: lambda now: self._mirror.active,
-            Guard.SESSION_ENDED: self._session_ended,
-            Guard.FAULT: lambda now: self.inputs.fault,
-            Guard.FAULT_UNASKED: lambda now: self.inputs.fault and not self._asked_for,
-            Guard.STOPPED_SINCE: lambda now: self._asked_for and self._shown != self._known_stop,
-            Guard.STOPPED_BEFORE: lambda now: bool(self.inputs.stopped_before),
-            Guard.HALTED_HERE: lambda now: self._halted is not None,
-            Guard.FIRST_SESSION: lambda now: not self._was_armed and self.inputs.gateway == "ready",
-            Guard.NOTHING_COULD_JUMP: self._nothing_could_jump,
-            Guard.ANSWER_AWAITED: lambda now: self._pending is not None and now - self._sent_at < RETRY,
-            Guard.BRAKING: lambda now: self.inputs.gateway == "braking",
-            Guard.NOT_READY: lambda now: self.inputs.gateway != "ready" or self.inputs.fault,
-            Guard.POSES_DIFFER: self._poses_differ,
-            Guard.ARM_REFUSED: lambda now: self._arm_refused,
-            Guard.WITHDRAWAL_UNTOLD: lambda now: (
-                self._owes_stop and not self.inputs.follows_another(self._withdrawn_session)
-            ),
-            Guard.OLD_SESSION_COMMANDS: lambda now: self._mirror.old_session_commands,
-            Guard.NOT_TOGETHER: self._not_together,
-        }
-        self._actions: dict[Action, Callable[[str, int], str]] = {
-            Action.FORGET_REQUESTS: self._forget_requests,
-            Action.NOTE_HALT: self._note_halt,
-            Action.NOTE_WITHDRAWAL: self._note_withdrawal,
-            Action.NOTE_WITHDRAWAL_IN_MIRROR: self._note_withdrawal_in_mirror,
-            Action.BEGIN_MIRROR: self._begin_mirror,
-            Action.BEGIN_ASKED_SESSION: self._begin_asked_session,
-            Action.BEGIN_FIRST_SESSION: lambda reason, now: self._begin_session("first session"),
-            Action.BEGIN_NEXT_SESSION: lambda reason, now: self._begin_session(
-                "the link is back and the poses agree within the start tolerance"
-            ),
-            Action.BEGIN_SESSION_AFTER_REFUSAL: self._begin_session_after_refusal,
-            Action.NOTE_ARMED: self._note_armed,
-            Action.TELL_MIRROR: lambda reason, now: self._mirror.sentence,
-            Action.TELL_GATEWAY: lambda reason, now: self._gateway_sentence,
-            Action.TELL_STOP: self._tell_stop,
-            Action.VOID_REQUEST: self._void_request,
-            Action.TELL_FORMER_STOP: lambda reason, now: (
-                f"gateway was stopped before it was started again ({self.inputs.stopped_before}), and is "
-                f"{self.inputs.gateway}; {self._remedy}"
-            ),
-            Action.TELL_HALT: self._tell_halt,
-            Action.TELL_RESET: lambda reason, now: f"{self._gateway_sentence}; call reset",
-            Action.SEND_RESET: lambda reason, now: self._send_reset(self.session, now),
-            Action.SEND_STOP: lambda reason, now: self._send("stop", self._withdrawn_session, now),
-            Action.SEND_ARM: self._send_arm,
-            Action.RESET_OLD_SESSION: lambda reason, now: self._send_reset(self._mirror.ended_session, now),
-        }
+        self.machine = Machine(
+            self._rows,
+            LinkState.DISCONNECTED,
+            "not connected to the broker yet",
+            conditions(self._guards()),
+            self._actions(),
+        )
 
     @classmethod
     def of(
@@ -165,6 +121,16 @@ class LinkSupervisor:
         """Return the supervisor of a robot whose gateway runs `config`."""
         digits = config.limits.last_digits(config.decimals)
         return cls(config.hash, config.decimals, config.start_tolerances, digits, new_id, mirrors, waits)
+
+    @property
+    def state(self) -> LinkState:
+        """The link's."""
+        return self.machine.state
+
+    @property
+    def reason(self) -> str:
+        """Why, in one sentence."""
+        return self.machine.reason
 
     @property
     def status(self) -> dict:
@@ -214,7 +180,7 @@ class LinkSupervisor:
     def on_command(self, q: tuple[float, ...], now: int) -> bool:
         """Take a command that wants to be sent [rad]; return whether it may be."""
         self.inputs.on_command(q, now)
-        return self.state is LinkState.ARMED
+        return self.machine.state is LinkState.ARMED
 
     def on_answer(self, answer: dict, now: int) -> None:
         """Take the gateway's answer to a control message."""
@@ -223,7 +189,7 @@ class LinkSupervisor:
         verb, self._unanswered = self._pending.verb, False
         if not answer.get("ok"):
             # stays pending: asked again after the usual pause, not with every poll
-            self.reason = f"gateway refused {verb}: {answer.get('reason')}"
+            self.machine.reason = f"gateway refused {verb}: {answer.get('reason')}"
             self._arm_refused = verb == "arm"
             return
         self._pending = None
@@ -366,10 +332,6 @@ class LinkSupervisor:
         self.take(LinkEvent.TURN, now)
         return self._outgoing
 
-    def holds(self, guard: Guard, now: int) -> bool:
-        """Return whether a guard of the table holds at `now` [ns]."""
-        return guard is Guard.ALWAYS or self._guards[guard](now)
-
     def take(self, event: LinkEvent, now: int, reason: str = "") -> None:
         """Carry out the first row of the table whose guard holds; without one nothing changes.
 
@@ -381,62 +343,111 @@ class LinkSupervisor:
         reason : str, optional
             The event's own sentence, for the actions that use it.
         """
-        for row in self._rows[self.state, event]:
-            if self.holds(row.guard, now):
-                if row.action is not Action.NOTHING:
-                    self.reason = self._actions[row.action](reason, now)
-                self.state = row.target or self.state
-                return
+        self.machine.on(event, Occasion(reason, now))
 
     # -- guards
 
-    def _session_ended(self, now: int) -> bool:
+    def _guards(self) -> dict[Guard, Callable[[Occasion], bool]]:
+        return {
+            Guard.ARM_LEADS: lambda at: self._mirror.active,
+            Guard.SESSION_ENDED: self._session_ended,
+            Guard.FAULT: lambda at: self.inputs.fault,
+            Guard.FAULT_UNASKED: lambda at: self.inputs.fault and not self._asked_for,
+            Guard.STOPPED_SINCE: lambda at: self._asked_for and self._shown != self._known_stop,
+            Guard.STOPPED_BEFORE: lambda at: bool(self.inputs.stopped_before),
+            Guard.HALTED_HERE: lambda at: self._halted is not None,
+            Guard.FIRST_SESSION: lambda at: not self._was_armed and self.inputs.gateway == "ready",
+            Guard.NOTHING_COULD_JUMP: self._nothing_could_jump,
+            Guard.ANSWER_AWAITED: lambda at: self._pending is not None and at.now - self._sent_at < RETRY,
+            Guard.BRAKING: lambda at: self.inputs.gateway == "braking",
+            Guard.NOT_READY: lambda at: self.inputs.gateway != "ready" or self.inputs.fault,
+            Guard.POSES_DIFFER: self._poses_differ,
+            Guard.ARM_REFUSED: lambda at: self._arm_refused,
+            Guard.WITHDRAWAL_UNTOLD: lambda at: (
+                self._owes_stop and not self.inputs.follows_another(self._withdrawn_session)
+            ),
+            Guard.OLD_SESSION_COMMANDS: lambda at: self._mirror.old_session_commands,
+            Guard.NOT_TOGETHER: self._not_together,
+        }
+
+    def _session_ended(self, at: Occasion) -> bool:
         # a status sent before the arming was answered still says ready
-        recently = now - self._sent_at < RETRY
+        recently = at.now - self._sent_at < RETRY
         return not recently and not self.inputs.follows(self.session)
 
-    def _nothing_could_jump(self, now: int) -> bool:
+    def _nothing_could_jump(self, at: Occasion) -> bool:
         # "armed" is a stream that never began
         no_fault = self.inputs.gateway in ("ready", "armed") or self.inputs.holds_after_silence
-        return no_fault and self.inputs.within_tolerance(now) and self.inputs.at_rest(now)
+        return no_fault and self.inputs.within_tolerance(at.now) and self.inputs.at_rest(at.now)
 
-    def _poses_differ(self, now: int) -> bool:
+    def _poses_differ(self, at: Occasion) -> bool:
         # before the first session it is unknown whether a program of the controller moves the arm
-        return not self.inputs.within_tolerance(now) or not (self._was_armed or self.inputs.at_rest(now))
+        return not self.inputs.within_tolerance(at.now) or not (self._was_armed or self.inputs.at_rest(at.now))
 
-    def _not_together(self, now: int) -> bool:
+    def _not_together(self, at: Occasion) -> bool:
         # a stream in motion may pass the arm's pose; no gateway would refuse what begins at speed
         known = self.inputs
-        return not (known.within_tolerance(now) and known.at_rest(now) and known.stream_rests(now))
+        return not (known.within_tolerance(at.now) and known.at_rest(at.now) and known.stream_rests(at.now))
 
     # -- actions: each returns the sentence for the state
 
-    def _forget_requests(self, reason: str, now: int) -> str:
-        self._pending, self._reset_wanted = None, False
-        return reason
+    def _actions(self) -> dict[Action, Callable[[Row, Occasion], str]]:
+        return {
+            Action.NOTHING: lambda row, at: self.reason,
+            Action.FORGET_REQUESTS: self._forget_requests,
+            Action.NOTE_HALT: self._note_halt,
+            Action.NOTE_WITHDRAWAL: self._note_withdrawal,
+            Action.NOTE_WITHDRAWAL_IN_MIRROR: self._note_withdrawal_in_mirror,
+            Action.BEGIN_MIRROR: self._begin_mirror,
+            Action.BEGIN_ASKED_SESSION: self._begin_asked_session,
+            Action.BEGIN_FIRST_SESSION: lambda row, at: self._begin_session("first session"),
+            Action.BEGIN_NEXT_SESSION: lambda row, at: self._begin_session(
+                "the link is back and the poses agree within the start tolerance"
+            ),
+            Action.BEGIN_SESSION_AFTER_REFUSAL: self._begin_session_after_refusal,
+            Action.NOTE_ARMED: self._note_armed,
+            Action.TELL_MIRROR: lambda row, at: self._mirror.sentence,
+            Action.TELL_GATEWAY: lambda row, at: self._gateway_sentence,
+            Action.TELL_STOP: self._tell_stop,
+            Action.VOID_REQUEST: self._void_request,
+            Action.TELL_FORMER_STOP: lambda row, at: (
+                f"gateway was stopped before it was started again ({self.inputs.stopped_before}), and is "
+                f"{self.inputs.gateway}; {self._remedy}"
+            ),
+            Action.TELL_HALT: self._tell_halt,
+            Action.TELL_RESET: lambda row, at: f"{self._gateway_sentence}; call reset",
+            Action.SEND_RESET: lambda row, at: self._send_reset(self.session, at.now),
+            Action.SEND_STOP: lambda row, at: self._send("stop", self._withdrawn_session, at.now),
+            Action.SEND_ARM: self._send_arm,
+            Action.RESET_OLD_SESSION: lambda row, at: self._send_reset(self._mirror.ended_session, at.now),
+        }
 
-    def _note_halt(self, reason: str, now: int) -> str:
+    def _forget_requests(self, row: Row, at: Occasion) -> str:
+        self._pending, self._reset_wanted = None, False
+        return at.reason
+
+    def _note_halt(self, row: Row, at: Occasion) -> str:
         self._mirror.active = False
-        self._halted = reason
+        self._halted = at.reason
         self._pending = None
         # what was asked for before the halt is not asked for any more
         self._reset_wanted = self._asked_for = False
-        return reason
+        return at.reason
 
-    def _note_withdrawal(self, reason: str, now: int) -> str:
+    def _note_withdrawal(self, row: Row, at: Occasion) -> str:
         # a fault at the gateway outlasts this process, and the reason that it tells is the better one
         self._owes_stop = self._unanswered or not self.inputs.fault
         self._withdrawn_session = self.session
-        self._halted, self._pending = reason, None
+        self._halted, self._pending = at.reason, None
         self._reset_wanted = self._asked_for = False
-        return reason
+        return at.reason
 
-    def _note_withdrawal_in_mirror(self, reason: str, now: int) -> str:
+    def _note_withdrawal_in_mirror(self, row: Row, at: Occasion) -> str:
         # the request itself, and what it had under way, were given up when mirror mode began
-        self._halted = reason
+        self._halted = at.reason
         return self.reason
 
-    def _void_request(self, reason: str, now: int) -> str:
+    def _void_request(self, row: Row, at: Occasion) -> str:
         self._owes_stop = self._unanswered and not self.inputs.fault
         self._withdrawn_session = self.session
         self._pending, self._asked_for = None, False
@@ -448,7 +459,7 @@ class LinkSupervisor:
             self._halted = f"gateway was stopped since the call ({stop}): {self.inputs.gateway_reason}; {self._remedy}"
         return self._halted
 
-    def _begin_mirror(self, reason: str, now: int) -> str:
+    def _begin_mirror(self, row: Row, at: Occasion) -> str:
         # a new session without a right to command: executor and gate start over, and what was recorded of the old one is void; it
         # neither tells the gateway of a request that failed, nor ends the waiting for a person
         self.session = self._new_id()
@@ -462,21 +473,21 @@ class LinkSupervisor:
         self.inputs.forget_command()
         return reason
 
-    def _begin_asked_session(self, reason: str, now: int) -> str:
+    def _begin_asked_session(self, row: Row, at: Occasion) -> str:
         self._reset_wanted = False
         self._begin_session("")
         self._asked_for = True
         self._under_way = "the bridge was started again while a reset was under way; call reset"
         return "reset asked for"
 
-    def _begin_session_after_refusal(self, reason: str, now: int) -> str:
+    def _begin_session_after_refusal(self, row: Row, at: Occasion) -> str:
         # a session that was armed and whose answer was lost cannot be armed again
         asked_for = self._asked_for
         self._begin_session("")
         self._asked_for = asked_for
         return f"another session, because {self.reason}"
 
-    def _note_armed(self, reason: str, now: int) -> str:
+    def _note_armed(self, row: Row, at: Occasion) -> str:
         self._was_armed, self._under_way = True, ""
         self.inputs.forget_stop()
         # in commissioning mode the link is armed, and yet the arm stands still
@@ -488,23 +499,23 @@ class LinkSupervisor:
         sentence = f"gateway is {self.inputs.gateway}: {self.inputs.gateway_reason}"
         return f"{sentence}; {self._remedy}" if self.inputs.gateway_failed else sentence
 
-    def _tell_stop(self, reason: str, now: int) -> str:
+    def _tell_stop(self, row: Row, at: Occasion) -> str:
         return (
             f"gateway was stopped (stop {self.inputs.fault_number}) and is {self.inputs.gateway}: {self.inputs.gateway_reason}; "
             f"{self._remedy}"
         )
 
-    def _tell_halt(self, reason: str, now: int) -> str:
+    def _tell_halt(self, row: Row, at: Occasion) -> str:
         # what the gateway still knows it tells better than the process before this one
-        return self._tell_stop(reason, now) if self._found and self.inputs.fault else self._halted or ""
+        return self._tell_stop(row, at) if self._found and self.inputs.fault else self._halted or ""
 
     @property
     def _remedy(self) -> str:
         # a gateway whose program has failed takes no control message any more
         return "restart rsi_gateway, then call reset" if self.inputs.gateway_failed else "call reset"
 
-    def _send_arm(self, reason: str, now: int) -> str:
-        return self._send("arm", self.session, now, arm_value(self._hash, self.status["run"]))
+    def _send_arm(self, row: Row, at: Occasion) -> str:
+        return self._send("arm", self.session, at.now, arm_value(self._hash, self.status["run"]))
 
     def _send_reset(self, session: str, now: int) -> str:
         # without a request there is no fault in the newest status, and so none that its number would clear

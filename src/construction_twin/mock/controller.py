@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from construction_twin.core.errors import FaultError, TelegramError
+from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.encoders import Encoders
@@ -200,13 +200,13 @@ class MockController:
 
         Raises
         ------
-        FaultError
+        ConfigurationError
             If the emergency stop is pressed.
         JointRangeError
             If `pose` lies outside the soft limits.
         """
         if self.pressed:
-            raise FaultError(
+            raise ConfigurationError(
                 "restart", "the emergency stop is pressed", "a released one: inject `estop` with `on` false"
             )
         if pose is None:
@@ -335,7 +335,7 @@ class MockController:
 
         Raises
         ------
-        FaultError
+        ConfigurationError
             If the arm cannot move by itself now.
         ValueError
             If the limits do not allow `duration`.
@@ -343,7 +343,7 @@ class MockController:
             If the goal lies outside the range.
         """
         if self.pressed or self.ramp is not None and not self.ramp.done:
-            raise FaultError("jog", tuple(goal), "an arm at rest whose emergency stop is not pressed")
+            raise ConfigurationError("jog", tuple(goal), "an arm at rest whose emergency stop is not pressed")
         self._check_range(goal)
         if not self.running:
             self.ramp = None

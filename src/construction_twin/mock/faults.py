@@ -11,7 +11,7 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from construction_twin.core.errors import FaultError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.line import Line
@@ -169,7 +169,7 @@ class FaultBoard:
 
         Raises
         ------
-        FaultError
+        ConfigurationError
             If there is no such fault, an argument is wrong, or the fault is not possible now.
         """
         kind = self._check(fault)
@@ -177,7 +177,7 @@ class FaultBoard:
         try:
             start()
         except (ValueError, JointRangeError) as error:
-            raise FaultError(fault.name, fault.values, str(error)) from error
+            raise ConfigurationError(fault.name, fault.values, str(error)) from error
         self.changes += 1
         if not kind.lasting:
             return f"{fault.name} is carried out"
@@ -190,11 +190,11 @@ class FaultBoard:
 
         Raises
         ------
-        FaultError
+        ConfigurationError
             If it is not on.
         """
         if (fault.name, fault.subject) not in self._active:
-            raise FaultError(
+            raise ConfigurationError(
                 fault.name, fault.subject or None, f"a fault that is on: {', '.join(self.active) or 'none is'}"
             )
         _, stop = self._actions(fault)
@@ -208,32 +208,32 @@ class FaultBoard:
 
     def _check(self, fault: Fault) -> FaultKind:
         if fault.name not in KINDS:
-            raise FaultError("fault", fault.name, f"one of {', '.join(KINDS)}")
+            raise ConfigurationError("fault", fault.name, f"one of {', '.join(KINDS)}")
         kind, axes = KINDS[fault.name], self.controller.config.axes
         if kind.axis == "one" and not fault.axis or kind.axis == "no" and fault.axis:
-            raise FaultError(fault.name, fault.axis, "a joint" if kind.axis == "one" else "no joint")
+            raise ConfigurationError(fault.name, fault.axis, "a joint" if kind.axis == "one" else "no joint")
         if fault.axis and fault.axis not in axes:
-            raise FaultError(fault.name, fault.axis, f"one of {', '.join(axes)}")
+            raise ConfigurationError(fault.name, fault.axis, f"one of {', '.join(axes)}")
         if fault.direction not in (DIRECTIONS if kind.network else ("",)):
-            raise FaultError(
+            raise ConfigurationError(
                 fault.name,
                 fault.direction,
                 "direction to_pc, to_controller or none" if kind.network else "no direction",
             )
         counts = [len(axes) if count < 0 else count for count in kind.values]
         if len(fault.values) not in counts or not all(map(math.isfinite, fault.values)):
-            raise FaultError(fault.name, fault.values, kind.meaning)
+            raise ConfigurationError(fault.name, fault.values, kind.meaning)
         if kind.positive and not all(value > 0.0 for value in fault.values):
-            raise FaultError(fault.name, fault.values, f"{kind.meaning}, greater than 0")
+            raise ConfigurationError(fault.name, fault.values, f"{kind.meaning}, greater than 0")
         if kind.network and not all(0.0 <= value <= 1.0 for value in fault.values):
-            raise FaultError(fault.name, fault.values, f"{kind.meaning}, 0 to 1")
+            raise ConfigurationError(fault.name, fault.values, f"{kind.meaning}, 0 to 1")
         allowed = not kind.whole or all(value.is_integer() for value in map(float, fault.values))
         if math.isfinite(kind.largest) and not (
             allowed and all(0.0 <= value <= kind.largest for value in fault.values)
         ):
-            raise FaultError(fault.name, fault.values, kind.meaning)
+            raise ConfigurationError(fault.name, fault.values, kind.meaning)
         if not (math.isfinite(fault.duration) and fault.duration >= 0.0):
-            raise FaultError(fault.name, fault.duration, "a duration [s] of 0 or more")
+            raise ConfigurationError(fault.name, fault.duration, "a duration [s] of 0 or more")
         return kind
 
     def _actions(self, fault: Fault) -> tuple[Callable[[], None], Callable[[], None]]:
@@ -273,7 +273,7 @@ class FaultBoard:
     def _grip(self, fault: Fault):
         tool = self.controller.tool
         if tool is None:
-            raise FaultError(fault.name, None, "an Ethernet XML with channels of a tool")
+            raise ConstructionTwinError(f"{fault.name}: found None, expected an Ethernet XML with channels of a tool")
 
         def fail(on: bool) -> None:
             tool.fails = on

@@ -21,7 +21,7 @@ from concurrent.futures import Future
 from queue import Empty, SimpleQueue
 from typing import TypeVar
 
-from construction_twin.core.errors import ConstructionTwinError, TransportError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mock.arrival import ArrivalClock
 from construction_twin.mock.controller import MockController
@@ -71,7 +71,7 @@ class MockRsi:
 
     Raises
     ------
-    TransportError
+    ConstructionTwinError
         If the gateway's host is unknown.
     """
 
@@ -264,7 +264,7 @@ def _resolve(host: str, port: int) -> tuple[str, int]:
     try:
         address = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
     except OSError as error:
-        raise TransportError(
+        raise ConstructionTwinError(
             f"gateway host {host!r} port {port}: {error}; give an IPv4 address or a known name"
         ) from error
     return str(address[0]), int(address[1])

@@ -12,11 +12,21 @@ from dataclasses import dataclass, field
 
 from construction_twin.core.errors import ConfigurationError, MotionRefused, PayloadError
 from construction_twin.core.limits import MotionCheck, MotionLimits
+from construction_twin.core.state_table import conditions
 from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.comparison import Comparison, ComparisonSettings, PoseComparison
 from construction_twin.monitor.round_trip import RoundTrips
-from construction_twin.monitor.states import HELD_STATES, Action, Guard, SyncEvent, SyncMachine, SyncState, Transition
+from construction_twin.monitor.states import (
+    HELD_STATES,
+    Action,
+    Guard,
+    SyncEvent,
+    SyncMachine,
+    SyncOccasion,
+    SyncState,
+    Transition,
+)
 from construction_twin.mqtt.joint_string import JointStringCodec
 
 #: What may happen after a violation.
@@ -122,20 +132,20 @@ class Gate:
         #: Whether the arm leads: then nothing opens the gate.
         self.mirrored = False
         guards = {
-            Guard.UNCOUNTED: lambda now: not self._counted,
-            Guard.STOP_POLICY: lambda now: self._policy == STOP,
-            Guard.TOO_MANY: lambda now: len(self._closings) >= self.settings.escalate_count,
-            Guard.HELD_TOO_LONG: lambda now: now - self._closed_at > self.settings.give_up_time * NANOSECONDS,
+            Guard.UNCOUNTED: lambda occasion: not self._counted,
+            Guard.STOP_POLICY: lambda occasion: self._policy == STOP,
+            Guard.TOO_MANY: lambda occasion: len(self._closings) >= self.settings.escalate_count,
+            Guard.HELD_TOO_LONG: lambda occasion: self._held_too_long(occasion.now),
         }
         actions = {
-            Action.FORGET: lambda now: self._forget(),
-            Action.HOLD: self._hold,
-            Action.HOLD_AND_COUNT: self._hold_and_count,
-            Action.COUNT: self._count,
+            Action.FORGET: lambda row, occasion: self._forget(),
+            Action.HOLD: lambda row, occasion: self._hold(occasion.now),
+            Action.HOLD_AND_COUNT: lambda row, occasion: self._hold_and_count(occasion.now),
+            Action.COUNT: lambda row, occasion: self._count(occasion.now),
         }
-        self._machine = SyncMachine(guards, actions)
+        self._machine = SyncMachine(conditions(guards), actions)
         self._forget()
-        self._machine.on(SyncEvent.STARTED, "started", now)
+        self._machine.on(SyncEvent.STARTED, SyncOccasion("started", now))
 
     def _forget(self) -> None:
         self.comparison = PoseComparison(self.settings.comparison(self._limits))
@@ -357,15 +367,18 @@ class Gate:
             if self.settings.compares and not self._fresh(now) and self._heard is not None:
                 age = (now - self._heard) / NANOSECONDS
                 self._close(SyncEvent.FEEDBACK_STALE, f"last comparable feedback is {age:.3f} s old", now)
-        elif self._machine.row(SyncEvent.GAVE_UP, now) is not None:
+        elif self._held_too_long(now) and self.state in HELD_STATES:
             held = (now - self._closed_at) / NANOSECONDS
             self._fire(SyncEvent.GAVE_UP, f"held for {held:.3f} s; {self._machine.reason}; call reset", now)
+
+    def _held_too_long(self, now: int) -> bool:
+        return now - self._closed_at > self.settings.give_up_time * NANOSECONDS
 
     def _fresh(self, now: int) -> bool:
         return self._heard is not None and now - self._heard <= self.settings.feedback_timeout * NANOSECONDS
 
     def _on_difference(self, comparison: Comparison, now: int) -> None:
-        if not self.settings.compares or self._machine.row(SyncEvent.POSE_DIFFERS, now) is None:
+        if not self.settings.compares or self._machine.row(SyncEvent.POSE_DIFFERS, SyncOccasion(now=now)) is None:
             return
         joint = comparison.worst()
         unit = "m" if self._limits.linear[joint] else "rad"
@@ -436,4 +449,4 @@ class Gate:
 
     def _fire(self, event: SyncEvent, reason: str, now: int) -> bool:
         self._obstacle = ""
-        return self._machine.on(event, reason, now, self.comparison.last, self.held_stamp)
+        return not self._machine.on(event, SyncOccasion(reason, now, self.comparison.last, self.held_stamp))

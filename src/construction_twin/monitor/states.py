@@ -6,7 +6,7 @@ an event, and kept why.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
@@ -69,17 +69,7 @@ class Action(Enum):
 
 Row = state_table.Row[SyncState, SyncEvent, Guard, Action]
 _S, _E = SyncState, SyncEvent
-
-
-def _rows(
-    states: Iterable[SyncState],
-    event: SyncEvent,
-    target: SyncState | None,
-    action: Action = Action.NOTHING,
-    guard: Guard = Guard.ALWAYS,
-) -> list[Row]:
-    return state_table.rows(states, event, guard, action, target)
-
+rows = state_table.Rows(SyncState, SyncEvent, Guard, Action)
 
 #: States of a gate that was closed by a violation, and may open again by itself.
 HELD_STATES = (_S.HOLDING, _S.REPLANNING, _S.STALE, _S.FAULT)
@@ -87,29 +77,29 @@ HELD_STATES = (_S.HOLDING, _S.REPLANNING, _S.STALE, _S.FAULT)
 #: What is not in the table changes nothing in that state.
 TABLE: tuple[Row, ...] = (
     # a person has to see to what is STOPPED: only a new command session leads out
-    *_rows(_S, _E.NEW_SESSION, _S.WAITING, Action.FORGET),
-    *_rows((_S.WAITING, _S.IN_SYNC, *HELD_STATES), _E.MIRROR, _S.WAITING, Action.FORGET),
-    *_rows([_S.WAITING], _E.STARTED, _S.WAITING),
-    *_rows([_S.WAITING], _E.STOPPED_BEFORE, _S.STOPPED),
-    *_rows([_S.WAITING], _E.CONFIGURED, _S.WAITING, Action.KEEP_REASON),
-    *_rows([_S.IN_SYNC], _E.CONFIGURED, _S.IN_SYNC, Action.KEEP_REASON),
-    *_rows([_S.STOPPED], _E.CONFIGURED, _S.STOPPED, Action.KEEP_REASON),
-    *_rows((_S.WAITING, *HELD_STATES), _E.OPENED, _S.IN_SYNC),
-    *_rows([_S.IN_SYNC], _E.POSE_DIFFERS, _S.HOLDING, Action.HOLD_AND_COUNT),
+    *rows(_S, _E.NEW_SESSION, _S.WAITING, Action.FORGET),
+    *rows((_S.WAITING, _S.IN_SYNC, *HELD_STATES), _E.MIRROR, _S.WAITING, Action.FORGET),
+    *rows(_S.WAITING, _E.STARTED, _S.WAITING),
+    *rows(_S.WAITING, _E.STOPPED_BEFORE, _S.STOPPED),
+    *rows(_S.WAITING, _E.CONFIGURED, _S.WAITING, Action.KEEP_REASON),
+    *rows(_S.IN_SYNC, _E.CONFIGURED, _S.IN_SYNC, Action.KEEP_REASON),
+    *rows(_S.STOPPED, _E.CONFIGURED, _S.STOPPED, Action.KEEP_REASON),
+    *rows((_S.WAITING, *HELD_STATES), _E.OPENED, _S.IN_SYNC),
+    *rows(_S.IN_SYNC, _E.POSE_DIFFERS, _S.HOLDING, Action.HOLD_AND_COUNT),
     # silence is not counted: no pose has differed, and whether the link is lost is for the bridge to say
-    *_rows([_S.IN_SYNC], _E.FEEDBACK_STALE, _S.STALE, Action.HOLD),
-    *_rows([_S.IN_SYNC], _E.SETPOINT_STALE, _S.STALE, Action.HOLD),
-    *_rows([_S.IN_SYNC], _E.SETPOINT_REFUSED, _S.FAULT, Action.HOLD_AND_COUNT),
+    *rows(_S.IN_SYNC, _E.FEEDBACK_STALE, _S.STALE, Action.HOLD),
+    *rows(_S.IN_SYNC, _E.SETPOINT_STALE, _S.STALE, Action.HOLD),
+    *rows(_S.IN_SYNC, _E.SETPOINT_REFUSED, _S.FAULT, Action.HOLD_AND_COUNT),
     # the silence has ended in a contradiction: that the arm was silent before does not excuse it
-    *_rows([_S.STALE], _E.POSE_DIFFERS, _S.HOLDING, Action.COUNT, Guard.UNCOUNTED),
-    *_rows([_S.REPLANNING], _E.POSE_DIFFERS, None, Action.COUNT, Guard.UNCOUNTED),
+    *rows(_S.STALE, _E.POSE_DIFFERS, _S.HOLDING, Action.COUNT, Guard.UNCOUNTED),
+    *rows(_S.REPLANNING, _E.POSE_DIFFERS, None, Action.COUNT, Guard.UNCOUNTED),
     # what may follow a violation at once
-    *_rows((_S.HOLDING, _S.STALE, _S.FAULT), _E.POLICY_STOP, _S.STOPPED, guard=Guard.STOP_POLICY),
-    *_rows((_S.HOLDING, _S.REPLANNING, _S.FAULT), _E.ESCALATED, _S.STOPPED, guard=Guard.TOO_MANY),
+    *rows((_S.HOLDING, _S.STALE, _S.FAULT), _E.POLICY_STOP, _S.STOPPED, guard=Guard.STOP_POLICY),
+    *rows((_S.HOLDING, _S.REPLANNING, _S.FAULT), _E.ESCALATED, _S.STOPPED, guard=Guard.TOO_MANY),
     # a source of setpoints that no robot can execute, FAULT, is not asked for a new plan
-    *_rows((_S.HOLDING, _S.STALE), _E.REPLAN_ASKED, _S.REPLANNING),
-    *_rows([_S.REPLANNING], _E.REPLAN_FAILED, _S.HOLDING),
-    *_rows(HELD_STATES, _E.GAVE_UP, _S.STOPPED, guard=Guard.HELD_TOO_LONG),
+    *rows((_S.HOLDING, _S.STALE), _E.REPLAN_ASKED, _S.REPLANNING),
+    *rows(_S.REPLANNING, _E.REPLAN_FAILED, _S.HOLDING),
+    *rows(HELD_STATES, _E.GAVE_UP, _S.STOPPED, guard=Guard.HELD_TOO_LONG),
 )
 
 ROWS = state_table.by_cause(TABLE)
@@ -145,66 +135,41 @@ class Transition:
         return f"{self.source.name} -> {self.target.name} ({self.event.value}): {self.reason}"
 
 
-class SyncMachine:
-    """The present state, and how it changes.
+@dataclass(frozen=True, slots=True)
+class SyncOccasion(state_table.Occasion):
+    """What came with an event: the newest comparison, and the stamp of the last setpoint that passed; see `Transition`."""
+
+    comparison: Comparison | None = None
+    held_stamp: int = 0
+
+
+class SyncMachine(state_table.Machine[SyncState, SyncEvent, Guard, Action, SyncOccasion]):
+    """The present state, and how it changes: every change is kept, with its cause, until it is taken.
 
     Parameters
     ----------
     guards : mapping of Guard to callable
-        From the time [ns] to whether the guard holds; for all but `ALWAYS`.
     actions : mapping of Action to callable
-        Called with the time [ns]; for all that do something.
-
-    Attributes
-    ----------
-    state : SyncState
-    reason : str
-        Why it was entered; other settings are no reason to be in a state.
+        As `Machine`; other settings are no reason to be in a state.
     """
 
-    def __init__(self, guards: Mapping[Guard, Callable[[int], bool]], actions: Mapping[Action, Callable[[int], None]]):
-        self.state = SyncState.WAITING
-        self.reason = ""
-        self._guards = {Guard.ALWAYS: lambda now: True, **guards}
-        self._actions = {Action.NOTHING: lambda now: None, Action.KEEP_REASON: lambda now: None, **actions}
+    def __init__(
+        self,
+        guards: Mapping[Guard, Callable[[SyncOccasion], str]],
+        actions: Mapping[Action, Callable[[Row, SyncOccasion], str | None]],
+    ):
+        keeps = {Action.KEEP_REASON: lambda row, occasion: self.reason}
+        super().__init__(ROWS, SyncState.WAITING, "", guards, {**keeps, **actions}, after=self._note)
+        self.changed = False
         self._taken: list[Transition] = []
 
-    def row(self, event: SyncEvent, now: int) -> Row | None:
-        """Return the row that would apply to an event in the present state at `now` [ns]; None: it changes nothing."""
-        return next((row for row in ROWS[self.state, event] if self._guards[row.guard](now)), None)
-
-    def on(
-        self, event: SyncEvent, reason: str, now: int, comparison: Comparison | None = None, held_stamp: int = 0
-    ) -> bool:
-        """Take an event; return whether a row of the table applied.
-
-        Parameters
-        ----------
-        event : SyncEvent
-        reason : str
-        now : int
-            [ns]
-        comparison : Comparison, optional
-        held_stamp : int, optional
-            [ns]
-        """
-        row = self.row(event, now)
-        if row is None:
-            return False
-        self._actions[row.action](now)
+    def _note(self, row: Row, occasion: SyncOccasion) -> None:
         if row.target is not None:
-            self._taken.append(Transition(now, self.state, row.target, event, reason, comparison, held_stamp))
-            self.state = row.target
-            if row.action is not Action.KEEP_REASON:
-                self.reason = reason
-        return True
-
-    @property
-    def changed(self) -> bool:
-        """True when there are transitions to take."""
-        return bool(self._taken)
+            cause = row.state, row.target, row.event, occasion.reason
+            self._taken.append(Transition(occasion.now, *cause, occasion.comparison, occasion.held_stamp))
 
     def take(self) -> list[Transition]:
         """Return the transitions since the last call, oldest first."""
         taken, self._taken = self._taken, []
+        self.changed = False
         return taken

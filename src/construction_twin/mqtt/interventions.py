@@ -20,8 +20,6 @@ STOP, PAUSE, RESUME = "stop", "pause", "resume"
 GATEWAY, EXECUTOR = "gateway", "executor"
 #: Longest message that is read [bytes].
 MAX_BYTES = 256
-#: Accounts of which `AnswerPace` knows what they were answered.
-_MOST_ACCOUNTS = 64
 
 
 @dataclass(frozen=True)
@@ -79,33 +77,3 @@ def intervention_answer(id_: str, account: str, by: str, ok: bool, reason: str, 
     """
     answer = {"id": id_, "account": account, "ok": ok, "reason": reason, "by": by}
     return json.dumps(answer | {"expired": expired}).encode()
-
-
-class AnswerPace:
-    """How often one account is answered: who floods a topic must cost no more than the reading.
-
-    Parameters
-    ----------
-    period : int
-        Time between two answers to one account in the long run [ns].
-    at_once : int
-        So many are given without waiting: a person who taps several times is answered each time.
-    """
-
-    def __init__(self, period: int, at_once: int):
-        self._period = period
-        self._ahead = (at_once - 1) * period
-        # when the answers given so far would have been due, one per period [ns]
-        self._due: dict[str, int] = {}
-
-    def take(self, account: str, now: int) -> bool:
-        """Return whether an account may be answered at `now` [ns], and note that it was."""
-        due = max(self._due.get(account, now), now)
-        if due - now > self._ahead:
-            return False
-        if account not in self._due and len(self._due) >= _MOST_ACCOUNTS:
-            self._due = {name: at for name, at in self._due.items() if at > now}
-            if len(self._due) >= _MOST_ACCOUNTS:
-                return False
-        self._due[account] = due + self._period
-        return True

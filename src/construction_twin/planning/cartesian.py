@@ -17,9 +17,9 @@ from scipy.interpolate import CubicSpline
 
 from construction_twin.core.motion_errors import CollisionError, FarWaypointError, JointRangeError, PlanningError
 from construction_twin.core.units import CYCLE, for_people
+from construction_twin.kinematics.batch_kinematics import angles_between
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.solution import InverseKinematics
-from construction_twin.planning.batch_kinematics import angles_between
 from construction_twin.planning.curves import JointCurve
 from construction_twin.planning.ik_branch import Branch
 from construction_twin.planning.limit_usage import cycle_times

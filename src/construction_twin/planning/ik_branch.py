@@ -18,9 +18,9 @@ from construction_twin.core.motion_errors import (
     UnreachableError,
     UnreachableOrientationError,
 )
+from construction_twin.kinematics.batch_kinematics import BatchKinematics
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import InverseKinematics
-from construction_twin.planning.batch_kinematics import BatchKinematics
 from construction_twin.planning.tool_path import ToolPath
 
 #: Smallest allowed singular value of the scaled Jacobian. Near a singular wrist it is about sin(A5) / sqrt(2): 0.007 is reached
@@ -168,7 +168,7 @@ class Branch:
 
         Lengths are divided by half of the arm's length, so that translation and rotation are comparable.
         """
-        jacobians = self.batch.jacobians(q)
+        jacobians = self.batch.frames(q)[1]
         length = 0.5 * self.chain.arm_length
         jacobians[:, :3] /= length
         jacobians[:, :, np.array(self.chain.robot.linear)] *= length
@@ -178,7 +178,7 @@ class Branch:
         """Return the sign of the Jacobian's determinant, which changes at every simple singularity."""
         if q.shape[1] != 6:
             return np.ones(len(q))
-        return np.sign(np.linalg.det(self.batch.jacobians(q)))
+        return np.sign(np.linalg.det(self.batch.frames(q)[1]))
 
     def _explain(self, q: np.ndarray, begin: float, end: float, beyond: np.ndarray | None) -> CartesianPathError:
         """Return why the branch ends between `begin` and `end`; `beyond` is the joint vector that Newton steps reached, if any."""

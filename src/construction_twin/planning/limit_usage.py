@@ -49,28 +49,6 @@ class SampledUsage:
         return LimitUsage(velocity, acceleration, jerk)
 
 
-def limit_usage(trajectory: Trajectory, robot: RobotModel) -> LimitUsage:
-    """Measure a trajectory at every controller cycle against the robot's limits.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-    robot : RobotModel
-
-    Returns
-    -------
-    usage : LimitUsage
-
-    Raises
-    ------
-    JointRangeError
-        If a sample is out of range by more than rounding.
-    """
-    sampled = sampled_usage(trajectory, robot)
-    check_range(sampled.positions, robot)
-    return sampled.largest()
-
-
 def cycle_times(trajectory: Trajectory) -> np.ndarray:
     """Return the times of a trajectory's 4 ms samples [s], from 0 until it rests.
 

@@ -7,7 +7,7 @@ import struct
 import sys
 import time
 
-from construction_twin.core.errors import ConfigurationError, TransportError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.rsi.telegram import MAX_TELEGRAM
 
 #: Linux: ask the kernel for each datagram's time of arrival, so that the reply time includes waiting for the processor. Python has
@@ -18,13 +18,13 @@ _LARGEST_DATAGRAM = 65535
 
 
 def bind(host: str, port: int) -> socket.socket:
-    """Return a UDP socket bound for RSI; TransportError when the port is taken or the address is not ours."""
+    """Return a UDP socket bound for RSI; ConstructionTwinError when the port is taken or the address is not ours."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         sock.bind((host, port))
     except OSError as error:
         sock.close()
-        raise TransportError(
+        raise ConstructionTwinError(
             f"cannot listen for RSI on UDP {host}:{port}: {error.strerror}; another gateway (or KUKA's TestServer) may hold the "
             "port, or the address is not this machine's"
         ) from error

@@ -94,7 +94,7 @@ def judge(
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If the recording does not hold what is needed.
     """
     expect = scenario.expect

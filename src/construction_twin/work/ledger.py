@@ -16,7 +16,15 @@ from pathlib import Path
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.work_errors import LedgerError
 from construction_twin.review.chained_file import ChainedFile, read_whole
-from construction_twin.work.task_states import SETTLED, UNDER_WAY, NotNow, TaskEvent, TaskMemory, TaskState
+from construction_twin.work.task_states import (
+    SETTLED,
+    UNDER_WAY,
+    NotNow,
+    TaskEvent,
+    TaskMemory,
+    TaskOccasion,
+    TaskState,
+)
 
 #: Lines that are about no task.
 OPENED, ACCEPTED, MENDED, CHANGED = "opened", "accept_schedule", "mended", "changed"
@@ -65,6 +73,21 @@ class Entry:
     cell: str = ""
     schedule: str = ""
     time_ns: int = 0
+
+    @property
+    def said(self) -> TaskOccasion:
+        """What of it concerns the task's state."""
+        return TaskOccasion(
+            self.reason,
+            self.time_ns,
+            self.answer,
+            self.plan,
+            self.offer,
+            self.grip,
+            self.pose,
+            self.person,
+            self.source,
+        )
 
     def fields(self) -> dict:
         """Return what is written of it: all that is not empty."""
@@ -190,17 +213,7 @@ class Book:
         if memory.state is TaskState.WAITING and not memory.takes(event, entry.answer):
             # what was done was done, even if a schedule that was changed since would have had it wait
             memory.apply(TaskEvent.FREED)
-        memory.apply(
-            event,
-            answer=entry.answer,
-            plan=entry.plan,
-            offer=entry.offer,
-            grip=entry.grip,
-            pose=entry.pose,
-            person=entry.person,
-            source=entry.source,
-            time_ns=entry.time_ns,
-        )
+        memory.apply(event, entry.said)
         self._settle()
 
     def in_state(self, *states: TaskState) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ follow from the states of other tasks. What cannot be known after a kill ends in
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -85,17 +85,7 @@ class Action(Enum):
 
 Row = state_table.Row[TaskState, TaskEvent, Guard, Action]
 _S, _E, _G, _A = TaskState, TaskEvent, Guard, Action
-
-
-def _rows(
-    states: Iterable[TaskState],
-    event: TaskEvent,
-    target: TaskState | None,
-    action: Action = Action.NOTHING,
-    guard: Guard = Guard.ALWAYS,
-) -> list[Row]:
-    return state_table.rows(states, event, guard, action, target)
-
+rows = state_table.Rows(TaskState, TaskEvent, Guard, Action)
 
 #: States in which a motion of the task may be under way.
 UNDER_WAY = (_S.WORKING, _S.GRIPPING, _S.CARRYING, _S.RELEASING, _S.RETREATING)
@@ -108,42 +98,42 @@ SETTLED = (_S.DONE, _S.SKIPPED)
 
 #: What is not in the table is refused by `TaskMemory`.
 TABLE: tuple[Row, ...] = (
-    *_rows([_S.WAITING], _E.FREED, _S.READY),
-    *_rows([_S.READY], _E.BLOCKED, _S.WAITING),
+    *rows(_S.WAITING, _E.FREED, _S.READY),
+    *rows(_S.READY, _E.BLOCKED, _S.WAITING),
     # written before the plan is offered: from then on somebody may approve it
-    *_rows(PLANNABLE, _E.OFFERED, _S.PLANNED, _A.KEEP_PLAN),
-    *_rows([_S.PLANNED], _E.PLANNED, None, _A.KEEP_PLAN),
-    *_rows([_S.PLANNED], _E.DROPPED, _S.CARRIED, _A.FORGET_PLAN, _G.IN_GRIP),
-    *_rows([_S.PLANNED], _E.DROPPED, _S.READY, _A.FORGET_PLAN),
-    *_rows([_S.PLANNED], _E.BEGUN, _S.CARRYING, _A.KEEP_PLAN, _G.IN_GRIP),
-    *_rows([_S.PLANNED], _E.BEGUN, _S.WORKING, _A.KEEP_PLAN),
-    *_rows([_S.WORKING], _E.GRIPPING, _S.GRIPPING),
-    *_rows([_S.WORKING], _E.STOPPED, _S.READY, _A.NOT_IN_GRIP),
-    *_rows([_S.GRIPPING], _E.GRIPPED, _S.CARRYING, _A.IN_GRIP),
-    *_rows([_S.GRIPPING], _E.NOT_GRIPPED, _S.READY, _A.NOT_IN_GRIP),
-    *_rows([_S.GRIPPING], _E.STOPPED, _S.ASKS, _A.FORGET_PLAN),
-    *_rows([_S.CARRYING], _E.RELEASING, _S.RELEASING),
-    *_rows([_S.CARRYING], _E.STOPPED, _S.ASKS, _A.FORGET_PLAN),
-    *_rows([_S.RELEASING], _E.RELEASED, _S.RETREATING, _A.PLACED),
-    *_rows([_S.RELEASING], _E.STOPPED, _S.ASKS, _A.FORGET_PLAN),
-    *_rows([_S.RETREATING], _E.FINISHED, _S.DONE, _A.FORGET_PLAN),
+    *rows(PLANNABLE, _E.OFFERED, _S.PLANNED, _A.KEEP_PLAN),
+    *rows(_S.PLANNED, _E.PLANNED, None, _A.KEEP_PLAN),
+    *rows(_S.PLANNED, _E.DROPPED, _S.CARRIED, _A.FORGET_PLAN, _G.IN_GRIP),
+    *rows(_S.PLANNED, _E.DROPPED, _S.READY, _A.FORGET_PLAN),
+    *rows(_S.PLANNED, _E.BEGUN, _S.CARRYING, _A.KEEP_PLAN, _G.IN_GRIP),
+    *rows(_S.PLANNED, _E.BEGUN, _S.WORKING, _A.KEEP_PLAN),
+    *rows(_S.WORKING, _E.GRIPPING, _S.GRIPPING),
+    *rows(_S.WORKING, _E.STOPPED, _S.READY, _A.NOT_IN_GRIP),
+    *rows(_S.GRIPPING, _E.GRIPPED, _S.CARRYING, _A.IN_GRIP),
+    *rows(_S.GRIPPING, _E.NOT_GRIPPED, _S.READY, _A.NOT_IN_GRIP),
+    *rows(_S.GRIPPING, _E.STOPPED, _S.ASKS, _A.FORGET_PLAN),
+    *rows(_S.CARRYING, _E.RELEASING, _S.RELEASING),
+    *rows(_S.CARRYING, _E.STOPPED, _S.ASKS, _A.FORGET_PLAN),
+    *rows(_S.RELEASING, _E.RELEASED, _S.RETREATING, _A.PLACED),
+    *rows(_S.RELEASING, _E.STOPPED, _S.ASKS, _A.FORGET_PLAN),
+    *rows(_S.RETREATING, _E.FINISHED, _S.DONE, _A.FORGET_PLAN),
     # the element stands; that the arm stopped on its way out changes nothing about it
-    *_rows([_S.RETREATING], _E.STOPPED, _S.DONE, _A.FORGET_PLAN),
-    *_rows([_S.RETREATING], _E.UNKNOWN, _S.DONE, _A.FORGET_PLAN),
-    *_rows(_DOUBTFUL, _E.UNKNOWN, _S.ASKS, _A.FORGET_PLAN),
-    *_rows([_S.ASKS], _E.ANSWERED, _S.READY, _A.NOT_IN_GRIP, _G.SAYS_STOCK),
-    *_rows([_S.ASKS], _E.ANSWERED, _S.CARRIED, _A.IN_GRIP, _G.SAYS_GRIP),
-    *_rows([_S.ASKS], _E.ANSWERED, _S.DONE, _A.PLACED_AS_TOLD, _G.SAYS_PLACED),
-    *_rows([_S.ASKS], _E.ANSWERED, _S.HELD, _A.GONE, _G.SAYS_GONE),
-    *_rows((_S.DONE, _S.SKIPPED), _E.MEASURED, None, _A.MEASURED),
-    *_rows((_S.WAITING, _S.READY, _S.HELD), _E.SKIPPED, _S.SKIPPED),
+    *rows(_S.RETREATING, _E.STOPPED, _S.DONE, _A.FORGET_PLAN),
+    *rows(_S.RETREATING, _E.UNKNOWN, _S.DONE, _A.FORGET_PLAN),
+    *rows(_DOUBTFUL, _E.UNKNOWN, _S.ASKS, _A.FORGET_PLAN),
+    *rows(_S.ASKS, _E.ANSWERED, _S.READY, _A.NOT_IN_GRIP, _G.SAYS_STOCK),
+    *rows(_S.ASKS, _E.ANSWERED, _S.CARRIED, _A.IN_GRIP, _G.SAYS_GRIP),
+    *rows(_S.ASKS, _E.ANSWERED, _S.DONE, _A.PLACED_AS_TOLD, _G.SAYS_PLACED),
+    *rows(_S.ASKS, _E.ANSWERED, _S.HELD, _A.GONE, _G.SAYS_GONE),
+    *rows((_S.DONE, _S.SKIPPED), _E.MEASURED, None, _A.MEASURED),
+    *rows((_S.WAITING, _S.READY, _S.HELD), _E.SKIPPED, _S.SKIPPED),
     # only of what people take down: a person says that it is gone
-    *_rows((_S.WAITING, _S.READY, _S.SKIPPED), _E.REMOVED, _S.DONE, _A.REMOVED),
+    *rows((_S.WAITING, _S.READY, _S.SKIPPED), _E.REMOVED, _S.DONE, _A.REMOVED),
     # a person says that the element is back in its stock; of what was taken down, that it stands
-    *_rows((_S.DONE, _S.SKIPPED, _S.HELD), _E.REDONE, _S.READY, _A.NOT_IN_GRIP),
+    *rows((_S.DONE, _S.SKIPPED, _S.HELD), _E.REDONE, _S.READY, _A.NOT_IN_GRIP),
     # the model was changed: what the record of the former one says of its elements is no longer sure; of what is
     # in the grip also a person may doubt, and the tool
-    *_rows((_S.WAITING, _S.READY, _S.CARRIED, _S.DONE, _S.SKIPPED), _E.UNKNOWN, _S.ASKS, _A.DOUBTED),
+    *rows((_S.WAITING, _S.READY, _S.CARRIED, _S.DONE, _S.SKIPPED), _E.UNKNOWN, _S.ASKS, _A.DOUBTED),
 )
 
 ROWS = state_table.by_cause(TABLE)
@@ -175,6 +165,35 @@ class NotNow(WorkError):
         super().__init__(f"task {task} is {state.value}; {event.value!r} does not follow from that")
 
 
+@dataclass(frozen=True, slots=True)
+class TaskOccasion(state_table.Occasion):
+    """What a line of the ledger says with an event; `now` is when it was written [ns].
+
+    Attributes
+    ----------
+    answer : str
+        One of `ANSWERS`.
+    plan, offer, grip : str
+    pose : tuple of float, length 7 or 0
+        How it will be held (`OFFERED`), or where it stands (`RELEASED`, `MEASURED`) or is said to stand (`UNKNOWN`).
+    person : str
+        Who measured.
+    source : str
+        Where the pose of `RELEASED` comes from; ``planned``: it is as planned, not measured.
+    """
+
+    answer: str = ""
+    plan: str = ""
+    offer: str = ""
+    grip: str = ""
+    pose: tuple[float, ...] = ()
+    person: str = ""
+    source: str = ""
+
+
+_NOTHING_SAID = TaskOccasion()
+
+
 @dataclass
 class TaskMemory:
     """What the ledger says of one task.
@@ -182,7 +201,6 @@ class TaskMemory:
     Attributes
     ----------
     task : str
-    state : TaskState
     before : TaskState
         The state that a question is about: in which its answer was lost.
     plan, offer, grip : str
@@ -203,7 +221,6 @@ class TaskMemory:
     """
 
     task: str
-    state: TaskState = TaskState.WAITING
     before: TaskState = TaskState.WAITING
     plan: str = ""
     offer: str = ""
@@ -218,58 +235,48 @@ class TaskMemory:
     begun_ns: int = 0
     settled_ns: int = 0
 
+    def __post_init__(self):
+        self._machine = state_table.Machine(
+            ROWS,
+            TaskState.WAITING,
+            "",
+            state_table.conditions(
+                {Guard.IN_GRIP: lambda said: self.in_grip} | {guard: self._is_answer(guard) for guard in _SAYS.values()}
+            ),
+            {
+                Action.KEEP_PLAN: self._keep_plan,
+                Action.FORGET_PLAN: self._forget_plan,
+                Action.IN_GRIP: self._in_grip,
+                Action.NOT_IN_GRIP: self._not_in_grip,
+                Action.PLACED: self._placed,
+                Action.PLACED_AS_TOLD: self._placed_as_told,
+                Action.GONE: self._gone,
+                Action.REMOVED: self._gone,
+                Action.DOUBTED: self._doubted,
+                Action.MEASURED: self._measured,
+            },
+            after=self._note,
+        )
+
+    @property
+    def state(self) -> TaskState:
+        """The task's."""
+        return self._machine.state
+
     def takes(self, event: TaskEvent, answer: str = "") -> bool:
         """Return whether an event fits the present state."""
-        return self._row(event, answer) is not None
+        return self._machine.row(event, TaskOccasion(answer=answer)) is not None
 
-    def apply(
-        self,
-        event: TaskEvent,
-        *,
-        answer: str = "",
-        plan: str = "",
-        offer: str = "",
-        grip: str = "",
-        pose: tuple[float, ...] = (),
-        person: str = "",
-        source: str = "",
-        time_ns: int = 0,
-    ) -> None:
+    def apply(self, event: TaskEvent, said: TaskOccasion = _NOTHING_SAID) -> None:
         """Let an event happen.
-
-        Parameters
-        ----------
-        event : TaskEvent
-        answer : str
-            One of `ANSWERS`.
-        plan, offer, grip : str
-        pose : tuple of float, length 7 or 0
-            How it will be held (`OFFERED`), or where it stands (`RELEASED`, `MEASURED`) or is said to stand (`UNKNOWN`).
-        person : str
-            Who measured.
-        source : str
-            Where the pose of `RELEASED` comes from; ``planned``: it is as planned, not measured.
-        time_ns : int
-            When [ns].
 
         Raises
         ------
         NotNow
             If it does not fit the state; nothing is changed.
         """
-        row = self._row(event, answer)
-        if row is None:
+        if self._machine.on(event, said):
             raise NotNow(self.task, self.state, event)
-        self.before = self.state
-        getattr(self, f"_{row.action.name.lower()}")(plan, offer, grip, pose, person)
-        if event in (TaskEvent.RELEASED, TaskEvent.MEASURED):
-            self.as_planned = source == "planned"
-        if event is TaskEvent.BEGUN:
-            self.begun_ns = time_ns
-        if row.target in SETTLED:
-            self.settled_ns = time_ns
-        if row.target is not None:
-            self.state = row.target
 
     def possible_answers(self) -> tuple[str, ...]:
         """Return what can be answered now: nothing is placed that was never held."""
@@ -281,52 +288,50 @@ class TaskMemory:
             return ("in_stock", "in_grip", "gone")
         return tuple(ANSWERS)
 
-    def _row(self, event: TaskEvent, answer: str) -> Row | None:
-        for row in ROWS[self.state, event]:
-            if row.guard is Guard.ALWAYS or (row.guard is Guard.IN_GRIP and self.in_grip):
-                return row
-            if answer in self.possible_answers() and row.guard is _SAYS[answer]:
-                return row
-        return None
+    def _is_answer(self, guard: Guard) -> Callable[[TaskOccasion], bool]:
+        return lambda said: said.answer in self.possible_answers() and _SAYS[said.answer] is guard
+
+    def _note(self, row: Row, said: TaskOccasion) -> None:
+        self.before = row.state
+        if row.event in (TaskEvent.RELEASED, TaskEvent.MEASURED):
+            self.as_planned = said.source == "planned"
+        if row.event is TaskEvent.BEGUN:
+            self.begun_ns = said.now
+        if row.target in SETTLED:
+            self.settled_ns = said.now
 
     # -- actions
 
-    def _nothing(self, *_) -> None:
-        """Change nothing but the state."""
+    def _keep_plan(self, row: Row, said: TaskOccasion) -> None:
+        self.plan, self.offer, self.grip = said.plan or self.plan, said.offer or self.offer, said.grip or self.grip
+        self.tool0_T_element = said.pose or self.tool0_T_element
 
-    def _keep_plan(self, plan: str, offer: str, grip: str, pose: tuple[float, ...], *_) -> None:
-        self.plan, self.offer, self.grip = plan or self.plan, offer or self.offer, grip or self.grip
-        self.tool0_T_element = pose or self.tool0_T_element
-
-    def _forget_plan(self, *_) -> None:
+    def _forget_plan(self, row: Row, said: TaskOccasion) -> None:
         self.plan = self.offer = ""
 
-    def _doubted(self, _plan: str, _offer: str, _grip: str, pose: tuple[float, ...], *_) -> None:
-        self._forget_plan()
-        self.base_T_element = pose or self.base_T_element
+    def _doubted(self, row: Row, said: TaskOccasion) -> None:
+        self.plan = self.offer = ""
+        self.base_T_element = said.pose or self.base_T_element
 
-    def _in_grip(self, _plan: str, _offer: str, _grip: str, pose: tuple[float, ...], *_) -> None:
+    def _in_grip(self, row: Row, said: TaskOccasion) -> None:
         self.in_grip, self.placed, self.gone = True, False, False
-        self.tool0_T_element = pose or self.tool0_T_element
+        self.tool0_T_element = said.pose or self.tool0_T_element
 
-    def _not_in_grip(self, *_) -> None:
+    def _not_in_grip(self, row: Row, said: TaskOccasion) -> None:
         self.plan = self.offer = self.grip = self.measured = ""
         self.in_grip = self.placed = self.gone = False
         self.tool0_T_element = self.base_T_element = ()
 
-    def _placed(self, _plan: str, _offer: str, _grip: str, pose: tuple[float, ...], *_) -> None:
+    def _placed(self, row: Row, said: TaskOccasion) -> None:
         self.in_grip, self.placed, self.gone, self.measured = False, True, False, ""
-        self.base_T_element = pose
+        self.base_T_element = said.pose
 
-    def _placed_as_told(self, *_) -> None:
+    def _placed_as_told(self, row: Row, said: TaskOccasion) -> None:
         self.in_grip, self.placed, self.gone = False, True, False
 
-    def _gone(self, *_) -> None:
-        self._not_in_grip()
+    def _gone(self, row: Row, said: TaskOccasion) -> None:
+        self._not_in_grip(row, said)
         self.gone = True
 
-    def _removed(self, *_) -> None:
-        self._gone()
-
-    def _measured(self, _plan: str, _offer: str, _grip: str, pose: tuple[float, ...], person: str) -> None:
-        self.placed, self.gone, self.base_T_element, self.measured = True, False, pose, person
+    def _measured(self, row: Row, said: TaskOccasion) -> None:
+        self.placed, self.gone, self.base_T_element, self.measured = True, False, said.pose, said.person

@@ -21,7 +21,7 @@ from PIL import Image
 from construction_twin.broker import certificates
 from construction_twin.broker.certificates import Authority, expiry
 from construction_twin.broker.make_site import main
-from construction_twin.core.errors import ConfigurationError, SiteError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.mqtt.account import load_account
 
 ROBOT = ["--robot", "kr120"]
@@ -162,11 +162,11 @@ def test_an_account_handed_out_and_deleted_here_keeps_its_password(folder, capsy
     assert capsys.readouterr().out.count("not renewed: kr120-viewer") == 1
 
 
-def test_people_get_tablets_of_their_own(tmp_path):
-    make(tmp_path / "site", *HOST, *ROBOT, "--tablet", "anna", "--tablet", "ben")
-    assert {name for name in names_of(tmp_path / "site") if "tablet" in name} == {
-        "kr120-tablet-anna",
-        "kr120-tablet-ben",
+def test_reviewers_get_accounts_of_their_own(tmp_path):
+    make(tmp_path / "site", *HOST, *ROBOT, "--reviewer", "anna", "--reviewer", "ben")
+    assert {name for name in names_of(tmp_path / "site") if "reviewer" in name} == {
+        "kr120-reviewer-anna",
+        "kr120-reviewer-ben",
     }
 
 
@@ -182,8 +182,8 @@ def test_planners_get_accounts_of_their_own_only_when_asked_for(folder):
 
 
 def test_everybody_gets_an_account_of_the_role_asked_for(folder):
-    make(folder, "--reviewer", "ada", "--stopper", "bob", "--viewer", "cy", "--planner", "dee", "--tablet", "eve")
-    people = {"reviewer-ada", "stopper-bob", "viewer-cy", "planner-dee", "tablet-eve"}
+    make(folder, "--reviewer", "ada", "--stopper", "bob", "--viewer", "cy", "--planner", "dee")
+    people = {"reviewer-ada", "stopper-bob", "viewer-cy", "planner-dee"}
     assert {name.removeprefix("kr120-") for name in names_of(folder)} == {
         "bridge",
         "gateway",
@@ -195,15 +195,14 @@ def test_everybody_gets_an_account_of_the_role_asked_for(folder):
     assert contents(folder) == before
 
 
-@pytest.mark.parametrize("role", ["reviewer", "tablet"])
-def test_the_account_that_nobody_owns_by_name_outlives_the_first_person(folder, capsys, role):
+def test_the_account_that_nobody_owns_by_name_outlives_the_first_person(folder, capsys):
     before = contents(folder)
     capsys.readouterr()
-    make(folder, f"--{role}", "ada")
+    make(folder, "--reviewer", "ada")
     after = contents(folder)
     changed = {name for name in before if after[name] != before[name]}
     assert changed == {"broker/access.acl", "broker/passwords", "site.json"}
-    roles = ("bridge", "gateway", "reviewer", f"{role}-ada", "viewer")
+    roles = ("bridge", "gateway", "reviewer", "reviewer-ada", "viewer")
     assert names_of(folder) == {f"kr120-{name}" for name in roles}
     assert set(before["broker/passwords"].splitlines()) < set(after["broker/passwords"].splitlines())
     # the same rights as before, word for word
@@ -212,52 +211,23 @@ def test_the_account_that_nobody_owns_by_name_outlives_the_first_person(folder, 
     # and whatever comes later: another run, a person, a robot, which has none
     make(folder)
     assert contents(folder) == after
-    make(folder, f"--{role}", "ben", "--robot", "kr121")
-    people = {f"{robot}-{role}-{person}" for robot in ("kr120", "kr121") for person in ("ada", "ben")}
-    reviewers = {name for name in names_of(folder) if "reviewer" in name or "tablet" in name}
+    make(folder, "--reviewer", "ben", "--robot", "kr121")
+    people = {f"{robot}-reviewer-{person}" for robot in ("kr120", "kr121") for person in ("ada", "ben")}
+    reviewers = {name for name in names_of(folder) if "reviewer" in name}
     assert reviewers == {"kr120-reviewer", *people}
     assert set(after["broker/passwords"].splitlines()) < set(contents(folder)["broker/passwords"].splitlines())
     assert "kept " not in capsys.readouterr().out
 
 
-#: What a site's settings held before there were reviewers.
-FORMER = (
-    "hosts",
-    "robots",
-    "people",
-    "plc",
-    "certificates",
-    "port",
-    "prefix",
-    "folder",
-    "listen",
-    "shared",
-    "planners",
+@pytest.mark.parametrize(
+    "settings", [{"people": ["eve"], "shared_role": "reviewer"}, {"people": [], "shared_role": "tablet"}]
 )
-
-
-def former(folder: Path, settings: tuple[str, ...] = FORMER) -> None:
-    """Make the settings and passwords those of a site from before there were reviewers."""
+def test_a_site_with_accounts_in_the_role_tablet_is_refused_and_left_as_it_is(folder, capsys, settings):
     document = json.loads((folder / "site.json").read_text())
-    (folder / "site.json").write_text(json.dumps({key: document[key] for key in settings}))
-    passwords = folder / "broker/passwords"
-    passwords.write_text(passwords.read_text().replace("kr120-reviewer:", "kr120-tablet:"))
-    (folder / "accounts/kr120-reviewer").rename(folder / "accounts/kr120-tablet")
-
-
-@pytest.mark.parametrize("settings", [FORMER, tuple(key for key in FORMER if key != "shared")])
-def test_a_site_from_before_there_were_reviewers_keeps_its_tablet(folder, settings):
-    former(folder, settings)
+    (folder / "site.json").write_text(json.dumps(document | settings))
     before = contents(folder)
-    make(folder)
-    assert contents(folder)["broker/passwords"] == before["broker/passwords"]
-    assert "user kr120-tablet\n" in (folder / "broker/access.acl").read_text()
-    make(folder, "--reviewer", "ada")
-    assert names_of(folder) == {f"kr120-{name}" for name in ("bridge", "gateway", "tablet", "viewer", "reviewer-ada")}
-    rules = (folder / "broker/access.acl").read_text().split("user ")
-    tablet = next(part for part in rules if part.startswith("kr120-tablet\n"))
-    reviewer = next(part for part in rules if part.startswith("kr120-reviewer-ada\n"))
-    assert tablet.replace("-tablet", "").split("# viewer")[0].strip() == reviewer.replace("-reviewer-ada", "").strip()
+    assert main([str(folder)]) == 1
+    assert "--reviewer" in capsys.readouterr().out and contents(folder) == before
 
 
 def test_what_is_taken_out_of_the_settings_is_taken_away_and_named(folder, capsys):
@@ -531,13 +501,13 @@ def test_a_program_that_is_missing_is_named(tmp_path, monkeypatch, capsys, progr
 
 
 def test_a_tool_that_fails_is_told_with_its_last_words(tmp_path):
-    with pytest.raises(SiteError, match="openssl x509 failed with 1: .+"):
+    with pytest.raises(ConstructionTwinError, match="openssl x509 failed with 1: .+"):
         expiry(tmp_path / "missing")
 
 
 def test_half_a_ca_is_not_mended_by_making_another(folder):
     (folder / "ca/ca.key").unlink()
-    with pytest.raises(SiteError, match="only one of ca.key and ca.crt"):
+    with pytest.raises(ConstructionTwinError, match="only one of ca.key and ca.crt"):
         Authority(folder / "ca", "x", ())
 
 

@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mqtt_packets import connect, packet, text
 
-from construction_twin.console.allowance import Allowance
 from construction_twin.console.origin import refusal
 from construction_twin.console.packets import ClientStream, PacketReader, is_accepted
 from construction_twin.console.static_files import StaticFile
@@ -71,16 +70,6 @@ def test_a_login_that_the_broker_accepts_is_told_from_one_that_it_refuses():
     accepted, refused = reader.feed(packet(2, b"\0\0\0") + packet(2, b"\0\x87\0"))
     assert is_accepted(accepted)
     assert not is_accepted(refused)
-
-
-def test_an_allowance_is_used_up_and_grows_again():
-    allowance = Allowance(rate=2.0, burst=4.0)
-    assert [allowance.take(1.0, 0.0) for _ in range(5)] == [True] * 4 + [False]
-    assert allowance.take(1.0, 0.5)
-    assert not allowance.take(1.0, 0.5)
-    # it never holds more than the burst, and a clock that goes back gives nothing
-    assert not allowance.take(4.5, 1000.0)
-    assert not allowance.take(4.5, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from evaluation_samples import AMPLITUDE, BASE, JOINTS, ROUND_TRIP_NS, run, twin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from construction_twin.core.errors import EvaluationError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.interpolation import interpolate
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation import alignment
@@ -162,7 +162,7 @@ def test_pose_beyond_the_twins_recording_is_skipped_not_extrapolated():
 )
 def test_recording_that_cannot_be_compared_is_refused(change, sentence):
     recording = run(duration=1.0)
-    with pytest.raises(EvaluationError, match=sentence):
+    with pytest.raises(ConstructionTwinError, match=sentence):
         dataclasses.replace(recording, **change(recording))
 
 
@@ -171,23 +171,23 @@ def test_streams_that_do_not_meet_are_refused():
     late = Stream(
         recording.physical.stamps + 60 * NANOSECONDS, recording.physical.positions, recording.physical.received
     )
-    with pytest.raises(EvaluationError, match="do not overlap in time"):
+    with pytest.raises(ConstructionTwinError, match="do not overlap in time"):
         evaluate(dataclasses.replace(recording, physical=late))
-    with pytest.raises(EvaluationError, match="no physical sample inside"):
+    with pytest.raises(ConstructionTwinError, match="no physical sample inside"):
         evaluate(dataclasses.replace(run(duration=1.0), physical=late, feedback=None))
 
 
 def test_stopped_clock_is_refused():
     recording = run(duration=1.0)
     frozen = Stream(np.full_like(recording.twin.stamps, BASE), recording.twin.positions, recording.twin.received)
-    with pytest.raises(EvaluationError, match="stamps do not increase"):
+    with pytest.raises(ConstructionTwinError, match="stamps do not increase"):
         evaluate(dataclasses.replace(recording, twin=frozen, feedback=None))
 
 
 def test_damaged_values_are_refused():
     twin = twin_stream(1.0)
     twin.positions[7, 2] = np.nan
-    with pytest.raises(EvaluationError, match="not a finite number"):
+    with pytest.raises(ConstructionTwinError, match="not a finite number"):
         Stream(twin.stamps, twin.positions, twin.received)
-    with pytest.raises(EvaluationError, match="shapes"):
+    with pytest.raises(ConstructionTwinError, match="shapes"):
         Stream(twin.stamps[:-1], twin.positions, twin.received)

@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from construction_twin.core.errors import ConstructionTwinError, EvaluationError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.evaluation import pure_bag
 from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.planning.timing import time_path
@@ -136,10 +136,10 @@ def test_two_robots_need_a_choice(read_recording, recording, tmp_path):
     with rosbag.Bag(str(path), "w") as bag:
         write_robot(bag, recording, "/left")
         write_robot(bag, recording, "/right")
-    with pytest.raises(EvaluationError, match="holds the robots /left, /right"):
+    with pytest.raises(ConstructionTwinError, match="holds the robots /left, /right"):
         read_recording(path)
     assert read_recording(path, "right/").robot == "/right"
-    with pytest.raises(EvaluationError, match="no robot /middle; it holds /left, /right"):
+    with pytest.raises(ConstructionTwinError, match="no robot /middle; it holds /left, /right"):
         read_recording(path, "/middle")
 
 
@@ -151,19 +151,19 @@ def write_bag(path, topic=None, message=None):
 
 def test_bags_that_cannot_be_used_say_why(read_recording, tmp_path):
     path = tmp_path / "x.bag"
-    with pytest.raises(EvaluationError, match="cannot be read as a rosbag"):
+    with pytest.raises(ConstructionTwinError, match="cannot be read as a rosbag"):
         read_recording(path)
     path.write_text("not a bag")
-    with pytest.raises(EvaluationError, match="cannot be read as a rosbag"):
+    with pytest.raises(ConstructionTwinError, match="cannot be read as a rosbag"):
         read_recording(path)
     write_bag(path)
-    with pytest.raises(EvaluationError, match="holds no topic .../twin/joint_states"):
+    with pytest.raises(ConstructionTwinError, match="holds no topic .../twin/joint_states"):
         read_recording(path)
     write_bag(path, "/a/twin/joint_states", JointState(name=["j"], position=[0.0]))
-    with pytest.raises(EvaluationError, match="no messages on /a/physical/joint_states"):
+    with pytest.raises(ConstructionTwinError, match="no messages on /a/physical/joint_states"):
         read_recording(path)
     write_bag(path, "/a/twin/joint_states", String("x"))
-    with pytest.raises(EvaluationError, match="is a std_msgs/String; expected a sensor_msgs/JointState"):
+    with pytest.raises(ConstructionTwinError, match="is a std_msgs/String; expected a sensor_msgs/JointState"):
         read_recording(path)
 
 
@@ -175,7 +175,7 @@ def test_inconsistent_messages_say_so(read_recording, tmp_path):
             for topic in ("twin", "physical"):
                 bag.write(f"/a/{topic}/joint_states", good, at(BASE))
             bag.write("/a/physical/joint_states", bad, at(BASE + 1))
-        with pytest.raises(EvaluationError, match=sentence):
+        with pytest.raises(ConstructionTwinError, match=sentence):
             read_recording(tmp_path / "x.bag")
 
 
@@ -193,7 +193,7 @@ def test_bag_that_was_not_closed_names_the_remedy(read_recording, full_bag, tmp_
     bag = rosbag.Bag(str(cut), "w")
     bag.write("/a/twin/joint_states", JointState(), at(BASE))
     bag.flush()
-    with pytest.raises(EvaluationError, match="rosbag reindex"):
+    with pytest.raises(ConstructionTwinError, match="rosbag reindex"):
         read_recording(cut)
     bag.close()
 
@@ -284,7 +284,7 @@ def test_another_definition_of_a_known_type_is_refused_in_one_sentence(read_reco
         for topic in ("twin", "physical"):
             bag.write(f"/a/{topic}/joint_states", other(), at(BASE))
     with pytest.raises(
-        EvaluationError, match=f"another definition of sensor_msgs/JointState .md5 {'1' * 32}, installed is"
+        ConstructionTwinError, match=f"another definition of sensor_msgs/JointState .md5 {'1' * 32}, installed is"
     ):
         read_recording(tmp_path / "x.bag")
     assert not generated
@@ -294,7 +294,7 @@ def test_a_second_connection_of_a_topic_cannot_bring_another_type(read_recording
     with rosbag.Bag(str(tmp_path / "x.bag"), "w") as bag:
         bag.write("/a/twin/joint_states", with_definition(String, HOSTILE)("x"), at(BASE))
         write_robot(bag, recording, "/a")
-    with pytest.raises(EvaluationError, match="/a/twin/joint_states in the bag is a std_msgs/String"):
+    with pytest.raises(ConstructionTwinError, match="/a/twin/joint_states in the bag is a std_msgs/String"):
         read_recording(tmp_path / "x.bag")
     assert not generated
 
@@ -303,7 +303,7 @@ def test_rosbag_s_own_reader_is_back_after_reading(full_bag):
     read_recording = READERS["rosbag"]
     before = rosbag.bag._get_message_type
     read_recording(full_bag)
-    with pytest.raises(EvaluationError):
+    with pytest.raises(ConstructionTwinError):
         read_recording(full_bag, "/nobody")
     assert rosbag.bag._get_message_type is before
 

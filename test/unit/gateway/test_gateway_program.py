@@ -317,11 +317,6 @@ def test_every_module_of_the_cell_folders_needs_nothing_but_the_standard_library
     assert int(result.stdout) == len(names)
 
 
-def test_the_name_of_before_still_starts_the_gateway():
-    result = on_the_cell_pc("construction_twin.rsi.gateway", "--help")
-    assert result.returncode == 0 and "--config" in result.stdout, result.stderr
-
-
 def test_with_a_paho_that_was_not_tested_it_runs_on_the_public_interface_and_says_so_once(broker, topics, config_file):
     code = (
         "import sys; from construction_twin.mqtt import fast_client; fast_client.TESTED_VERSIONS = ('1.2.3',); "

@@ -13,7 +13,7 @@ from service_cell import (
     serving,
 )
 
-from construction_twin.core.errors import ConfigurationError, TransportError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.rsi.telegram import MAX_TELEGRAM
 from construction_twin.rsi.udp import address_of, bind
 
@@ -174,11 +174,11 @@ def test_a_taken_port_is_one_sentence():
     with bind("127.0.0.1", 0) as sock:
         port = sock.getsockname()[1]
         with pytest.raises(
-            TransportError, match=rf"cannot listen for RSI on UDP 127\.0\.0\.1:{port}: .*may hold the port"
+            ConstructionTwinError, match=rf"cannot listen for RSI on UDP 127\.0\.0\.1:{port}: .*may hold the port"
         ):
             bind("127.0.0.1", port)
 
 
 def test_an_address_that_is_not_ours_is_the_same_sentence():
-    with pytest.raises(TransportError, match="the address is not this machine's"):
+    with pytest.raises(ConstructionTwinError, match="the address is not this machine's"):
         bind("192.0.2.1", 49152)

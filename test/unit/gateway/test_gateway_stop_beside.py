@@ -11,6 +11,7 @@ from gateway_cell import Cell, following
 from processes import wait_until
 from service_cell import PATIENT, START, assert_still, cell, motion, stream
 
+from construction_twin.core.rate_limit import SenderLimits
 from construction_twin.gateway import service as module
 from construction_twin.gateway.gateway import Gateway, State
 from construction_twin.gateway.log import LineLimiter
@@ -18,7 +19,7 @@ from construction_twin.gateway.ownership import Ownership
 from construction_twin.gateway.player import Player
 from construction_twin.gateway.stop_report import StopReport
 from construction_twin.mqtt.fast_client import FastClient
-from construction_twin.mqtt.interventions import STOP, AnswerPace, Intervention
+from construction_twin.mqtt.interventions import STOP, Intervention
 
 WAYS = ("control", "account")
 
@@ -40,7 +41,7 @@ def stop(gateway_cell: Cell, way: str) -> tuple[bool, str]:
     [
         (StopReport, "begin", WAYS),
         (StopReport, "advance", WAYS),
-        (AnswerPace, "take", ("account",)),
+        (SenderLimits, "take", ("account",)),
         (Ownership, "is_repeated", ("control",)),
     ],
 )

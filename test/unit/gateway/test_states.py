@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from gateway_cell import Cell, following, gap, slow
 
-from construction_twin.core.state_table import cells
+from construction_twin.core.state_table import Machine, cells
 from construction_twin.gateway import states
-from construction_twin.gateway.states import TABLE, Action, Event, Guard, Machine, State
+from construction_twin.gateway.states import TABLE, Action, Event, Guard, State
 
 PLACE = Path(states.__file__).parent
 

@@ -9,8 +9,8 @@ import pytest
 from inverse_cases import IIWA_LIKE, KR120, PANDA_LIKE, TRACK
 
 from construction_twin.kinematics.axes import joint_axes
+from construction_twin.kinematics.batch_kinematics import BatchKinematics, tangents
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.kinematics.many import ManyPostures, tangents
 from construction_twin.kinematics.self_motion import find_hinges
 from construction_twin.kinematics.solution import residual
 
@@ -25,7 +25,7 @@ def drawn(robot, count):
 def test_many_postures_are_those_of_kdl(name):
     chain = Chain(ROBOTS[name])
     q = drawn(chain.robot, 20)
-    tips, jacobians = ManyPostures(chain).frames(q)
+    tips, jacobians = BatchKinematics(chain).frames(q)
     for each, tip, jacobian in zip(q, tips, jacobians):
         pose = chain.forward(each)
         np.testing.assert_allclose(tip[:3, 3], pose.position, atol=1e-12)
@@ -36,7 +36,7 @@ def test_many_postures_are_those_of_kdl(name):
 @pytest.mark.parametrize("name, held", [("panda", 6), ("panda", 3), ("iiwa", 6), ("track", 0)])
 def test_tangents_leave_the_tip_in_place(name, held):
     chain = Chain(ROBOTS[name])
-    _, jacobian = ManyPostures(chain).frames(drawn(chain.robot, 20))
+    _, jacobian = BatchKinematics(chain).frames(drawn(chain.robot, 20))
     along = tangents(jacobian, held)
     np.testing.assert_allclose(np.linalg.norm(along, axis=1), 1.0)
     assert (along[:, held] > 0.0).all()
@@ -45,7 +45,7 @@ def test_tangents_leave_the_tip_in_place(name, held):
 
 def test_projection_brings_postures_beside_the_curve_onto_it_and_says_which_it_could_not():
     chain = Chain(PANDA_LIKE)
-    many = ManyPostures(chain)
+    many = BatchKinematics(chain)
     for q in drawn(PANDA_LIKE, 20):
         beside = q + np.random.default_rng(6).normal(0.0, 0.02, (4, 7))
         found, arrived, _ = many.projected(beside, chain.forward(q))

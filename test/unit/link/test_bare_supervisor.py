@@ -6,6 +6,7 @@ import pytest
 from supervisor_bench import POSE, TOLERANCE, BareBench, moved
 
 from construction_twin.core.errors import ReviewError
+from construction_twin.core.state_table import Occasion
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.bare_supervisor import ARM_COMMAND, NOT_CHECKED
 from construction_twin.link.observations import FRESH, REST
@@ -210,7 +211,7 @@ def test_a_word_that_was_never_said_is_waited_for(bench):
 @pytest.mark.parametrize("state", LinkState)
 def test_the_supervisor_carries_out_every_row_of_the_bare_table(armed, state, event):
     supervisor = armed.supervisor
-    rows = [row for row in BARE_ROWS[state, event] if supervisor.holds(row.guard, armed.now)]
-    supervisor.state = state
+    rows = [row for row in BARE_ROWS[state, event] if supervisor.machine.holds(row.guard, Occasion(now=armed.now))]
+    supervisor.machine.state = state
     supervisor.take(event, armed.now, "why")
     assert supervisor.state is (rows[0].target if rows else state)

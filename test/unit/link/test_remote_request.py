@@ -14,7 +14,6 @@ from construction_twin.core.freshness import Moment
 from construction_twin.link.remote_request import (
     KINDS,
     MAX_BYTES,
-    AccountRate,
     IkRequest,
     RemoteRequest,
     ik_answer,
@@ -171,14 +170,3 @@ def test_answers_name_the_request():
         "between": ["link_3", "wall"],
     }  # fmt: skip
     assert json.loads(ik_answer("3", "out", None, "too far"))["joints"] is None
-
-
-def test_no_account_gets_more_than_its_rate_in_any_second_and_none_takes_anothers():
-    rate = AccountRate(15)
-    hasty = [now for now in range(0, 300) if rate.take("hasty", now / 100)]
-    assert len(hasty) == 45
-    for begin in range(200):
-        assert sum(begin <= now < begin + 100 for now in hasty) <= 15
-    assert rate.take("other", 3.0)
-    steady = AccountRate(15)
-    assert all(steady.take("steady", number / 14.9) for number in range(100))

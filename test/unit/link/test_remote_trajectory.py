@@ -16,7 +16,6 @@ from construction_twin.link.remote_trajectory import (
     LARGEST,
     ZEROS,
     Joints,
-    SenderPace,
     TrajectoryPoint,
     TrajectoryRequest,
     checked_sender,
@@ -300,14 +299,6 @@ def test_a_motion_has_two_points_because_a_sender_cannot_know_where_the_twin_is(
     for document in (plain(points=plain()["points"][:count]), short):
         reason, sentence = refusal(document)
         assert reason == "values" and sentence.startswith(f"{count} points; expected at least two")
-
-
-def test_a_sender_waits_between_two_motions_and_others_do_not():
-    pace = SenderPace(1.0)
-    assert pace.wait("a", 10.0) == 0.0
-    pace.take("a", 10.0)
-    assert pace.wait("a", 10.25) == 0.75 and pace.wait("b", 10.25) == 0.0
-    assert pace.wait("a", 11.0) == 0.0
 
 
 def test_joints_named_by_every_point_alone_are_read():

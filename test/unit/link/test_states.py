@@ -7,7 +7,7 @@ import itertools
 import pytest
 from supervisor_bench import armed, bench
 
-from construction_twin.core.state_table import cells
+from construction_twin.core.state_table import Occasion, cells
 from construction_twin.link.states import (
     BARE_ROWS,
     BARE_TABLE,
@@ -79,9 +79,9 @@ def test_the_supervisor_carries_out_every_row_that_a_state_and_an_event_have(arm
     """The first row whose guard holds is the one: the target is its, and everything that it names is implemented."""
     supervisor = armed.supervisor
     for row in ROWS[state, event]:
-        assert supervisor.holds(row.guard, armed.now) in (True, False)
-    rows = [row for row in ROWS[state, event] if supervisor.holds(row.guard, armed.now)]
-    supervisor.state = state
+        assert supervisor.machine.holds(row.guard, Occasion(now=armed.now)) in (True, False)
+    rows = [row for row in ROWS[state, event] if supervisor.machine.holds(row.guard, Occasion(now=armed.now))]
+    supervisor.machine.state = state
     supervisor.take(event, armed.now, "why")
     assert supervisor.state is (rows[0].target if rows else state)
 

@@ -12,7 +12,7 @@ import time
 import pytest
 from mock_pc import running
 
-from construction_twin.core.errors import ConfigurationError, FaultError, TransportError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.units import CYCLE_NS, radians
 from construction_twin.mock.faults import Fault
 from construction_twin.mock.program import (
@@ -85,7 +85,7 @@ def test_after_an_emergency_stop_a_person_starts_rsi_again(robot, pc):
         wait_for(lambda: len(pc.received) >= 20)
         mock.request(lambda: mock.faults.inject(Fault("estop")))
         count = len(pc.received)
-        with pytest.raises(FaultError, match="emergency stop"):
+        with pytest.raises(ConfigurationError, match="emergency stop"):
             mock.request(mock.controller.restart)
         mock.request(lambda: mock.faults.end(Fault("estop")))
         time.sleep(0.3)  # longer than `restart_after`
@@ -126,7 +126,7 @@ def test_i_a_requested_restart_takes_another_pose(robot, pc):
 
 def test_a_refused_request_is_raised_where_it_was_made(robot, pc):
     with running(robot, pc.address) as mock:
-        with pytest.raises(FaultError, match="A9"):
+        with pytest.raises(ConfigurationError, match="A9"):
             mock.request(lambda: mock.faults.inject(Fault("stall", "A9")))
 
 
@@ -182,7 +182,7 @@ def test_after_a_stall_the_grid_is_met_again_without_a_burst(robot, pc):
 
 def test_an_unknown_gateway_host_is_a_transport_error(robot):
     controller = build_controller(MockSettings(gateway_host="a", gateway_port=9), robot)
-    with pytest.raises(TransportError, match="no-such-host"):
+    with pytest.raises(ConstructionTwinError, match="no-such-host"):
         MockRsi(controller, ("no-such-host.invalid", 9))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from construction_twin.core.state_table import cells
+from construction_twin.core.state_table import cells, conditions
 from construction_twin.monitor.states import (
     HELD_STATES,
     ROWS,
@@ -13,6 +13,7 @@ from construction_twin.monitor.states import (
     Guard,
     SyncEvent,
     SyncMachine,
+    SyncOccasion,
     SyncState,
 )
 
@@ -24,10 +25,12 @@ class Machine(SyncMachine):
 
     def __init__(self, closed: tuple[Guard, ...] = ()):
         self.done: list[tuple[Action, int]] = []
-        guards = {guard: lambda now, guard=guard: guard not in closed for guard in Guard}
-        super().__init__(
-            guards, {action: lambda now, action=action: self.done.append((action, now)) for action in Action}
-        )
+        guards = {guard: lambda occasion, guard=guard: guard not in closed for guard in Guard}
+        super().__init__(conditions(guards), dict.fromkeys(Action, self._do))
+
+    def _do(self, row, occasion) -> str:
+        self.done.append((row.action, occasion.now))
+        return self.reason if row.action is Action.KEEP_REASON else occasion.reason
 
 
 def machine_in(state: SyncState, closed: tuple[Guard, ...] = ()) -> Machine:
@@ -43,7 +46,7 @@ def machine_in(state: SyncState, closed: tuple[Guard, ...] = ()) -> Machine:
     }[state]
     machine, led = Machine(closed), Machine()
     for event in way:
-        assert led.on(event, "on the way", 1)
+        assert not led.on(event, SyncOccasion("on the way", 1))
     assert led.state is state
     machine.state, machine.reason = led.state, led.reason
     return machine
@@ -106,8 +109,8 @@ class TestTable:
 def test_an_event_leads_where_the_table_says_or_nowhere(state, event):
     machine = machine_in(state)
     before = machine.state, machine.reason
-    row = machine.row(event, 7)
-    assert machine.on(event, "why", 7, None, 5) is (row is not None)
+    row = machine.row(event, SyncOccasion(now=7))
+    assert (not machine.on(event, SyncOccasion("why", 7, None, 5))) is (row is not None)
     assert machine.done == ([] if row is None else [(row.action, 7)])
     if row is None or row.target is None:
         assert (machine.state, machine.reason) == before and not machine.changed and machine.take() == []
@@ -123,19 +126,19 @@ def test_an_event_leads_where_the_table_says_or_nowhere(state, event):
 @pytest.mark.parametrize("row", [row for row in TABLE if row.guard is not Guard.ALWAYS], ids=str)
 def test_a_row_whose_guard_does_not_hold_changes_nothing(row):
     machine = machine_in(row.state, closed=(row.guard,))
-    assert not machine.on(row.event, "why", 7) and machine.done == []
+    assert machine.on(row.event, SyncOccasion("why", 7)) and machine.done == []
     assert machine.state is row.state and not machine.changed
 
 
 def test_transitions_are_taken_once_and_in_order():
     machine = Machine()
-    machine.on(SyncEvent.OPENED, "first", 1)
-    machine.on(SyncEvent.FEEDBACK_STALE, "second", 2)
+    machine.on(SyncEvent.OPENED, SyncOccasion("first", 1))
+    machine.on(SyncEvent.FEEDBACK_STALE, SyncOccasion("second", 2))
     assert [change.reason for change in machine.take()] == ["first", "second"]
     assert machine.take() == []
 
 
 def test_a_transition_reads_as_a_sentence():
     machine = Machine()
-    machine.on(SyncEvent.OPENED, "poses agree", 1)
+    machine.on(SyncEvent.OPENED, SyncOccasion("poses agree", 1))
     assert str(machine.take()[0]) == "WAITING -> IN_SYNC (opened): poses agree"

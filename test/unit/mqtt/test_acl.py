@@ -20,7 +20,6 @@ ACCOUNTS = {
     "plc": "one-plc",
     "viewer": "one-viewer",
     "reviewer": "one-reviewer-ada",
-    "tablet": "one-tablet-eve",
     "stopper": "one-stopper-bob",
     "planner": "one-planner-ada",
 }
@@ -34,13 +33,13 @@ ACTS = {
 }
 #: Who has which right.
 HAVE = {
-    "stop": ("reviewer", "tablet", "stopper"),
-    "pause": ("reviewer", "tablet", "stopper"),
-    "review": ("reviewer", "tablet"),
+    "stop": ("reviewer", "stopper"),
+    "pause": ("reviewer", "stopper"),
+    "review": ("reviewer",),
     "plan_request": ("planner",),
     "trajectory": ("planner",),
 }
-PEOPLE = ("viewer", "reviewer", "tablet", "stopper", "planner")
+PEOPLE = ("viewer", "reviewer", "stopper", "planner")
 OF_PEOPLE = {f"{act}/{ACCOUNTS[role]}" for acts in ACTS.values() for act in acts for role in PEOPLE}
 TOPICS = (
     "command", "state", "status", "bridge/status", "control", "control/ack", "plan", "review", "review/ack", "stop/ack",
@@ -69,7 +68,7 @@ READS = {
 #: For every topic that anybody may write, one who may.
 WRITER = {topic: role for role in WRITES for topic in WRITES[role]}
 NOT_AUTHORIZED = 135
-BY_NAME = {"reviewers": ("ada", "ben"), "people": ("eve",), "stoppers": ("bob",)}
+BY_NAME = {"reviewers": ("ada", "ben"), "stoppers": ("bob",)}
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +97,7 @@ def payloads(prefix: str):
 
 NUMBERS = payloads("message")
 #: Where the end of a test is marked.
-MARKED = "twin/one/review/one-tablet-eve"
+MARKED = "twin/one/review/one-reviewer-ada"
 
 
 def test_the_table_knows_every_role_and_topic():
@@ -128,7 +127,7 @@ def test_a_role_publishes_what_it_may_and_nothing_else(crowd, role):
     assert {topic for topic, answer in zip(TOPICS, answers) if answer != NOT_AUTHORIZED} == WRITES[role]
     # whoever hears everything has heard it, or hears only the next permitted one
     marker = next(NUMBERS)
-    assert crowd["tablet"].publish(MARKED, marker).value != NOT_AUTHORIZED
+    assert crowd["reviewer"].publish(MARKED, marker).value != NOT_AUTHORIZED
     viewer = crowd["viewer"]
     wait_until(lambda: (MARKED, marker) in viewer.messages, what="the marker")
     assert {topic for topic in TOPICS if (f"twin/one/{topic}", sent[topic]) in viewer.messages} == WRITES[role]
@@ -152,14 +151,14 @@ def test_a_role_hears_what_it_may_and_nothing_else(crowd, role):
 @pytest.mark.parametrize("role", sorted(WRITES))
 def test_a_role_at_one_robot_can_do_nothing_at_the_other(site, crowd, role):
     other = Listener(site.broker(site.account("two-viewer")), "#", "other")
-    tablet = Listener(site.broker(site.account("two-tablet-eve")), "#", "other tablet")
+    reviewer = Listener(site.broker(site.account("two-reviewer-ben")), "#", "other reviewer")
     try:
         elsewhere = {f"twin/two/{topic}".replace("one-", "two-"): b"foreign" for topic in TOPICS}
         elsewhere |= {f"twin/two/{topic}": b"foreign" for topic in OF_PEOPLE}
         assert set(crowd[role].publish_all(elsewhere)) == {NOT_AUTHORIZED}
         marker = next(NUMBERS)
-        tablet.publish("twin/two/review/two-tablet-eve", marker)
-        wait_until(lambda: ("twin/two/review/two-tablet-eve", marker) in other.messages, what="the marker")
+        reviewer.publish("twin/two/review/two-reviewer-ben", marker)
+        wait_until(lambda: ("twin/two/review/two-reviewer-ben", marker) in other.messages, what="the marker")
         assert [message for message in other.messages if message[1] == b"foreign"] == []
         mine = next(NUMBERS)
         crowd["bridge"].publish("twin/one/plan", mine)
@@ -169,7 +168,7 @@ def test_a_role_at_one_robot_can_do_nothing_at_the_other(site, crowd, role):
         assert not any(topic.startswith("twin/two/") for topic, _ in crowd[role].messages)
     finally:
         other.close()
-        tablet.close()
+        reviewer.close()
 
 
 @pytest.mark.parametrize("topic", ["$SYS/broker/version", "twin/one", "twin", "other/one/command", "twin/+/command"])
@@ -241,8 +240,8 @@ def test_nobody_hears_the_broker_s_own_figures(site):
 
 
 def leave_a_will(site, topic: str, payload: bytes) -> None:
-    """Connect as the tablet with a last will, and lose the connection."""
-    cut = Listener(site.broker(site.account("one-tablet-eve")), "twin/one/plan", "cut")
+    """Connect as a reviewer with a last will, and lose the connection."""
+    cut = Listener(site.broker(site.account("one-reviewer-ada")), "twin/one/plan", "cut")
     cut.client.loop_stop()
     cut.client.disconnect()
     cut.client.will_set(topic, payload, qos=1)
@@ -274,10 +273,10 @@ def site_of(**changes) -> Site:
 
 
 def test_every_account_has_rules_and_none_may_command_without_being_asked_for():
-    rules = access_rules(site_of(people=("anna", "ben")), template)
+    rules = access_rules(site_of(reviewers=("anna", "ben")), template)
     users = [line.removeprefix("user ") for line in rules.splitlines() if line.startswith("user ")]
     assert users == [
-        f"{robot}-{who}" for robot in ROBOTS for who in ("bridge", "gateway", "viewer", "tablet-anna", "tablet-ben")
+        f"{robot}-{who}" for robot in ROBOTS for who in ("bridge", "gateway", "viewer", "reviewer-anna", "reviewer-ben")
     ]
     commanders = [part for part in rules.split("user ") if "write twin/one/command" in part]
     assert [part.split("\n")[0] for part in commanders] == ["one-bridge"]
@@ -299,18 +298,17 @@ def test_a_prefix_of_ones_own_stands_in_every_rule():
         ({"hosts": ()}, "--host"),
         ({"hosts": ("a,DNS:evil",)}, "--host"),
         ({"hosts": ("-x",)}, "--host"),
-        ({"people": ("anna:x",)}, "--tablet"),
+        ({"reviewers": ("anna:x",)}, "--reviewer"),
         ({"reviewers": ("+",)}, "--reviewer"),
         ({"stoppers": ("a/b",)}, "--stopper"),
         ({"viewers": ("a b",)}, "--viewer"),
         ({"consoles": ("a b",)}, "--console"),
         ({"console_port": 0}, "--console-port"),
-        ({"shared_role": "bridge"}, "shared_role"),
         ({"planners": ("ada/#",)}, "--planner"),
         ({"prefix": "a/b"}, "--prefix"),
         ({"port": 65535}, "--port"),
         ({"folder": "/a b"}, "--broker-folder"),
-        ({"robots": ("a", "a-tablet"), "people": ("tablet-x", "x")}, "a name of its own"),
+        ({"robots": ("a", "a-reviewer"), "reviewers": ("reviewer-x", "x")}, "a name of its own"),
     ],
 )
 def test_a_name_that_could_change_the_rules_is_refused(changes, said):

@@ -14,7 +14,6 @@ from construction_twin.mqtt.interventions import (
     PAUSE,
     RESUME,
     STOP,
-    AnswerPace,
     Intervention,
     intervention_answer,
     parse_intervention,
@@ -105,23 +104,3 @@ def test_an_answer_names_whom_it_answers_and_who_answers():
     assert json.loads(intervention_answer("7", "ada", "gateway", False, "why")) == {
         "id": "7", "account": "ada", "ok": False, "reason": "why", "by": "gateway", "expired": False,
     }  # fmt: skip
-
-
-def test_one_account_is_answered_only_so_often_and_does_not_slow_another():
-    pace = AnswerPace(100, 3)
-    assert [pace.take("ada", now) for now in (0, 0, 1, 2, 99, 100, 101, 200)] == [True] * 3 + [
-        False,
-        False,
-        True,
-        False,
-        True,
-    ]
-    assert pace.take("bob", 201) and not pace.take("ada", 201)
-    assert [pace.take("ada", 10_000) for _ in range(4)] == [True] * 3 + [False]
-
-
-def test_of_many_names_only_some_are_answered_and_none_is_kept():
-    pace = AnswerPace(100, 1)
-    answered = [pace.take(f"name-{k}", 0) for k in range(1000)]
-    assert answered.count(True) == 64
-    assert pace.take("ada", 100)

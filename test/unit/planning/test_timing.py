@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from construction_twin.core.motion_errors import DurationError, JointRangeError, PlanningError, TrajectoryError
 from construction_twin.core.units import CYCLE, format_allowance
 from construction_twin.planning.curves import JointCurve
-from construction_twin.planning.limit_usage import limit_usage
+from construction_twin.planning.limit_usage import sampled_usage
 from construction_twin.planning.time_scaling import RestToRest
 from construction_twin.planning.timing import LIMIT_FRACTION, minimum_duration, time_curve, time_path, with_midpoints
 from construction_twin.robot.description import read_robot_files
@@ -326,7 +326,7 @@ def test_limit_use_measures_a_known_motion():
     assert use.velocity == pytest.approx(15 / 8 * 0.2 / ROBOT.velocity[0], rel=1e-4)
     assert use.acceleration == pytest.approx(10 / np.sqrt(3) * 0.1 / ROBOT.acceleration[0], rel=1e-4)
     assert use.jerk == pytest.approx(60 * 0.05 / ROBOT.jerk[0], rel=1e-4)
-    fractions = limit_usage(motion, ROBOT)
+    fractions = sampled_usage(motion, ROBOT).largest()
     assert fractions.velocity == (use.velocity, 0, 0, 0, 0, 0) and fractions.jerk == (use.jerk, 0, 0, 0, 0, 0)
     assert fractions.acceleration == (use.acceleration, 0, 0, 0, 0, 0)
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from limit_use import limit_use
 
 from construction_twin.core.motion_errors import WaypointsError, WaypointTimesError
-from construction_twin.planning.limit_usage import limit_usage
+from construction_twin.planning.limit_usage import sampled_usage
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.waypoints import START_TOLERANCE_RAD, from_points, plan_waypoints, retime_waypoints
 from construction_twin.robot.description import RobotModel, read_robot_files
@@ -243,7 +243,7 @@ def test_times_of_planners_without_a_jerk_limit_are_refused_and_may_be_replaced(
     with pytest.raises(WaypointTimesError):
         plan_waypoints(points, HOME, ROBOT)
     trajectory = retime_waypoints(points, HOME, ROBOT)
-    use = limit_usage(trajectory, ROBOT)
+    use = sampled_usage(trajectory, ROBOT).largest()
     assert max(*use.velocity, *use.acceleration) <= 0.9 + 1e-6 and max(use.jerk) <= 1.0 + 1e-6
     assert times[-1] <= trajectory.duration < 3.0 * times[-1]
     np.testing.assert_allclose(trajectory.positions[-1], rows[-1], atol=1e-12)

@@ -329,8 +329,6 @@ def imported_folders(folder: str) -> set[str]:
     """Return the folders of the package that a folder's modules import, anywhere in their code."""
     found = set()
     for file in (PACKAGE / folder).rglob("*.py"):
-        if relative(file) == "src/construction_twin/rsi/gateway.py":
-            continue  # the shim for the gateway's former name
         for node in ast.walk(ast.parse(file.read_text())):
             names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []

@@ -16,7 +16,7 @@ from gateway_cell import Cell
 from supervisor_bench import HASH, bench  # noqa: F401 (a fixture)
 
 from construction_twin.broker.make_site import main as make_site
-from construction_twin.core.errors import EvaluationError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.execution.engagement import from_text
 from construction_twin.gateway.config import parse_config
 from construction_twin.gateway.states import State
@@ -127,7 +127,7 @@ class TestFiles:
         assert [m.text for m in said if isinstance(m, Link)] == ["ARMED"] * 5
         assert [m.error for m in said if isinstance(m, Sync)] == [(0.001,)] * 5
         with (
-            pytest.raises(EvaluationError, match="WorkTasks") as caught,
+            pytest.raises(ConstructionTwinError, match="WorkTasks") as caught,
             open_bag(OLD / "kr120.bag", (WorkTasks,)) as bag,
         ):
             list(bag.read_messages(topics=["/kr120/work_tasks"]))

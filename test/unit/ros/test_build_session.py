@@ -12,7 +12,7 @@ from construction_twin.msg import Execution, Link, Sync, WorkTask, WorkTasks
 from construction_twin.srv import WorkDecide, WorkPlanTask
 from rich.console import Console
 
-from construction_twin.core.errors import ExperimentError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.ros.commands import build
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.scene.objects import Scene
@@ -76,7 +76,7 @@ class WorkNode:
         builder._newest |= ready
         try:
             return said, builder.run()
-        except ExperimentError as error:
+        except ConstructionTwinError as error:
             return said, error
 
 
@@ -100,7 +100,7 @@ def test_it_says_itself_that_what_people_take_down_is_gone_and_has_it_on_record(
 def test_a_task_that_fails_ends_it_with_a_report_of_what_was_done(monkeypatch, tmp_path):
     node = WorkNode(monkeypatch, "a", "b", "c", goes=("a",))
     _, error = node.run(tmp_path)
-    assert isinstance(error, ExperimentError)
+    assert isinstance(error, ConstructionTwinError)
     assert "nothing reaches b" in str(error) and "_build" in str(error)
     found = figures(tmp_path)
     assert (found["tasks"], found["done"]) == (3, 1) and len(found["decisions"]) == 1
@@ -115,5 +115,5 @@ def test_a_service_that_is_gone_ends_it_with_a_report(monkeypatch, tmp_path, los
 
     monkeypatch.setattr(rospy, "ServiceProxy", lambda *_: fails)
     _, error = node.run(tmp_path)
-    assert isinstance(error, ExperimentError) and str(lost) in str(error)
+    assert isinstance(error, ConstructionTwinError) and str(lost) in str(error)
     assert figures(tmp_path)["tasks"] == 1

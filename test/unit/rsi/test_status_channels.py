@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mock_cell import Cell as MockCell
 from processes import ROOT
 
-from construction_twin.core.errors import EthernetXmlError, FaultError
+from construction_twin.core.errors import ConfigurationError, EthernetXmlError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import TelegramInbox
@@ -269,6 +269,6 @@ def test_the_mock_in_t1_says_so():
 )  # fmt: skip
 def test_what_no_channel_can_say_is_refused(fault):
     _, faults = mock()
-    with pytest.raises(FaultError):
+    with pytest.raises(ConfigurationError):
         faults.inject(fault)
     assert not faults.active

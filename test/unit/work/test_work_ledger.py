@@ -24,6 +24,7 @@ from construction_twin.work.task_states import (
     NotNow,
     TaskEvent,
     TaskMemory,
+    TaskOccasion,
     TaskState,
 )
 
@@ -365,11 +366,11 @@ def test_an_element_is_in_one_place_only(events):
     memory = TaskMemory("plate")
     for event, answer in events:
         if memory.takes(event, answer):
-            memory.apply(event, answer=answer, plan="p", offer="o", pose=STANDS)
+            memory.apply(event, TaskOccasion(answer=answer, plan="p", offer="o", pose=STANDS))
         else:
             before = memory.state
             with pytest.raises(NotNow):
-                memory.apply(event, answer=answer)
+                memory.apply(event, TaskOccasion(answer=answer))
             assert memory.state is before
         assert memory.in_grip + memory.placed + memory.gone <= 1
         if memory.state in (TaskState.CARRIED, TaskState.CARRYING, TaskState.RELEASING):

@@ -59,7 +59,7 @@ def read_recording(path: str | Path, namespace: str | None = None) -> Recording:
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If the file cannot be read as a bag, holds no or several robots, a topic of another type or of another definition of
         its type, or too little data.
     """
@@ -77,7 +77,7 @@ def read_plans(path: str | Path, namespace: str | None = None) -> list[PlanValue
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         As `read_recording`.
     TrajectoryError
         For a plan that is not what its hash says.

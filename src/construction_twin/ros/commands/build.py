@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, ExperimentError, RequestRefused
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused
 from construction_twin.core.files import check_writable
 from construction_twin.msg import Execution, Link, Plan, Sync, ToolState, WorkTask, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
@@ -121,7 +121,7 @@ class Builder:
 
         Raises
         ------
-        ExperimentError
+        ConstructionTwinError
             If the system does not get ready, or a task cannot be done.
         """
         results = Path(self._settings.results_dir).expanduser()
@@ -141,10 +141,10 @@ class Builder:
         # also of a session that a task ended
         files = self._report(results, wanted)
         if failure is not None:
-            raise ExperimentError(f"{failure}; see {files[0]}") from failure
+            raise ConstructionTwinError(f"{failure}; see {files[0]}") from failure
         missing = [self._row(task).name for task in wanted if self._row(task).state != "done"]
         if missing:
-            raise ExperimentError(
+            raise ConstructionTwinError(
                 f"{len(missing)} of {len(wanted)} tasks are not done: {', '.join(missing)}; see {files[0]}"
             )
         return files
@@ -174,12 +174,12 @@ class Builder:
     def _plan_and_play(self, task: str, title: str) -> None:
         times = self._times.setdefault(task, _Times())
         if len(times.plans) >= _MOST_PLANS:
-            raise ExperimentError(f"{title}: {self._row(task).name} is not done after {_MOST_PLANS} plans")
+            raise ConstructionTwinError(f"{title}: {self._row(task).name} is not done after {_MOST_PLANS} plans")
         asked = time.monotonic()
         rospy.wait_for_service("work/plan", self._settings.timeout)
         answer: WorkPlanTaskResponse = rospy.ServiceProxy("work/plan", WorkPlanTask)(task)
         if not answer.success:
-            raise ExperimentError(f"{title}: {self._row(task).name} cannot be planned: {answer.message}")
+            raise ConstructionTwinError(f"{title}: {self._row(task).name} cannot be planned: {answer.message}")
         times.planning, plan_id = time.monotonic() - asked, answer.plan_id
         times.plans.append(plan_id)
         self._approve(answer)
@@ -214,12 +214,14 @@ class Builder:
         """Answer as a person would who looks at the mock's gripper."""
         tool: ToolState = self._newest.get("tool")
         if tool is None or not tool.known:
-            raise ExperimentError(f"{row.name}: {row.question}: what the gripper holds is not known")
+            raise ConstructionTwinError(f"{row.name}: {row.question}: what the gripper holds is not known")
         answer = answer_of(
             dict(zip(tool.inputs, tool.input_values)), self._confirm, self._last.get(row.id, ""), row.answers
         )
         if not answer:
-            raise ExperimentError(f"{row.name}: {row.question}: none of {', '.join(row.answers)} is known to be true")
+            raise ConstructionTwinError(
+                f"{row.name}: {row.question}: none of {', '.join(row.answers)} is known to be true"
+            )
         self._say(f"asked: {row.question} Answer: {answer}")
         self._decide(row.id, "answer", answer)
         self._decided(f"answered {answer} for {row.name}: {row.question}")
@@ -242,7 +244,7 @@ class Builder:
         rospy.wait_for_service("work/decide", self._settings.timeout)
         taken = rospy.ServiceProxy("work/decide", WorkDecide)(task, decision, answer, PERSON, "a mock arm")
         if not taken.success:
-            raise ExperimentError(taken.message)
+            raise ConstructionTwinError(taken.message)
 
     def _decided(self, what: str) -> None:
         self._decisions.append(Decision(time.time(), PERSON, what))
@@ -250,7 +252,7 @@ class Builder:
     def _wait_for_model(self, began: float) -> None:
         def pause() -> None:
             if rospy.is_shutdown():
-                raise ExperimentError("interrupted")
+                raise ConstructionTwinError("interrupted")
             with self._news:
                 self._news.wait(_POLL)
 
@@ -319,11 +321,11 @@ class Builder:
         deadline = time.monotonic() + limit
         while not condition():
             if rospy.is_shutdown():
-                raise ExperimentError("interrupted")
+                raise ConstructionTwinError("interrupted")
             if time.monotonic() > deadline:
                 tasks = self._tasks
                 said = tasks.reason if tasks is not None else "the work node says nothing"
-                raise ExperimentError(
+                raise ConstructionTwinError(
                     f"waited {limit:g} s in vain for {what}; executor: {self._execution.reason}; work: {said}"
                 )
             with self._news:
@@ -366,7 +368,7 @@ def wait_for_model(
 
     Raises
     ------
-    ExperimentError
+    ConstructionTwinError
         If the model cannot be read, or no node reads it.
     """
     heard = time.monotonic()
@@ -375,11 +377,11 @@ def wait_for_model(
         if said is not None and said.schedule:
             return
         if said is not None and not said.reading:
-            raise ExperimentError(f"the model cannot be read: {said.reason}")
+            raise ConstructionTwinError(f"the model cannot be read: {said.reason}")
         if said is not None and is_there():
             heard = now
         if now - heard > timeout:
-            raise ExperimentError(f"waited {timeout:g} s in vain for a work node that reads the model")
+            raise ConstructionTwinError(f"waited {timeout:g} s in vain for a work node that reads the model")
         tell()
         pause()
 

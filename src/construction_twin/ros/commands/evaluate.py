@@ -10,7 +10,7 @@ import rospkg
 import rospy
 from rich.console import Console
 
-from construction_twin.core.errors import ConstructionTwinError, EvaluationError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import check_writable, write_whole
 from construction_twin.evaluation.report import write_report
 from construction_twin.evaluation.tables import render_tables
@@ -84,7 +84,7 @@ def _write_plans(options: argparse.Namespace, robot: RobotModel, directory: Path
     files: list[Path] = []
     for plan in read_plans(options.bag, options.robot):
         if plan.trajectory.joint_names != robot.joint_names:
-            raise EvaluationError(
+            raise ConstructionTwinError(
                 f"plan {plan.id} has other joints than {robot.name}; give --robot-xacro and --robot-config"
             )
         files.append(directory / f"plan_{len(files) + 1}.csv")

@@ -13,7 +13,7 @@ import rospy
 from rich.console import Console
 from rich.progress import Progress
 
-from construction_twin.core.errors import ConstructionTwinError, ExperimentError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import check_writable
 from construction_twin.core.units import from_wire
 from construction_twin.evaluation.report import Report, write_report
@@ -93,7 +93,7 @@ class Experiment:
 
         Raises
         ------
-        ExperimentError
+        ConstructionTwinError
             If the system does not get ready, or the task is not finished.
         ConstructionTwinError
             If recording or evaluation fails.
@@ -130,7 +130,7 @@ class Experiment:
             source="experiment",
         )
         if not answer.success:
-            raise ExperimentError(f"the task could not be planned: {answer.message}")
+            raise ConstructionTwinError(f"the task could not be planned: {answer.message}")
         self._say(answer.message)
         return answer.plan_id
 
@@ -144,9 +144,9 @@ class Experiment:
         with ProgressView(self._console, title) as show:
             end = self._follow(plan_id, show)
         if end.plan_id != plan_id:
-            raise ExperimentError(f"plan {plan_id} was replaced by {end.plan_id} before it was finished")
+            raise ConstructionTwinError(f"plan {plan_id} was replaced by {end.plan_id} before it was finished")
         if end.outcome != "finished":
-            raise ExperimentError(f"the plan was not finished but {end.outcome or 'dropped'}: {end.reason}")
+            raise ConstructionTwinError(f"the plan was not finished but {end.outcome or 'dropped'}: {end.reason}")
 
     def _follow(self, plan_id: str, show: Callable[[float], None]) -> Execution:
         """Show the progress of a plan until it ends; return the executor's report of that."""
@@ -159,7 +159,7 @@ class Experiment:
             played = rospy.get_time() - now.plan_start.to_sec()
             if played > now.duration + self._settings.timeout:
                 times = f"lasts {now.duration:g} s but plays for {played:.0f} s"
-                raise ExperimentError(f"the plan {times}; is the executor alive?")
+                raise ConstructionTwinError(f"the plan {times}; is the executor alive?")
             show(min(1.0, max(0.0, played / now.duration)))
             self._pause()
 
@@ -206,7 +206,7 @@ class Experiment:
         said = None
         while text := lacking():
             if time.monotonic() > deadline:
-                raise ExperimentError(f"{failure} within {self._settings.timeout:g} s; still waiting for {text}")
+                raise ConstructionTwinError(f"{failure} within {self._settings.timeout:g} s; still waiting for {text}")
             if text != said:
                 self._say(f"waiting for {text}")
                 said = text
@@ -214,7 +214,7 @@ class Experiment:
 
     def _pause(self) -> None:
         if rospy.is_shutdown():
-            raise ExperimentError("interrupted")
+            raise ConstructionTwinError("interrupted")
         time.sleep(_POLL)
 
     def _say(self, text: str) -> None:
@@ -297,4 +297,4 @@ def _new_directory(results: Path) -> Path:
         except FileExistsError:
             continue
         return directory
-    raise ExperimentError(f"{results} already holds a hundred results of this second")
+    raise ConstructionTwinError(f"{results} already holds a hundred results of this second")

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import pydantic
 
-from construction_twin.core.errors import ExperimentError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.units import from_wire
 from construction_twin.robot.description import RobotModel
 
@@ -33,7 +33,7 @@ def check_goals(settings: ExperimentSettings, robot: RobotModel) -> None:
 
     Raises
     ------
-    ExperimentError
+    ConstructionTwinError
         For a goal with another number of joints.
     JointRangeError
         For one outside of a joint's range.
@@ -41,5 +41,7 @@ def check_goals(settings: ExperimentSettings, robot: RobotModel) -> None:
     joints = len(robot.joint_names)
     for goal in settings.goals_deg:
         if len(goal) != joints:
-            raise ExperimentError(f"a goal in ~goals_deg has {len(goal)} values; {robot.name} has {joints} joints")
+            raise ConstructionTwinError(
+                f"a goal in ~goals_deg has {len(goal)} values; {robot.name} has {joints} joints"
+            )
         robot.check_range(from_wire(goal, robot.linear))

@@ -12,7 +12,7 @@ from typing import Any
 import rosgraph
 import roslib.packages
 
-from construction_twin.core.errors import TransportError
+from construction_twin.core.errors import ConstructionTwinError
 
 
 class Recorder:
@@ -31,14 +31,14 @@ class Recorder:
 
     Raises
     ------
-    TransportError
+    ConstructionTwinError
         If rosbag's recorder is not installed.
     """
 
     def __init__(self, path: Path, topics: Sequence[str], name: str):
         programs = roslib.packages.find_node("rosbag", "record")
         if not programs:
-            raise TransportError("rosbag's recorder is not installed; install the package python3-rosbag")
+            raise ConstructionTwinError("rosbag's recorder is not installed; install the package python3-rosbag")
         self.path = path
         self._topics = tuple(topics)
         self._name = name
@@ -62,12 +62,12 @@ class Recorder:
 
         Raises
         ------
-        TransportError
+        ConstructionTwinError
             If the recorder has ended.
         """
         if self._process.poll() is not None:
             status = self._process.returncode
-            raise TransportError(f"the recorder of {self.path} ended with status {status}; is the disk full?")
+            raise ConstructionTwinError(f"the recorder of {self.path} ended with status {status}; is the disk full?")
         try:
             publishers, subscribers, _ = self._master.getSystemState()
             subscribed = {topic for topic, nodes in subscribers if self._name in nodes}
@@ -97,13 +97,13 @@ class Recorder:
 
         Raises
         ------
-        TransportError
+        ConstructionTwinError
             If the bag is not there afterwards.
         """
         self._end(signal.SIGINT, timeout)
         if not self.path.exists():
             remedy = "`rosbag reindex` can repair the .active file"
-            raise TransportError(f"{self.path} was not closed within {timeout:g} s; {remedy}")
+            raise ConstructionTwinError(f"{self.path} was not closed within {timeout:g} s; {remedy}")
 
     def _end(self, number: signal.Signals, timeout: float = 10.0) -> None:
         if self._process.poll() is None:

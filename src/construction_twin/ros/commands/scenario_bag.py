@@ -11,7 +11,7 @@ import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from construction_twin.core.errors import EvaluationError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.msg import Execution, Link, Sync, Transition
 from construction_twin.ros.commands.bag import read_recording
 from construction_twin.ros.shared.known_bag import open_bag
@@ -48,7 +48,7 @@ def read_run(folder: Path, namespace: str | None = None) -> Run:
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If something is missing.
     """
     path = folder / BAG
@@ -63,7 +63,7 @@ def read_run(folder: Path, namespace: str | None = None) -> Run:
             messages.setdefault(wanted[topic], []).append(message)
     for name in ("sync", "execution", MOCK, ARM):
         if name not in messages:
-            raise EvaluationError(f"{path} holds no {prefix}/{name}; was the mock controller recorded?")
+            raise ConstructionTwinError(f"{path} holds no {prefix}/{name}; was the mock controller recorded?")
     reports = [json.loads(message.data) for message in messages[MOCK]]
     transitions = messages.get("transitions", [])
     changes += [*_states("sync", messages["sync"][:1]), *_transitions(transitions)]

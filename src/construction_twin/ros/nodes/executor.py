@@ -30,13 +30,13 @@ from construction_twin.core.errors import (
     ReviewError,
 )
 from construction_twin.core.freshness import LIFETIME, Moment, is_newer, parse_moment, staleness
+from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.execution.newest_reading import AHEAD, NewestReading
 from construction_twin.execution.playback import Braking
-from construction_twin.execution.speed_limit import LimitState, SpeedLimit
 from construction_twin.execution.states import ACTIVE
 from construction_twin.execution.tool_report import NO_ARM, ToolReport
 from construction_twin.execution.way_back import check_way_back
@@ -287,7 +287,7 @@ class ExecutorNode:
         source = caller_of(message)
         try:
             with self._lock:
-                self._limit.on_limit(message.limit, message.reason, source, time.monotonic_ns())
+                self._limit.accept(message.limit, source, time.monotonic_ns(), message.reason)
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
 

@@ -15,7 +15,7 @@ import rospy
 from std_msgs.msg import String
 from std_srvs.srv import Trigger, TriggerResponse
 
-from construction_twin.core.errors import ConstructionTwinError, FaultError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.units import to_wire
 from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.network import MockRsi
@@ -178,7 +178,7 @@ class MockRsiNode:
         """Return the request in the controller's axes."""
         names, axes = self._robot.joint_names, self._robot.axes
         if request.joint and request.joint not in names:
-            raise FaultError(request.fault, request.joint, f"one of {', '.join(names)}")
+            raise ConfigurationError(request.fault, request.joint, f"one of {', '.join(names)}")
         axis = axes[names.index(request.joint)] if request.joint else None
         kind, values = KINDS.get(request.fault), tuple(request.value)
         if kind is not None and kind.shift and axis is not None:

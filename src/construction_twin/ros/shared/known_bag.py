@@ -16,7 +16,7 @@ import genpy
 import rosbag
 import rosbag.bag
 
-from construction_twin.core.errors import EvaluationError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.evaluation.bag import check_definition
 
 #: rosbag's function from a connection to its message class is one per process.
@@ -35,7 +35,7 @@ def open_bag(path: str | Path, kinds: Iterable[type[genpy.Message]]) -> Iterator
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         When a message of another type, or of another definition of one of these types, is read; and when the file cannot be read
         as a bag, also if that shows while it is read.
     """
@@ -52,14 +52,14 @@ def open_bag(path: str | Path, kinds: Iterable[type[genpy.Message]]) -> Iterator
             with rosbag.Bag(str(path)) as bag:
                 yield bag
         except rosbag.ROSBagUnindexedException as error:
-            raise EvaluationError(
+            raise ConstructionTwinError(
                 f"{path} was not closed properly; run `rosbag reindex {path}` and try again"
             ) from error
         except (rosbag.ROSBagException, genpy.DeserializationError, OSError) as error:
-            raise EvaluationError(f"{path} cannot be read as a rosbag: {error}") from error
+            raise ConstructionTwinError(f"{path} cannot be read as a rosbag: {error}") from error
         except (ValueError, LookupError, EOFError) as error:
             # rosbag takes what it finds for text, lengths and numbers of connections
-            raise EvaluationError(
+            raise ConstructionTwinError(
                 f"{path} cannot be read as a rosbag: it is damaged, or another kind of file ({error})"
             ) from error
         finally:
@@ -78,7 +78,7 @@ def known_class(known: dict[str, type[genpy.Message]], topic: str, name: str, md
 
     Raises
     ------
-    EvaluationError
+    ConstructionTwinError
         If the type is not among them, or its definition is another one.
     """
     check_definition({each: kind._md5sum for each, kind in known.items()}, topic, name, md5)

@@ -9,8 +9,8 @@ import threading
 import time
 from collections.abc import Callable
 
+from construction_twin.core.rate_limit import SenderLimits, TokenBucket
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.mqtt.interventions import AnswerPace
 
 #: Answers to one account have this time between them [ns] in the long run, and so many come at once; as the gateway's.
 PERIOD, AT_ONCE = NANOSECONDS // 10, 10
@@ -30,14 +30,14 @@ class MalformedAnswers:
     def __init__(self, kind: str, clock: Callable[[], int] = time.monotonic_ns):
         self._kind = kind
         self._clock = clock
-        self._pace = AnswerPace(PERIOD, AT_ONCE)
+        self._answers = SenderLimits(lambda: TokenBucket(NANOSECONDS // PERIOD, AT_ONCE))
         self._lock = threading.Lock()
         self._unanswered = 0
 
     def take(self, account: str) -> bool:
         """Return whether a malformed message of an account is to be answered, and count it where it is not."""
         with self._lock:
-            due = self._pace.take(account, self._clock())
+            due = self._answers.take(account, self._clock())
             self._unanswered += not due
             return due
 

@@ -19,8 +19,9 @@ from geometry_msgs.msg import Pose as PoseMsg
 from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.core.freshness import Moment, staleness
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.rate_limit import RollingWindow, SenderLimits
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_request import (
-    AccountRate,
     IkRequest,
     RemoteRequest,
     ik_answer,
@@ -130,7 +131,7 @@ class RequestDesk:
         self._topics, self._joints, self._line = topics, joints, line
         self._services, self._judge, self._around = services, judge, around
         self._publish, self._refuse, self._source_of = publish, refuse, source_of
-        self._rate = AccountRate(IK_RATE)
+        self._rate = SenderLimits(lambda: RollingWindow(IK_RATE))
         self._news = threading.Condition()
         self._poses: dict[str, IkRequest] = {}
         self._counts: Counter[str] = Counter()
@@ -237,7 +238,7 @@ class RequestDesk:
         name = ""
         try:
             account = checked_sender(account)
-            if not self._rate.take(account, time.monotonic()):
+            if not self._rate.take(account, round(time.monotonic() * NANOSECONDS)):
                 # an answer to each would be as much again
                 self._refuse("ik_rate", f"more than {IK_RATE} poses in a second from {account}")
                 return

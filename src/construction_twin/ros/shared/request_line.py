@@ -8,7 +8,8 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from construction_twin.link.remote_trajectory import SenderPace
+from construction_twin.core.rate_limit import SenderLimits, TokenBucket
+from construction_twin.core.units import NANOSECONDS
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ class RequestLine:
         self._waiting: queue.Queue[Request] = queue.Queue(most)
         #: Digest of a request to its answer and when that was given; b"": it is being carried out.
         self._answered: dict[bytes, tuple[bytes, float]] = {}
-        self._pace = SenderPace(pause)
+        self._senders = SenderLimits(lambda: TokenBucket(1.0 / pause, 1))
 
     @property
     def waiting(self) -> int:
@@ -90,8 +91,8 @@ class RequestLine:
         """Let a request wait for its turn, or answer why not."""
         if self._is_repeated(request):
             return
-        now = self._clock()
-        wait = self._pace.wait(request.sender, now)
+        now = round(self._clock() * NANOSECONDS)
+        wait = self._senders.wait(request.sender, now) / NANOSECONDS
         problem = f"one motion in {self._pause:g} s is taken from a sender; try again in {wait:.1f} s" if wait else ""
         if not problem:
             try:
@@ -99,7 +100,7 @@ class RequestLine:
             except queue.Full:
                 problem = f"{self._most} requests are waiting already; try again"
             else:
-                self._pace.take(request.sender, now)
+                self._senders.take(request.sender, now)
         if problem:
             with self._lock:
                 del self._answered[request.digest]

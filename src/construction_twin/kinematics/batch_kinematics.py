@@ -1,4 +1,5 @@
-"""Forward kinematics and Jacobians of many postures at once, as arrays: for ten of them quicker than KDL one by one.
+"""Forward kinematics, Jacobians and Newton steps of many joint vectors at once, as arrays: for ten of them quicker than KDL one by
+one, and a path is checked at thousands of places.
 
 Product of exponentials: every joint turns (or moves) all that follows it about its axis in the zero posture. Poses are
 ``base_T_tip`` [m]; joint values [rad], or [m] for a prismatic joint. One posture is `chain`'s.
@@ -16,10 +17,12 @@ _STEPS, _LAST = 5, 1e-3
 #: Keeps steps short where the tip cannot move in a direction.
 _DAMPING = 1e-12
 _DIAGONAL, _ONE = np.arange(6), np.eye(4)
+#: So many joint vectors are computed together: their arrays stay in the processor's cache.
+_TOGETHER = 128
 
 
-class ManyPostures:
-    """The kinematics of many postures of one chain.
+class BatchKinematics:
+    """A chain's kinematics for a batch of joint vectors.
 
     Parameters
     ----------
@@ -35,6 +38,8 @@ class ManyPostures:
         home = chain.forward([0.0] * len(axes))
         self._home = np.eye(4)
         self._home[:3, :3], self._home[:3, 3] = home.rotation, home.position
+        # Newton steps are weighted by the joints' speeds, so that fast joints take the larger part
+        self._pace = np.array(chain.robot.velocity)
         # the exponential of a joint is constant + sine s + (cosine - 1) c + value v
         count = len(axes)
         self._sine, self._cosine, self._value = (np.zeros((count, 4, 4)) for _ in range(3))
@@ -54,6 +59,25 @@ class ManyPostures:
         ----------
         q : array, shape (k, n)
         """
+        if len(q) > _TOGETHER:
+            parts = [self.frames(q[first : first + _TOGETHER]) for first in range(0, len(q), _TOGETHER)]
+            return np.concatenate([tip for tip, _ in parts]), np.concatenate([jacobian for _, jacobian in parts])
+        before, tip = self._products(q)
+        turned = before[:, :, :3, :3]
+        direction = (turned @ self._directions[:, None, :, None])[..., 0]
+        lever = tip[:, :3, 3] - before[:, :, :3, 3] - (turned @ self._points[:, None, :, None])[..., 0]
+        jacobian = np.empty((6, q.shape[1], len(q)))
+        x, y, z = direction.transpose(2, 0, 1)
+        u, v, w = lever.transpose(2, 0, 1)
+        jacobian[0], jacobian[1], jacobian[2] = y * w - z * v, z * u - x * w, x * v - y * u
+        jacobian[3], jacobian[4], jacobian[5] = x, y, z
+        if self._prismatic:
+            jacobian[:3, self._linear] = jacobian[3:, self._linear]
+            jacobian[3:, self._linear] = 0.0
+        return tip, jacobian.transpose(2, 0, 1)
+
+    def _products(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return what moves each joint, shape (n, k, 4, 4), and the tip, shape (k, 4, 4)."""
         moves = np.sin(q)[:, :, None, None] * self._sine + (np.cos(q) - 1.0)[:, :, None, None] * self._cosine
         if self._prismatic:
             moves += q[:, :, None, None] * self._value
@@ -63,19 +87,44 @@ class ManyPostures:
         before[0] = _ONE
         for joint in range(joints - 1):
             np.matmul(before[joint], moves[:, joint], out=before[joint + 1])
-        tip = before[-1] @ moves[:, -1] @ self._home
-        turned = before[:, :, :3, :3]
-        direction = (turned @ self._directions[:, None, :, None])[..., 0]
-        lever = tip[:, :3, 3] - before[:, :, :3, 3] - (turned @ self._points[:, None, :, None])[..., 0]
-        jacobian = np.empty((6, joints, count))
-        x, y, z = direction.transpose(2, 0, 1)
-        u, v, w = lever.transpose(2, 0, 1)
-        jacobian[0], jacobian[1], jacobian[2] = y * w - z * v, z * u - x * w, x * v - y * u
-        jacobian[3], jacobian[4], jacobian[5] = x, y, z
-        if self._prismatic:
-            jacobian[:3, self._linear] = jacobian[3:, self._linear]
-            jacobian[3:, self._linear] = 0.0
-        return tip, jacobian.transpose(2, 0, 1)
+        return before, before[-1] @ moves[:, -1] @ self._home
+
+    def _tips(self, q: np.ndarray) -> np.ndarray:
+        if len(q) <= _TOGETHER:
+            return self._products(q)[1]
+        return np.concatenate([self._tips(q[first : first + _TOGETHER]) for first in range(0, len(q), _TOGETHER)])
+
+    def poses(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the tip's positions, shape (k, 3), and rotations, shape (k, 3, 3)."""
+        tip = self._tips(q)
+        return tip[:, :3, 3], tip[:, :3, :3]
+
+    def errors(self, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+        """Return the twists from the tip's poses to targets near them, shape (k, 6)."""
+        tip = self._tips(q)
+        return _twists(tip, positions, rotations)[0]
+
+    def newton(self, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray, steps: int) -> np.ndarray:
+        """Move each joint vector by Newton steps onto its own target pose.
+
+        An arm with more joints than a pose needs takes the smallest steps, measured in fractions of the joints' full speeds.
+
+        Parameters
+        ----------
+        q : array, shape (k, n)
+        positions, rotations : array, shape (k, 3) and (k, 3, 3)
+        steps : int
+
+        Returns
+        -------
+        q : array, shape (k, n)
+            Neither the ranges nor the remaining error is checked.
+        """
+        for _ in range(steps):
+            tip, jacobian = self.frames(q)
+            error, _ = _twists(tip, positions, rotations)
+            q = q + self._pace * _least_steps(jacobian * self._pace, error, 1e-14)
+        return q
 
     def projected(self, q: np.ndarray, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the postures on a pose that Newton steps of least length lead to.
@@ -94,18 +143,10 @@ class ManyPostures:
         jacobian : array, shape (k, 6, n)
             Of the last postures but one, which hardly differ.
         """
-        error = np.empty((len(q), 6))
         for _ in range(_STEPS):
             tip, jacobian = self.frames(q)
-            error[:, :3] = pose.position - tip[:, :3, 3]
-            turn = pose.rotation @ tip[:, :3, :3].transpose(0, 2, 1)
-            error[:, 3] = 0.5 * (turn[:, 2, 1] - turn[:, 1, 2])
-            error[:, 4] = 0.5 * (turn[:, 0, 2] - turn[:, 2, 0])
-            error[:, 5] = 0.5 * (turn[:, 1, 0] - turn[:, 0, 1])
-            back = jacobian.transpose(0, 2, 1)
-            square = jacobian @ back
-            square[:, _DIAGONAL, _DIAGONAL] += _DAMPING
-            step = (back @ np.linalg.solve(square, error[:, :, None]))[:, :, 0]
+            error, turn = _twists(tip, pose.position, pose.rotation)
+            step = _least_steps(jacobian, error, _DAMPING)
             q = q + step
             # the error that the last step leaves is of the order of the square of this
             size = np.abs(step).max(axis=1)
@@ -140,3 +181,28 @@ def tangents(jacobian: np.ndarray, held: int) -> np.ndarray:
     found[:, others] = -np.linalg.solve(normal, back @ jacobian[:, :, held : held + 1])[:, :, 0]
     found /= np.sqrt(np.einsum("kn,kn->k", found, found))[:, None]
     return found
+
+
+def angles_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the angles between rotations, shape (k, 3, 3) each: [rad], shape (k,)."""
+    chords = np.linalg.norm((first - second).reshape(len(first), 9), axis=1)
+    return 2.0 * np.arcsin(np.minimum(1.0, chords / np.sqrt(8.0)))
+
+
+def _twists(tip: np.ndarray, positions: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the twists to targets near the poses `tip`, shape (k, 6), and the turns to them, shape (k, 3, 3)."""
+    error = np.empty((len(tip), 6))
+    error[:, :3] = positions - tip[:, :3, 3]
+    turn = rotations @ tip[:, :3, :3].transpose(0, 2, 1)
+    error[:, 3] = 0.5 * (turn[:, 2, 1] - turn[:, 1, 2])
+    error[:, 4] = 0.5 * (turn[:, 0, 2] - turn[:, 2, 0])
+    error[:, 5] = 0.5 * (turn[:, 1, 0] - turn[:, 0, 1])
+    return error, turn
+
+
+def _least_steps(jacobian: np.ndarray, error: np.ndarray, damping: float) -> np.ndarray:
+    """Return the steps of least length that a Jacobian maps to an error; damped where the tip cannot move in a direction."""
+    back = jacobian.transpose(0, 2, 1)
+    square = jacobian @ back
+    square[:, _DIAGONAL, _DIAGONAL] += damping
+    return (back @ np.linalg.solve(square, error[:, :, None]))[:, :, 0]

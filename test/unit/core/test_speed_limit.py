@@ -7,19 +7,19 @@ import math
 import pytest
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.speed_limit_source import SpeedLimitSource
+from construction_twin.core.speed_limit import SpeedLimit
 
 SECOND = 1_000_000_000
 
 
 def test_before_the_first_limit_nobody_is_heard_and_nobody_is_silent():
-    source = SpeedLimitSource(0.5, 0.1)
+    source = SpeedLimit(0.5, 0.1)
     assert (source.name, source.fraction) == ("", 1.0)
     assert not source.is_heard(0) and not source.is_silent(100 * SECOND)
 
 
 def test_a_source_counts_until_its_deadline_and_is_silent_after_it():
-    source = SpeedLimitSource(0.5, 0.1)
+    source = SpeedLimit(0.5, 0.1)
     source.accept(0.4, "camera", SECOND)
     assert source.is_heard(SECOND + SECOND // 2) and not source.is_silent(SECOND + SECOND // 2)
     assert source.is_silent(SECOND + SECOND // 2 + 1) and not source.is_heard(SECOND + SECOND // 2 + 1)
@@ -28,14 +28,14 @@ def test_a_source_counts_until_its_deadline_and_is_silent_after_it():
 
 @pytest.mark.parametrize("last, counts", [(0.4, 0.1), (0.1, 0.1), (0.05, 0.05), (0.0, 0.0)])
 def test_silence_counts_as_the_lower_of_the_last_limit_and_that_for_silence(last, counts):
-    source = SpeedLimitSource(0.5, 0.1)
+    source = SpeedLimit(0.5, 0.1)
     source.accept(last, "camera", 0)
     assert source.fraction_when_silent == counts
 
 
 @pytest.mark.parametrize("fraction", [-0.01, 1.01, math.nan, math.inf, -math.inf])
 def test_what_is_no_fraction_is_refused_and_the_deadline_runs_on(fraction):
-    source = SpeedLimitSource(0.5)
+    source = SpeedLimit(0.5)
     source.accept(0.4, "camera", 0)
     with pytest.raises(PayloadError) as refusal:
         source.accept(fraction, "camera", SECOND // 2)
@@ -44,7 +44,7 @@ def test_what_is_no_fraction_is_refused_and_the_deadline_runs_on(fraction):
 
 
 def test_a_sender_without_a_name_is_refused_because_its_silence_could_not_be_noticed():
-    source = SpeedLimitSource(0.5, 0.1)
+    source = SpeedLimit(0.5, 0.1)
     source.accept(0.4, "camera", 0)
     for now in (SECOND // 4, SECOND):
         with pytest.raises(PayloadError) as refusal:
@@ -54,7 +54,7 @@ def test_a_sender_without_a_name_is_refused_because_its_silence_could_not_be_not
 
 
 def test_another_source_is_refused_while_one_is_heard_and_taken_after_its_silence():
-    source = SpeedLimitSource(0.5)
+    source = SpeedLimit(0.5)
     source.accept(0.4, "camera", 0)
     with pytest.raises(PayloadError) as refusal:
         source.accept(0.9, "fence", SECOND // 2)

@@ -1,0 +1,139 @@
+"""How often something may happen: a bucket of tokens, a number in any span of time, and either of them for each sender.
+
+Pure: `now` is an argument, in ns on a monotonic clock. Standard library only.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Protocol
+
+from construction_twin.core.units import NANOSECONDS
+
+#: Senders that are known at a time: anybody may call himself something new where a broker knows no accounts.
+MOST_SENDERS = 64
+
+
+class Limit(Protocol):
+    """A limit on how often."""
+
+    def take(self, now: int) -> bool:
+        """Return whether it may happen at `now`, and count it if so."""
+
+    def wait(self, now: int) -> float:
+        """Return how long it may not happen from `now` on [ns]; 0: it may."""
+
+    def rest(self, now: int) -> float:
+        """Return how long something that was counted still counts from `now` on [ns]; 0: all is forgotten."""
+
+
+class TokenBucket:
+    """Tokens that are used up and come back at a rate.
+
+    Parameters
+    ----------
+    rate : float
+        How many come back per second.
+    burst : float
+        How many there are at first, and at most: so many may be used at once.
+    """
+
+    __slots__ = ("_burst", "_owed", "_rate", "_seen")
+
+    def __init__(self, rate: float, burst: float):
+        self._rate = rate
+        # tokens are counted in ns, so that whole rates and bursts are exact
+        self._burst = burst * NANOSECONDS
+        self._owed: float = 0
+        self._seen = 0
+
+    def _still_owed(self, now: int) -> float:
+        # a clock that goes back gives nothing
+        return max(0, self._owed - max(0, now - self._seen) * self._rate)
+
+    def take(self, now: int, amount: float = 1) -> bool:
+        """Use up `amount` tokens; return False, and use up none, where there are fewer."""
+        owed = self._still_owed(now) + amount * NANOSECONDS
+        if owed > self._burst:
+            return False
+        self._owed, self._seen = owed, now
+        return True
+
+    def wait(self, now: int) -> float:
+        """Return how long there is no token from `now` on [ns]."""
+        return max(0, self._still_owed(now) + NANOSECONDS - self._burst) / self._rate
+
+    def rest(self, now: int) -> float:
+        """Return how long the bucket is not full from `now` on [ns]."""
+        return self._still_owed(now) / self._rate
+
+
+class RollingWindow:
+    """At most so many in any second: a bucket of that size would let twice as many pass in its first one.
+
+    Parameters
+    ----------
+    most : int
+    """
+
+    __slots__ = ("_most", "_times")
+
+    def __init__(self, most: int):
+        self._most = most
+        self._times: deque[int] = deque()
+
+    def _forget(self, now: int) -> None:
+        while self._times and now - self._times[0] >= NANOSECONDS:
+            self._times.popleft()
+
+    def take(self, now: int) -> bool:
+        """Return whether one more may pass, and count it if so."""
+        self._forget(now)
+        if len(self._times) >= self._most:
+            return False
+        self._times.append(now)
+        return True
+
+    def wait(self, now: int) -> float:
+        """Return how long none may pass from `now` on [ns]."""
+        self._forget(now)
+        return NANOSECONDS - (now - self._times[0]) if len(self._times) >= self._most else 0
+
+    def rest(self, now: int) -> float:
+        """Return how long one that has passed still counts from `now` on [ns]."""
+        self._forget(now)
+        return NANOSECONDS - (now - self._times[-1]) if self._times else 0
+
+
+class SenderLimits:
+    """A limit of its own for each sender; what is known of a sender is forgotten when nothing of it counts any more.
+
+    While `MOST_SENDERS` are known, no other one may do anything.
+
+    Parameters
+    ----------
+    make : callable
+        Makes the limit of one sender.
+    """
+
+    def __init__(self, make: Callable[[], Limit]):
+        self._make = make
+        self._limits: dict[str, Limit] = {}
+
+    def _limit(self, sender: str, now: int) -> Limit | None:
+        if sender not in self._limits and len(self._limits) >= MOST_SENDERS:
+            self._limits = {name: limit for name, limit in self._limits.items() if limit.rest(now)}
+            if len(self._limits) >= MOST_SENDERS:
+                return None
+        return self._limits.setdefault(sender, self._make())
+
+    def take(self, sender: str, now: int) -> bool:
+        """Return whether it may happen for a sender at `now`, and count it if so."""
+        limit = self._limit(sender, now)
+        return limit is not None and limit.take(now)
+
+    def wait(self, sender: str, now: int) -> float:
+        """Return how long it may not happen for a sender from `now` on [ns]; 0: it may."""
+        limit = self._limit(sender, now)
+        return min(known.rest(now) for known in self._limits.values()) if limit is None else limit.wait(now)

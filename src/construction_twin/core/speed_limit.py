@@ -1,0 +1,150 @@
+"""The largest allowed fraction of the speed: what a source asks for, or the fraction for silence when that source is late.
+
+Pure: times are arguments, in ns on a monotonic clock. Standard library only. Not safety rated: it slows a motion down so that less
+often a safety function must stop it.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.units import NANOSECONDS
+
+
+class LimitState(Enum):
+    """Why the limit is what it is."""
+
+    UNLIMITED = "unlimited"
+    MISSING = "missing"
+    HEARD = "heard"
+    SILENT = "silent"
+
+
+class SpeedLimit:
+    """One source's limit, with a deadline: a source that falls silent is taken to ask for less, never for more.
+
+    Parameters
+    ----------
+    deadline : float
+        A source that was heard must be heard again within this time [s].
+    silent : float, optional
+        Fraction of the speed while it is not, 0 to 1; or the last limit, where that was lower.
+    required : bool, optional
+        Whether that fraction holds before any source was heard.
+
+    Attributes
+    ----------
+    name : str
+        Who was heard last; "" before the first time.
+    fraction : float
+        What it asked for, 0 to 1; 1 before the first time.
+    state, limit, reason : LimitState, float, str
+        As of the last `update`: why, what is allowed, and one sentence for the operator.
+    """
+
+    __slots__ = (
+        "_heard_at",
+        "_required",
+        "_silent",
+        "_within",
+        "_words",
+        "fraction",
+        "limit",
+        "name",
+        "reason",
+        "state",
+    )
+
+    def __init__(self, deadline: float, silent: float = 0.0, required: bool = False):
+        self._within = round(deadline * NANOSECONDS)
+        self._silent, self._required = silent, required
+        self._heard_at = 0
+        self._words = ""
+        self.name, self.fraction = "", 1.0
+        self.state, self.limit, self.reason = LimitState.UNLIMITED, 1.0, ""
+        self.update(0)
+
+    @property
+    def deadline(self) -> float:
+        """The deadline [s]."""
+        return self._within / NANOSECONDS
+
+    def hear(self, fraction: float, name: str, now: int) -> None:
+        """Take what a source says at `now` [ns]; it counts until the deadline. The caller has checked both."""
+        self.fraction, self.name, self._heard_at = fraction, name, now
+
+    def accept(self, fraction: float, name: str, now: int, words: str = "") -> None:
+        """Take what a source says, unless another source is heard.
+
+        Parameters
+        ----------
+        fraction : float
+            0 to 1.
+        name : str
+            The source. While one is heard, another one is refused: two alternating sources would change the speed all
+            the time.
+        now : int
+            Time of reception [ns].
+        words : str, optional
+            Why, as the source says it.
+
+        Raises
+        ------
+        PayloadError
+            ``speed_limit`` or ``speed_limit_source``; nothing has changed then, and the deadline runs on.
+        """
+        # written so that a nan does not pass
+        if not 0.0 <= fraction <= 1.0:
+            raise PayloadError(
+                "speed_limit", f"{name} sent the speed limit {fraction}; expected a fraction from 0 to 1"
+            )
+        if not name:
+            raise PayloadError(
+                "speed_limit_source", "a speed limit came without its sender's name; expected a node's name"
+            )
+        if name != self.name and self.is_heard(now):
+            raise PayloadError(
+                "speed_limit_source", f"{name} sent a speed limit while {self.name} does; let only one of them"
+            )
+        self.hear(fraction, name, now)
+        self._words, self.reason = words.strip() or "no reason given", ""
+        self.update(now)
+
+    def is_heard(self, now: int) -> bool:
+        """Return whether a source was heard within the deadline, as of `now` [ns]."""
+        return bool(self.name) and now - self._heard_at <= self._within
+
+    def is_silent(self, now: int) -> bool:
+        """Return whether a source was heard once, and has been silent for longer than the deadline at `now` [ns]."""
+        return bool(self.name) and now - self._heard_at > self._within
+
+    @property
+    def fraction_when_silent(self) -> float:
+        """What counts once the source is silent: its silence never lifts the limit that it gave last."""
+        return min(self._silent, self.fraction)
+
+    def update(self, now: int) -> float:
+        """Return the fraction of the planned speed that is allowed at `now` [ns]."""
+        if not self.name:
+            state = LimitState.MISSING if self._required else LimitState.UNLIMITED
+            asked = self._silent if self._required else 1.0
+        elif self.is_heard(now):
+            state, asked = LimitState.HEARD, self.fraction
+        else:
+            state, asked = LimitState.SILENT, self.fraction_when_silent
+        # called every cycle: a sentence only when there is something new to say
+        if state is not self.state or asked != self.limit or not self.reason:
+            self.state, self.limit = state, asked
+            self.reason = self._sentence()
+        return self.limit
+
+    def _sentence(self) -> str:
+        limit = f"speed limit {self.limit:g}"
+        if self.state is LimitState.UNLIMITED:
+            return "no speed limit: no source of `speed_limit` was heard"
+        if self.state is LimitState.HEARD:
+            return f"{limit} by {self.name}: {self._words}"
+        if self.state is LimitState.MISSING:
+            return f"{limit}: none was heard, and one is required; start a source of `speed_limit`"
+        return f"{limit}: {self.name} is silent for more than {self.deadline:g} s; check it, or start another source"
