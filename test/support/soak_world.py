@@ -33,6 +33,8 @@ CELL = "rsi_gateway:mosquitto"
 PATIENCE = 60.0
 #: A line of a log that a person would ask about.
 _BAD = re.compile(r"\b(ERROR|FATAL|CRITICAL)\b|Traceback|Logging error|process has died|required process")
+#: The last line of a traceback: the exception's type, and what it says.
+_EXCEPTION = re.compile(r"[A-Za-z_][\w.]*(: |$)")
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m|\x1b\].*?\x07")
 
 
@@ -303,7 +305,8 @@ def _unnamed(words: list[str]) -> str:
 
 
 def _last_of_traceback(lines: list[str]) -> str:
-    last = next((line for line in lines[1:60] if line and not line.startswith((" ", "\t"))), "")
+    # other programs write in between
+    last = next((line for line in lines[1:60] if _EXCEPTION.match(line)), "")
     return f" ... {last}"
 
 

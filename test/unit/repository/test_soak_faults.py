@@ -308,9 +308,11 @@ def test_a_log_is_read_once_in_whole_lines_and_a_traceback_with_its_end(tmp_path
     log.write_text("started\n\x1b[31m[ERROR] one\x1b[0m\n[ERROR] one\nhalf a li")
     assert world.new_log_lines() == (3, ["bringup.log: [ERROR] one"])
     with open(log, "a") as file:
-        file.write("ne ERROR\nTraceback (most recent call last):\n  File x\n    y\nValueError: no\n")
+        file.write(
+            "ne ERROR\nTraceback (most recent call last):\n  File x\n2026-11-25 gateway INFO following\n    y\nValueError: no\n"
+        )
     count, bad = world.new_log_lines()
-    assert count == 5
+    assert count == 6
     assert bad[0] == "bringup.log: half a line ERROR"
     assert bad[1].startswith("bringup.log: Traceback") and bad[1].endswith("ValueError: no")
     assert world.new_log_lines() == (0, [])
