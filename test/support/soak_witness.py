@@ -6,6 +6,7 @@ It judges nothing; `soak_judge` does.
 from __future__ import annotations
 
 import json
+import math
 import threading
 import time
 from collections.abc import Sequence
@@ -19,6 +20,8 @@ from soak_judge import Play, Samples, Stretch
 
 #: States in which the executor moves the arm, or may.
 _PLAYS = (Execution.PLAYING, Execution.STOPPING, Execution.PAUSING, Execution.HELD, Execution.AT_BOUNDARY)
+#: A monitor that reports 50 times a second has ended when it was silent for so long [s].
+_SILENT = 0.3
 #: How often the review file is looked at [s].
 _PERIOD = 0.01
 
@@ -55,17 +58,23 @@ class PoseEar:
 
 
 class StateEar:
-    """Keeps the changes of a state, and the stretches in which it stood."""
+    """Keeps the changes of a state, and the stretches in which it stood; after a silence of `lapses` [s] nobody says it any more."""
 
-    def __init__(self, topic: str, kind: type, key=lambda message: message.state):
+    def __init__(self, topic: str, kind: type, key=lambda message: message.state, lapses: float = math.inf):
         self._key = key
+        self._lapses = lapses
         self._changes: list[tuple[float, object, str]] = []
-        rospy.Subscriber(topic, kind, self._on_state)
+        self._heard = 0.0
+        rospy.Subscriber(topic, kind, self.on_state)
 
-    def _on_state(self, message) -> None:
-        key = self._key(message)
+    def on_state(self, message) -> None:
+        """Take a report."""
+        now, key = time.monotonic(), self._key(message)
+        if self._changes and now - self._heard > self._lapses:
+            self._changes.append((max(self._heard, self._changes[-1][0]), None, "silent"))
+        self._heard = now
         if not self._changes or self._changes[-1][1] != key:
-            self._changes.append((time.monotonic(), key, f"{message.text}: {message.reason}"))
+            self._changes.append((now, key, f"{message.text}: {message.reason}"))
 
     def take(self, until: float) -> list[tuple[Stretch, object]]:
         """Return the stretches since the last call, each with its state; the last one is cut at `until`, and goes on."""
@@ -138,7 +147,7 @@ class Witness:
         self.arm, self.twin = PoseEar("mock_rsi/joint_states"), PoseEar("twin/joint_states")
         self._link = StateEar("link", Link)
         self.put_off = PutOffEar("link")
-        self._sync = StateEar("sync", Sync)
+        self._sync = StateEar("sync", Sync, lapses=_SILENT)
         self._execution = StateEar("execution", Execution, lambda message: (message.state, message.plan_id))
         self.records = RecordEye(review_file)
 
@@ -160,6 +169,6 @@ class Witness:
         in_sync = tuple(stretch for stretch, state in stretches if state == Sync.IN_SYNC)
         holds = tuple(
             after for (_, before), (after, state) in zip(stretches, stretches[1:])
-            if before == Sync.IN_SYNC and state != Sync.IN_SYNC
+            if before == Sync.IN_SYNC and state not in (Sync.IN_SYNC, None)
         )  # fmt: skip
         return in_sync, holds

@@ -10,9 +10,11 @@ import struct
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import soak_witness
 from processes import ROOT, wait_until
 from soak_judge import (
     BLEND,
@@ -300,6 +302,17 @@ def test_a_trace_that_is_nearly_full_is_begun_anew_first(script):
     assert next(faults) is script.NEW_TRACE
     world.traced = 0
     assert len({fault.name for fault in itertools.islice(faults, len(script.FAULTS))}) == len(script.FAULTS)
+
+
+def test_what_a_program_said_before_it_ended_is_said_no_more(monkeypatch):
+    clock = iter([1.0, 1.1, 1.2, 4.0, 4.1])
+    monkeypatch.setattr(soak_witness.rospy, "Subscriber", lambda *_: None)
+    monkeypatch.setattr(soak_witness.time, "monotonic", lambda: next(clock))
+    ear = soak_witness.StateEar("sync", object, lapses=0.3)
+    for state in ("in_sync", "in_sync", "in_sync", "in_sync", "holding"):
+        ear.on_state(SimpleNamespace(state=state, text=state, reason=""))
+    stretches = [(stretch.begin, stretch.end, state) for stretch, state in ear.take(5.0)]
+    assert stretches == [(1.0, 1.2, "in_sync"), (1.2, 4.0, None), (4.0, 4.1, "in_sync"), (4.1, 5.0, "holding")]
 
 
 def test_a_log_is_read_once_in_whole_lines_and_a_traceback_with_its_end(tmp_path):
