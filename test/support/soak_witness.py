@@ -58,7 +58,7 @@ class PoseEar:
 
 
 class StateEar:
-    """Keeps the changes of a state, and the stretches in which it stood; after a silence of `lapses` [s] nobody says it any more."""
+    """Keeps the changes of a state, and the stretches in which it stood; after a silence of `lapses` [s] nobody says it."""
 
     def __init__(self, topic: str, kind: type, key=lambda message: message.state, lapses: float = math.inf):
         self._key = key
