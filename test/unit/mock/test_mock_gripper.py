@@ -7,7 +7,7 @@ from mock_cell import Cell
 from processes import ROOT
 from tool_cell import GRIPPER, LAYOUT
 
-from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.mock.faults import Fault, FaultBoard
 from construction_twin.mock.gripper import SimulatedTool
 from construction_twin.mock.program import build_controller, checked_settings, parse_arguments
@@ -55,7 +55,7 @@ def test_a_mock_without_a_tool_has_no_gripper_to_fail():
     cell = Cell()
     assert cell.mock.tool is None
     for name in ("grip_fails", "grip_lost", "opened_by_hand", "no_read_back"):
-        with pytest.raises(ConfigurationError, match="an Ethernet XML with channels of a tool"):
+        with pytest.raises(ConstructionTwinError, match="an Ethernet XML with channels of a tool"):
             FaultBoard(cell.mock, 0).inject(Fault(name))
 
 
