@@ -1,6 +1,8 @@
 #!/usr/bin/env python3
 """A shipped scenario as a user runs it: starts launch/scenario.launch and reads its verdict.
 
+Every scenario runs on the simulated chain, with the same judge, in `test/unit/chain/test_scenarios.py`; a few of them here as well.
+
 `test_scenario.py NAME broker_port:=N rsi_port:=N`
 """
 

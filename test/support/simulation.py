@@ -2,6 +2,7 @@
 
 Executor, gate, twin, bridge, gateway and mock controller are the same objects that the nodes run; only sockets and clocks are
 replaced, by a queue of events in integer nanoseconds. This is where exact figures are asserted (docs/architecture.md, law 6).
+`scenario_run.py` carries out the scenarios of config/scenarios on it.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.link.tool_link import ToolLink
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard
+from construction_twin.mock.line import Line
 from construction_twin.monitor.gate import REPLAN, Gate, GateSettings
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -83,6 +85,15 @@ class SimulatedChain:
     link : SimulatedLink
     planner : callable, optional
         Makes a plan from a pose to another [rad]: asked when the gate closes during a plan and the policy is to re-plan.
+    restart_after : float, optional
+        A controller that has stopped starts a new RSI session after this time [s]; 0: it stays stopped.
+
+    Attributes
+    ----------
+    requests : list of callable
+        What is done between two cycles of the controller, as `MockRsi.request` has it done.
+    observe : callable
+        Called in every cycle of the controller, when its packet leaves.
     """
 
     def __init__(
@@ -93,12 +104,15 @@ class SimulatedChain:
         gate: GateSettings = GateSettings(),
         link: SimulatedLink = SimulatedLink(),
         planner: Callable[[tuple[float, ...], tuple[float, ...]], Plan] | None = None,
+        restart_after: float = 0.0,
     ):
         self.robot = robot
         self.now = EPOCH
         self.controller = controller
-        #: The arm's faults; those of its network have no effect here, where a link has no datagrams.
+        #: The arm's faults, and those of the datagrams between it and the gateway.
         self.faults = FaultBoard(controller, 0)
+        self.requests: list[Callable[[], object]] = []
+        self.observe: Callable[[], None] = lambda: None
         self.gateway = Gateway(config, "simulation")
         self.executor = Executor(robot)
         self.verdicts: list[Verdict] = []
@@ -131,6 +145,10 @@ class SimulatedChain:
         if tool is not None:
             self.gateway.trace = lambda ipoc, session, state, stamp, position, lost: setattr(self, "_played", stamp)
         self._session = ""
+        self._restart_after = round(restart_after * NANOSECONDS)
+        self._stopped_at: int | None = None
+        # when the controller's open cycle ends
+        self._ends = 0
         self._command_arrival = 0
         self._first_cycle = EPOCH + CYCLE_NS + link.phase
         self._controller_cycles = 0
@@ -155,6 +173,15 @@ class SimulatedChain:
         """Let `duration` [s] of simulated time pass."""
         end = self.now + round(duration * NANOSECONDS)
         self.run_until(lambda: self.now >= end, duration + 1.0)
+
+    def repeat(self, period: int, action: Callable[[], None]) -> None:
+        """Call `action` every `period` [ns] from now on."""
+
+        def again() -> None:
+            self._at(self.now + period, again)
+            action()
+
+        self._at(self.now + period, again)
 
     @property
     def ready(self) -> bool:
@@ -236,16 +263,53 @@ class SimulatedChain:
         self._at(arrival, lambda: self.gateway.on_command(payload, properties, arrival))
 
     def _control(self) -> None:
-        """One cycle of the controller, and the gateway's answer to it."""
+        """One cycle of the controller."""
         self._controller_cycles += 1
         elapsed = round(self._controller_cycles * self.gateway.config.cycle_ns * (1.0 + self._link.drift_ppm * 1e-6))
-        self._at(self._first_cycle + elapsed, self._control)
+        self._ends = self._first_cycle + elapsed
+        self._at(self._ends, self._control)
+        for action in self.requests:
+            action()
+        self.requests.clear()
+        self._follow_session()
         self.faults.tick()
         packet = self.controller.begin_cycle()
         self.measured.append((self.now, self.controller.measured))
+        self.observe()
         self.gateway.poll(self.now)
-        if packet is None:
+        if packet is not None:
+            self._carry(self.faults.to_pc, packet, self._answer)
+
+    def _follow_session(self) -> None:
+        """Restart a controller that has stopped, when that is due, as `MockRsi` does."""
+        controller = self.controller
+        if controller.running:
+            self._stopped_at = None
             return
+        if self._stopped_at is None:
+            self._stopped_at = self.now
+        due = self._restart_after and self.now - self._stopped_at >= self._restart_after
+        if due and not controller.needs_person:
+            controller.restart()
+
+    def _carry(self, line: Line, data: bytes, deliver: Callable[[bytes], None]) -> None:
+        """Carry a datagram: at once, or as the line's faults have it."""
+        if not line.active:
+            deliver(data)
+            return
+        line.put(data, self.now)
+
+        def arrive() -> None:
+            for underway in line.take(self.now):
+                deliver(underway.data)
+            coming = line.next_arrival()
+            if coming is not None:
+                self._at(coming, arrive)
+
+        arrive()
+
+    def _answer(self, packet: bytes) -> None:
+        """What the gateway makes of a packet, and its answer."""
         telegram = self._decoder.parse(packet)
         tool = self.gateway.tool
         if tool is not None and self._tool_reader is not None:
@@ -257,13 +321,17 @@ class SimulatedChain:
             if tool is not None:
                 switched = tool.channels(self.gateway.ends)
                 self.switched.append((self._played, switched))
-            self.controller.receive(self._sensor.encode(correction, telegram.ipoc, stop, switched))
+            reply = self._sensor.encode(correction, telegram.ipoc, stop, switched)
+            self._carry(self.faults.to_controller, reply, self._take_reply)
         if tool is not None and self.gateway.take_change():
             status = self.gateway.status()
             self._at(self.now + self._link.state_delay(), lambda: self._hear_tool(status))
         message = self.gateway.state_message(self.now)
         if message is not None:
             self._at(self.now + self._link.state_delay(), lambda: self._receive(*message))
+
+    def _take_reply(self, reply: bytes) -> None:
+        self.controller.receive(reply, self.now <= self._ends)
 
     def _switch(self, order: ToolOrder) -> None:
         """What the bridge makes of an order, and the gateway's answer."""
