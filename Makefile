@@ -6,7 +6,7 @@ help:
 	@echo "make demo             run the paper's experiment headless and print its Table 1"
 	@echo "make demo ARGS=\"quick:=true decimals:=6 servo:=realistic\"   the same with launch arguments"
 	@echo "make build            build the timber panel of models/ with the mock arm on its track; ARGS=\"quick:=true\" three elements of it"
-	@echo "make test             build and run every test"
+	@echo "make test             build and run every test; ARGS=fast the unit tests that start no program and fit into three minutes by what they took last time; ARGS=changed what a change touches, ARGS=changed=COMMIT since then; ARGS=unit, browser, integration, lint or the name of a launch test a part"
 	@echo "make lint             check style, format, order of the folders and types; make test does it too"
 	@echo "make mutations        break chosen lines one at a time: a named test must notice each; ARGS=\"gateway --workers 1\""
 	@echo "make bench            measure inverse kinematics, planning, other planners, link, work and console; writes results/bench/*.json; ARGS=ik for one of them"

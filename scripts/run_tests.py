@@ -1,10 +1,20 @@
-"""Runs every test and ends with `N passed, N failed`: `python scripts/run_tests.py [lint|unit|browser|integration|NAME...]`.
+"""Runs every test and ends with `N passed, N failed`: `python scripts/run_tests.py [WORD...]`.
+
+| word | what is run |
+|---|---|
+| none | everything |
+| `lint`, `unit`, `browser`, `integration` | these parts |
+| a name | the file of that name in test/integration |
+| `fast` | the unit tests that start no other program, as many as fit into three minutes on two cores, by what they took last time |
+| `changed`, `changed=COMMIT` | lint, and what a change touches (scripts/touched.py) |
 
 Each tool of scripts/lint.py counts as one test. Unit tests run under pytest, those of the console's page (test/browser) under a
 pytest of the venv that drives a browser, each `test/integration/*.test` under rostest with a ROS master of its own. A rostest that
 yields no result counts as one failure.
 
-Lint, the unit tests that need no real time and those of the page run beside each other. Whatever runs at 250 Hz has the machine to
+Lint, the unit tests that need no real time and those of the page run beside each other, the unit tests in a process per core
+(pytest-xdist), the file that took longest last time first: what each took is kept in `.ws/test_durations.json`. A file stays in one
+process, because its tests may share a broker, a port or what a fixture made. Whatever runs at 250 Hz has the machine to
 itself, and a probe per core (benchmarks/machine.py) watches it: if the machine runs no process for `HALT`, arm and gateway brake as
 they should, and a test that expects a finished motion fails without a fault of ours. Such a failure shows nothing: it is reported,
 and the test is run again, `AGAIN` times at most. A failure counts if the machine ran meanwhile, or if the probe has no priority
@@ -19,14 +29,17 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "benchmarks"))
 
+import durations  # noqa: E402
 import lint  # noqa: E402
+import touched  # noqa: E402
 from machine import MachineProbe  # noqa: E402
 
 RESULTS = ROOT / ".ws" / "test_results"
@@ -39,6 +52,14 @@ LINE = 300
 #: What failed, for that list, and which runs were made again.
 FAILED: list[str] = []
 DISTURBED: list[str] = []
+#: What each file of tests took in this run [s], by its path; of a file that was run again, the last run.
+TOOK: dict[str, float] = {}
+#: Most processes of unit tests beside each other.
+MOST = 4
+#: pytest-xdist hands out whole files, in the order in which they are given.
+IN_ORDER = ("--dist", "loadfile", "--no-loadscope-reorder")
+#: Result files of this family say of each test in which file it stands.
+BY_FILE = ("-o", "junit_family=xunit1")
 #: A failure shows nothing if a core ran no process for this long [ms]; the test is then run again, so many times at most. The
 #: monitor calls a pose stale after 100 ms. Pauses of 20 ms are usual on a shared machine, and the tests allow for them. Linux stops
 #: real-time processes that took 95 % of a second for 50 ms: that would be our fault, so the limit is higher.
@@ -59,20 +80,6 @@ ALONE = (
     "test_other_pc",
     "test_tool_udp",
 )
-
-
-#: The files of unit tests that take longest [s], as measured in one run; any other counts as 2 s.
-LONGEST = {
-    "test_launch": 149, "test_simulation": 70, "test_grasshopper": 41, "test_gateway_failure": 41,
-    "test_gateway_controller_side": 36, "test_make_site": 32, "test_twin_cli": 25, "test_moveit": 24, "test_planning_scene": 24,
-    "test_polled_client": 19, "test_old_broker": 18, "test_work_node": 18, "test_new_arm": 16, "test_broker_tls": 16,
-    "test_work_check": 16, "test_evaluation_bag": 14, "test_conflict": 14, "test_inverse_redundant": 14,
-    "test_foreign_packages": 13, "test_node": 13, "test_preflight": 13, "test_console_server": 12, "test_acl": 11,
-    "test_timing": 11, "test_meshes": 11, "test_nearest_change": 11, "test_console_delivery": 11, "test_inverse_search": 10,
-    "test_convex_hulls": 10, "test_web": 10, "test_fast_client": 10, "test_inverse_rail": 9, "test_bare_plc": 9,
-    "test_ifc_reading": 8, "test_simulation_stall": 8, "test_plain_client": 8, "test_gateway_anything": 7, "test_plc": 7,
-    "test_master": 7, "test_reset_and_stop": 17,
-}  # fmt: skip
 
 
 def count(file: Path) -> tuple[int, int]:
@@ -125,36 +132,29 @@ def unit_files() -> tuple[list[Path], list[Path]]:
     return alone, [file for file in files if file not in alone]
 
 
-def halves(files: list[Path]) -> tuple[list[Path], list[Path]]:
-    """Return files in two parts that take about as long: each of them, the longest first, goes to the part with less so far."""
-    parts: tuple[list[Path], list[Path]] = ([], [])
-    taken = [0, 0]
-    for file in sorted(files, key=lambda file: -LONGEST.get(file.stem, 2)):
-        part = taken.index(min(taken))
-        parts[part].append(file)
-        taken[part] += LONGEST.get(file.stem, 2)
-    return sorted(parts[0]), sorted(parts[1])
-
-
-def run_beside(unit: bool, browser: bool) -> list[tuple[int, int]]:
-    """Run what needs no real time beside each other: the unit tests in two processes, the page's in one.
+def run_beside(files: list[Path], browser: list[Path]) -> list[tuple[int, int]]:
+    """Run what needs no real time beside each other: the unit tests in a process per core, the page's in one.
 
     Returns (passed, failed) of each.
     """
     runs = {}
-    if unit:
-        _, files = unit_files()
-        runs |= {name: start_pytest(name, part) for name, part in zip(("one_half", "other_half"), halves(files))}
+    if files:
+        order = durations.longest_first(files)
+        runs["beside"] = start_pytest("beside", order, options=["-n", str(workers()), *IN_ORDER])
     if browser:
-        runs["browser"] = start_pytest("browser", [ROOT / "test" / "browser"], BROWSER_PYTHON)
+        runs["browser"] = start_pytest("browser", browser, BROWSER_PYTHON)
     return [end_pytest(name, run) for name, run in runs.items()]
 
 
-def run_alone(probe: MachineProbe) -> list[tuple[int, int]]:
+def workers() -> int:
+    """Return in how many processes unit tests run: one per core, but no more than `MOST`, for the memory that each takes."""
+    return min(len(os.sched_getaffinity(0)), MOST)
+
+
+def run_alone(files: list[Path], probe: MachineProbe) -> list[tuple[int, int]]:
     """Run the unit tests that start 250 Hz processes, one file after the other; return (passed, failed) of each."""
     return [
-        undisturbed(file.name, lambda: end_pytest(file.stem, start_pytest(file.stem, [file])), probe)
-        for file in unit_files()[0]
+        undisturbed(file.name, lambda: end_pytest(file.stem, start_pytest(file.stem, [file])), probe) for file in files
     ]
 
 
@@ -179,10 +179,12 @@ def undisturbed(name: str, run: Callable[[], tuple[int, int]], probe: MachinePro
     return passed, failed
 
 
-def start_pytest(name: str, files: list[Path], python: Path | str = sys.executable) -> subprocess.Popen:
+def start_pytest(
+    name: str, files: list[Path], python: Path | str = sys.executable, options: Sequence[str] = ()
+) -> subprocess.Popen:
     """Start pytest on some files; its result goes to ``unit_<name>.xml``."""
     command = [str(python), "-m", "pytest", "-q", "--timeout=300", f"--junitxml={RESULTS / f'unit_{name}.xml'}"]
-    command += ["-p", "no:cacheprovider", "--durations=10", *map(str, files)]
+    command += [*BY_FILE, "-p", "no:cacheprovider", "--durations=10", *options, *map(str, files)]
     with open(RESULTS / f"unit_{name}.log", "wb") as log:
         return subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=subprocess.STDOUT)
 
@@ -192,6 +194,7 @@ def end_pytest(name: str, run: subprocess.Popen) -> tuple[int, int]:
     run.wait()
     print((RESULTS / f"unit_{name}.log").read_text(errors="replace"), flush=True)
     passed, failed = count(RESULTS / f"unit_{name}.xml")
+    TOOK.update(durations.of_junit(RESULTS / f"unit_{name}.xml"))
     if run.returncode and not failed:
         failed = 1
         FAILED.append(f"unit_{name}: pytest ended with exit code {run.returncode}")
@@ -225,7 +228,8 @@ def run_rostest(test: Path) -> tuple[int, int]:
     if not failed and (run.returncode or not passed):
         failed = 1
         FAILED.append(f"{test.name}: exit code {run.returncode}, {passed} passed")
-    print(f"{test.name}: {passed} passed, {failed} failed in {time.monotonic() - started:.0f} s", flush=True)
+    took = TOOK[f"test/integration/{test.name}"] = time.monotonic() - started
+    print(f"{test.name}: {passed} passed, {failed} failed in {took:.0f} s", flush=True)
     for line in (line for file in sorted(results.rglob("rosunit-*.xml")) for line in said(file)):
         print(f"  {line[:LINE]}", flush=True)
     if failed:
@@ -233,23 +237,81 @@ def run_rostest(test: Path) -> tuple[int, int]:
     return passed, failed
 
 
-def main(selection: list[str]) -> int:
+@dataclass(frozen=True)
+class Selection:
+    """What is run.
+
+    Attributes
+    ----------
+    lint : bool
+    beside, alone : list of Path
+        Files of unit tests that need no real time, and of those that run 250 Hz processes.
+    browser : list of Path
+        Files, or the folder, of the page's tests.
+    integration : list of Path
+        Rostests.
+    """
+
+    lint: bool
+    beside: list[Path]
+    alone: list[Path]
+    browser: list[Path]
+    integration: list[Path]
+
+
+def select(words: list[str]) -> Selection:
+    """Return what the words of the command line mean; see the module."""
+    alone, beside = unit_files()
+    rostests = sorted((ROOT / "test" / "integration").glob("*.test"))
+    page = [ROOT / "test" / "browser"]
+    since = next((word for word in words if word == "changed" or word.startswith("changed=")), "")
+    if since:
+        found = [ROOT / path for path in touched.touched_by_a_change(since.partition("=")[2])]
+        return Selection(
+            True,
+            [file for file in beside if file in found],
+            [file for file in alone if file in found],
+            [file for file in found if file.parent == page[0]],
+            [file for file in rostests if file in found],
+        )
+    if "fast" in words:
+        return Selection("lint" in words, durations.fast(beside), [], [], [])
+    unit = not words or "unit" in words
+    return Selection(
+        not words or "lint" in words,
+        beside if unit else [],
+        alone if unit else [],
+        page if not words or "browser" in words else [],
+        [test for test in rostests if not words or "integration" in words or test.stem in words],
+    )
+
+
+def main(words: list[str]) -> int:
     """Run what was selected; return the exit code."""
     shutil.rmtree(RESULTS, ignore_errors=True)
     RESULTS.mkdir(parents=True)
-    totals = []
-    with MachineProbe(REALTIME, PROBE_PERIOD) as probe:
-        tools = lint.start() if not selection or "lint" in selection else {}
-        totals += run_beside(unit=not selection or "unit" in selection, browser=not selection or "browser" in selection)
-        # before anything runs at 250 Hz
-        totals.append(count_lint(lint.end(tools)))
-        if not selection or "unit" in selection:
-            totals += run_alone(probe)
-        for test in sorted((ROOT / "test" / "integration").glob("*.test")):
-            if not selection or "integration" in selection or test.stem in selection:
-                totals.append(undisturbed(test.name, lambda: run_rostest(test), probe))
+    chosen = select(words)
+    totals, began = [], time.monotonic()
+    parts: dict[str, float] = {}
+
+    def part(name: str) -> None:
+        parts[name] = time.monotonic() - began - sum(parts.values())
+
+    tools = lint.start() if chosen.lint else {}
+    totals += run_beside(chosen.beside, chosen.browser)
+    # before anything runs at 250 Hz
+    totals.append(count_lint(lint.end(tools)))
+    part("lint, unit tests, page")
+    if chosen.alone or chosen.integration:
+        with MachineProbe(REALTIME, PROBE_PERIOD) as probe:
+            totals += run_alone(chosen.alone, probe)
+            part("unit tests at 250 Hz")
+            totals += [undisturbed(test.name, lambda: run_rostest(test), probe) for test in chosen.integration]
+            part("launch tests")
+    durations.keep(TOOK)
     passed, failed = sum(p for p, _ in totals), sum(f for _, f in totals)
     # again at the end, which is read first in a long log
+    print(durations.table(TOOK, parts))
     if DISTURBED:
         print(
             f"{len(DISTURBED)} runs failed while the machine stood still, and were made again: {', '.join(DISTURBED)}"

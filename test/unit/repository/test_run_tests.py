@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
+import durations
 import lint
 import pytest
 import run_tests
+import touched
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -123,14 +128,68 @@ def test_every_unit_test_is_run_once():
     assert {"test_gateway_program", "test_fuzz"} <= {file.stem for file in alone}
 
 
-def test_both_halves_take_about_as_long_and_leave_nothing_out():
-    _, files = run_tests.unit_files()
-    one, other = run_tests.halves(files)
-    assert sorted([*one, *other]) == files and not set(one) & set(other)
-    seconds = [sum(run_tests.LONGEST.get(file.stem, 2) for file in part) for part in (one, other)]
-    assert abs(seconds[0] - seconds[1]) <= 2
-    # a name that no file has would count for nothing
-    assert set(run_tests.LONGEST) <= {file.stem for file in files}
+def test_without_a_word_everything_is_selected():
+    chosen, (alone, beside) = run_tests.select([]), run_tests.unit_files()
+    assert (chosen.lint, chosen.beside, chosen.alone, chosen.browser) == (True, beside, alone, [ROOT / "test/browser"])
+    assert chosen.integration == sorted((ROOT / "test/integration").glob("*.test"))
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (["lint"], {"lint"}),
+        (["unit"], {"beside", "alone"}),
+        (["browser"], {"browser"}),
+        (["unit", "lint"], {"lint", "beside", "alone"}),
+        (["bringup"], {"integration"}),
+        (["fast"], {"beside"}),
+        (["fast", "lint"], {"lint", "beside"}),
+    ],
+)
+def test_a_word_selects_its_part(words, parts):
+    chosen = run_tests.select(words)
+    assert {field.name for field in dataclasses.fields(chosen) if getattr(chosen, field.name)} == parts
+
+
+def test_a_name_selects_the_launch_test_of_that_name():
+    assert [test.name for test in run_tests.select(["bringup", "kill"]).integration] == ["bringup.test", "kill.test"]
+
+
+def test_a_change_selects_what_it_touches_and_lint(monkeypatch):
+    asked = []
+    found = [
+        "test/browser/test_login.py",
+        "test/integration/kill.test",
+        "test/unit/core/test_limits.py",
+        "test/unit/repository/test_fuzz.py",
+    ]
+    monkeypatch.setattr(touched, "touched_by_a_change", lambda since: asked.append(since) or found)
+    chosen = run_tests.select(["changed=abc"])
+    assert asked == ["abc"] and chosen.lint
+    files = [*chosen.browser, *chosen.integration, *chosen.beside, *chosen.alone]
+    assert [file.relative_to(ROOT).as_posix() for file in files] == found
+
+
+def test_a_file_of_tests_stays_in_one_process_and_tells_what_it_took(tmp_path):
+    """Its tests may share a broker, a port, or what a fixture made."""
+    lines = [
+        "import os",
+        "import pytest",
+        "@pytest.mark.parametrize('n', range(6))",
+        "def test_it(n, record_property):",
+        "    record_property('process', os.getpid())",
+    ]
+    for name in ("test_a.py", "test_b.py"):
+        (tmp_path / name).write_text("\n".join(lines))
+    result = tmp_path / "result.xml"
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-n", "2", *run_tests.IN_ORDER]
+    command += [*run_tests.BY_FILE, f"--junitxml={result}", str(tmp_path)]
+    subprocess.run(command, cwd=tmp_path, check=True, stdout=subprocess.DEVNULL, timeout=200)
+    processes: dict[str, set[str]] = {}
+    for case in ElementTree.parse(result).iter("testcase"):
+        processes.setdefault(case.get("file"), set()).add(case.find("properties/property").get("value"))
+    assert {len(each) for each in processes.values()} == {1} and len(processes) == 2
+    assert {Path(name).name for name in durations.of_junit(result)} == {"test_a.py", "test_b.py"}
 
 
 def test_what_a_rostest_reports_is_shown(tmp_path):
