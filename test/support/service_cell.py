@@ -64,9 +64,12 @@ class Controller(threading.Thread):
     def receive(self):
         """Return the reply's corrections, or None when none came."""
         try:
-            reply = parse_sensor(self.socket.recv(65535), "ImFree", AXES)
+            data = self.socket.recv(65535)
         except TimeoutError:
             return None
+        if self._ended.is_set():
+            return None
+        reply = parse_sensor(data, "ImFree", AXES)
         assert reply.ipoc == self.ipoc
         return reply.correction
 
@@ -87,11 +90,38 @@ class Controller(threading.Thread):
             self.cycle()
             due += CYCLE
 
+    def send_until(self, ended):
+        """Send on until a gateway that is ending has ended: one that hears no telegram waits for the end of its braking."""
+        self.socket.settimeout(0.02)
+        deadline = time.monotonic() + 10.0
+        while not ended() and time.monotonic() < deadline:
+            if self.is_alive():
+                time.sleep(0.002)
+            else:
+                self.ipoc += 4
+                self.send()
+                with contextlib.suppress(TimeoutError):
+                    self.socket.recv(65535)
+
     def close(self):
         self._ended.set()
+        # a reply that it waits for comes no more
+        self.socket.sendto(b"", self.socket.getsockname())
         if self.is_alive():
             self.join(5.0)
         self.socket.close()
+
+
+#: The services that run, with their threads, by their address: a controller that leaves ends its gateway.
+_SERVED = {}
+
+
+def end_gateway(controller):
+    """End the gateway that this controller sends to, while it still hears telegrams; nothing for one of another process."""
+    service, thread = _SERVED.get(controller.address, (None, None))
+    if service is not None:
+        service.stop()
+        controller.send_until(lambda: not thread.is_alive())
 
 
 @contextmanager
@@ -100,6 +130,7 @@ def controller_of(address):
     try:
         yield controller
     finally:
+        end_gateway(controller)
         controller.close()
 
 
@@ -116,9 +147,11 @@ def serving(port, topics, config=CONFIG, sock=None, **options):
     thread = threading.Thread(target=service.run)
     address = sock.getsockname()
     thread.start()
+    _SERVED[address] = service, thread
     try:
         yield service, address
     finally:
+        del _SERVED[address]
         service.stop()
         thread.join(10.0)
         assert not thread.is_alive()
