@@ -170,7 +170,8 @@ class FaultCell:
         return self
 
     def __exit__(self, *_) -> None:
-        for name, end in (("commander", "close"), ("mock", "end"), ("gateway", "end"), ("broker", "kill")):
+        # the gateway before the mock: one that hears no telegram waits for the end of its braking
+        for name, end in (("commander", "close"), ("gateway", "end"), ("mock", "end"), ("broker", "kill")):
             if hasattr(self, name):
                 getattr(getattr(self, name), end)()
         self.network.__exit__()
