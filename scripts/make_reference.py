@@ -54,6 +54,11 @@ NODES = {
     "experiment": ("construction_twin.ros.commands.experiment_settings", "experiment"),
     "scenario": ("construction_twin.ros.commands.scenario", ""),
 }
+# any other node whose module has a class Settings, with the file in config/ that has its name, if there is one
+for _module in sorted((ROOT / "src/construction_twin/ros/nodes").glob("*.py")):
+    if _module.stem not in NODES and re.search(r"^class Settings\(", _module.read_text(), re.MULTILINE):
+        _file = _module.stem if (ROOT / "config" / f"{_module.stem}.yaml").is_file() else ""
+        NODES[_module.stem] = f"construction_twin.ros.nodes.{_module.stem}", _file
 #: What neither a configuration file nor a launch argument explains; `*` stands for every node.
 _EXPLAINED = {
     ("*", "realtime_priority"): "SCHED_FIFO priority of all threads where permitted; 0: none",

@@ -1,9 +1,9 @@
 """Which tests a change touches: `python scripts/touched.py [COMMIT]` lists them; `make test ARGS=changed` runs them.
 
 A graph of files, made anew each time. A Python file leads to what it imports, anywhere in it, and to the files that its texts name:
-a file by its name (`kr120.yaml`), its path (`ROOT / "docs" / "rsi.md"`) or as a module (`-m construction_twin.gateway`), and all
-files of a folder by the folder's path (`ROOT / "docs"`). A test is touched when something that it leads to has changed, over any
-number of files.
+a file by its name (`kr120.yaml`), its path (`ROOT / "docs" / "planning.md"`) or as a module (`-m construction_twin.gateway`), and
+all files of a folder by the folder's path (`ROOT / "docs"`). A test is touched when something that it leads to has changed, over
+any number of files.
 
 That is more than a test reads, and rarely less: what a program finds by itself at run time is seen only where a text names it. The
 tests of test/integration bring up the whole system, so that every change of the package touches each of them: only those are listed
@@ -126,7 +126,7 @@ class Graph:
                 yield beside, True
         tree = ast.parse((self.root / path).read_text())
         told = {id(node.body[0].value) for node in ast.walk(tree) if _has_docstring(node)}
-        # from the outside: of `ROOT / "docs" / "rsi.md"` the whole is read first, and its parts not again
+        # from the outside: of `ROOT / "docs" / "planning.md"` the whole is read first, and its parts not again
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
                 yield from ((each, True) for alias in node.names for each in self._module(alias.name))
