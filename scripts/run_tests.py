@@ -46,7 +46,7 @@ RESULTS = ROOT / ".ws" / "test_results"
 #: The Python that drives a browser; `setup/setup.sh tests` makes it.
 BROWSER_PYTHON = ROOT / ".ws" / "browser" / "bin" / "python"
 #: Longest that one rostest may take [s]; each test in it has a limit of its own.
-TIME_LIMIT = 400
+TIME_LIMIT = 600
 #: Longest line about a failed test, of the list at the end [characters].
 LINE = 300
 #: What failed, for that list, and which runs were made again.

@@ -19,6 +19,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from xml.etree import ElementTree
 
 ROOT = Path(__file__).resolve().parent.parent
 #: A change of one of these touches every test: how they are run, and with which packages.
@@ -229,10 +230,20 @@ def touched(changed: Iterable[str], graph: Graph) -> list[str]:
     return sorted(found | set(_rostests(changed, graph)))
 
 
+def started_by(rostest: str) -> list[str]:
+    """Return the files of tests that a rostest runs: its programs, and what `together.py` is given."""
+    found: list[str] = []
+    for test in ElementTree.fromstring(rostest).iter("test"):
+        found.append(test.get("type", ""))
+        if found[-1] == "together.py":
+            found += [f"{name}.py" for name in test.get("args", "").split()]
+    return found
+
+
 def _rostests(changed: set[str], graph: Graph) -> Iterator[str]:
     for path in graph.paths:
         if path.startswith("test/integration/") and path.endswith(".test") and (graph.root / path).is_file():
-            scripts = re.findall(r'type="([^"]+\.py)"', (graph.root / path).read_text())
+            scripts = started_by((graph.root / path).read_text())
             own = {path} | {each for name in scripts for each in graph.reached(f"test/integration/{name}")}
             if {each for each in own if each.startswith(("test/integration/", "test/support/"))} & changed:
                 yield path

@@ -14,7 +14,7 @@ import rospy  # noqa: E402
 import rostest  # noqa: E402
 from construction_twin.msg import Sync  # noqa: E402
 from screenshot import VirtualDisplay, bare_view, extent, fraction  # noqa: E402
-from twin_client import LEFT, RobotTest, Stream, TwinClient, wait  # noqa: E402
+from twin_client import HOME, LEFT, RobotTest, Stream, TwinClient, wait  # noqa: E402
 from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 
 from construction_twin.monitor.states import SyncState  # noqa: E402
@@ -63,6 +63,7 @@ class ViewTest(RobotTest):
 
     def close_the_gate(self):
         """Let a joint stall in the middle of a motion."""
+        self.client.go_to(HOME)
         with Stream("mock_rsi/joint_states") as arm:
             self.client.start(LEFT, duration=3.0)
             wait(lambda: arm.moved(5.0), "the arm to move")

@@ -192,6 +192,16 @@ def test_a_file_of_tests_stays_in_one_process_and_tells_what_it_took(tmp_path):
     assert {Path(name).name for name in durations.of_junit(result)} == {"test_a.py", "test_b.py"}
 
 
+def test_every_file_of_launch_tests_is_started_by_a_rostest():
+    folder = ROOT / "test/integration"
+    started = [name for test in folder.glob("*.test") for name in touched.started_by(test.read_text())]
+    held = {file.name for file in folder.glob("*.py") if "rostest.rosrun(" in file.read_text()}
+    assert held == set(started)
+    # one that is brought up twice would cost its time twice; the scenarios differ in their arguments, the stall in who approves
+    twice = {name for name in started if started.count(name) > 1}
+    assert twice == {"together.py", "test_scenario.py", "test_stall.py"}
+
+
 def test_what_a_rostest_reports_is_shown(tmp_path):
     file = tmp_path / "rosunit-x.xml"
     file.write_text(

@@ -41,6 +41,10 @@ SOURCES = {
     "test/integration/kill.test": '<launch><test type="test_kill.py"/></launch>',
     "test/integration/test_kill.py": "import client\nimport construction_twin.core.units",
     "test/integration/client.py": "",
+    "test/integration/both.test": '<launch><test type="together.py" args="test_view test_stall"/></launch>',
+    "test/integration/together.py": "",
+    "test/integration/test_view.py": "",
+    "test/integration/test_stall.py": "",
 }
 
 
@@ -95,6 +99,11 @@ def test_a_change_of_the_page_touches_its_tests(graph):
 @pytest.mark.parametrize("changed", ["client.py", "test_kill.py", "kill.test"])
 def test_a_launch_test_is_touched_by_its_own_files(graph, changed):
     assert touched.touched([f"test/integration/{changed}"], graph) == ["test/integration/kill.test"]
+
+
+@pytest.mark.parametrize("changed", ["together.py", "test_view.py", "test_stall.py", "both.test"])
+def test_a_launch_test_of_several_files_is_touched_by_each(graph, changed):
+    assert touched.touched([f"test/integration/{changed}"], graph) == ["test/integration/both.test"]
 
 
 def test_the_files_that_changed_are_those_since_a_commit_and_the_new_ones(tmp_path, monkeypatch):
