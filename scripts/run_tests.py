@@ -72,7 +72,6 @@ REALTIME = 50
 ALONE = (
     "test_faults_",
     "test_fuzz",
-    "test_bench_link",
     "test_gateway_program",
     "test_gateway_service",
     "test_impairment",
