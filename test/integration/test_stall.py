@@ -25,7 +25,6 @@ class StallTest(RobotTest):
     @classmethod
     def setUpClass(cls):
         rospy.init_node("test_stall")
-        cls.auto_approve = rospy.get_param("executor/auto_approve")
         cls.client = TwinClient()
         cls.transitions: list[Transition] = []
         rospy.Subscriber("transitions", Transition, cls.transitions.append)
@@ -39,9 +38,7 @@ class StallTest(RobotTest):
             Stream("twin/joint_states") as twin,
             Stream("physical/joint_states") as physical,
         ):
-            plan = (
-                self.client.plan_to(LEFT, duration=3.0) if self.auto_approve else self.client.start(LEFT, duration=3.0)
-            )
+            plan = self.client.start(LEFT, duration=3.0)
             wait(lambda: arm.moved(5.0), "the arm to move")
             self.client.stall(JOINT, True)
             # from here on: the blow with which a blocked joint stops is the fault itself
@@ -58,13 +55,12 @@ class StallTest(RobotTest):
         self.assert_reported(held)
 
     def assert_finishes(self, replan, twin: Stream):
-        """Released, the arm catches up; the re-plan is executed, after a review where a person approves."""
+        """Released, the arm catches up; the re-plan is executed after a person's review (without: unit/chain/test_scenarios.py)."""
         self.client.wait(self.client.in_sync, "the poses to agree again")
-        if not self.auto_approve:
-            self.assert_stands_still(twin)
-            self.assertTrue(self.client.idle(), self.client.describe())
-            answer = self.client.review(replan.id, replan.hash)
-            self.assertTrue(answer.success, answer.message)
+        self.assert_stands_still(twin)
+        self.assertTrue(self.client.idle(), self.client.describe())
+        answer = self.client.review(replan.id, replan.hash)
+        self.assertTrue(answer.success, answer.message)
         self.client.wait_for_outcome(replan.id, "finished")
 
     def assert_holds(self, plan, twin: Stream):

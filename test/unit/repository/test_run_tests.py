@@ -197,9 +197,9 @@ def test_every_file_of_launch_tests_is_started_by_a_rostest():
     started = [name for test in folder.glob("*.test") for name in touched.started_by(test.read_text())]
     held = {file.name for file in folder.glob("*.py") if "rostest.rosrun(" in file.read_text()}
     assert held == set(started)
-    # one that is brought up twice would cost its time twice; the scenarios differ in their arguments, the stall in who approves
+    # one that is brought up twice would cost its time twice; the scenarios differ in their arguments
     twice = {name for name in started if started.count(name) > 1}
-    assert twice == {"together.py", "test_scenario.py", "test_stall.py"}
+    assert twice == {"together.py", "test_scenario.py"}
 
 
 def test_what_a_rostest_reports_is_shown(tmp_path):
