@@ -127,19 +127,29 @@ class Graph:
                 yield beside, True
         tree = ast.parse((self.root / path).read_text())
         told = {id(node.body[0].value) for node in ast.walk(tree) if _has_docstring(node)}
+        # what is imported for annotations alone, or for a folder's list of names, is not loaded
+        told |= {
+            id(inside)
+            for node in ast.walk(tree)
+            if _is_for_types(node)
+            for each in node.body
+            for inside in ast.walk(each)
+        }
         # from the outside: of `ROOT / "docs" / "planning.md"` the whole is read first, and its parts not again
         for node in ast.walk(tree):
+            if id(node) in told:
+                continue
             if isinstance(node, ast.Import):
                 yield from ((each, True) for alias in node.names for each in self._module(alias.name))
             elif isinstance(node, ast.ImportFrom) and node.module:
                 yield from ((each, True) for each in self._module(node.module, [alias.name for alias in node.names]))
-            elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div) and id(node) not in told:
+            elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div):
                 parts = list(_joined(node))
                 told |= {id(part) for part in parts}
                 joined = "/".join(part.value for part in parts if isinstance(part, ast.Constant)).rstrip("/")
                 yield from ((each, False) for each in self._in_folder.get(joined, ()))
                 yield from self._words(joined)
-            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in told:
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
                 yield from self._words(node.value)
 
     def _module(self, name: str, names: Iterable[str] = ()) -> Iterator[str]:
@@ -188,6 +198,10 @@ def imported(file: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom) and node.module:
             found.add(node.module)
     return found
+
+
+def _is_for_types(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and ast.unparse(node.test).rpartition(".")[2] == "TYPE_CHECKING"
 
 
 def _joined(node: ast.expr) -> Iterator[ast.expr]:
