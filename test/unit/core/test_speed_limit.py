@@ -7,9 +7,11 @@ import math
 import pytest
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.speed_limit import SpeedLimit
+from construction_twin.core.speed_limit import LimitState, SpeedLimit
 
 SECOND = 1_000_000_000
+#: Longest silence of a source [s], and the fraction that counts after it.
+DEADLINE, SILENT = 0.5, 0.1
 
 
 def test_before_the_first_limit_nobody_is_heard_and_nobody_is_silent():
@@ -62,3 +64,35 @@ def test_another_source_is_refused_while_one_is_heard_and_taken_after_its_silenc
     assert (source.name, source.fraction) == ("camera", 0.4)
     source.accept(0.9, "fence", SECOND // 2 + 1)
     assert (source.name, source.fraction) == ("fence", 0.9)
+
+
+def test_without_a_source_there_is_no_limit_where_none_is_required():
+    limit = SpeedLimit(DEADLINE, SILENT, required=False)
+    assert limit.update(SECOND) == 1.0 and limit.state is LimitState.UNLIMITED
+
+
+def test_where_a_source_is_required_its_absence_is_silence():
+    limit = SpeedLimit(DEADLINE, SILENT, required=True)
+    assert limit.update(0) == SILENT and limit.state is LimitState.MISSING
+    assert "one is required; start a source of `speed_limit`" in limit.reason
+
+
+@pytest.mark.parametrize("given, after", [(0.4, SILENT), (0.05, 0.05), (0.0, 0.0)])
+def test_silence_of_a_source_counts_as_the_lower_of_both_and_is_said(given, after):
+    limit = SpeedLimit(DEADLINE, SILENT, required=False)
+    limit.accept(given, "/scanner", 0, "a person is near")
+    assert limit.update(SECOND // 2) == given and limit.state is LimitState.HEARD
+    assert "/scanner: a person is near" in limit.reason
+    assert limit.update(SECOND // 2 + 1) == after and limit.state is LimitState.SILENT
+    assert "/scanner is silent for more than 0.5 s" in limit.reason
+    limit.accept(1.0, "/scanner", SECOND, "")
+    assert limit.limit == 1.0 and "no reason given" in limit.reason
+
+
+def test_what_is_refused_changes_nothing():
+    limit = SpeedLimit(DEADLINE, SILENT, required=False)
+    limit.accept(0.4, "/scanner", 0, "")
+    for fraction, source in ((1.1, "/scanner"), (0.9, "/another")):
+        with pytest.raises(PayloadError):
+            limit.accept(fraction, source, 1, "")
+    assert limit.update(2) == 0.4
