@@ -74,11 +74,12 @@ class TestFirstStart:
         bench.run(1.0)
         assert bench.state is LinkState.RESYNC and bench.sent == []
 
-    def test_an_old_command_or_pose_does_not_count(self, bench):
+    @pytest.mark.parametrize("what", ["command", "pose"])
+    def test_an_old_command_or_pose_does_not_count(self, bench, what):
         bench.answering = False
         bench.run(0.3)
         assert bench.verbs == ["arm"]
-        bench.pose = None
+        setattr(bench, what, None)
         bench.run((FRESH + 2 * RETRY) / NANOSECONDS)
         last = bench.sent[-1:]
         bench.run(2 * RETRY / NANOSECONDS)
