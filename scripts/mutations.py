@@ -234,6 +234,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="make mutations", description=__doc__.splitlines()[0])
     parser.add_argument("word", nargs="*", help="only mutations with one of these words in file, behaviour or test")
     parser.add_argument("--workers", type=int, default=2, help="how many run beside each other [%(default)s]")
+    parser.add_argument(
+        "--time-limit", type=float, default=TIME_LIMIT, help="longest that one test may take [%(default)g s]"
+    )
     options = parser.parse_args(arguments)
     if options.workers < 1:
         parser.error(f"--workers {options.workers}; expected at least 1")
@@ -243,7 +246,7 @@ def main(arguments: list[str] | None = None) -> int:
         if not options.word
         or any(word in " ".join((mutation.file, mutation.behaviour, mutation.test)) for word in options.word)
     ]
-    return run(chosen, ROOT, options.workers)
+    return run(chosen, ROOT, options.workers, options.time_limit)
 
 
 if __name__ == "__main__":

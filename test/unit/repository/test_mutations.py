@@ -61,7 +61,7 @@ NOT_CAUGHT = {
     "fails with nothing broken: ERROR: not found": Mutation(
         "nine", "guard.py", "value + value", "value", "unit/test_guard.py::test_that_is_not_there"
     ),
-    "more than 20 s": Mutation("ten", "guard.py", "limit = 1.0", "import time; time.sleep(60)", FAST),
+    "more than 10 s": Mutation("ten", "guard.py", "limit = 1.0", "import time; time.sleep(60)", FAST),
 }
 
 
@@ -83,7 +83,7 @@ def judged(repository):
     lines: list[str] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("builtins.print", lambda *words, **_: lines.extend(" ".join(words).splitlines()))
-        code = mutations.run([CAUGHT, *NOT_CAUGHT.values()], repository, 2, 20.0)
+        code = mutations.run([CAUGHT, *NOT_CAUGHT.values()], repository, 2, 10.0)
     return code, lines
 
 
