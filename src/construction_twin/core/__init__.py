@@ -82,6 +82,7 @@ if TYPE_CHECKING:
     from construction_twin.core.speed_limit import LimitState as LimitState
     from construction_twin.core.speed_limit import SpeedLimit as SpeedLimit
     from construction_twin.core.state_table import Machine as Machine
+    from construction_twin.core.state_table import Occasion as Occasion
     from construction_twin.core.state_table import Row as Row
     from construction_twin.core.state_table import Rows as Rows
     from construction_twin.core.state_table import cells as cells
