@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from construction_twin.core.exports import lazy_exports
 
 if TYPE_CHECKING:
-    from construction_twin.planning.batch_kinematics import BatchKinematics as BatchKinematics
     from construction_twin.planning.cartesian import CartesianMotion as CartesianMotion
     from construction_twin.planning.cartesian import plan_cartesian as plan_cartesian
     from construction_twin.planning.limit_usage import cycle_times as cycle_times

@@ -258,7 +258,7 @@ def test_the_shipped_gate_stays_open_beside_missed_replies(servo, missed, speed_
     speeds = np.abs(turn.trajectory.sample_many(np.arange(0.0, turn.trajectory.duration, CYCLE))[1][:, 0])
     chain.run_for(float(speeds.argmax()) * CYCLE)
     receive, left = chain.controller.receive, iter(range(missed))
-    chain.controller.receive = lambda data: None if next(left, None) is not None else receive(data)
+    chain.controller.receive = lambda *reply: None if next(left, None) is not None else receive(*reply)
     assert chain.run_until(lambda: chain.executor.outcome == "finished", 20.0), chain.gate.reason
     assert (chain.controller.counters["missed"], chain.gateway.counters["standstills"]) == (missed, missed)
     assert chain.controller.running and chain.gateway.state is State.FOLLOWING

@@ -146,7 +146,7 @@ def cell(tmp_path_factory):
         patch.setattr(rospy, "wait_for_service", lambda *_: None)
         patch.setattr(rospy, "loginfo", lambda *_: None)
         # the session sends one motion after the other
-        patch.setattr(mqtt_planner, "SENDER_PAUSE", 0.0)
+        patch.setattr(mqtt_planner, "SENDER_PAUSE", 1e-6)
         cell = Cell(tmp_path_factory.mktemp("cell"))
         yield cell
         cell.close()

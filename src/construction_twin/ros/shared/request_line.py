@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import queue
 import threading
 from collections.abc import Callable
@@ -93,7 +94,9 @@ class RequestLine:
             return
         now = round(self._clock() * NANOSECONDS)
         wait = self._senders.wait(request.sender, now) / NANOSECONDS
-        problem = f"one motion in {self._pause:g} s is taken from a sender; try again in {wait:.1f} s" if wait else ""
+        # rounded up: who tries again then is not too early
+        after = math.ceil(10.0 * wait) / 10.0
+        problem = f"one motion in {self._pause:g} s is taken from a sender; try again in {after:.1f} s" if wait else ""
         if not problem:
             try:
                 self._waiting.put_nowait(request)
