@@ -25,6 +25,9 @@ TOPICS = Topics("twin", "kr120")
 MOMENTS = (0.0, 0.02, 0.06, 0.15, 1.0)
 #: How long a stop is watched [s].
 WATCHED = 2.5
+#: How often a stop may be earlier at the bridge than the call that was made before it. The call goes to the bridge by way of the
+#: master, the stop by way of broker and gateway: on a busy machine either may be first.
+TRIES = 20
 
 
 class StopAndResetTest(RobotTest):
@@ -34,9 +37,12 @@ class StopAndResetTest(RobotTest):
         cls.client = TwinClient()
         cls.answers: list[dict] = []
         cls.status: dict = {}
+        cls.cleared: list[int] = []
         cls.ids = map(str, itertools.count(1))
         cls.phone = paho.Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
-        cls.phone.on_connect = lambda client, *_: client.subscribe([(TOPICS.stop_ack, 1), (TOPICS.status, 1)])
+        cls.phone.on_connect = lambda client, *_: client.subscribe(
+            [(TOPICS.stop_ack, 1), (TOPICS.status, 1), (TOPICS.control, 1)]
+        )
         cls.phone.on_message = cls.on_message
         cls.phone.connect("127.0.0.1", PORT)
         cls.phone.loop_start()
@@ -48,6 +54,9 @@ class StopAndResetTest(RobotTest):
         document = json.loads(message.payload)
         if message.topic == TOPICS.stop_ack:
             cls.answers.append(document)
+        elif message.topic == TOPICS.control:
+            if document["verb"] == "reset":
+                cls.cleared.append(document["value"]["fault_number"])
         elif document.get("run") and document["state"] != "offline":
             cls.status = document
 
@@ -87,24 +96,39 @@ class StopAndResetTest(RobotTest):
         self.assertTrue(answer.success, answer.message)
         self.client.wait_until_ready()
 
+    def stop_after_a_call(self, moment: float) -> bool:
+        """Call `reset`, stop `moment` after it [s], and watch; return whether the call was at the bridge before the stop was.
+
+        When it was not, the call was made of a person who is shown this stop: it clears it, and the link is armed. What tells is
+        the number that `reset` names on the wire.
+        """
+        self.stop()
+        self.wait_until_stopped()
+        answers, sent, before = [], len(self.cleared), self.status["fault_number"]
+        call = threading.Thread(target=lambda: answers.append(self.client.call("reset")))
+        call.start()
+        time.sleep(moment)
+        self.stop()
+        wait(lambda: self.status["fault_number"] > before, "the status that numbers the stop")
+        number = self.status["fault_number"]
+        wait(lambda: len(self.cleared) > sent or answers, "`reset` on the wire, or an answer without it")
+        if number in self.cleared[sent:]:
+            call.join(10.0)
+            self.assertTrue(answers[0].success, answers[0].message)
+            return False
+        self.wait_until_stopped()
+        self.assert_stays_stopped()
+        call.join(10.0)
+        said = answers[0].message
+        self.assertTrue(said.startswith(("not armed: NEEDS_RESET, gateway was stopped", "armed, session ")), said)
+        self.assertNotIn(number, self.cleared[sent:])
+        self.reset()
+        return True
+
     def test_a_stop_after_the_call_stands_and_needs_a_reset_of_its_own(self):
         for moment in MOMENTS:
             with case(f"stop {1000 * moment:g} ms after the call"):
-                self.stop()
-                self.wait_until_stopped()
-                answers = []
-                call = threading.Thread(target=lambda into=answers: into.append(self.client.call("reset")))
-                call.start()
-                time.sleep(moment)
-                self.stop()
-                self.wait_until_stopped()
-                self.assert_stays_stopped()
-                call.join(10.0)
-                said = answers[0].message
-                self.assertTrue(
-                    said.startswith(("not armed: NEEDS_RESET, gateway was stopped", "armed, session ")), said
-                )
-                self.reset()
+                self.assertTrue(any(self.stop_after_a_call(moment) for _ in range(TRIES)), "never after it")
 
     def test_a_reset_that_failed_arms_nothing_later(self):
         client = self.client
