@@ -94,10 +94,8 @@ _APPLIED = """
 class Relay(ScriptedRobot):
     """Says the arm's state as mqtt_planner does: the newest one that has come, 25 times a second.
 
-    Parameters
-    ----------
-    port : int
-        Of the broker.
+    Args:
+        port: Of the broker.
     """
 
     def __init__(self, port: int):
@@ -197,12 +195,9 @@ def stream(port: int, realtime: int, calls: Connection) -> None:
 class Arm:
     """An arm that moves: the stream to it comes from a process of its own, which nothing here can hold up.
 
-    Parameters
-    ----------
-    port : int
-        Of the broker.
-    realtime : int
-        SCHED_FIFO priority of the stream.
+    Args:
+        port: Of the broker.
+        realtime: SCHED_FIFO priority of the stream.
     """
 
     def __init__(self, port: int, realtime: int):

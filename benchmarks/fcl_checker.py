@@ -71,13 +71,9 @@ def _scene_shapes(scene: dict) -> list[Shape]:
 class FclChecker:
     """Contacts of a robot with itself and with a scene. Padding is not counted: contact is contact.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    scene : dict
-        The parsed scene YAML; boxes, cylinders and spheres that stand in the world.
-    ignored : set of frozenset of str
-        Pairs of links that are not checked.
+    Args:
+        scene: The parsed scene YAML; boxes, cylinders and spheres that stand in the world.
+        ignored: Pairs of links that are not checked.
     """
 
     def __init__(self, robot: RobotModel, scene: dict, ignored: set[frozenset[str]]):
@@ -114,10 +110,8 @@ class FclChecker:
     def contacts(self, qs: np.ndarray) -> list[tuple[int, str, str]]:
         """Return every contact as row, and names of the two.
 
-        Parameters
-        ----------
-        qs : array, shape (m, n)
-            [rad] or [m]
+        Args:
+            qs: Shape (m, n). [rad] or [m]
         """
         positions, rotations = self._frames(qs)
         at, turned, reach = [], [], []

@@ -60,12 +60,7 @@ PACKAGES = ("numpy", "scipy", "py-opw-kinematics", "eaik", "pytracik")
 
 
 class TracIk:
-    """TRAC-IK, mode Speed, with times and its own verdicts.
-
-    Parameters
-    ----------
-    robot : RobotModel
-    """
+    """TRAC-IK, mode Speed, with times and its own verdicts."""
 
     def __init__(self, robot: RobotModel):
         import pytracik  # only the benchmark needs it

@@ -51,13 +51,9 @@ def pose_at(home: tuple[float, ...], cycle: int) -> tuple[float, ...]:
 class Cell:
     """A gateway and a mock controller, each a process.
 
-    Parameters
-    ----------
-    world : World
-        With a broker.
-    config : GatewayConfig
-    realtime : int, optional
-        SCHED_FIFO priority of the 250 Hz path; these two get 10 more, as in launch/link.launch.
+    Args:
+        world: With a broker.
+        realtime: SCHED_FIFO priority of the 250 Hz path; these two get 10 more, as in launch/link.launch.
     """
 
     def __init__(self, world: World, config: GatewayConfig, realtime: int = REALTIME, prefix: str = "twin"):

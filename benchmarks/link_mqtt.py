@@ -63,14 +63,10 @@ def read_publish(body: bytes) -> tuple[str, bytes, list[tuple[str, str]]]:
 class MqttEnd:
     """A connection to the broker.
 
-    Parameters
-    ----------
-    port : int
-        Of the broker on this machine.
-    name : str
-        Client id.
-    topics : list of str
-        Subscribed to.
+    Args:
+        port: Of the broker on this machine.
+        name: Client id.
+        topics: Subscribed to.
     """
 
     def __init__(self, port: int, name: str, topics: list[str]):

@@ -88,14 +88,10 @@ class FakeGateway:
 class Task:
     """What to do in one measurement.
 
-    Attributes
-    ----------
-    rate : float
-        States per second; 0: none.
-    count : int
-        How many states.
-    echo : bool
-        Answer each command with a state that carries its stamp.
+    Attributes:
+        rate: States per second; 0: none.
+        count: How many states.
+        echo: Answer each command with a state that carries its stamp.
     """
 
     rate: float = 0.0

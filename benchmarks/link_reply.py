@@ -25,13 +25,9 @@ def measure(seconds: float, loaded: bool, realtime: int = REALTIME) -> tuple[dic
     If the machine does not run the mock controller in time, the stream gets ahead of it and the gateway brakes, but goes on
     answering.
 
-    Parameters
-    ----------
-    seconds : float
-    loaded : bool
-        With one busy loop per core beside it, at normal priority.
-    realtime : int, optional
-        SCHED_FIFO priority of the 250 Hz path, 0 for none.
+    Args:
+        loaded: With one busy loop per core beside it, at normal priority.
+        realtime: SCHED_FIFO priority of the 250 Hz path, 0 for none.
     """
     config, home = shipped_config()
     with tempfile.TemporaryDirectory() as folder, World(Path(folder)) as world:

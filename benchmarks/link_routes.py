@@ -83,13 +83,9 @@ class RosEnd:
 class Bench:
     """Both ends and the subject between them.
 
-    Parameters
-    ----------
-    end : RosEnd
-    pipe : Connection
-        To the peer.
-    pid : int
-        The subject's process.
+    Args:
+        pipe: Connection. To the peer.
+        pid: The subject's process.
     """
 
     def __init__(self, end: RosEnd, pipe, pid: int):

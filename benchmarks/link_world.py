@@ -57,10 +57,8 @@ def resident_mb(pid: int) -> float:
 class World(ExitStack):
     """Processes that end with the block; their output goes to files in `folder`.
 
-    Parameters
-    ----------
-    folder : Path
-        For logs, configuration files and ROS_HOME.
+    Args:
+        folder: For logs, configuration files and ROS_HOME.
     """
 
     def __init__(self, folder: Path):

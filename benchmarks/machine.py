@@ -27,17 +27,13 @@ CYCLE, HELD_UP = 4_000_000, 2_000_000
 class MachineProbe(ExitStack):
     """Watches every core until the end of the block.
 
-    Parameters
-    ----------
-    realtime : int
-        SCHED_FIFO priority of the 250 Hz path; the probe's is 20 above it. 0: none, and the probe also sees what that path does.
-    period : int, optional
-        Time asleep between two wake-ups [ns]: a shorter pause may pass unseen, and every wake-up costs processor time.
+    Args:
+        realtime: SCHED_FIFO priority of the 250 Hz path; the probe's is 20 above it. 0: none, and the probe also sees what that
+            path does.
+        period: Time asleep between two wake-ups [ns]: a shorter pause may pass unseen, and every wake-up costs processor time.
 
-    Attributes
-    ----------
-    watches : list of Popen
-        One per core.
+    Attributes:
+        watches: One per core.
     """
 
     def __init__(self, realtime: int, period: int = PERIOD):
@@ -81,11 +77,8 @@ class Replies:
     def add(self, number: int, stamp: int) -> int:
         """Note a state; return how many are missing between the previous one and this.
 
-        Parameters
-        ----------
-        number : int
-        stamp : int
-            Monotonic clock [ns].
+        Args:
+            stamp: Monotonic clock [ns].
         """
         missing = 0 if self._number is None else number - self._number - 1
         if self._number is None or missing:
@@ -103,10 +96,8 @@ class Replies:
 
         The second number is None where the probe had no priority above ours, because its pauses are then also due to us.
 
-        Parameters
-        ----------
-        machine : dict
-            Of the same time; see `MachineProbe.taken`.
+        Args:
+            machine: Of the same time; see `MachineProbe.taken`.
         """
         held = [held_up(stretch, machine["intervals"]) for stretch in self._stretches]
         self._stretches = [self._stretches[-1][-1:]]
@@ -119,12 +110,9 @@ def held_up(stamps: Sequence[int], intervals: Sequence[tuple[int, int]]) -> tupl
     Pauses explain a late reply if they cover at least half of the time by which it exceeds a cycle. Pauses of every core count,
     because gateway and controller move between cores. The kernel's throttling of real-time tasks counts as a pause, too.
 
-    Parameters
-    ----------
-    stamps : sequence of int
-        Of the replies, rising, on the monotonic clock [ns].
-    intervals : sequence of tuple
-        Beginnings and ends of pauses, rising, of all cores; see `MachineProbe.taken`.
+    Args:
+        stamps: Of the replies, rising, on the monotonic clock [ns].
+        intervals: Beginnings and ends of pauses, rising, of all cores; see `MachineProbe.taken`.
     """
     late = unexplained = first = 0
     for earlier, later in zip(stamps, stamps[1:]):

@@ -73,10 +73,8 @@ def system() -> Iterator[None]:
 class Bench:
     """A client of the action, and what it measures.
 
-    Parameters
-    ----------
-    name : str
-        Of its node; plans of the one that bringup trusts need no person.
+    Args:
+        name: Of its node; plans of the one that bringup trusts need no person.
     """
 
     def __init__(self, name: str):

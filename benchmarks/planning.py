@@ -47,10 +47,8 @@ COLUMNS = ("problems", "success", "median_ms", "p95_ms", "recheck_ms", "collisio
 class Bench:
     """The robot, and what is measured with it.
 
-    Parameters
-    ----------
-    planner : str
-        Name of an OMPL planner.
+    Args:
+        planner: Name of an OMPL planner.
     """
 
     def __init__(self, planner: str):

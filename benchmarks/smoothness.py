@@ -49,16 +49,11 @@ TARGET = 1.1
 class Profile:
     """A link.
 
-    Attributes
-    ----------
-    travel : callable
-        From a random.Random to the travel time of the next command [ns].
-    stalls : tuple of (float, float)
-        Period and length of stalls in which nothing arrives [s].
-    cut : tuple of (float, float)
-        Begin, from the start of the motion, and length of one such stall [s]; () for none.
-    loss : float
-        Fraction of commands that never arrive.
+    Attributes:
+        travel: From a random.Random to the travel time of the next command [ns].
+        stalls: Period and length of stalls in which nothing arrives [s].
+        cut: Begin, from the start of the motion, and length of one such stall [s]; () for none.
+        loss: Fraction of commands that never arrive.
     """
 
     travel: Callable[[random.Random], int] = lambda _: 300_000
@@ -134,12 +129,9 @@ def planned_motion(robot: RobotModel) -> np.ndarray:
 class Played:
     """What a gateway made of a motion.
 
-    Attributes
-    ----------
-    positions : array, shape (k, n)
-        What it sent, one row per controller cycle [rad].
-    status : dict
-        Its status at the end; {} of the naive one.
+    Attributes:
+        positions: Shape (k, n). What it sent, one row per controller cycle [rad].
+        status: Its status at the end; {} of the naive one.
     """
 
     positions: np.ndarray
@@ -149,11 +141,8 @@ class Played:
 class Rig:
     """A gateway, a controller that carries out every reply, and a sender that begins a new session where it may.
 
-    Parameters
-    ----------
-    config : GatewayConfig
-    start : tuple, shape (n,)
-        Pose of the arm [rad].
+    Args:
+        start: Shape (n,). Pose of the arm [rad].
     """
 
     def __init__(self, config: GatewayConfig, start: tuple[float, ...]):
@@ -196,18 +185,9 @@ class Rig:
 def play(motion: np.ndarray, config: GatewayConfig, profile: Profile, seed: int = 1) -> Played:
     """Send `motion` through the gateway over a link.
 
-    Parameters
-    ----------
-    motion : array, shape (m, n)
-        One setpoint per 4 ms [rad].
-    config : GatewayConfig
-    profile : Profile
-    seed : int, optional
-        Of the link's random numbers.
-
-    Returns
-    -------
-    played : Played
+    Args:
+        motion: Shape (m, n). One setpoint per 4 ms [rad].
+        seed: Of the link's random numbers.
     """
     rig = Rig(config, tuple(motion[0].tolist()))
     start = round(WARM_UP * NANOSECONDS)
@@ -248,10 +228,8 @@ def play_naively(motion: np.ndarray, decimals: int, profile: Profile, seed: int 
 def roughness(positions: np.ndarray, robot: RobotModel) -> tuple[float, float]:
     """Return root sums of squares of acceleration and jerk, each joint's in fractions of its own limit.
 
-    Parameters
-    ----------
-    positions : array, shape (k, n)
-        One row per 4 ms [rad].
+    Args:
+        positions: Shape (k, n). One row per 4 ms [rad].
     """
     acceleration = np.diff(positions, 2, axis=0) / CYCLE**2
     jerk = np.diff(positions, 3, axis=0) / CYCLE**3
@@ -269,16 +247,11 @@ def ratios(played: Played, motion: np.ndarray, robot: RobotModel) -> dict:
 def measure(decimals: int = 6, **changes) -> dict:
     """Return the ratios of every profile, ours and the naive gateway's.
 
-    Parameters
-    ----------
-    decimals : int, optional
-        Of the joint string.
-    changes : optional
-        Other keys of `GatewayConfig`.
+    Args:
+        decimals: Of the joint string.
+        changes: Other keys of `GatewayConfig`.
 
-    Returns
-    -------
-    ratios : dict
+    Returns:
         ``{profile: {"ours": {"acc_ratio", "jerk_ratio"}, "naive": {...}}}``
     """
     robot = read_robot()
@@ -295,9 +268,7 @@ def measure(decimals: int = 6, **changes) -> dict:
 def measure_ripple() -> list[dict]:
     """Return what rounding and its smoothing do on the ideal link, per number of decimals and smoothing.
 
-    Returns
-    -------
-    rows : list of dict
+    Returns:
         ``decimals``, ``smoothing_cycles``, ``delay_ms`` of the smoothing, ``ripple_deg_s2``: RMS over all joints and cycles of the
         motion of what is added to the planned acceleration, ``acc_ratio``, ``jerk_ratio``.
     """

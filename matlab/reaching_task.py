@@ -123,14 +123,10 @@ class Answers:
 def rest_to_rest(corners: np.ndarray, duration: float, count: int) -> tuple[np.ndarray, ...]:
     """Return times, positions, velocities and accelerations along straight lines, at rest at every corner; see rest_to_rest.m.
 
-    Parameters
-    ----------
-    corners : array, shape (m, n)
-        [rad] or [m]
-    duration : float
-        [s]
-    count : int
-        Number of waypoints.
+    Args:
+        corners: Shape (m, n). [rad] or [m]
+        duration: [s]
+        count: Number of waypoints.
     """
     steps = np.diff(corners, axis=0)
     lengths = np.linalg.norm(steps, axis=1)

@@ -72,10 +72,8 @@ def run_codecs(count: int, seed: int) -> list[Row]:
 def run_page(count: int, seed: int) -> list[Row]:
     """Run the campaign of what the console's page makes of messages; needs node, which the console's page is built with.
 
-    Raises
-    ------
-    Refused
-        When it threw, or kept what it may not.
+    Raises:
+        Refused: When it threw, or kept what it may not.
     """
     node = shutil.which("node")
     if node is None:
@@ -91,10 +89,8 @@ def run_page(count: int, seed: int) -> list[Row]:
 def run_gateway(count: int, seed: int, folder: Path) -> list[Row]:
     """Run the running gateway's two campaigns, on a broker and a gateway of their own.
 
-    Raises
-    ------
-    Refused
-        When it did not stand up to them.
+    Raises:
+        Refused: When it did not stand up to them.
     """
     broker = BrokerProcess()
     broker.start()

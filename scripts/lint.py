@@ -1,7 +1,7 @@
 """Checks the sources without running them, and ends with one line per tool: `python scripts/lint.py`.
 
 ruff checks style and format of every file, import-linter the order of the folders (.importlinter), mypy the types of package and
-examples.
+examples, docstrings.py what docstrings say of names and errors.
 The settings are in pyproject.toml. The tools run beside each other; `make test` counts each of them as one test.
 """
 
@@ -22,6 +22,7 @@ TOOLS = {
     "ruff format": ("ruff", "format", "--check"),
     "import-linter": ("lint-imports", "--no-logo", "--no-cache"),
     "mypy": ("mypy",),
+    "docstrings": ("python", "scripts/docstrings.py"),
 }
 
 
@@ -29,13 +30,9 @@ TOOLS = {
 class Finding:
     """What a tool said.
 
-    Attributes
-    ----------
-    name : str
-        A key of `TOOLS`.
-    passed : bool
-    output : str
-        Everything that it printed.
+    Attributes:
+        name: A key of `TOOLS`.
+        output: Everything that it printed.
     """
 
     name: str

@@ -50,16 +50,11 @@ LINE = 200
 class Mutation:
     """One behaviour, and how it is broken.
 
-    Attributes
-    ----------
-    behaviour : str
-        What holds, in one sentence; the mutation breaks it.
-    file : str
-        Below src/construction_twin.
-    old, new : str
-        A text that stands in the file once, and what takes its place.
-    test : str
-        The pytest id, below test/, of what must fail.
+    Attributes:
+        behaviour: What holds, in one sentence; the mutation breaks it.
+        file: Below src/construction_twin.
+        old, new: A text that stands in the file once, and what takes its place.
+        test: The pytest id, below test/, of what must fail.
     """
 
     behaviour: str
@@ -93,13 +88,9 @@ class Outcome:
 class Copy:
     """A copy of a repository, in which files are broken and tests run.
 
-    Parameters
-    ----------
-    root : Path
-    folder : Path
-        Where the copy is made.
-    time_limit : float, optional
-        Of one test [s].
+    Args:
+        folder: Where the copy is made.
+        time_limit: Of one test [s].
     """
 
     def __init__(self, root: Path, folder: Path, time_limit: float = TIME_LIMIT):

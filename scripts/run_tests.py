@@ -240,15 +240,10 @@ def run_rostest(test: Path) -> tuple[int, int]:
 class Selection:
     """What is run.
 
-    Attributes
-    ----------
-    lint : bool
-    beside, alone : list of Path
-        Files of unit tests that need no real time, and of those that run 250 Hz processes.
-    browser : list of Path
-        Files, or the folder, of the page's tests.
-    integration : list of Path
-        Rostests.
+    Attributes:
+        beside, alone: Files of unit tests that need no real time, and of those that run 250 Hz processes.
+        browser: Files, or the folder, of the page's tests.
+        integration: Rostests.
     """
 
     lint: bool

@@ -41,11 +41,9 @@ def git(*words: str) -> list[str]:
 def changed_files(since: str = "") -> tuple[str, list[str]]:
     """Return a commit, and the paths that differ from it in the working tree, deleted and new ones too.
 
-    Parameters
-    ----------
-    since : str, optional
-        The commit; by default where this branch left the remote's main branch, or the commit before the last one where nothing
-        differs from that.
+    Args:
+        since: The commit; by default where this branch left the remote's main branch, or the commit before the last one where
+            nothing differs from that.
     """
 
     def differing(commit: str) -> list[str]:
@@ -65,11 +63,8 @@ def changed_files(since: str = "") -> tuple[str, list[str]]:
 class Graph:
     """What each file leads to.
 
-    Parameters
-    ----------
-    paths : iterable of str
-        Of the repository, as git names them; what was deleted may be among them.
-    root : Path, optional
+    Args:
+        paths: Of the repository, as git names them; what was deleted may be among them.
     """
 
     def __init__(self, paths: Iterable[str], root: Path = ROOT):

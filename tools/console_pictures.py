@@ -86,13 +86,7 @@ class Frame:
 
 
 class Recording:
-    """Keeps what chromium draws of a page.
-
-    Parameters
-    ----------
-    page : ConsolePage
-    folder : Path
-    """
+    """Keeps what chromium draws of a page."""
 
     def __init__(self, page: ConsolePage, folder: Path):
         self._frames: list[Frame] = []

@@ -44,16 +44,11 @@ BRICK, HEAD_JOINT, COURSES = (240.0, 115.0, 71.0), 10.0, (10, 9, 8, 7, 6)
 class Part:
     """One element: a box, its frame in the middle of the lower face, x along `size[0]`.
 
-    Attributes
-    ----------
-    name, ifc_class, kind, type_name, material : str
-        `kind`: PredefinedType where the schema knows it.
-    size : tuple of float, length 3
-        [mm]
-    at : tuple of float, length 3
-        Origin of its frame in the model [mm].
-    turned : bool
-        Its x axis lies along the model's y.
+    Attributes:
+        name, ifc_class, kind, type_name, material: `kind`: PredefinedType where the schema knows it.
+        size: Length 3. [mm]
+        at: Length 3. Origin of its frame in the model [mm].
+        turned: Its x axis lies along the model's y.
     """
 
     name: str
@@ -70,19 +65,10 @@ class Part:
 class Design:
     """A model: its parts, how they are called together, and how they are built.
 
-    Attributes
-    ----------
-    name : str
-    assembly : str
-        Name of the IfcElementAssembly that the parts make.
-    assembly_kind : str
-    parts : tuple of Part
-    tasks : tuple of Task
-    sequences : tuple of Sequence
-    densities : dict of str to float
-        [kg/m3] by material.
-    mapped : bool
-        Parts of a type share its geometry as a mapped item.
+    Attributes:
+        assembly: Name of the IfcElementAssembly that the parts make.
+        densities: [kg/m3] by material.
+        mapped: Parts of a type share its geometry as a mapped item.
     """
 
     name: str
@@ -458,12 +444,9 @@ DESIGNS = {"timber_panel": timber_panel, "brick_wall": brick_wall}
 def build(name: str, schema: str = "IFC4") -> ifcopenshell.file:
     """Return one of the models.
 
-    Parameters
-    ----------
-    name : str
-        ``timber_panel`` or ``brick_wall``.
-    schema : str
-        One of `SCHEMAS`.
+    Args:
+        name: ``timber_panel`` or ``brick_wall``.
+        schema: One of `SCHEMAS`.
     """
     return _Model(DESIGNS[name](), schema).write()
 

@@ -33,15 +33,11 @@ COLOURS = {
 class VirtualDisplay:
     """An X server in memory with a number of its own choice, while the ``with`` block runs.
 
-    Parameters
-    ----------
-    size : (int, int)
-        Width and height in pixels.
+    Args:
+        size: Width and height in pixels.
 
-    Attributes
-    ----------
-    environment : dict of str to str
-        For programs that are to show themselves there.
+    Attributes:
+        environment: For programs that are to show themselves there.
     """
 
     def __init__(self, size: tuple[int, int] = (1200, 800)):
@@ -52,10 +48,8 @@ class VirtualDisplay:
     def __enter__(self) -> VirtualDisplay:
         """Start the server.
 
-        Raises
-        ------
-        ConfigurationError
-            If it is not installed or does not start.
+        Raises:
+            ConfigurationError: If it is not installed or does not start.
         """
         if shutil.which("Xvfb") is None:
             raise ConfigurationError("Xvfb", None, "the program; apt-get install xvfb")
@@ -136,21 +130,14 @@ def _has(pixels: np.ndarray, colour: str) -> np.ndarray:
 def bare_view(text: str, size: tuple[int, int], view: str = "", camera: Mapping[str, object] | None = None) -> str:
     """Return a view file's text for a picture: no panels, the window as large as the display.
 
-    Parameters
-    ----------
-    text : str
-        Of a file of rviz/.
-    size : (int, int)
-        Width and height in pixels.
-    view : str, optional
-        One of the file's saved views.
-    camera : mapping, optional
-        Keys of the view that are to be different.
+    Args:
+        text: Of a file of rviz/.
+        size: Width and height in pixels.
+        view: One of the file's saved views.
+        camera: Keys of the view that are to be different.
 
-    Raises
-    ------
-    ConfigurationError
-        If there is no such view.
+    Raises:
+        ConfigurationError: If there is no such view.
     """
     settings = yaml.safe_load(text)
     views = settings["Visualization Manager"]["Views"]

@@ -56,11 +56,8 @@ STALLED, MOVED = "joint_a1", 12.0
 class Camera:
     """rviz on a display in memory.
 
-    Parameters
-    ----------
-    display : VirtualDisplay
-    folder : Path
-        For the view files.
+    Args:
+        folder: For the view files.
     """
 
     def __init__(self, display: VirtualDisplay, folder: Path):
@@ -69,21 +66,14 @@ class Camera:
     def shoot(self, name: str, config: str, least: dict[str, float], view: str = "", **camera) -> None:
         """Show a view until enough of each colour is there, then write docs/images/NAME.png.
 
-        Parameters
-        ----------
-        name, config : str
-            Of the picture, and of the file in rviz/.
-        least : dict of str to float
-            Fraction of the picture that each colour must have; of ``a|b`` both together.
-        view : str, optional
-            Saved view.
-        **camera
-            Keys of the view that are to be different.
+        Args:
+            name, config: Of the picture, and of the file in rviz/.
+            least: Fraction of the picture that each colour must have; of ``a|b`` both together.
+            view: Saved view.
+            **camera: Keys of the view that are to be different.
 
-        Raises
-        ------
-        AssertionError
-            When a colour does not appear, or the picture is too heavy.
+        Raises:
+            AssertionError: When a colour does not appear, or the picture is too heavy.
         """
         path = self._folder / f"{name}.rviz"
         text = (ROOT / "rviz" / f"{config}.rviz").read_text()

@@ -64,13 +64,10 @@ class AccountTransport(MqttTransport):
 def make_transport(host: str, port: int, account: str = "") -> MqttTransport:
     """Connect to the broker.
 
-    Parameters
-    ----------
-    host, port
-        Of the broker: the TLS port for a password, the one above it for a client certificate.
-    account
-        `account.json` (password) or `certificate.json` (client certificate) of a folder that make_site made; empty: a broker
-        without accounts, on one machine.
+    Args:
+        host, port: Of the broker: the TLS port for a password, the one above it for a client certificate.
+        account: `account.json` (password) or `certificate.json` (client certificate) of a folder that make_site made; empty: a
+            broker without accounts, on one machine.
     """
     try:
         if not account:
@@ -93,16 +90,11 @@ def make_transport(host: str, port: int, account: str = "") -> MqttTransport:
 class Connection:
     """One robot at one broker: sends trajectories, keeps the answers and the newest view.
 
-    Parameters
-    ----------
-    transport
-        See `make_transport`.
-    robot, prefix
-        The first two levels of the topics are ``<prefix>/<robot>``.
-    account
-        Name of the account, as the broker knows it; empty: none.
-    clock
-        Returns seconds that only rise.
+    Args:
+        transport: See `make_transport`.
+        robot, prefix: The first two levels of the topics are ``<prefix>/<robot>``.
+        account: Name of the account, as the broker knows it; empty: none.
+        clock: Returns seconds that only rise.
     """
 
     def __init__(
@@ -282,16 +274,11 @@ def scaled(frame: Frame, scale: float) -> Frame:
 def tool_frame(model, configuration: Configuration, unit: str, tool: str = "tool0") -> Frame:
     """Return where a configuration has the tool, in the robot's base and in the document's unit.
 
-    Parameters
-    ----------
-    model
-        A compas_robots.RobotModel of the robot's URDF.
-    configuration
-        With the names of its joints.
-    unit
-        "mm" or "m".
-    tool
-        A link of the model.
+    Args:
+        model: A compas_robots.RobotModel of the robot's URDF.
+        configuration: With the names of its joints.
+        unit: "mm" or "m".
+        tool: A link of the model.
     """
     return scaled(model.forward_kinematics(configuration, tool), 1.0 / factor(unit))
 
@@ -318,16 +305,11 @@ def trajectory_to_frames(
     Between two frames every joint goes its shortest way, so the tool's path is no line: give more frames where that matters. There
     is no collision check here; the robot's side has one. A compas_fab planner with a backend does better.
 
-    Parameters
-    ----------
-    model, tool
-        As for `tool_frame`.
-    start
-        Where the twin is now: `View.configuration("twin")`.
-    frames
-        In the robot's base, in the document's unit.
-    unit
-        "mm" or "m".
+    Args:
+        model, tool: As for `tool_frame`.
+        start: Where the twin is now: `View.configuration("twin")`.
+        frames: In the robot's base, in the document's unit.
+        unit: "mm" or "m".
     """
     scale = factor(unit)
     configurations = [start]

@@ -83,25 +83,15 @@ TAKING = (State.HOLDING, State.FOLLOWING)
 class BarePlc:
     """The PLC's program without its network: strings in, a pose and a word out; time is an argument.
 
-    Parameters
-    ----------
-    axes : sequence of Axis
-    start : sequence of float
-        Where the arm stands [deg].
-    decimals : int, optional
-        Of the joint string.
-    delay : int, optional
-        How many strings wait to be played, in cycles.
+    Args:
+        start: Where the arm stands [deg].
+        decimals: Of the joint string.
+        delay: How many strings wait to be played, in cycles.
 
-    Attributes
-    ----------
-    state : State
-    reason : str
-        Why it stopped last.
-    position : tuple of float
-        [deg]
-    counters : Counter
-        Strings that were taken, and refused by reason.
+    Attributes:
+        reason: Why it stopped last.
+        position: [deg]
+        counters: Strings that were taken, and refused by reason.
     """
 
     def __init__(self, axes: Sequence[Axis], start: Sequence[float], decimals: int = 3, delay: int = DELAY):
@@ -244,12 +234,7 @@ class BarePlc:
 
 
 class Schedule:
-    """When the cycles are due, of a computer that may not run them in time.
-
-    Parameters
-    ----------
-    now : float
-    """
+    """When the cycles are due, of a computer that may not run them in time."""
 
     def __init__(self, now: float):
         self._due = now + CYCLE
@@ -268,11 +253,8 @@ class Schedule:
 class Network:
     """The PLC's MQTT: a client that never keeps anything for later.
 
-    Parameters
-    ----------
-    options : argparse.Namespace
-        As `arguments` parses them.
-    plc : BarePlc
+    Args:
+        options: As `arguments` parses them.
     """
 
     def __init__(self, options: argparse.Namespace, plc: BarePlc):

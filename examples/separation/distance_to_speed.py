@@ -17,15 +17,11 @@ from construction_twin.core.units import NANOSECONDS
 class SpeedTable:
     """Fraction of the planned speed by distance: straight lines between the rows, constant beyond the first and the last.
 
-    Parameters
-    ----------
-    rows : sequence of (float, float)
-        Distance [m], not negative and rising; fraction, 0 to 1 and never falling.
+    Args:
+        rows: Distance [m], not negative and rising; fraction, 0 to 1 and never falling.
 
-    Raises
-    ------
-    ConfigurationError
-        Naming the first row that does not fit.
+    Raises:
+        ConfigurationError: Naming the first row that does not fit.
     """
 
     def __init__(self, rows: Sequence[Sequence[float]]):
@@ -69,11 +65,8 @@ class SpeedTable:
 class SeparationLimit:
     """The newest distance of one sensor, with a deadline: a silent sensor means the lowest fraction.
 
-    Parameters
-    ----------
-    table : SpeedTable
-    deadline : float
-        A distance counts this long [s].
+    Args:
+        deadline: A distance counts this long [s].
     """
 
     def __init__(self, table: SpeedTable, deadline: float):
@@ -86,22 +79,15 @@ class SeparationLimit:
     def on_range(self, distance: float, nearest: float, farthest: float, measured: int, now: int) -> None:
         """Take a measured distance.
 
-        Parameters
-        ----------
-        distance : float
-            [m]; inf: nothing within reach of the sensor, -inf: something too near to tell how near (REP 117). A finite distance
-            below `nearest` is taken for -inf: there are sensors that report it so.
-        nearest, farthest : float
-            What the sensor can tell apart [m].
-        measured : int
-            Stamp of the measurement [ns]; 0 when the sensor gives none.
-        now : int
-            Time of reception [ns].
+        Args:
+            distance: [m]; inf: nothing within reach of the sensor, -inf: something too near to tell how near (REP 117). A finite
+                distance below `nearest` is taken for -inf: there are sensors that report it so.
+            nearest, farthest: What the sensor can tell apart [m].
+            measured: Stamp of the measurement [ns]; 0 when the sensor gives none.
+            now: Time of reception [ns].
 
-        Raises
-        ------
-        PayloadError
-            ``distance`` or ``repeated``; nothing has changed then, and the deadline runs on.
+        Raises:
+            PayloadError: ``distance`` or ``repeated``; nothing has changed then, and the deadline runs on.
         """
         if 0.0 <= distance < nearest:
             distance = -math.inf

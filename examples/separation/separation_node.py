@@ -35,12 +35,8 @@ class Settings(pydantic.BaseModel):
 class SeparationNode:
     """ROS around a SeparationLimit; `start` gives it parameters and topics.
 
-    Parameters
-    ----------
-    separation : SeparationLimit
-    speed_limit : Publisher
-    diagnostics : callable
-        Takes `report`; returns the node's NodeDiagnostics.
+    Args:
+        diagnostics: Takes `report`; returns the node's NodeDiagnostics.
     """
 
     def __init__(

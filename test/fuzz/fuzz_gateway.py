@@ -63,13 +63,7 @@ def demand(condition: bool, text: str) -> None:
 
 
 class GatewayProcess:
-    """The gateway as a process of its own; its log goes to a file.
-
-    Parameters
-    ----------
-    folder : Path
-    broker_port : int
-    """
+    """The gateway as a process of its own; its log goes to a file."""
 
     def __init__(self, folder: Path, broker_port: int):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -294,10 +288,8 @@ class Mqtt:
 def flood_mqtt(mqtt: Mqtt, count: int, seed: int, progress: Callable[[int], None] = lambda done: None) -> Counter:
     """Send `count` messages while the arm is armed or its stream runs; return what the gateway counted.
 
-    Raises
-    ------
-    Refused
-        When a message was not counted.
+    Raises:
+        Refused: When a message was not counted.
     """
     rng, before = random.Random(seed), Counter(mqtt.marker())
     mqtt.sent = mqtt.granted = 0
@@ -324,10 +316,8 @@ def flood_rsi(
 ) -> Counter:
     """Send `count` datagrams from the controller's address, and some from a stranger's; return what the gateway counted.
 
-    Raises
-    ------
-    Refused
-        When one was not counted, answered with a motion, or the session did not recover.
+    Raises:
+        Refused: When one was not counted, answered with a motion, or the session did not recover.
     """
     rng, before = random.Random(seed), Counter(mqtt.marker())
     arm.recover()

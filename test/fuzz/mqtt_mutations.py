@@ -45,16 +45,11 @@ class Message:
 class Target:
     """What a hostile sender knows of the cell.
 
-    Attributes
-    ----------
-    session : str
-        Owner of the stream.
-    ended : str
-        A session that had its turn.
-    arming : dict
-        Value of an `arm`: configuration and run; anybody can read both in the status.
-    far, held : bytes
-        Joint strings: degrees away from the arm on every joint, and where it stands.
+    Attributes:
+        session: Owner of the stream.
+        ended: A session that had its turn.
+        arming: Value of an `arm`: configuration and run; anybody can read both in the status.
+        far, held: Joint strings: degrees away from the arm on every joint, and where it stands.
     """
 
     session: str

@@ -10,13 +10,7 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
 
 class MqttListener:
-    """Listens on a broker of this machine until `close`.
-
-    Parameters
-    ----------
-    port : int
-    topics : sequence of str
-    """
+    """Listens on a broker of this machine until `close`."""
 
     def __init__(self, port: int, topics: Sequence[str]):
         #: Payload of the newest message by topic.

@@ -21,14 +21,10 @@ UNITS = {"angle": "deg", "length": "mm", "time": "s"}
 class RemotePlanner:
     """Sends motions, and keeps the answers and what it sees.
 
-    Parameters
-    ----------
-    account : Path
-        Its account file, in the folder that is named after the account.
-    port : int
-        Of the site's broker on this machine.
-    topics : Topics
-        Of the robot.
+    Args:
+        account: Its account file, in the folder that is named after the account.
+        port: Of the site's broker on this machine.
+        topics: Of the robot.
     """
 
     def __init__(self, account: Path, port: int, topics: Topics):

@@ -17,14 +17,10 @@ from construction_twin.ros.shared.robot_clock import present
 class Tablet:
     """What a tablet sees, by topic; the newest message last.
 
-    Parameters
-    ----------
-    account : Path
-        Its account file.
-    port : int
-        Of the site's broker on this machine.
-    topics : Topics
-        Of the robot.
+    Args:
+        account: Its account file.
+        port: Of the site's broker on this machine.
+        topics: Of the robot.
     """
 
     def __init__(self, account: Path, port: int, topics: Topics):

@@ -45,11 +45,8 @@ HEARD = {
 class Tunnel:
     """A TCP port of this process whose bytes go through a WebSocket of the console. paho's own WebSockets answer a ping wrongly.
 
-    Attributes
-    ----------
-    port : int
-    cookie : str
-        The ticket that came with the WebSocket.
+    Attributes:
+        cookie: The ticket that came with the WebSocket.
     """
 
     def __init__(self):

@@ -42,11 +42,8 @@ BOUND, DISTURBED = 1.0e-5, 2.0e-4
 class Stream:
     """Keeps every message of a topic while the ``with`` block runs; entered when the first one is there.
 
-    Parameters
-    ----------
-    topic : str
-    kind : type, optional
-        Message class.
+    Args:
+        kind: Message class.
     """
 
     def __init__(self, topic: str, kind: type = JointState):
@@ -105,16 +102,11 @@ def wait(condition: Callable[[], object], what: str, timeout: float = 20.0, peri
 class TwinClient:
     """Listens to one robot's states and calls its services.
 
-    Attributes
-    ----------
-    link, sync, execution, plan : messages
-        The newest of each; None before the first one.
-    syncs : list of Sync
-        Every change of the sync state since the start.
-    links : list of Link
-        Every change of the link's state since the start.
-    plans : list of Plan
-        Every plan since the start.
+    Attributes:
+        link, sync, execution: The newest of each; None before the first one.
+        syncs: Every change of the sync state since the start.
+        links: Every change of the link's state since the start.
+        plans: Every plan since the start.
     """
 
     def __init__(self):
@@ -312,12 +304,9 @@ class TwinClient:
         gateway's own trace must be within the limits without exception. The arm must be within them if no reply was missed;
         otherwise its largest acceleration is printed.
 
-        Parameters
-        ----------
-        arm : Stream
-            Of `mock_rsi/joint_states`, complete.
-        missed_before : int
-            `mock_counter("missed")` at the recording's begin.
+        Args:
+            arm: Of `mock_rsi/joint_states`, complete.
+            missed_before: `mock_counter("missed")` at the recording's begin.
         """
         self.assert_trace_within_limits()
         missed = self.mock_counter("missed") - missed_before
@@ -352,10 +341,9 @@ class TwinClient:
     def assert_trace_within_limits(self, path: str = "") -> None:
         """Check that what a gateway sent is inside the limits in every cycle.
 
-        Parameters
-        ----------
-        path : str, optional
-            Of a trace; by default the file that the launch argument `gateway_trace` names, and the test's private parameter too.
+        Args:
+            path: Of a trace; by default the file that the launch argument `gateway_trace` names, and the test's private parameter
+                too.
         """
         path = path or self._trace
         assert path, "give the test the private parameter gateway_trace, and the launch file the argument of this name"

@@ -86,17 +86,11 @@ class Refusals:
 class BridgeBench:
     """A bridge for the two-axis arm of `gateway_cell`.
 
-    Parameters
-    ----------
-    clocks : Clocks
-    diagnostics : callable, optional
-        As the bridge's.
-    properties : bool, optional
-        Whether the link carries MQTT 5 properties.
-    kind : str, optional
-        ``rsi`` or ``plc``: what takes the commands.
-    options
-        The bridge's.
+    Args:
+        diagnostics: Callable. As the bridge's.
+        properties: Bool. Whether the link carries MQTT 5 properties.
+        kind: Str. ``rsi`` or ``plc``: what takes the commands.
+        options: The bridge's.
     """
 
     def __init__(self, clocks, diagnostics=Refusals, properties=True, kind="rsi", **options):

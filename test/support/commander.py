@@ -33,30 +33,19 @@ _MAX_STATE_AGE = 0.1
 class Commander(threading.Thread):
     """Sends the pose it stands at, or the next one of a motion, every 4 ms.
 
-    Parameters
-    ----------
-    port : int
-        Of the broker, on `host`.
-    config : GatewayConfig
-    feedback_timeout : float, optional
-        Without a state for this long a motion is held, as the gate does it [s]; None: whatever comes back, it goes on sending.
+    Args:
+        port: Of the broker, on `host`.
+        feedback_timeout: Without a state for this long a motion is held, as the gate does it [s]; None: whatever comes back, it
+            goes on sending.
 
-    Attributes
-    ----------
-    pose : tuple or None
-        What is commanded now [rad].
-    outcome : str
-        Of the last motion: ``playing``, ``finished``, or why it was held.
-    links : list of (LinkState, str)
-        Every change of the link's state, with its reason.
-    statuses : list of dict
-        Every status of the gateway.
-    states : int
-        States accepted.
-    moved_at : list of float
-        When a state showed another pose than the one before [s, `time.monotonic`].
-    longest_pause : float
-        Largest distance of two cycles of this thread: what the machine, not the network, did to the stream [s].
+    Attributes:
+        pose: What is commanded now [rad].
+        outcome: Of the last motion: ``playing``, ``finished``, or why it was held.
+        links: Every change of the link's state, with its reason.
+        statuses: Every status of the gateway.
+        states: States accepted.
+        moved_at: When a state showed another pose than the one before [s, `time.monotonic`].
+        longest_pause: Largest distance of two cycles of this thread: what the machine, not the network, did to the stream [s].
     """
 
     def __init__(

@@ -48,19 +48,12 @@ def launch(playwright: Playwright, program: Path = CHROMIUM) -> Browser:
 class ConsolePage:
     """One page in a context of its own, as on a tablet of its own.
 
-    Parameters
-    ----------
-    browser : Browser
-    url : str
-    size : (int, int), optional
-        [px]
-    picture : bool, optional
-        The browser has WebGL.
+    Args:
+        size: [px]
+        picture: The browser has WebGL.
 
-    Attributes
-    ----------
-    errors : list of str
-        Exceptions of the page that nothing caught, and what its policy has blocked.
+    Attributes:
+        errors: Exceptions of the page that nothing caught, and what its policy has blocked.
     """
 
     def __init__(

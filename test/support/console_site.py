@@ -53,14 +53,8 @@ def run_console(log: Path, page: Path, listen: str, port: int, *more: str | Path
 class OpenSite:
     """One machine as bringup has it: a broker without accounts, the console over HTTP, both on loopback.
 
-    Parameters
-    ----------
-    folder : Path
-
-    Attributes
-    ----------
-    url : str
-        Of the page.
+    Attributes:
+        url: Of the page.
     """
 
     def __init__(self, folder: Path):
@@ -91,21 +85,13 @@ class OpenSite:
 class ConsoleSite:
     """A site in a folder: broker, console, robots.
 
-    Parameters
-    ----------
-    folder : Path
-    page : Path, optional
-    listen, host : str, optional
-        Address on which the console listens, and the name by which a browser reaches it.
-    hosts : tuple of str, optional
-        Further names in the certificates.
+    Args:
+        listen, host: Address on which the console listens, and the name by which a browser reaches it.
+        hosts: Further names in the certificates.
 
-    Attributes
-    ----------
-    url : str
-        Of the page.
-    log : Path
-        What the console says.
+    Attributes:
+        url: Of the page.
+        log: What the console says.
     """
 
     def __init__(

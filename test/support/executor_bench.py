@@ -79,10 +79,8 @@ def make_work_plan(
 ) -> Plan:
     """Return a plan of four segments: to the stock, approach and grip (engaged), lift (engaged), carry and let go.
 
-    Parameters
-    ----------
-    changes : mapping
-        ``segment_<number>``: fields of that segment that are to be different.
+    Args:
+        changes: ``segment_<number>``: fields of that segment that are to be different.
     """
     motion = motion or between(0.0, 0.3, 0.4, 0.3, 0.6)
     ends = [float(motion.times[8 * number]) for number in range(1, 5)]
@@ -107,19 +105,12 @@ def plan_of(motion: Trajectory, segments: tuple[Segment, ...], name: str, create
 class Gripper:
     """Gateway and gripper as an executor sees them: arms, fires in the cycle in which the playout passes the stamp, reads back.
 
-    Attributes
-    ----------
-    playout : int
-        Delay of the playout [ns].
-    closing : int
-        Cycles from the switch to the input.
-    answers : bool
-        Whether it says anything; it acts all the same.
-    outputs : tuple of str
-    jams : str
-        Output that does not fire.
-    fired : list of (str, bool)
-        Output and value, in order.
+    Attributes:
+        playout: Delay of the playout [ns].
+        closing: Cycles from the switch to the input.
+        answers: Whether it says anything; it acts all the same.
+        jams: Output that does not fire.
+        fired: Output and value, in order.
     """
 
     def __init__(self):

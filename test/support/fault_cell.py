@@ -112,22 +112,14 @@ class Program:
 class FaultCell:
     """Everything at once; entered when the link is armed and the commander's stream is followed.
 
-    Parameters
-    ----------
-    folder : Path
-        For configuration and traces.
-    udp : bool, optional
-        Put a proxy between gateway and controller too.
-    feedback_timeout : float, optional
-        The commander's.
-    mock_timeout : int, optional
-        Cycles without a reply after which the mock stops.
-    spaces : Namespaces, optional
-        Run gateway and mock in the cell's namespace; the calling thread must have entered the other one.
-    fraction : float, optional
-        Of the limits that planned motions use.
-    changes
-        Of the gateway's configuration.
+    Args:
+        folder: For configuration and traces.
+        udp: Put a proxy between gateway and controller too.
+        feedback_timeout: The commander's.
+        mock_timeout: Cycles without a reply after which the mock stops.
+        spaces: Run gateway and mock in the cell's namespace; the calling thread must have entered the other one.
+        fraction: Of the limits that planned motions use.
+        changes: Of the gateway's configuration.
     """
 
     def __init__(
@@ -364,17 +356,11 @@ class FaultCell:
 class ArmReport:
     """What the controller made of the replies, from the packets it sent (ideal servo: 3 cycles).
 
-    Attributes
-    ----------
-    packets : int
-    missed : int
-        Cycles without a valid reply.
-    blow : float
-        Largest change of velocity from one cycle to the next [rad/s]: the step that HOLDON makes.
-    at : int
-        IPOC of the packet that shows it [ms].
-    starts : int
-        Times that the arm began to move anew after missed cycles.
+    Attributes:
+        missed: Cycles without a valid reply.
+        blow: Largest change of velocity from one cycle to the next [rad/s]: the step that HOLDON makes.
+        at: IPOC of the packet that shows it [ms].
+        starts: Times that the arm began to move anew after missed cycles.
     """
 
     packets: int

@@ -19,12 +19,9 @@ _HOPE = 1.0
 def fine_nearest(inverse: RedundantInverse, pose: Pose, seed: np.ndarray) -> float:
     """Return the distance from a seed of the nearest solution within the ranges; inf: none was found.
 
-    Parameters
-    ----------
-    inverse : RedundantInverse
-        Of an exact form. Used for what holds its joint; the choice along the self-motion is made here.
-    pose : Pose
-    seed : array, shape (7,)
+    Args:
+        inverse: Of an exact form. Used for what holds its joint; the choice along the self-motion is made here.
+        seed: Shape (7,)
     """
     robot, held = inverse.chain.robot, inverse.held
     low, high = robot.lower[held], robot.upper[held]

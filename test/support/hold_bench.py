@@ -19,12 +19,9 @@ AGREE_TIME = 25 * CYCLE_NS
 class HoldBench(Bench):
     """A bench whose gate rounds, checks every setpoint with the gate's own check, and can be closed; MotionRefused ends a test.
 
-    Parameters
-    ----------
-    decimals : int
-        Of a degree on the wire.
-    hears_after : int
-        Cycles until the executor hears what the gate does.
+    Args:
+        decimals: Of a degree on the wire.
+        hears_after: Cycles until the executor hears what the gate does.
     """
 
     def __init__(self, decimals: int = 3, hears_after: int = 0):

@@ -20,19 +20,13 @@ Entity = ifcopenshell.entity_instance
 class IfcModel:
     """A model under construction.
 
-    Parameters
-    ----------
-    schema : str
-        ``IFC2X3``, ``IFC4`` or ``IFC4X3``.
-    unit : str
-        Of `UNITS`.
+    Args:
+        schema: ``IFC2X3``, ``IFC4`` or ``IFC4X3``.
+        unit: Of `UNITS`.
 
-    Attributes
-    ----------
-    file : ifcopenshell.file
-        For what this class has no method for.
-    storey : entity
-        "Ground floor", where elements are unless they are part of something.
+    Attributes:
+        file: For what this class has no method for.
+        storey: "Ground floor", where elements are unless they are part of something.
     """
 
     def __init__(self, schema: str = "IFC4", unit: str = "mm"):
@@ -185,15 +179,10 @@ class IfcModel:
     ) -> Entity:
         """Add an element on the storey, or placed relative to another product.
 
-        Parameters
-        ----------
-        kind, name : str
-        body : entity, optional
-            Representation, item or profile; a profile becomes an extrusion of 1 m.
-        at : tuple
-            [m]
-        within : entity, optional
-            Relative to which it is placed; None: the storey, in which it is then contained.
+        Args:
+            body: Representation, item or profile; a profile becomes an extrusion of 1 m.
+            at: [m]
+            within: Relative to which it is placed; None: the storey, in which it is then contained.
         """
         if body is not None and body.is_a("IfcProfileDef"):
             body = self.extrusion(body, 1.0)

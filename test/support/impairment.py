@@ -68,17 +68,9 @@ class _Line:
 class TcpProxy:
     """Carries TCP connections to `target`, in order, as its profile says.
 
-    Parameters
-    ----------
-    target : tuple of (str, int)
-    seed : int, optional
-
-    Attributes
-    ----------
-    counters : Counter
-        ``connections``, ``refused`` (target does not answer), ``bytes_up``, ``bytes_down``.
-    stalls : list of Stall
-        Those that held something up, oldest first.
+    Attributes:
+        counters: ``connections``, ``refused`` (target does not answer), ``bytes_up``, ``bytes_down``.
+        stalls: Those that held something up, oldest first.
     """
 
     def __init__(self, target: tuple[str, int], seed: int = 1):
@@ -202,17 +194,11 @@ class TcpProxy:
 class UdpProxy:
     """Carries datagrams to `target` and its answers back, as its profile says. Every client gets a port of its own, as in a NAT.
 
-    Parameters
-    ----------
-    target : tuple of (str, int)
-    seed : int, optional
-    tap : callable, optional
-        Called with each datagram of a client as it comes in, before anything happens to it.
+    Args:
+        tap: Called with each datagram of a client as it comes in, before anything happens to it.
 
-    Attributes
-    ----------
-    counters : Counter
-        ``up``, ``down`` (datagrams carried), ``lost``, ``duplicated``, ``held_back``.
+    Attributes:
+        counters: ``up``, ``down`` (datagrams carried), ``lost``, ``duplicated``, ``held_back``.
     """
 
     def __init__(self, target: tuple[str, int], seed: int = 1, tap: Callable[[bytes], None] = lambda data: None):

@@ -10,20 +10,15 @@ from dataclasses import dataclass
 class Profile:
     """What a link does to its traffic, in both directions alike.
 
-    Attributes
-    ----------
-    delay, jitter : float
-        Travel time is uniform in delay +- jitter [s]. TCP keeps the order; datagrams overtake each other.
-    stall : tuple of (float, float)
-        Period and length of the times in which nothing arrives, half a period after the begin for the first [s]; () for none.
-    cut : float
-        Nothing passes for this long from the begin [s]: TCP brings it afterwards, datagrams are lost.
-    rate : float
-        Bytes per second and direction of a TCP connection; 0 for no bound.
-    loss, duplication, reordering : float
-        Fraction of datagrams that are lost; arrive twice; arrive `held_back` later than their travel time.
-    held_back : float
-        [s]
+    Attributes:
+        delay, jitter: Travel time is uniform in delay +- jitter [s]. TCP keeps the order; datagrams overtake each other.
+        stall: Period and length of the times in which nothing arrives, half a period after the begin for the first [s]; () for
+            none.
+        cut: Nothing passes for this long from the begin [s]: TCP brings it afterwards, datagrams are lost.
+        rate: Bytes per second and direction of a TCP connection; 0 for no bound.
+        loss, duplication, reordering: Fraction of datagrams that are lost; arrive twice; arrive `held_back` later than their travel
+            time.
+        held_back: [s]
     """
 
     delay: float = 0.0

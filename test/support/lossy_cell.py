@@ -10,17 +10,12 @@ from gateway_cell import Cell
 class LossyCell(Cell):
     """A `Cell` whose network loses what it is told to.
 
-    Parameters
-    ----------
-    cumulative : bool, optional
-        `Delay` counts all missed cycles of the session; False: those in a row.
+    Args:
+        cumulative: Bool. `Delay` counts all missed cycles of the session; False: those in a row.
 
-    Attributes
-    ----------
-    tells_delay : bool
-        False: telegrams have no `Delay`.
-    arrived : list of (int, tuple)
-        Every correction that arrived, as a position [rad], with the number of its cycle.
+    Attributes:
+        tells_delay: False: telegrams have no `Delay`.
+        arrived: Every correction that arrived, as a position [rad], with the number of its cycle.
     """
 
     def __init__(self, cumulative=False, **changes):

@@ -13,15 +13,11 @@ _HALF = math.pi / 2
 class Arm:
     """An arm to be written.
 
-    Attributes
-    ----------
-    name : str
-    base, tip : str
-        Ends of the chain.
-    axes : list of str
-        RSI axes that its joints should get.
-    joints : tuple
-        Per joint: type, origin [m], rpy [rad], axis, lower, upper, speed [rad] or [m], and the box of its link: size, centre [m].
+    Attributes:
+        base, tip: Ends of the chain.
+        axes: RSI axes that its joints should get.
+        joints: Per joint: type, origin [m], rpy [rad], axis, lower, upper, speed [rad] or [m], and the box of its link: size,
+            centre [m].
     """
 
     name: str

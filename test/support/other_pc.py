@@ -126,13 +126,9 @@ class TwinPc:
 class OtherPc:
     """The namespace `cell` as the PC of a planner, with a wall clock of its own.
 
-    Parameters
-    ----------
-    spaces : Namespaces
-    folder : Path
-        For what is compiled.
-    ahead : int
-        How far its wall clock is ahead [s]; its monotonic clock is the machine's.
+    Args:
+        folder: For what is compiled.
+        ahead: How far its wall clock is ahead [s]; its monotonic clock is the machine's.
     """
 
     def __init__(self, spaces: Namespaces, folder: Path, ahead: int):

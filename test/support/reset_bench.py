@@ -29,10 +29,8 @@ STATUS = NANOSECONDS
 class ResetBench:
     """A gateway, its controller, the bridge's supervisor and a stream, with a broker between them that takes its time.
 
-    Parameters
-    ----------
-    up, down : int, optional
-        How long a message to the gateway, and one from it, travels [ns].
+    Args:
+        up, down: How long a message to the gateway, and one from it, travels [ns].
     """
 
     def __init__(self, up: int = 12 * MS, down: int = 17 * MS):

@@ -24,17 +24,11 @@ class _Server(ThreadingMixIn, SimpleXMLRPCServer):
 class Node:
     """A process that has registered as a node: it answers `getPid`, like every node, and `getName`, like those of rospy.
 
-    Parameters
-    ----------
-    master : str
-        URI.
-    name : str
-    topic : str, optional
-        What it publishes.
-    port : int, optional
-        Of its own XML-RPC server; 0: any that is free.
-    get_pid : callable, optional
-        Its answer to `getPid`; questions that come meanwhile are answered, too.
+    Args:
+        master: URI.
+        topic: What it publishes.
+        port: Of its own XML-RPC server; 0: any that is free.
+        get_pid: Its answer to `getPid`; questions that come meanwhile are answered, too.
     """
 
     def __init__(

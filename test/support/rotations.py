@@ -10,13 +10,10 @@ import numpy as np
 def rotation_angle(first: np.ndarray, second: np.ndarray) -> float:
     """Return the angle between two orientations, exact also where it is tiny.
 
-    Parameters
-    ----------
-    first, second : array, shape (3, 3)
+    Args:
+        first, second: Shape (3, 3)
 
-    Returns
-    -------
-    angle : float
+    Returns:
         [rad], 0 to pi.
     """
     # |R1 - R2|_F = 2 sqrt(2) sin(angle / 2); the usual arccos of the trace loses half the digits near 0

@@ -60,11 +60,8 @@ def shipped(name: str) -> dict:
 class ScenarioRun:
     """One scenario on a chain of its own.
 
-    Parameters
-    ----------
-    name : str
-    content : dict
-        What the scenario's file holds: the key ``scenario``, and parameters of nodes.
+    Args:
+        content: What the scenario's file holds: the key ``scenario``, and parameters of nodes.
     """
 
     def __init__(self, name: str, content: dict):

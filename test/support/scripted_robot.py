@@ -84,24 +84,15 @@ def bent_motion(
 class ScriptedRobot:
     """One robot on the broker.
 
-    Parameters
-    ----------
-    broker : Broker
-        With the account of the robot's bridge.
-    name : str
-        In the topics.
-    prefix : str, optional
-    period : float, optional
-        Of `view` [s]; 0: only when `say` is called.
+    Args:
+        broker: With the account of the robot's bridge.
+        name: In the topics.
+        period: Of `view` [s]; 0: only when `say` is called.
 
-    Attributes
-    ----------
-    heard : list of (str, bytes)
-        What came: topic below the robot's, payload.
-    verdicts : list of (str, str, str)
-        Taken: account, verdict, plan's id.
-    twin : array
-        Joint positions [rad].
+    Attributes:
+        heard: What came: topic below the robot's, payload.
+        verdicts: Taken: account, verdict, plan's id.
+        twin: Joint positions [rad].
     """
 
     def __init__(self, broker: Broker, name: str, prefix: str = "twin", period: float = VIEW):

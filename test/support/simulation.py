@@ -57,14 +57,11 @@ MAX_STATE_AGE = 0.1
 class SimulatedLink:
     """Delays of the simulated network and the controller's phase.
 
-    Attributes
-    ----------
-    command_delay, state_delay : callable
-        Return the travel time of the next message [ns]. A command does not overtake another: MQTT runs over TCP.
-    phase : int
-        Offset of the controller's clock against the executor's grid [ns].
-    drift_ppm : float
-        By how much the executor's clock is faster than the controller's.
+    Attributes:
+        command_delay, state_delay: Return the travel time of the next message [ns]. A command does not overtake another: MQTT runs
+            over TCP.
+        phase: Offset of the controller's clock against the executor's grid [ns].
+        drift_ppm: By how much the executor's clock is faster than the controller's.
     """
 
     command_delay: Callable[[], int] = lambda: 300_000
@@ -76,24 +73,13 @@ class SimulatedLink:
 class SimulatedChain:
     """One robot, its twin and everything between them.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    config : GatewayConfig
-    controller : MockController
-    gate : GateSettings
-    link : SimulatedLink
-    planner : callable, optional
-        Makes a plan from a pose to another [rad]: asked when the gate closes during a plan and the policy is to re-plan.
-    restart_after : float, optional
-        A controller that has stopped starts a new RSI session after this time [s]; 0: it stays stopped.
+    Args:
+        planner: Makes a plan from a pose to another [rad]: asked when the gate closes during a plan and the policy is to re-plan.
+        restart_after: A controller that has stopped starts a new RSI session after this time [s]; 0: it stays stopped.
 
-    Attributes
-    ----------
-    requests : list of callable
-        What is done between two cycles of the controller, as `MockRsi.request` has it done.
-    observe : callable
-        Called in every cycle of the controller, when its packet leaves.
+    Attributes:
+        requests: What is done between two cycles of the controller, as `MockRsi.request` has it done.
+        observe: Called in every cycle of the controller, when its packet leaves.
     """
 
     def __init__(

@@ -61,14 +61,9 @@ class Motion:
 class Permission:
     """An approval or a resume that was answered with ok.
 
-    Attributes
-    ----------
-    plan : str
-    moment : float
-        When the person saw what was decided on: the call by ROS, the view's moment by MQTT.
-    recorded : float or None
-        When the verdict was first seen in the review file; None: never. A resume has no record.
-    resume : bool
+    Attributes:
+        moment: When the person saw what was decided on: the call by ROS, the view's moment by MQTT.
+        recorded: When the verdict was first seen in the review file; None: never. A resume has no record.
     """
 
     plan: str
@@ -90,15 +85,11 @@ class Play:
 class Stop:
     """A stop, pause, halt or rejection that was answered with ok.
 
-    Attributes
-    ----------
-    route : str
-        What was pressed, for sentences.
-    answered : float
-    cleared : float
-        When a person undid it: the next reset that was called, or the next approval or resume; the end of the watch for none.
-    at_gateway : bool
-        It ends in NEEDS_RESET: nothing may be armed before a reset.
+    Attributes:
+        route: What was pressed, for sentences.
+        cleared: When a person undid it: the next reset that was called, or the next approval or resume; the end of the watch for
+            none.
+        at_gateway: It ends in NEEDS_RESET: nothing may be armed before a reset.
     """
 
     route: str

@@ -58,12 +58,9 @@ class Ports:
 class SoakWorld(ExitStack):
     """Bringup with the mock arm; entered when the ROS master answers.
 
-    Parameters
-    ----------
-    folder : Path
-        Empty; for logs, trace, configuration and the disk.
-    arguments : tuple of str
-        Further arguments of bringup.launch.
+    Args:
+        folder: Empty; for logs, trace, configuration and the disk.
+        arguments: Further arguments of bringup.launch.
     """
 
     def __init__(self, folder: Path, arguments: tuple[str, ...] = ()):

@@ -38,15 +38,11 @@ def switched_off_on_stop(layout=LAYOUT):
 class ToolCell:
     """Everything between a command and `$OUT`, without sockets.
 
-    Parameters
-    ----------
-    layout, tool : optional
-        Default: the shipped ones.
-    gated : bool, optional
-        See `SimulatedTool`.
-    commissioning : bool, optional
-    changes
-        Of the gateway's configuration.
+    Args:
+        layout, tool: Default: the shipped ones.
+        gated: Bool. See `SimulatedTool`.
+        commissioning: Bool
+        changes: Of the gateway's configuration.
     """
 
     def __init__(self, layout=LAYOUT, tool=TOOL, gated=True, commissioning=False, **changes):

@@ -107,26 +107,17 @@ class Killed(Exception):
 class Bench:
     """The node and its neighbours.
 
-    Attributes
-    ----------
-    scene : Scene
-        As the scene node has it.
-    scene_refuses : str
-        Why it changes nothing.
-    publishers : dict of str to int
-        Nodes that publish a topic.
-    planner_dies : str
-        ``before`` or ``after`` it has published a plan: it does not answer then. ``node``: the node ends instead, by `Killed`.
-    arm_pose : callable
-        Where the arm is [rad].
-    noted : list of (str, str)
-        What the node asked others for, and the event of the ledger's last line on the disk then.
-    refused : list of (str, str)
-        Reasons and sentences.
-    tasks : list of WorkTasks
-        What it published.
-    plan : Plan
-        What the planner offers.
+    Attributes:
+        scene: As the scene node has it.
+        scene_refuses: Why it changes nothing.
+        publishers: Nodes that publish a topic.
+        planner_dies: ``before`` or ``after`` it has published a plan: it does not answer then. ``node``: the node ends instead, by
+            `Killed`.
+        arm_pose: Where the arm is [rad].
+        noted: What the node asked others for, and the event of the ledger's last line on the disk then.
+        refused: Reasons and sentences.
+        tasks: What it published.
+        plan: What the planner offers.
     """
 
     def __init__(self, monkeypatch, folder: Path):

@@ -25,16 +25,13 @@ def canonical(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, 
 
     Vertices that become equal are one, and triangles that lose their area go; sorted by coordinates.
 
-    Parameters
-    ----------
-    vertices : array, shape (v, 3)
-        [m]
-    triangles : array of int, shape (t, 3)
+    Args:
+        vertices: Shape (v, 3). [m]
+        triangles: Shape (t, 3), integers
 
-    Returns
-    -------
-    vertices : array, shape (w, 3)
-    triangles : array of int, shape (u, 3)
+    Returns:
+        vertices: Shape (w, 3)
+        triangles: Shape (u, 3), integers
     """
     rounded = np.round(np.asarray(vertices, dtype=float), DECIMALS) + 0.0
     points, merged = np.unique(rounded, axis=0, return_inverse=True)
@@ -75,16 +72,11 @@ def corner_normals(vertices: np.ndarray, triangles: np.ndarray, crease_deg: floa
 def to_collada(name: str, vertices: np.ndarray, triangles: np.ndarray, colour: tuple[float, float, float]) -> str:
     """Return the file's text: same mesh, same text.
 
-    Parameters
-    ----------
-    name : str
-        Of the geometry.
-    vertices : array, shape (v, 3)
-        [m]
-    triangles : array of int, shape (t, 3)
-        Counter-clockwise seen from outside.
-    colour : tuple, length 3
-        Red, green, blue, 0 to 1.
+    Args:
+        name: Of the geometry.
+        vertices: Shape (v, 3). [m]
+        triangles: Shape (t, 3), integers. Counter-clockwise seen from outside.
+        colour: Length 3. Red, green, blue, 0 to 1.
     """
     vertices, triangles = canonical(vertices, triangles)
     corners = np.round(corner_normals(vertices, triangles), NORMAL_DECIMALS) + 0.0
@@ -103,16 +95,12 @@ def to_collada(name: str, vertices: np.ndarray, triangles: np.ndarray, colour: t
 def from_collada(text: str) -> tuple[np.ndarray, np.ndarray]:
     """Read back what `to_collada` wrote.
 
-    Returns
-    -------
-    vertices : array, shape (v, 3)
-        [m]
-    triangles : array of int, shape (t, 3)
+    Returns:
+        vertices: Shape (v, 3). [m]
+        triangles: Shape (t, 3), integers
 
-    Raises
-    ------
-    ConfigurationError
-        If the text is not such a file.
+    Raises:
+        ConfigurationError: If the text is not such a file.
     """
     try:
         mesh = ElementTree.fromstring(text).find(f".//{_NAMESPACE}mesh")

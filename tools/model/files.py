@@ -33,10 +33,8 @@ _HEADER = """\
 def link_parts(link: str) -> arm.Parts:
     """Return a link's solids by colour.
 
-    Raises
-    ------
-    ConfigurationError
-        If no such link is drawn.
+    Raises:
+        ConfigurationError: If no such link is drawn.
     """
     links = arm.LINKS | track.LINKS
     if link not in links:

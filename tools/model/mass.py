@@ -12,14 +12,10 @@ import numpy as np
 class Inertia:
     """Inertia of one link.
 
-    Attributes
-    ----------
-    mass : float
-        [kg]
-    centre : array, shape (3,)
-        Centre of mass in the link's frame [m].
-    tensor : array, shape (3, 3)
-        About the centre of mass, axes of the link's frame [kg m^2].
+    Attributes:
+        mass: [kg]
+        centre: Shape (3,). Centre of mass in the link's frame [m].
+        tensor: Shape (3, 3). About the centre of mass, axes of the link's frame [kg m^2].
     """
 
     mass: float
@@ -32,12 +28,10 @@ def inertia(mass: float, meshes: Sequence[tuple[np.ndarray, np.ndarray]]) -> Ine
 
     Sums over the tetrahedra between the origin and each triangle (Tonon, Journal of Mathematics and Statistics 1, 2005).
 
-    Parameters
-    ----------
-    mass : float
-        [kg]
-    meshes : sequence of (array, shape (v, 3); array of int, shape (t, 3))
-        Vertices [m] and triangles, counter-clockwise seen from outside.
+    Args:
+        mass: [kg]
+        meshes: Sequence of (array, shape (v, 3); array of int, shape (t, 3)). Vertices [m] and triangles, counter-clockwise seen
+            from outside.
     """
     corners = np.concatenate([vertices[triangles] for vertices, triangles in meshes])
     volumes = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6

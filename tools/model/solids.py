@@ -25,15 +25,10 @@ def turned(
 ) -> Manifold:
     """Return the solid that a profile makes when it turns about an axis.
 
-    Parameters
-    ----------
-    profile : sequence of (float, float)
-        Radius and height along the axis of each corner [m]; closed along the axis.
-    axis : str
-        ``x``, ``y``, ``z``, or with a minus.
-    at : tuple, length 3, optional
-        Where height 0 lies.
-    segments : int, optional
+    Args:
+        profile: Radius and height along the axis of each corner [m]; closed along the axis.
+        axis: ``x``, ``y``, ``z``, or with a minus.
+        at: Length 3. Where height 0 lies.
     """
     corners = [(0.0, profile[0][1]), *profile, (0.0, profile[-1][1])]
     section = CrossSection([np.array(corners)])
@@ -124,20 +119,13 @@ def bolts(
 ) -> Manifold:
     """Return a ring of hexagon heads that stand `height` above the plane through `at`.
 
-    Parameters
-    ----------
-    count : int
-    pitch_radius : float
-        [m]
-    size : float
-        Across corners [m].
-    axis : str
-        The heads' direction.
-    height : float
-        [m]
-    at : tuple, length 3, optional
-    first_deg : float, optional
-        Angle of the first one [deg].
+    Args:
+        pitch_radius: [m]
+        size: Across corners [m].
+        axis: The heads' direction.
+        height: [m]
+        at: Length 3
+        first_deg: Angle of the first one [deg].
     """
     head = Manifold.cylinder(2 * height, size / 2, size / 2 - 0.1 * size, 6).translate((pitch_radius, 0, -height))
     angles = (first_deg + 360.0 / count * number for number in range(count))

@@ -45,37 +45,22 @@ class SiteAccount:
 class Site:
     """What a site consists of.
 
-    Attributes
-    ----------
-    hosts : tuple of str
-        Names and addresses under which clients reach the broker.
-    robots : tuple of str
-    reviewers, stoppers, viewers, planners : tuple of str
-        People, who each get an account of their own at every robot, in that role. Without reviewers every robot has one account for
-        all who review.
-    shared : tuple of str
-        Robots that have that account without a person beside those of people, from a run before there were any.
-    plc : bool
-        Also an account for a PLC that commands in place of the bridge.
-    certificates : bool
-        Also a listener for client certificates.
-    port : int
-        TLS port; client certificates use the one above it.
-    prefix : str
-        First level of the MQTT topics.
-    consoles : tuple of str
-        Names and addresses under which browsers reach the console; empty: no files for one.
-    console_port : int
-        Its TCP port.
-    folder : str
-        Where the broker finds its files.
-    listen : str
-        The broker's own address on which it listens; empty: all of them.
+    Attributes:
+        hosts: Names and addresses under which clients reach the broker.
+        reviewers, stoppers, viewers, planners: People, who each get an account of their own at every robot, in that role. Without
+            reviewers every robot has one account for all who review.
+        shared: Robots that have that account without a person beside those of people, from a run before there were any.
+        plc: Also an account for a PLC that commands in place of the bridge.
+        certificates: Also a listener for client certificates.
+        port: TLS port; client certificates use the one above it.
+        prefix: First level of the MQTT topics.
+        consoles: Names and addresses under which browsers reach the console; empty: no files for one.
+        console_port: Its TCP port.
+        folder: Where the broker finds its files.
+        listen: The broker's own address on which it listens; empty: all of them.
 
-    Raises
-    ------
-    ConfigurationError
-        When a name could not stand in a topic, an access rule or a certificate.
+    Raises:
+        ConfigurationError: When a name could not stand in a topic, an access rule or a certificate.
     """
 
     hosts: tuple[str, ...]
@@ -148,11 +133,8 @@ class Site:
 def access_rules(site: Site, template: Callable[[str], str]) -> str:
     """Return mosquitto's ACL file.
 
-    Parameters
-    ----------
-    site : Site
-    template : callable
-        Returns the text of a file in config/mosquitto/, e.g. ``bridge.acl``.
+    Args:
+        template: Returns the text of a file in config/mosquitto/, e.g. ``bridge.acl``.
     """
     parts = ["# Who may do what. Made by make_site from config/mosquitto/; it is written anew with every run.\n"]
     for account in site.accounts():

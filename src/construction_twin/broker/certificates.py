@@ -27,19 +27,13 @@ _END = ("basicConstraints=critical,CA:false", "keyUsage=critical,digitalSignatur
 class Authority:
     """A CA in a folder of its own, `ca.key` and `ca.crt`; made when it is not there.
 
-    Parameters
-    ----------
-    folder : Path
-    name : str
-        Common name of a new CA.
-    hosts : iterable of str
-        Names and addresses that a new CA may vouch for, beside this machine's loopback; no browser believes it about others. Of a
-        name also what stands below it: ``twin.example`` permits ``hall7.twin.example``.
+    Args:
+        name: Common name of a new CA.
+        hosts: Names and addresses that a new CA may vouch for, beside this machine's loopback; no browser believes it about others.
+            Of a name also what stands below it: ``twin.example`` permits ``hall7.twin.example``.
 
-    Raises
-    ------
-    ConstructionTwinError
-        When openssl is not installed or fails, or only one half of the CA is there.
+    Raises:
+        ConstructionTwinError: When openssl is not installed or fails, or only one half of the CA is there.
     """
 
     def __init__(self, folder: Path, name: str, hosts: Iterable[str]):
@@ -82,15 +76,10 @@ class Authority:
     def issue(self, name: str, key: Path, certificate: Path, days: int, hosts: Iterable[str] = ()) -> None:
         """Sign a certificate for the key in `key`, which is made when it is not there.
 
-        Parameters
-        ----------
-        name : str
-            Common name.
-        key, certificate : Path
-        days : int
-            Lifetime [days].
-        hosts : iterable of str, optional
-            With them it is a server's, for these names and addresses; otherwise a client's.
+        Args:
+            name: Common name.
+            days: Lifetime [days].
+            hosts: With them it is a server's, for these names and addresses; otherwise a client's.
         """
         if not key.exists():
             make_key(key)

@@ -21,12 +21,7 @@ _SCALE = 8
 
 
 class ConsoleFiles:
-    """The folder `console/` of a site: `console.crt`, `console.key`, `ca.crt`, `addresses.txt`, a QR code per address.
-
-    Parameters
-    ----------
-    folder : Path
-    """
+    """The folder `console/` of a site: `console.crt`, `console.key`, `ca.crt`, `addresses.txt`, a QR code per address."""
 
     def __init__(self, folder: Path):
         self._folder = folder
@@ -35,21 +30,13 @@ class ConsoleFiles:
     def make(self, site: Site, before: Iterable[str], authority: Authority, days: int, renew: bool) -> list[str]:
         """Make what is missing; return sentences on what was done.
 
-        Parameters
-        ----------
-        site : Site
-        before : iterable of str
-            Names of the console in the last run: for others its certificate is signed anew.
-        authority : Authority
-        days : int
-            Lifetime of a new certificate.
-        renew : bool
-            Sign it anew in any case, for the same key.
+        Args:
+            before: Names of the console in the last run: for others its certificate is signed anew.
+            days: Lifetime of a new certificate.
+            renew: Sign it anew in any case, for the same key.
 
-        Raises
-        ------
-        ConstructionTwinError
-            When openssl is missing or a name does not fit.
+        Raises:
+            ConstructionTwinError: When openssl is missing or a name does not fit.
         """
         if not site.consoles:
             return []

@@ -33,13 +33,9 @@ class SiteFolder:
     """The files of a site: `ca/`, `broker/` for the broker, `console/` for the console, `accounts/<name>/` for the holder of that
     account, `site.json`.
 
-    Parameters
-    ----------
-    folder : Path
-    templates : Path
-        Folder of mosquitto's templates.
-    new_password : callable
-        Returns a password that cannot be guessed.
+    Args:
+        templates: Folder of mosquitto's templates.
+        new_password: Returns a password that cannot be guessed.
     """
 
     def __init__(self, folder: Path, templates: Path = _TEMPLATES, new_password: Callable[[], str] | None = None):
@@ -67,22 +63,14 @@ class SiteFolder:
     ) -> list[str]:
         """Make what is missing; return sentences on what was done.
 
-        Parameters
-        ----------
-        site : Site
-        days : int, optional
-            Lifetime of new certificates.
-        renew : bool, optional
-            Sign all certificates anew, for the same keys.
-        replace : iterable of str, optional
-            Accounts that get a new password and a new key.
-        renew_ca : bool, optional
-            Sign the CA's certificate anew, for the same key, and for the names of this site.
+        Args:
+            days: Lifetime of new certificates.
+            renew: Sign all certificates anew, for the same keys.
+            replace: Accounts that get a new password and a new key.
+            renew_ca: Sign the CA's certificate anew, for the same key, and for the names of this site.
 
-        Raises
-        ------
-        ConstructionTwinError
-            When a program is missing, a name does not fit, or the CA may not vouch for one.
+        Raises:
+            ConstructionTwinError: When a program is missing, a name does not fit, or the CA may not vouch for one.
         """
         replace = set(replace)
         unknown = replace - {account.name for account in site.accounts()}

@@ -73,12 +73,9 @@ def main(argv: list[str] | None = None) -> None:
 def trial(path: str, port: int) -> str:
     """Start mosquitto as `main` would, and end it once it listens; return why it cannot work, empty when it can.
 
-    Parameters
-    ----------
-    path : str
-        Of the configuration file.
-    port : int
-        TCP port on 127.0.0.1, for a file without listeners.
+    Args:
+        path: Of the configuration file.
+        port: TCP port on 127.0.0.1, for a file without listeners.
     """
     program = _program()
     if program is None:
@@ -128,14 +125,10 @@ def _complete(text: str, port: int) -> str:
 def listener_ports(text: str) -> list[int]:
     """Return the TCP ports of the listeners in a mosquitto configuration.
 
-    Parameters
-    ----------
-    text : str
-        Of the file.
+    Args:
+        text: Of the file.
 
-    Returns
-    -------
-    ports : list of int
+    Returns:
         Empty: mosquitto listens where it is told to on its command line.
     """
     return [int(port) for port in re.findall(r"^\s*listener\s+(\d+)", text, re.MULTILINE)]

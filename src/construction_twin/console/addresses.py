@@ -13,15 +13,10 @@ from typing import cast
 def addresses(listen: str, port: int, certificate: Path | None, key: Path | None, scheme: str, path: str) -> list[str]:
     """Return the addresses, at least one.
 
-    Parameters
-    ----------
-    listen : str
-        Name or address on which it listens. Of ``0.0.0.0`` and ``::``, which nothing can open, the certificate's names take the
-        place; without any, this machine's.
-    port : int
-    certificate, key : Path or None
-    scheme, path : str
-        What stands before and behind.
+    Args:
+        listen: Name or address on which it listens. Of ``0.0.0.0`` and ``::``, which nothing can open, the certificate's names take
+            the place; without any, this machine's.
+        scheme, path: What stands before and behind.
     """
     hosts: Iterable[str] = [listen]
     if _is_everywhere(listen):
@@ -42,10 +37,8 @@ def certificate_names(certificate: Path, key: Path) -> list[str]:
 
     The standard library tells them only of a certificate that it has verified, so a client and a server meet in memory.
 
-    Parameters
-    ----------
-    certificate, key : Path
-        In PEM.
+    Args:
+        certificate, key: In PEM.
     """
     own = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     own.load_cert_chain(certificate, key, password="")

@@ -25,16 +25,12 @@ SLOWEST = 16384
 async def deliver(visitor: Visitor, request: Request, answer: Response, stall_s: float) -> bool:
     """Write an answer and end the connection; return whether the reader took it.
 
-    Parameters
-    ----------
-    visitor : Visitor
-        The connection, whose request has been read.
-    request : Request
-        Of a HEAD only the head of the answer is written.
-    answer : Response
-        Whole, with its length and ``Connection: close``.
-    stall_s : float
-        A reader that takes nothing for so long is cut off [s], and whoever takes longer than this and the body at `SLOWEST`.
+    Args:
+        visitor: The connection, whose request has been read.
+        request: Of a HEAD only the head of the answer is written.
+        answer: Whole, with its length and ``Connection: close``.
+        stall_s: A reader that takes nothing for so long is cut off [s], and whoever takes longer than this and the body at
+            `SLOWEST`.
     """
     transport = visitor.transport
     kernel = transport.get_extra_info("socket")

@@ -31,13 +31,9 @@ class _Counted(socket.socket):
 class Listener(socket.socket):
     """A TCP socket that gives what it accepts a place, by its file descriptor.
 
-    Parameters
-    ----------
-    family : int
-        Of its address.
-    places : Places
-    on_full : callable
-        Called with the address of a connection whose place another one gets.
+    Args:
+        family: Of its address.
+        on_full: Called with the address of a connection whose place another one gets.
     """
 
     def __init__(self, family: int, places: Places, on_full: Callable[[str], None]):
@@ -73,10 +69,8 @@ class Listener(socket.socket):
 async def listeners(host: str, port: int, places: Places, on_full: Callable[[str], None]) -> list[Listener]:
     """Return a listening socket for each address of a host.
 
-    Raises
-    ------
-    OSError
-        When there is no such address, or somebody else holds the port.
+    Raises:
+        OSError: When there is no such address, or somebody else holds the port.
     """
     found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     made: list[Listener] = []

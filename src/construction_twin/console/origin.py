@@ -18,16 +18,11 @@ from construction_twin.core.network import is_loopback
 def refusal(origin: str | None, host: str | None, secure: bool, allowed: frozenset[str]) -> str:
     """Return in one sentence why a WebSocket may not be opened; "" when it may.
 
-    Parameters
-    ----------
-    origin : str or None
-        Header `Origin`.
-    host : str or None
-        Header `Host`.
-    secure : bool
-        The server speaks TLS.
-    allowed : frozenset of str
-        Further origins that may, as browsers write them: ``https://console.cell``.
+    Args:
+        origin: Header `Origin`.
+        host: Header `Host`.
+        secure: The server speaks TLS.
+        allowed: Further origins that may, as browsers write them: ``https://console.cell``.
     """
     if origin is None:
         return "no Origin: expected a browser's request"

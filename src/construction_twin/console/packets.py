@@ -24,14 +24,10 @@ _MOST = 2000
 class Packet:
     """One MQTT packet.
 
-    Attributes
-    ----------
-    kind : int
-        Type of the control packet.
-    data : bytes
-        All of it, with its fixed header.
-    body : int
-        Where its variable header begins in `data`.
+    Attributes:
+        kind: Type of the control packet.
+        data: All of it, with its fixed header.
+        body: Where its variable header begins in `data`.
     """
 
     kind: int
@@ -42,12 +38,9 @@ class Packet:
 class PacketReader:
     """Cuts a stream of bytes into packets.
 
-    Parameters
-    ----------
-    largest : int
-        Longest packet that is read [bytes].
-    from_client : bool, optional
-        The first byte of each must be one that a client sends. It is refused before the rest has come.
+    Args:
+        largest: Longest packet that is read [bytes].
+        from_client: The first byte of each must be one that a client sends. It is refused before the rest has come.
     """
 
     def __init__(self, largest: int, from_client: bool = False):
@@ -58,10 +51,9 @@ class PacketReader:
     def feed(self, data: bytes) -> list[Packet]:
         """Take bytes; return the packets that are complete now.
 
-        Raises
-        ------
-        PayloadError
-            ``mqtt`` for a first byte or a length that is none of MQTT, ``size`` for a packet that is too long, or too many at once.
+        Raises:
+            PayloadError: ``mqtt`` for a first byte or a length that is none of MQTT, ``size`` for a packet that is too long, or too
+                many at once.
         """
         self._rest += data
         packets = []
@@ -74,10 +66,8 @@ class PacketReader:
     def first(self, data: bytes) -> Packet | None:
         """Take bytes; return the first packet once it is complete. What comes behind it is not read, and may be of any length.
 
-        Raises
-        ------
-        PayloadError
-            As `feed`.
+        Raises:
+            PayloadError: As `feed`.
         """
         self._rest += data
         return self._next()
@@ -114,19 +104,13 @@ def _is_from_client(first: int) -> bool:
 class ClientStream:
     """What a browser sends: CONNECT first and once, then only what a client may send.
 
-    Parameters
-    ----------
-    largest : int
-        Longest packet [bytes].
+    Args:
+        largest: Longest packet [bytes].
 
-    Attributes
-    ----------
-    account : str
-        User name of CONNECT; "" before it, and for an anonymous client.
-    connected : bool
-        CONNECT has come.
-    ended : bool
-        DISCONNECT has come: the broker hangs up next, and that is no fault.
+    Attributes:
+        account: User name of CONNECT; "" before it, and for an anonymous client.
+        connected: CONNECT has come.
+        ended: DISCONNECT has come: the broker hangs up next, and that is no fault.
     """
 
     def __init__(self, largest: int):
@@ -138,10 +122,8 @@ class ClientStream:
     def feed(self, data: bytes) -> list[Packet]:
         """Take bytes; return the packets that may pass.
 
-        Raises
-        ------
-        PayloadError
-            ``mqtt`` or ``size``; nothing of what came may pass then.
+        Raises:
+            PayloadError: ``mqtt`` or ``size``; nothing of what came may pass then.
         """
         packets = self._reader.feed(data)
         for packet in packets:
@@ -158,10 +140,8 @@ class ClientStream:
 def user_name(connect: Packet) -> str:
     """Return the user name of a CONNECT packet, "" when it has none.
 
-    Raises
-    ------
-    PayloadError
-        ``mqtt`` when it is not a CONNECT of MQTT 3.1.1 or 5.
+    Raises:
+        PayloadError: ``mqtt`` when it is not a CONNECT of MQTT 3.1.1 or 5.
     """
     fields = _Fields(connect.data, connect.body)
     if fields.text() != "MQTT" or (version := fields.byte()) not in (4, 5):

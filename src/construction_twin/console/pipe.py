@@ -36,18 +36,12 @@ BROKER_SILENCE = 2
 class PipeLimits:
     """What one connection may do.
 
-    Attributes
-    ----------
-    largest : int
-        Longest packet of a browser [bytes]: a motion is the longest, and is for planners' programs, not for this page.
-    packets_per_s, bytes_per_s : float
-        What a browser may send in the long run.
-    burst_packets, burst_bytes : float
-        And at once.
-    login_s : float
-        Longest wait for the broker, and from then on for the whole CONNECT [s].
-    stall_s : float
-        A browser that takes nothing for so long is cut off [s]: what is shown there is old.
+    Attributes:
+        largest: Longest packet of a browser [bytes]: a motion is the longest, and is for planners' programs, not for this page.
+        packets_per_s, bytes_per_s: What a browser may send in the long run.
+        burst_packets, burst_bytes: And at once.
+        login_s: Longest wait for the broker, and from then on for the whole CONNECT [s].
+        stall_s: A browser that takes nothing for so long is cut off [s]: what is shown there is old.
     """
 
     largest: int = 65536
@@ -61,14 +55,7 @@ class PipeLimits:
 
 @dataclass(frozen=True)
 class BrokerAddress:
-    """Where the broker is.
-
-    Attributes
-    ----------
-    host : str
-    port : int
-    tls : ssl.SSLContext or None
-    """
+    """Where the broker is."""
 
     host: str
     port: int
@@ -92,15 +79,10 @@ async def pipe(
 ) -> str:
     """Carry bytes until one side ends; return in one sentence how it ended.
 
-    Parameters
-    ----------
-    browser : ServerConnection
-    broker : BrokerAddress
-    limits : PipeLimits
-    on_login : callable
-        Called with the account when the broker has accepted it; returns why it may not stay all the same, or an empty text.
-    clock : callable, optional
-        Returns a time from any origin [ns].
+    Args:
+        on_login: Called with the account when the broker has accepted it; returns why it may not stay all the same, or an empty
+            text.
+        clock: Returns a time from any origin [ns].
     """
     try:
         connecting = asyncio.open_connection(broker.host, broker.port, ssl=broker.tls)

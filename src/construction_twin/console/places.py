@@ -11,12 +11,11 @@ from dataclasses import dataclass
 class PlaceLimits:
     """How many connections there may be.
 
-    Attributes
-    ----------
-    visitors, visitors_per_address : int
-        Of those that have not logged in: they begin TLS, ask for something, get a file, or are about to log in.
-    logins, logins_per_address, logins_per_account : int
-        Of WebSockets on which the broker has accepted a login. A broker without accounts has no limit per account.
+    Attributes:
+        visitors, visitors_per_address: Of those that have not logged in: they begin TLS, ask for something, get a file, or are
+            about to log in.
+        logins, logins_per_address, logins_per_account: Of WebSockets on which the broker has accepted a login. A broker without
+            accounts has no limit per account.
     """
 
     visitors: int = 256
@@ -37,10 +36,6 @@ class Places:
 
     A visitor always gets in: where there is no place, the oldest visitor of the address with the most of them has to go. So one
     address, however many connections it makes, takes nothing from another one with fewer.
-
-    Parameters
-    ----------
-    limits : PlaceLimits
     """
 
     def __init__(self, limits: PlaceLimits):

@@ -20,10 +20,8 @@ from construction_twin.core.network import is_loopback
 def settings_of(arguments: argparse.Namespace) -> ServerSettings:
     """Return the settings that the arguments mean.
 
-    Raises
-    ------
-    ConfigurationError
-        Naming the argument.
+    Raises:
+        ConfigurationError: Naming the argument.
     """
     if bool(arguments.certificate) != bool(arguments.key):
         raise ConfigurationError("--certificate and --key", None, "both or neither")

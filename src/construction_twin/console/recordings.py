@@ -14,11 +14,9 @@ MOST = 200
 def recordings(folder: Path) -> dict[str, Path]:
     """Return the files of the runs below a folder of results, by their relative names.
 
-    Parameters
-    ----------
-    folder : Path
-        Each run is a folder in it with a ``report.html``; links out of the folder are left out, and so is a run's second name, as
-        the link ``latest`` is one.
+    Args:
+        folder: Each run is a folder in it with a ``report.html``; links out of the folder are left out, and so is a run's second
+            name, as the link ``latest`` is one.
     """
     found: dict[str, Path] = {}
     root = folder.resolve()

@@ -54,22 +54,12 @@ REPORT_POLICY = (
 class ServerSettings:
     """What the server serves, and to whom.
 
-    Attributes
-    ----------
-    files : Mapping of str to StaticFile
-        The page, for everybody, by path; empty for a console that only pipes.
-    private : Path or None
-        Folder of files for who is logged in: robot model, scene, building model.
-    results : Path or None
-        Folder of the recorded runs.
-    broker : BrokerAddress
-    origins : frozenset of str
-        Further origins whose pages may connect.
-    tls : ssl.SSLContext or None
-    limits : PipeLimits
-    places : PlaceLimits
-    file_stall_s : float
-        Who takes nothing of a file for so long is cut off [s].
+    Attributes:
+        files: The page, for everybody, by path; empty for a console that only pipes.
+        private: Folder of files for who is logged in: robot model, scene, building model.
+        results: Folder of the recorded runs.
+        origins: Further origins whose pages may connect.
+        file_stall_s: Who takes nothing of a file for so long is cut off [s].
     """
 
     files: Mapping[str, StaticFile]
@@ -84,12 +74,7 @@ class ServerSettings:
 
 
 class ConsoleServer:
-    """Answers requests; knows who is connected, and who is logged in.
-
-    Parameters
-    ----------
-    settings : ServerSettings
-    """
+    """Answers requests; knows who is connected, and who is logged in."""
 
     def __init__(self, settings: ServerSettings):
         self._settings = settings
@@ -105,12 +90,8 @@ class ConsoleServer:
     async def run(self, host: str, port: int, ready: asyncio.Event | None = None) -> None:
         """Serve until cancelled.
 
-        Parameters
-        ----------
-        host : str
-        port : int
-        ready : asyncio.Event, optional
-            Set when the port is open.
+        Args:
+            ready: Set when the port is open.
         """
         self._tickets = Tickets(lambda: secrets.token_urlsafe(24), port)
         async with contextlib.AsyncExitStack() as serving:

@@ -36,17 +36,11 @@ _HASHED = re.compile(r"(?:^|[.-])(?:(?=\d*[A-Z])[0-9A-Z]{8}|[0-9a-f]{12,64})\.\w
 class StaticFile:
     """One file.
 
-    Attributes
-    ----------
-    kind : str
-        Its media type.
-    body : bytes
-    compressed : bytes or None
-        By gzip; None where that is no smaller.
-    tag : str
-        SHA-256 of `body`, as a browser gets it back as ``ETag``.
-    lasting : bool
-        Its name holds a hash.
+    Attributes:
+        kind: Its media type.
+        compressed: By gzip; None where that is no smaller.
+        tag: SHA-256 of `body`, as a browser gets it back as ``ETag``.
+        lasting: Its name holds a hash.
     """
 
     kind: str
@@ -71,16 +65,11 @@ class StaticFile:
 def read_folder(folder: Path, prefix: str = "/") -> Mapping[str, StaticFile]:
     """Return the files of a folder and its folders, by the path of the request that gets them.
 
-    Parameters
-    ----------
-    folder : Path
-    prefix : str, optional
-        What stands before their names.
+    Args:
+        prefix: What stands before their names.
 
-    Raises
-    ------
-    ConfigurationError
-        When there is no such folder, or a file is too large.
+    Raises:
+        ConfigurationError: When there is no such folder, or a file is too large.
     """
     if not folder.is_dir():
         raise ConfigurationError("console files", str(folder), "a folder")
@@ -113,10 +102,8 @@ def names(folder: Path) -> Mapping[str, Path]:
 class FileCache:
     """Files that may change while the console runs, kept as long as they stay what they were. Used by several threads.
 
-    Parameters
-    ----------
-    most : int, optional
-        How much is kept [bytes].
+    Args:
+        most: How much is kept [bytes].
     """
 
     def __init__(self, most: int = LARGEST_SUM):
@@ -127,10 +114,8 @@ class FileCache:
     def read(self, path: Path) -> StaticFile | None:
         """Return a file as it is now; None when it has gone, or may not be read.
 
-        Raises
-        ------
-        ConfigurationError
-            When it is too large.
+        Raises:
+            ConfigurationError: When it is too large.
         """
         try:
             status = path.stat()

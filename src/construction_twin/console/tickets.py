@@ -18,12 +18,9 @@ NAME = "console_ticket"
 class Tickets:
     """The tickets of this run.
 
-    Parameters
-    ----------
-    new : callable
-        Returns a text that cannot be guessed.
-    port : int
-        Of this server.
+    Args:
+        new: Returns a text that cannot be guessed.
+        port: Of this server.
     """
 
     def __init__(self, new: Callable[[], str], port: int):

@@ -52,10 +52,8 @@ class Visitor(ServerConnection):
 def visitor_type(request_s: float) -> type[Visitor]:
     """Return the class of a server's connections.
 
-    Parameters
-    ----------
-    request_s : float
-        Longest wait for the whole request [s].
+    Args:
+        request_s: Longest wait for the whole request [s].
     """
 
     class ImpatientVisitor(Visitor):

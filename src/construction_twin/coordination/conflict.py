@@ -28,12 +28,9 @@ _OVERHEAD = 500
 class Conflict:
     """The first place where a plan comes too close to the other arm.
 
-    Attributes
-    ----------
-    time : float
-        Lower bound of the time from the present pose until then, at planned speed [s].
-    between : tuple of str, length 2
-        A link or carried object of ours, and the other arm's.
+    Attributes:
+        time: Lower bound of the time from the present pose until then, at planned speed [s].
+        between: Length 2. A link or carried object of ours, and the other arm's.
     """
 
     time: float
@@ -44,12 +41,9 @@ class Conflict:
 class PathCheck:
     """The result of comparing a plan's path with the other arm, as far as it has been compared.
 
-    Attributes
-    ----------
-    conflict : Conflict or None
-        The first one found so far.
-    fraction : float
-        Fraction of the path that has been compared with the space that the other arm occupies; 1: all of it.
+    Attributes:
+        conflict: The first one found so far.
+        fraction: Fraction of the path that has been compared with the space that the other arm occupies; 1: all of it.
     """
 
     conflict: Conflict | None
@@ -80,15 +74,8 @@ class OwnPath:
 
     What was once found clear stays clear: the rest of our path only gets shorter, and so does the rest of the other arm's path.
 
-    Parameters
-    ----------
-    plan : Plan
-    arm : Neighbour
-        Our own robot with what it carries, from its own root; its `step` is how close the copies are.
-
-    Attributes
-    ----------
-    plan : Plan
+    Args:
+        arm: Our own robot with what it carries, from its own root; its `step` is how close the copies are.
     """
 
     def __init__(self, plan: Plan, arm: Neighbour):
@@ -106,18 +93,12 @@ class OwnPath:
     ) -> PathCheck:
         """Compare the path from a row on with the space that the other arm occupies: up to a horizon, then within a budget.
 
-        Parameters
-        ----------
-        obstacles : iterable of Obstacle
-            The space that the other arm occupies.
-        padding : float
-            Distance to keep from it [m], added to the padding of both sides' copies. Must be the same at every call.
-        row : int, optional
-            Our arm's present row. Must not decrease from call to call.
-        horizon : float, optional
-            The next part of the path, of this length, is always compared [s].
-        budget : int, optional
-            About how many pairs of copies are compared beyond the horizon; the next call continues there.
+        Args:
+            obstacles: The space that the other arm occupies.
+            padding: Distance to keep from it [m], added to the padding of both sides' copies. Must be the same at every call.
+            row: Our arm's present row. Must not decrease from call to call.
+            horizon: The next part of the path, of this length, is always compared [s].
+            budget: About how many pairs of copies are compared beyond the horizon; the next call continues there.
         """
         end = self._sweep.row_after(row, horizon)
         self._sweep.grow(end)
@@ -201,12 +182,9 @@ class OwnPath:
 class Claim:
     """An arm's right of way, from the first setpoint of an approved plan until the plan has ended.
 
-    Attributes
-    ----------
-    since : int
-        Stamp of its first setpoint [ns]; 0: it has not begun.
-    name : str
-        Of the robot; decides if both began at the same time.
+    Attributes:
+        since: Stamp of its first setpoint [ns]; 0: it has not begun.
+        name: Of the robot; decides if both began at the same time.
     """
 
     since: int
@@ -223,14 +201,9 @@ def gives_way(conflict: Conflict, own: Claim, other: Claim | None, horizon: floa
     It gives way to an arm that follows no plan; to an arm whose plan began before ours; and to every arm if the conflict is closer
     than `horizon`, because two arms that both brake then cannot touch.
 
-    Parameters
-    ----------
-    conflict : Conflict
-    own : Claim
-    other : Claim or None
-        None: the other arm follows no plan.
-    horizon : float
-        See `braking_horizon` [s].
+    Args:
+        other: None: the other arm follows no plan.
+        horizon: See `braking_horizon` [s].
     """
     return other is None or not own.since or other.before(own) or conflict.time <= horizon
 
@@ -238,15 +211,11 @@ def gives_way(conflict: Conflict, own: Claim, other: Claim | None, horizon: floa
 def braking_horizon(robot: RobotModel, other: RobotModel, pose_age: float, verdict_age: float, delay: float) -> float:
     """Return how far ahead a conflict must be detected [s]: both arms' longest braking times plus the ages of the information.
 
-    Parameters
-    ----------
-    robot, other : RobotModel
-    pose_age : float
-        Largest age of the poses that a check uses [s].
-    verdict_age : float
-        Largest time from reading the poses to the executor's use of the verdict [s]: a check may take long or be skipped.
-    delay : float
-        Time from a verdict's expiry to the first braking setpoint [s].
+    Args:
+        pose_age: Largest age of the poses that a check uses [s].
+        verdict_age: Largest time from reading the poses to the executor's use of the verdict [s]: a check may take long or be
+            skipped.
+        delay: Time from a verdict's expiry to the first braking setpoint [s].
     """
     braking = (float(np.max(np.divide(one.velocity, one.acceleration))) for one in (robot, other))
     return sum(braking) + pose_age + verdict_age + delay

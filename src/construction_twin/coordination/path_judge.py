@@ -23,13 +23,9 @@ BUDGET = 500_000
 class Judgement:
     """A verdict on one plan.
 
-    Attributes
-    ----------
-    blocked : bool
-        It must not start, or must not continue.
-    time : float
-        As in `Conflict.msg`: time until the conflict, 0 if unknown, -1 without a conflict [s].
-    sentence : str
+    Attributes:
+        blocked: It must not start, or must not continue.
+        time: As in `Conflict.msg`: time until the conflict, 0 if unknown, -1 without a conflict [s].
     """
 
     blocked: bool
@@ -41,16 +37,11 @@ class Judgement:
 class Others:
     """The other arm at the time of one check.
 
-    Attributes
-    ----------
-    obstacles : collection of Obstacle
-        The space that it occupies.
-    claim : Claim or None
-        None: it follows no plan, or this is not known.
-    unknown : str
-        Why its pose is unknown, so that its whole reach is used; empty: the pose is known.
-    complete : bool
-        Whether the obstacles contain its path to the end, not only until beyond our horizon.
+    Attributes:
+        obstacles: The space that it occupies.
+        claim: None: it follows no plan, or this is not known.
+        unknown: Why its pose is unknown, so that its whole reach is used; empty: the pose is known.
+        complete: Whether the obstacles contain its path to the end, not only until beyond our horizon.
     """
 
     obstacles: Collection[Obstacle]
@@ -62,23 +53,15 @@ class Others:
 class PathJudge:
     """Keeps the results of each plan's path from one check to the next.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        Ours; its name decides if both plans began at the same time.
-    neighbour : str
-        Name of the other robot.
-    padding : float
-        Distance below which a plan may not start or go on, on top of our scene's padding [m].
-    step : float
-        As of `Neighbour`, for our own arm [m].
-    horizon : float
-        See `braking_horizon` [s].
+    Args:
+        robot: Ours; its name decides if both plans began at the same time.
+        neighbour: Name of the other robot.
+        padding: Distance below which a plan may not start or go on, on top of our scene's padding [m].
+        step: As of `Neighbour`, for our own arm [m].
+        horizon: See `braking_horizon` [s].
 
-    Raises
-    ------
-    ConfigurationError
-        If our robot's shapes cannot be read.
+    Raises:
+        ConfigurationError: If our robot's shapes cannot be read.
     """
 
     def __init__(self, robot: RobotModel, neighbour: str, padding: float, step: float, horizon: float):
@@ -95,17 +78,11 @@ class PathJudge:
     def waiting(self, plan: Plan, scene: Scene | None, others: Others) -> Judgement:
         """Judge a plan that waits for review: its whole path must have been compared before it may start.
 
-        Parameters
-        ----------
-        plan : Plan
-        scene : Scene or None
-            Ours, with what the arm carries.
-        others : Others
+        Args:
+            scene: Ours, with what the arm carries.
 
-        Raises
-        ------
-        SceneError
-            If what our arm carries cannot be used.
+        Raises:
+            SceneError: If what our arm carries cannot be used.
         """
         return self._judge(plan, scene, others, Claim(0, self._robot.name), None, 0.0)
 
@@ -114,19 +91,13 @@ class PathJudge:
     ) -> Judgement:
         """Judge the plan that is played, from our arm's present pose: up to the horizon at once, the rest over the next checks.
 
-        Parameters
-        ----------
-        plan, scene, others
-            As in `waiting`.
-        started : int
-            Stamp of its first setpoint, 0 before [ns].
-        poses : iterable of array, shape (n,)
-            Of our arm, commanded and measured; empty: unknown.
+        Args:
+            plan, scene, others: As in `waiting`.
+            started: Stamp of its first setpoint, 0 before [ns].
+            poses: Each of shape (n,). Of our arm, commanded and measured; empty: unknown.
 
-        Raises
-        ------
-        SceneError
-            As in `waiting`.
+        Raises:
+            SceneError: As in `waiting`.
         """
         return self._judge(plan, scene, others, Claim(started, self._robot.name), tuple(poses), self._horizon)
 

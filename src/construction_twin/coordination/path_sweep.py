@@ -27,19 +27,12 @@ class PlanPosition:
 class PathSweep:
     """A trajectory as copies of an arm's bodies; see `Neighbour.along`. Rows are its samples every 4 ms.
 
-    Parameters
-    ----------
-    arm : Neighbour
-    trajectory : Trajectory
-    standing : bool, optional
-        Include the bodies that no joint moves.
+    Args:
+        standing: Include the bodies that no joint moves.
 
-    Attributes
-    ----------
-    times : array, shape (m,)
-        Of all rows [s].
-    copies : list of PathCopy
-        Of the chunks computed so far, as in `SweptPath.copies`.
+    Attributes:
+        times: Shape (m,). Of all rows [s].
+        copies: Of the chunks computed so far, as in `SweptPath.copies`.
     """
 
     def __init__(self, arm: Neighbour, trajectory: Trajectory, standing: bool = True):

@@ -13,10 +13,8 @@ _KEPT = 8
 class PlanBook:
     """The plans of one arm and their states.
 
-    Attributes
-    ----------
-    started : int
-        Stamp of the first setpoint of the plan that is followed [ns]; 0: it has not begun.
+    Attributes:
+        started: Stamp of the first setpoint of the plan that is followed [ns]; 0: it has not begun.
     """
 
     def __init__(self):
@@ -53,10 +51,8 @@ class PlanBook:
     def followed(self) -> Plan | None:
         """Return the approved plan that has not ended; None for an arm that follows no plan.
 
-        Raises
-        ------
-        PlanUnknownError
-            If the arm's plan is not known.
+        Raises:
+            PlanUnknownError: If the arm's plan is not known.
         """
         if self._state is None:
             raise PlanUnknownError("its executor has said nothing yet")

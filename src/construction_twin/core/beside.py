@@ -26,11 +26,8 @@ _Result = TypeVar("_Result")
 class Failure:
     """What failed beside an act.
 
-    Attributes
-    ----------
-    what : str
-        The part, in a word or two.
-    error : Exception
+    Attributes:
+        what: The part, in a word or two.
     """
 
     what: str
@@ -65,14 +62,10 @@ class Beside:
     def do(self, what: str, part: Callable[..., _Result], *arguments: object) -> _Result | None:
         """Return what a part returns; None after an unexpected exception, which is counted and kept until it is told.
 
-        Parameters
-        ----------
-        what : str
-            The part, in a word or two of few: each is counted by itself.
-        part : callable
-            It tells, records or predicts. An act, or what an act depends on, does not belong here.
-        arguments
-            Of the part.
+        Args:
+            what: The part, in a word or two of few: each is counted by itself.
+            part: It tells, records or predicts. An act, or what an act depends on, does not belong here.
+            arguments: Of the part.
         """
         try:
             return part(*arguments)
@@ -99,13 +92,10 @@ class Beside:
     def tell(self, write: Callable[[str, str], object], failures: list[Failure] | None = None) -> None:
         """Write what has failed since the last call; not for a thread that must not wait.
 
-        Parameters
-        ----------
-        write : callable
-            Takes ``"%s"`` and a text, as `rospy.logerr`. When it fails itself, that is counted and the text is lost: what failed is
-            still in `report`.
-        failures : list of Failure, optional
-            What to write; by default what `take` returns.
+        Args:
+            write: Takes ``"%s"`` and a text, as `rospy.logerr`. When it fails itself, that is counted and the text is lost: what
+                failed is still in `report`.
+            failures: What to write; by default what `take` returns.
         """
         failures = self.take() if failures is None else failures
         for failure in failures:

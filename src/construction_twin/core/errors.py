@@ -18,14 +18,10 @@ class ConstructionTwinError(Exception):
 class ConfigurationError(ConstructionTwinError):
     """A parameter, file or robot description does not make sense.
 
-    Attributes
-    ----------
-    where : str
-        Resolved parameter name or file path.
-    value : object
-        What was found there; None: nothing.
-    expected : str
-        What would have been accepted.
+    Attributes:
+        where: Resolved parameter name or file path.
+        value: What was found there; None: nothing.
+        expected: What would have been accepted.
     """
 
     def __init__(self, where: str, value: object, expected: str):
@@ -36,10 +32,8 @@ class ConfigurationError(ConstructionTwinError):
 class EthernetXmlError(ConfigurationError):
     """An RSI Ethernet XML cannot be used.
 
-    Attributes
-    ----------
-    element : str
-        Path or TAG of the element that does not fit, e.g. ``CONFIG/PORT`` or ``RECEIVE AK.A1 HOLDON``.
+    Attributes:
+        element: Path or TAG of the element that does not fit, e.g. ``CONFIG/PORT`` or ``RECEIVE AK.A1 HOLDON``.
     """
 
     def __init__(self, where: str, element: str, value: object, expected: str):
@@ -58,10 +52,8 @@ class ExpiredError(ReviewError):
 class RecordError(ReviewError):
     """A verdict cannot be recorded, and what is not recorded is not carried out.
 
-    Attributes
-    ----------
-    path : str
-        The review file.
+    Attributes:
+        path: The review file.
     """
 
     def __init__(self, path: str, problem: str):
@@ -72,10 +64,8 @@ class RecordError(ReviewError):
 class TransitionLogError(ConstructionTwinError):
     """A change of the monitor's state cannot be written down; it is kept and tried again.
 
-    Attributes
-    ----------
-    path : str
-        The log file.
+    Attributes:
+        path: The log file.
     """
 
     def __init__(self, path: str, problem: str):
@@ -98,14 +88,12 @@ class GoalJointsError(GoalError):
 class MotionRefused(ConstructionTwinError):
     """A setpoint fails the motion check and must not be executed.
 
-    Attributes
-    ----------
-    reason : str
-        Counter name: ``range``, ``velocity``, ``acceleration``, ``braking_room``, ``start``, ``order``, ``lead``, ``values``.
-    joint : str
-        Joint that failed, or "" when the setpoint as a whole did.
-    value, limit : float
-        In SI units of the check; nan when there is none. The sentence has them in deg and mm, as every sentence for a person.
+    Attributes:
+        reason: Counter name: ``range``, ``velocity``, ``acceleration``, ``braking_room``, ``start``, ``order``, ``lead``,
+            ``values``.
+        joint: Joint that failed, or "" when the setpoint as a whole did.
+        value, limit: In SI units of the check; nan when there is none. The sentence has them in deg and mm, as every sentence for a
+            person.
     """
 
     def __init__(self, reason: str, joint: str, value: float, limit: float, unit: str = "rad"):
@@ -120,11 +108,9 @@ class MotionRefused(ConstructionTwinError):
 class ProtocolError(ConstructionTwinError):
     """A message from a network does not follow its protocol.
 
-    Attributes
-    ----------
-    reason : str
-        Counter name, e.g. ``length``, ``format``, ``ascii``, ``decimals``, ``properties``; of a telegram ``size``, ``xml``,
-        ``element``, ``number``.
+    Attributes:
+        reason: Counter name, e.g. ``length``, ``format``, ``ascii``, ``decimals``, ``properties``; of a telegram ``size``, ``xml``,
+            ``element``, ``number``.
     """
 
     def __init__(self, reason: str, message: str):
@@ -143,12 +129,9 @@ class TelegramError(ProtocolError):
 class PoseUnknownError(ConstructionTwinError):
     """The robot's pose is not published, or not any more.
 
-    Attributes
-    ----------
-    topic : str
-        Resolved name of the topic that should.
-    age, oldest : float
-        Age of its last message [s], inf without one; greatest that was asked for.
+    Attributes:
+        topic: Resolved name of the topic that should.
+        age, oldest: Age of its last message [s], inf without one; greatest that was asked for.
     """
 
     def __init__(self, topic: str, age: float, oldest: float):
@@ -166,10 +149,8 @@ class RequestRefused(ConstructionTwinError):
 class SilenceError(ConstructionTwinError):
     """There is no answer: the system is not running, or not under this name.
 
-    Attributes
-    ----------
-    where : str
-        The service, topic or master that was asked.
+    Attributes:
+        where: The service, topic or master that was asked.
     """
 
     def __init__(self, where: str, problem: str, to_do: str):

@@ -15,11 +15,9 @@ from importlib import import_module
 def lazy_exports(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
     """Return `__getattr__`, `__dir__` and `__all__` of a folder.
 
-    Parameters
-    ----------
-    package : str
-        The folder's ``__name__``. A name that it offers raises ModuleNotFoundError, which says where to look, if a library that the
-        name's module needs is not installed.
+    Args:
+        package: The folder's ``__name__``. A name that it offers raises ModuleNotFoundError, which says where to look, if a library
+            that the name's module needs is not installed.
     """
     modules = _listed(package)
 

@@ -16,16 +16,11 @@ def read_file(path: str | Path, most: int) -> bytes:
 
     A named pipe would keep its reader waiting for ever, and a device has no end: neither is opened for waiting.
 
-    Parameters
-    ----------
-    path : str or Path
-    most : int
-        Largest size [bytes].
+    Args:
+        most: Largest size [bytes].
 
-    Raises
-    ------
-    OSError
-        If it cannot be read, is not a regular file, or is larger; `strerror` is a phrase for a sentence.
+    Raises:
+        OSError: If it cannot be read, is not a regular file, or is larger; `strerror` is a phrase for a sentence.
     """
     with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
@@ -39,15 +34,10 @@ def read_file(path: str | Path, most: int) -> bytes:
 def write_whole(path: Path, contents: str | bytes) -> None:
     """Write a file in one step: a reader sees the old contents or the new ones, never a part. Nothing else is left behind.
 
-    Parameters
-    ----------
-    path : Path
-    contents : str or bytes
-        A text is written in UTF-8.
+    Args:
+        contents: A text is written in UTF-8.
 
-    Raises
-    ------
-    OSError
+    Raises OSError.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     # not with_name, which refuses "." with another error
@@ -65,10 +55,8 @@ def check_writable(folder: str | Path) -> None:
 
     For before a long computation: whether its result can be kept shows at its end otherwise.
 
-    Raises
-    ------
-    ConfigurationError
-        When it cannot be made, or takes no files.
+    Raises:
+        ConfigurationError: When it cannot be made, or takes no files.
     """
     folder = Path(folder).absolute()
     there = next(parent for parent in (folder, *folder.parents) if os.path.lexists(parent))

@@ -18,16 +18,11 @@ def braking_step(distance: float, deceleration: float) -> float:
 
     Discrete and exact: a step v followed by v - a, v - 2a, ... adds up to `distance`. Inverse of v + `braking_distance`.
 
-    Parameters
-    ----------
-    distance : float
-        [rad]; zero or less gives zero.
-    deceleration : float
-        Change of the step per cycle [rad], positive.
+    Args:
+        distance: [rad]; zero or less gives zero.
+        deceleration: Change of the step per cycle [rad], positive.
 
-    Returns
-    -------
-    step : float
+    Returns:
         [rad] per cycle.
     """
     if distance <= 0.0:
@@ -39,15 +34,10 @@ def braking_step(distance: float, deceleration: float) -> float:
 class Follower:
     """Per-joint target following inside the limits.
 
-    Parameters
-    ----------
-    limits : MotionLimits
-    decimals : int
-        Decimals on the wire, for the allowance.
-    q : tuple, shape (n,)
-        Start position, at rest [rad].
-    cycle : float, optional
-        Time between two calls [s].
+    Args:
+        decimals: Decimals on the wire, for the allowance.
+        q: Shape (n,). Start position, at rest [rad].
+        cycle: Time between two calls [s].
     """
 
     def __init__(self, limits: MotionLimits, decimals: int, q: tuple[float, ...], cycle: float = CYCLE):

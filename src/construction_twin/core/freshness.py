@@ -26,12 +26,9 @@ _TEXT = re.compile(r"([0-9a-f]{8})-([0-9]{1,15})")
 class Moment:
     """A moment on a clock of the robot's computer.
 
-    Attributes
-    ----------
-    origin : str
-        Which clock: 8 hexadecimal digits, others after each start of the computer.
-    at : int
-        [ns] since that start.
+    Attributes:
+        origin: Which clock: 8 hexadecimal digits, others after each start of the computer.
+        at: [ns] since that start.
     """
 
     origin: str
@@ -44,15 +41,11 @@ class Moment:
 def parse_moment(text: object) -> Moment:
     """Return the moment that a request repeats.
 
-    Parameters
-    ----------
-    text : object
-        As the newest `view` has it in `moment`.
+    Args:
+        text: As the newest `view` has it in `moment`.
 
-    Raises
-    ------
-    PayloadError
-        ``moment``
+    Raises:
+        PayloadError: ``moment``
     """
     found = _TEXT.fullmatch(text) if isinstance(text, str) else None
     if found is None:
@@ -66,10 +59,8 @@ def parse_moment(text: object) -> Moment:
 def staleness(seen: Moment, now: Moment) -> str:
     """Return why what repeats the moment `seen` is void, as a sentence; "" while it may be carried out.
 
-    Parameters
-    ----------
-    seen, now : Moment
-        What was shown, and the present; compared only where both are of one clock.
+    Args:
+        seen, now: What was shown, and the present; compared only where both are of one clock.
     """
     again = "look again, and then ask anew"
     if seen.origin != now.origin:

@@ -12,18 +12,12 @@ def percentile(edges: Sequence[float], counts: Sequence[int], fraction: float) -
 
     The true percentile is at most the value returned and lies above the next lower edge.
 
-    Parameters
-    ----------
-    edges : sequence of float, length b
-        Upper bin edges, ascending.
-    counts : sequence of int, length b or b + 1
-        Counts per bin; the one beyond `edges` is overflow.
-    fraction : float
-        (0, 1]
+    Args:
+        edges: Length b. Upper bin edges, ascending.
+        counts: Length b or b + 1. Counts per bin; the one beyond `edges` is overflow.
+        fraction: (0, 1]
 
-    Returns
-    -------
-    edge : float or None
+    Returns:
         None when nothing was counted or the percentile lies in the overflow, which has no upper edge.
     """
     wanted = math.ceil(fraction * sum(counts) - 1e-9)
@@ -38,10 +32,8 @@ def percentile(edges: Sequence[float], counts: Sequence[int], fraction: float) -
 class Histogram:
     """Counts in fixed bins.
 
-    Parameters
-    ----------
-    edges : list of float
-        Upper edges, ascending; what lies above the last goes into an overflow bin.
+    Args:
+        edges: Upper edges, ascending; what lies above the last goes into an overflow bin.
     """
 
     def __init__(self, edges: list[float]):

@@ -17,16 +17,12 @@ def weights(stamp: int, stamp0: int, stamp1: int, before: int | None, after: int
     The pose is ``q0 + (a * (q0 - q_before) + b * (q1 - q0) + c * (q_after - q1))``. Written in differences, poses that are equal
     give exactly that pose. `construction_twin.evaluation.alignment.TwinPath` does the same on arrays, operation by operation.
 
-    Parameters
-    ----------
-    stamp, stamp0, stamp1 : int
-        [ns], ``stamp0 <= stamp <= stamp1``, ``stamp0 < stamp1``.
-    before, after : int or None
-        Stamp of the neighbour before `stamp0` and after `stamp1` [ns]; None when there is none.
+    Args:
+        stamp, stamp0, stamp1: [ns], ``stamp0 <= stamp <= stamp1``, ``stamp0 < stamp1``.
+        before, after: Stamp of the neighbour before `stamp0` and after `stamp1` [ns]; None when there is none.
 
-    Returns
-    -------
-    a, b, c : float
+    Returns:
+        a, b, c
     """
     period = stamp1 - stamp0
     fraction = (stamp - stamp0) / period
@@ -58,19 +54,13 @@ def interpolate(
 ) -> Pose:
     """Interpolate between two stamped poses, with regard to their neighbours.
 
-    Parameters
-    ----------
-    stamp : int
-        [ns], from the stamp of `start` to that of `end`; at either the pose there is returned as it is.
-    start, end : tuple of (int, tuple)
-        Stamp [ns] and joint angles [rad], shape (n,).
-    before, after : tuple of (int, tuple) or None
-        The neighbours in time; None at the end of what is known.
+    Args:
+        stamp: [ns], from the stamp of `start` to that of `end`; at either the pose there is returned as it is.
+        start, end: Stamp [ns] and joint angles [rad], shape (n,).
+        before, after: The neighbours in time; None at the end of what is known.
 
-    Returns
-    -------
-    q : tuple, shape (n,)
-        Joint angles at `stamp` [rad].
+    Returns:
+        Shape (n,). Joint angles at `stamp` [rad].
     """
     # plain tuples, and no records: these are made and unpacked in every cycle of 4 ms
     stamp0, q0 = start

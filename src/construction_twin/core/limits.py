@@ -21,16 +21,11 @@ RANGE_SLACK = 1e-9
 class MotionLimits:
     """What each joint may do. Units are those of a revolute joint; for a prismatic one (`linear` is True) read m for rad.
 
-    Attributes
-    ----------
-    names : tuple of str
-        Joint names, in the order of every other tuple.
-    lower, upper : tuple of float, shape (n,)
-        Range [rad].
-    velocity, acceleration : tuple of float, shape (n,)
-        [rad/s], [rad/s^2], both positive.
-    linear : tuple of bool, shape (n,), optional
-        Default: every joint is revolute.
+    Attributes:
+        names: Joint names, in the order of every other tuple.
+        lower, upper: Shape (n,). Range [rad].
+        velocity, acceleration: Shape (n,). [rad/s], [rad/s^2], both positive.
+        linear: Shape (n,). Default: every joint is revolute.
     """
 
     names: tuple[str, ...]
@@ -91,16 +86,11 @@ def braking_distance(step: float, deceleration: float) -> float:
     Discrete and exact: the sum of step - deceleration, step - 2 deceleration, ... as long as they are positive. The textbook's
     v^2 / 2a is half a step longer and would refuse a motion that ends at the end of its range at full deceleration.
 
-    Parameters
-    ----------
-    step : float
-        [rad] per cycle, not negative.
-    deceleration : float
-        Change of the step per cycle [rad], positive.
+    Args:
+        step: [rad] per cycle, not negative.
+        deceleration: Change of the step per cycle [rad], positive.
 
-    Returns
-    -------
-    distance : float
+    Returns:
         [rad]
     """
     cycles = math.floor(step / deceleration)
@@ -115,11 +105,8 @@ class MotionCheck:
     refused.
     The budget includes what rounding to the wire's decimals adds.
 
-    Parameters
-    ----------
-    limits : MotionLimits
-    decimals : int
-        Decimals on the wire.
+    Args:
+        decimals: Decimals on the wire.
     """
 
     def __init__(self, limits: MotionLimits, decimals: int):
@@ -146,17 +133,12 @@ class MotionCheck:
     def accept(self, stamp: int, q: tuple[float, ...]) -> None:
         """Check the next setpoint and remember it; on refusal nothing is remembered.
 
-        Parameters
-        ----------
-        stamp : int
-            Nominal time of the setpoint [ns]; must be later than the last one's.
-        q : tuple, shape (n,)
-            Joint angles [rad].
+        Args:
+            stamp: Nominal time of the setpoint [ns]; must be later than the last one's.
+            q: Shape (n,). Joint angles [rad].
 
-        Raises
-        ------
-        MotionRefused
-            Reason ``values``, ``range``, ``order``, ``velocity``, ``acceleration`` or ``braking_room``.
+        Raises:
+            MotionRefused: Reason ``values``, ``range``, ``order``, ``velocity``, ``acceleration`` or ``braking_room``.
         """
         self.limits.check_range(q)
         period = (stamp - self._stamp) / NANOSECONDS

@@ -19,12 +19,9 @@ class KinematicsError(ConstructionTwinError):
 class UnreachableError(KinematicsError):
     """The target lies outside of what the arm reaches, whatever its joint ranges.
 
-    Attributes
-    ----------
-    missing : float
-        By how much [m], > 0: how far the target has to move, at least.
-    too_close : bool
-        False: the target is too far away. True: too close to the arm's base to fold the arm to it.
+    Attributes:
+        missing: By how much [m], > 0: how far the target has to move, at least.
+        too_close: False: the target is too far away. True: too close to the arm's base to fold the arm to it.
     """
 
     def __init__(self, missing: float, too_close: bool = False):
@@ -37,13 +34,9 @@ class UnreachableError(KinematicsError):
 class JointRangeError(KinematicsError):
     """A joint position lies outside its range.
 
-    Attributes
-    ----------
-    joint : str
-    value, lower, upper : float
-        [rad] ([m] for a prismatic joint).
-    linear : bool
-        The joint is prismatic.
+    Attributes:
+        value, lower, upper: [rad] ([m] for a prismatic joint).
+        linear: The joint is prismatic.
     """
 
     def __init__(self, joint: str, value: float, lower: float, upper: float, linear: bool = False):
@@ -62,12 +55,9 @@ class JointRangeError(KinematicsError):
 class PoseRangeError(JointRangeError):
     """The target could be reached, but only with a joint outside its range.
 
-    Attributes
-    ----------
-    joint : str
-        The joint that prevents it, in the solution that is out of range by least.
-    value, lower, upper : float
-        What it would have to be, and its range [rad] ([m] for a prismatic joint).
+    Attributes:
+        joint: The joint that prevents it, in the solution that is out of range by least.
+        value, lower, upper: What it would have to be, and its range [rad] ([m] for a prismatic joint).
     """
 
 
@@ -90,12 +80,9 @@ class OrientationError(PoseRangeError):
 class BranchError(KinematicsError):
     """A configuration of the arm (shoulder, elbow, wrist) is unknown, or does not exist for this arm or target.
 
-    Attributes
-    ----------
-    asked : str
-        The configuration asked for.
-    available : tuple of str
-        What could have been asked for; empty if the arm has no named configurations.
+    Attributes:
+        asked: The configuration asked for.
+        available: What could have been asked for; empty if the arm has no named configurations.
     """
 
     def __init__(self, asked: str, available: tuple[str, ...], reason: str):
@@ -117,16 +104,11 @@ class UnreachableOrientationError(KinematicsError):
 class NotFoundError(KinematicsError):
     """No joint solution was found in the time given, which does not prove that there is none.
 
-    Attributes
-    ----------
-    tried : int
-        Number of starting points tried.
-    budget_s : float
-        The time given [s].
-    residual_m, residual_rad : float
-        Position and orientation error of the best attempt within the ranges; inf without any.
-    hint : str
-        What the search saw besides: part of a sentence, or "".
+    Attributes:
+        tried: Number of starting points tried.
+        budget_s: The time given [s].
+        residual_m, residual_rad: Position and orientation error of the best attempt within the ranges; inf without any.
+        hint: What the search saw besides: part of a sentence, or "".
     """
 
     def __init__(self, tried: int, budget_s: float, residual_m: float, residual_rad: float, hint: str = ""):
@@ -147,14 +129,10 @@ class NotFoundError(KinematicsError):
 class SceneError(ConstructionTwinError):
     """The scene, or a change to it, does not make sense; the scene stays as it was.
 
-    Attributes
-    ----------
-    where : str
-        What is wrong: an object's property (``object 'wall' size``), a name, a file.
-    value : object
-        What was found there.
-    expected : str
-        What would have been accepted.
+    Attributes:
+        where: What is wrong: an object's property (``object 'wall' size``), a name, a file.
+        value: What was found there.
+        expected: What would have been accepted.
     """
 
     def __init__(self, where: str, value: object, expected: str):
@@ -169,11 +147,8 @@ class PlanningError(ConstructionTwinError):
 class NoPathError(PlanningError):
     """The planner found no path in its time budget.
 
-    Attributes
-    ----------
-    planner : str
-    budget : float
-        How long was tried [s].
+    Attributes:
+        budget: How long was tried [s].
     """
 
     def __init__(self, planner: str, budget: float):
@@ -185,12 +160,9 @@ class NoPathError(PlanningError):
 class CollisionError(PlanningError):
     """Two bodies that must not touch do.
 
-    Attributes
-    ----------
-    between : tuple of str, length 2
-        Names of the two: a link or a carried object first, then a link or an object of the scene.
-    where : str
-        ``the start``, ``the goal``, ``at 1.204 s``, ...
+    Attributes:
+        between: Length 2. Names of the two: a link or a carried object first, then a link or an object of the scene.
+        where: ``the start``, ``the goal``, ``at 1.204 s``, ...
     """
 
     def __init__(self, between: tuple[str, str], where: str):
@@ -206,10 +178,8 @@ class CollisionError(PlanningError):
 class DurationError(PlanningError):
     """The requested duration is shorter than the limits allow.
 
-    Attributes
-    ----------
-    requested, minimum : float
-        [s]
+    Attributes:
+        requested, minimum: [s]
     """
 
     def __init__(self, requested: float, minimum: float):
@@ -223,11 +193,8 @@ class DurationError(PlanningError):
 class PlanSizeError(PlanningError):
     """A plan would be larger than this planner makes.
 
-    Attributes
-    ----------
-    quantity : str
-        ``duration`` [s], ``waypoints`` or ``length of the tool's path`` [m].
-    value, limit : float
+    Attributes:
+        quantity: ``duration`` [s], ``waypoints`` or ``length of the tool's path`` [m].
     """
 
     def __init__(self, quantity: str, value: float, limit: float, unit: str, to_do: str):
@@ -239,12 +206,9 @@ class PlanSizeError(PlanningError):
 class FarWaypointError(PlanningError):
     """A tool path leads to a place so far beyond the arm that it must be a mistake.
 
-    Attributes
-    ----------
-    waypoint : int
-        Its number, from 0.
-    distance, reach : float
-        From the arm's first turning joint, and how far the arm reaches from there [m].
+    Attributes:
+        waypoint: Its number, from 0.
+        distance, reach: From the arm's first turning joint, and how far the arm reaches from there [m].
     """
 
     def __init__(self, waypoint: int, what: str, distance: float, reach: float):
@@ -259,10 +223,8 @@ class FarWaypointError(PlanningError):
 class NoSceneError(PlanningError):
     """It is not known what surrounds the arm, so nothing can be planned.
 
-    Attributes
-    ----------
-    source : str
-        Where the scene should come from.
+    Attributes:
+        source: Where the scene should come from.
     """
 
     def __init__(self, source: str):
@@ -273,10 +235,8 @@ class NoSceneError(PlanningError):
 class SceneChangedError(PlanningError):
     """The scene is another one than the one that was planned in.
 
-    Attributes
-    ----------
-    planned, present : str
-        Hashes of both scenes.
+    Attributes:
+        planned, present: Hashes of both scenes.
     """
 
     def __init__(self, planned: str, present: str):
@@ -290,10 +250,8 @@ class SceneChangedError(PlanningError):
 class NeighbourUnknownError(PlanningError):
     """Where the other arm is, or goes, is not published; it is never taken to be absent.
 
-    Attributes
-    ----------
-    neighbour : str
-        Name of the other robot.
+    Attributes:
+        neighbour: Name of the other robot.
     """
 
     def __init__(self, neighbour: str, problem: str):
@@ -306,12 +264,10 @@ class NeighbourUnknownError(PlanningError):
 class LimitError(PlanningError):
     """A motion breaks a limit of the robot.
 
-    Attributes
-    ----------
-    where, joint, quantity : str
-        Such as ``at 1.204 s``; which joint; ``position``, ``velocity``, ``acceleration`` or ``jerk``.
-    value, limit : float
-        [rad], [rad/s], ... ([m], ... for a prismatic joint); for a position `limit` is the end of the range that is passed.
+    Attributes:
+        where, joint, quantity: Such as ``at 1.204 s``; which joint; ``position``, ``velocity``, ``acceleration`` or ``jerk``.
+        value, limit: [rad], [rad/s], ... ([m], ... for a prismatic joint); for a position `limit` is the end of the range that is
+            passed.
     """
 
     def __init__(self, where: str, joint: str, quantity: str, value: float, limit: float, linear: bool = False):
@@ -325,16 +281,12 @@ class LimitError(PlanningError):
 class CartesianPathError(PlanningError):
     """The tool cannot follow its path to the end.
 
-    Attributes
-    ----------
-    reason : str
-        ``joint limit``, ``singularity``, ``flip``, ``unreachable``, ``not found``, ``collision`` or ``deviation``.
-    fraction, distance : float
-        How far it can be followed: fraction of the path's length, and metres (see `tool_path.TURN_LENGTH` for turns).
-    waypoint : int
-        Number of the waypoint that the tool was going to, from 0.
-    cause : ConstructionTwinError or None
-        The error behind it, with its own data: which joint, which pair, by how much.
+    Attributes:
+        reason: ``joint limit``, ``singularity``, ``flip``, ``unreachable``, ``not found``, ``collision`` or ``deviation``.
+        fraction, distance: How far it can be followed: fraction of the path's length, and metres (see `tool_path.TURN_LENGTH` for
+            turns).
+        waypoint: Number of the waypoint that the tool was going to, from 0.
+        cause: The error behind it, with its own data: which joint, which pair, by how much.
     """
 
     def __init__(
@@ -350,13 +302,9 @@ class CartesianPathError(PlanningError):
 class SegmentError(PlanningError):
     """A segment of a work plan cannot be used, and so neither can the plan.
 
-    Attributes
-    ----------
-    number : int
-        Of the segment, from 0.
-    name : str
-    cause : ConstructionTwinError
-        What is wrong with it, with its own data.
+    Attributes:
+        number: Of the segment, from 0.
+        cause: What is wrong with it, with its own data.
     """
 
     def __init__(self, number: int, name: str, cause: ConstructionTwinError):
@@ -365,12 +313,7 @@ class SegmentError(PlanningError):
 
 
 class FrameError(PlanningError):
-    """A frame is not known.
-
-    Attributes
-    ----------
-    frame : str
-    """
+    """A frame is not known."""
 
     #: So many frames are listed; tf may know hundreds.
     LISTED = 40
@@ -386,10 +329,8 @@ class FrameError(PlanningError):
 class EngagedError(PlanningError):
     """The arm was left inside an engaged segment of a work plan: only the way back along the executed path can be planned.
 
-    Attributes
-    ----------
-    task, segment : str
-        Which task, and in which of its segments the arm was left.
+    Attributes:
+        task, segment: Which task, and in which of its segments the arm was left.
     """
 
     def __init__(self, task: str, segment: str, reason: str):
@@ -404,12 +345,9 @@ class EngagedError(PlanningError):
 class WaypointsError(PlanningError):
     """Waypoints from elsewhere cannot be used.
 
-    Attributes
-    ----------
-    row, joint : int or None, str
-        Line of the file, or number of the point in a message (from 0); None and "" when no single one is at fault.
-    value, limit : object
-        What was found, and the limit it breaks [SI]; None where there is none.
+    Attributes:
+        row, joint: Line of the file, or number of the point in a message (from 0); None and "" when no single one is at fault.
+        value, limit: What was found, and the limit it breaks [SI]; None where there is none.
     """
 
     def __init__(

@@ -14,10 +14,8 @@ _LISTEN = "0A"
 def is_loopback(host: str) -> bool:
     """Return whether `host` is this machine itself, reached from nowhere else; of all names only ``localhost`` is known to be.
 
-    Parameters
-    ----------
-    host : str
-        Address or name.
+    Args:
+        host: Address or name.
     """
     try:
         return ipaddress.ip_address(host).is_loopback
@@ -41,12 +39,9 @@ def port_is_free(kind: socket.SocketKind, port: int, host: str = "127.0.0.1") ->
 def reaches_itself(host: str, timeout: float) -> str:
     """Return why no program of this machine that listens by IPv4 is reached by an address or name; empty when one is.
 
-    Parameters
-    ----------
-    host : str
-        What this machine's programs give to others as their own address.
-    timeout : float
-        Longest time for the connection [s].
+    Args:
+        host: What this machine's programs give to others as their own address.
+        timeout: Longest time for the connection [s].
     """
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as server:
         server.bind(("", 0))
@@ -71,12 +66,9 @@ def reaches_itself(host: str, timeout: float) -> str:
 def listening_ports(pid: int, or_any: bool = False) -> set[int]:
     """Return the TCP ports on which a process of this machine listens; empty for one that has ended.
 
-    Parameters
-    ----------
-    pid : int
-    or_any : bool, optional
-        Of a process whose files nobody but root may see (another user's, or a program with capabilities of its own): the ports on
-        which any process listens; else none.
+    Args:
+        or_any: Of a process whose files nobody but root may see (another user's, or a program with capabilities of its own): the
+            ports on which any process listens; else none.
     """
     try:
         links = [os.readlink(entry.path) for entry in os.scandir(f"/proc/{pid}/fd")]

@@ -31,12 +31,9 @@ class Limit(Protocol):
 class TokenBucket:
     """Tokens that are used up and come back at a rate.
 
-    Parameters
-    ----------
-    rate : float
-        How many come back per second.
-    burst : float
-        How many there are at first, and at most: so many may be used at once.
+    Args:
+        rate: How many come back per second.
+        burst: How many there are at first, and at most: so many may be used at once.
     """
 
     __slots__ = ("_burst", "_owed", "_rate", "_seen")
@@ -70,12 +67,7 @@ class TokenBucket:
 
 
 class RollingWindow:
-    """At most so many in any second: a bucket of that size would let twice as many pass in its first one.
-
-    Parameters
-    ----------
-    most : int
-    """
+    """At most so many in any second: a bucket of that size would let twice as many pass in its first one."""
 
     __slots__ = ("_most", "_times")
 
@@ -111,10 +103,8 @@ class SenderLimits:
 
     While `MOST_SENDERS` are known, no other one may do anything.
 
-    Parameters
-    ----------
-    make : callable
-        Makes the limit of one sender.
+    Args:
+        make: Makes the limit of one sender.
     """
 
     def __init__(self, make: Callable[[], Limit]):

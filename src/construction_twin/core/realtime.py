@@ -20,14 +20,10 @@ def request_realtime(priority: int) -> str:
     With it the processors are asked to stay awake as long as this process lives, or a program that takes its place: an idle one
     that has to wake up first answers late, in a virtual machine by milliseconds, because its host has given it away.
 
-    Parameters
-    ----------
-    priority : int
-        1 to 99; 0 asks for nothing.
+    Args:
+        priority: 1 to 99; 0 asks for nothing.
 
-    Returns
-    -------
-    outcome : str
+    Returns:
         One sentence for the log.
     """
     if priority == 0:
@@ -64,9 +60,7 @@ def lock_memory() -> str:
 
     What is allocated later is not locked: where memory that may be locked is limited, that could make an allocation fail.
 
-    Returns
-    -------
-    outcome : str
+    Returns:
         One sentence for the log.
     """
     if sys.platform != "linux":

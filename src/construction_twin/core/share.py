@@ -16,10 +16,8 @@ NAME = "construction_twin"
 def share_file(path: str) -> Path:
     """Return where a file or folder of the package is.
 
-    Parameters
-    ----------
-    path : str
-        As in the repository: ``config/kr120.yaml``. Whether it is there, whoever reads it finds out.
+    Args:
+        path: As in the repository: ``config/kr120.yaml``. Whether it is there, whoever reads it finds out.
     """
     return share_folder() / path
 

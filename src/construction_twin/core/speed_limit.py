@@ -24,23 +24,15 @@ class LimitState(Enum):
 class SpeedLimit:
     """One source's limit, with a deadline: a source that falls silent is taken to ask for less, never for more.
 
-    Parameters
-    ----------
-    deadline : float
-        A source that was heard must be heard again within this time [s].
-    silent : float, optional
-        Fraction of the speed while it is not, 0 to 1; or the last limit, where that was lower.
-    required : bool, optional
-        Whether that fraction holds before any source was heard.
+    Args:
+        deadline: A source that was heard must be heard again within this time [s].
+        silent: Fraction of the speed while it is not, 0 to 1; or the last limit, where that was lower.
+        required: Whether that fraction holds before any source was heard.
 
-    Attributes
-    ----------
-    name : str
-        Who was heard last; "" before the first time.
-    fraction : float
-        What it asked for, 0 to 1; 1 before the first time.
-    state, limit, reason : LimitState, float, str
-        As of the last `update`: why, what is allowed, and one sentence for the operator.
+    Attributes:
+        name: Who was heard last; "" before the first time.
+        fraction: What it asked for, 0 to 1; 1 before the first time.
+        state, limit, reason: As of the last `update`: why, what is allowed, and one sentence for the operator.
     """
 
     __slots__ = (
@@ -77,22 +69,15 @@ class SpeedLimit:
     def accept(self, fraction: float, name: str, now: int, words: str = "") -> None:
         """Take what a source says, unless another source is heard.
 
-        Parameters
-        ----------
-        fraction : float
-            0 to 1.
-        name : str
-            The source. While one is heard, another one is refused: two alternating sources would change the speed all
-            the time.
-        now : int
-            Time of reception [ns].
-        words : str, optional
-            Why, as the source says it.
+        Args:
+            fraction: 0 to 1.
+            name: The source. While one is heard, another one is refused: two alternating sources would change the speed all the
+                time.
+            now: Time of reception [ns].
+            words: Why, as the source says it.
 
-        Raises
-        ------
-        PayloadError
-            ``speed_limit`` or ``speed_limit_source``; nothing has changed then, and the deadline runs on.
+        Raises:
+            PayloadError: ``speed_limit`` or ``speed_limit_source``; nothing has changed then, and the deadline runs on.
         """
         # written so that a nan does not pass
         if not 0.0 <= fraction <= 1.0:

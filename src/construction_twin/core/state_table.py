@@ -22,12 +22,9 @@ A = TypeVar("A", bound=Enum)
 class Row(Generic[S, E, G, A]):
     """One row of a table: in `state`, when `event` happens and `guard` holds, do `action` and go to `target`.
 
-    Attributes
-    ----------
-    state, event, guard, action : Enum
-        Rows of the same state and event are tried in order; the first one whose guard holds applies.
-    target : Enum or None
-        Next state; None: the state stays what it is, and so does its reason.
+    Attributes:
+        state, event, guard, action: Rows of the same state and event are tried in order; the first one whose guard holds applies.
+        target: Next state; None: the state stays what it is, and so does its reason.
     """
 
     state: S
@@ -40,10 +37,9 @@ class Row(Generic[S, E, G, A]):
 class Rows(Generic[S, E, G, A]):
     """Makes the rows of one table: the same one for a state, or for several.
 
-    Parameters
-    ----------
-    states, events, guards, actions : type
-        The table's Enums; without another word a guard is the one that always holds, and an action does nothing.
+    Args:
+        states, events, guards, actions: The table's Enums; without another word a guard is the one that always holds, and an action
+            does nothing.
     """
 
     def __init__(self, states: type[S], events: type[E], guards: type[G], actions: type[A]):
@@ -82,12 +78,9 @@ def by_cause(table: tuple[Row[S, E, G, A], ...]) -> dict[tuple[S, E], tuple[Row[
 class Occasion:
     """What came with an event.
 
-    Attributes
-    ----------
-    reason : str
-        One sentence for people: why the next state is entered.
-    now : int
-        When [ns], on the machine's own clock.
+    Attributes:
+        reason: One sentence for people: why the next state is entered.
+        now: When [ns], on the machine's own clock.
     """
 
     reason: str = ""
@@ -100,32 +93,19 @@ Occ = TypeVar("Occ", bound=Occasion)
 class Machine(Generic[S, E, G, A, Occ]):
     """The present state, why it was entered, and how it changes: by the rows of a table, and in no other way.
 
-    Parameters
-    ----------
-    rows : mapping
-        The table, `by_cause`.
-    state, reason
-        The first ones.
-    guards : mapping of Guard to callable
-        From the occasion to what speaks against the row, in a sentence; "" for nothing. See `conditions`.
-    actions : mapping of Action to callable
-        Takes row and occasion; returns the sentence with which the next state is entered, None for the occasion's own.
-    name : str, optional
-        The machine's, for what is said about an event that its state does not take.
-    after : callable, optional
-        Takes row and occasion, when a row has been applied.
+    Args:
+        rows: The table, `by_cause`.
+        state, reason: The first ones.
+        guards: From the occasion to what speaks against the row, in a sentence; "" for nothing. See `conditions`.
+        actions: Takes row and occasion; returns the sentence with which the next state is entered, None for the occasion's own.
+        name: The machine's, for what is said about an event that its state does not take.
+        after: Takes row and occasion, when a row has been applied.
 
-    Attributes
-    ----------
-    state : Enum
-    reason : str
-    changed : bool
-        True after every change of state or reason, until whoever reports it sets it to False.
+    Attributes:
+        changed: True after every change of state or reason, until whoever reports it sets it to False.
 
-    Raises
-    ------
-    ValueError
-        When a guard or an action of the table has no function.
+    Raises:
+        ValueError: When a guard or an action of the table has no function.
     """
 
     def __init__(
@@ -167,9 +147,7 @@ class Machine(Generic[S, E, G, A, Occ]):
     def on(self, event: E, occasion: Occ) -> str:
         """Take an event.
 
-        Returns
-        -------
-        refusal : str
+        Returns:
             "" when a row was applied; else in one sentence why none was.
         """
         refusal = ""

@@ -36,16 +36,11 @@ class TravelTime:
     def excess(self, stamp: int, received: int) -> int:
         """Return by how much longer than the quickest one a member has travelled, without taking it as a reference.
 
-        Parameters
-        ----------
-        stamp : int
-            When it was sent, on the sender's clock [ns].
-        received : int
-            When it was received, on a monotonic clock [ns].
+        Args:
+            stamp: When it was sent, on the sender's clock [ns].
+            received: When it was received, on a monotonic clock [ns].
 
-        Returns
-        -------
-        excess : int
+        Returns:
             [ns]; negative for one that is quicker than all before it, 0 for the first.
         """
         if self._shortest is None:
@@ -55,16 +50,11 @@ class TravelTime:
     def take(self, stamp: int, received: int) -> int:
         """Return by how much longer than the quickest one a member has travelled, itself included.
 
-        Parameters
-        ----------
-        stamp : int
-            When it was sent, on the sender's clock [ns].
-        received : int
-            When it was received, on a monotonic clock [ns].
+        Args:
+            stamp: When it was sent, on the sender's clock [ns].
+            received: When it was received, on a monotonic clock [ns].
 
-        Returns
-        -------
-        excess : int
+        Returns:
             [ns]; 0 for one that is at least as quick as all before it: it is the new reference.
         """
         travelled = received - stamp
@@ -96,10 +86,8 @@ class SequenceCheck:
     def accept(self, seq: int) -> bool:
         """Take a number; return whether the sender counts anew from a lower one.
 
-        Raises
-        ------
-        PayloadError
-            ``sequence``, when the number is not used.
+        Raises:
+            PayloadError: ``sequence``, when the number is not used.
         """
         last, restarted = self._last, False
         if not last or 0 < seq - last <= MAX_JUMP:
@@ -122,10 +110,8 @@ class SequenceCheck:
 class FreshnessCheck:
     """Refuses messages that travelled much longer than the quickest one.
 
-    Parameters
-    ----------
-    limit : float
-        How much longer [s].
+    Args:
+        limit: How much longer [s].
     """
 
     def __init__(self, limit: float):
@@ -141,11 +127,9 @@ class FreshnessCheck:
     def accept(self, stamp: int, received: int) -> None:
         """Take a message by the sender's stamp and the time of reception, each on its own clock [ns].
 
-        Raises
-        ------
-        PayloadError
-            ``stale``, when it is too old; ``early``, when it is so much quicker than all others that only further ones like it
-            are believed: a single wrong stamp must not cause all later messages to be refused.
+        Raises:
+            PayloadError: ``stale``, when it is too old; ``early``, when it is so much quicker than all others that only further
+                ones like it are believed: a single wrong stamp must not cause all later messages to be refused.
         """
         excess = self._travel.excess(stamp, received)
         if excess < -self._limit and self._early < CONFIRMATIONS:
@@ -160,10 +144,8 @@ class FreshnessCheck:
 class StateCheck:
     """Both checks on the states of one gateway.
 
-    Parameters
-    ----------
-    max_age : float
-        A state may have travelled this much longer than the quickest one of this gateway run [s].
+    Args:
+        max_age: A state may have travelled this much longer than the quickest one of this gateway run [s].
     """
 
     def __init__(self, max_age: float):
@@ -183,10 +165,8 @@ class StateCheck:
     def accept(self, seq: int, stamp: int, received: int) -> None:
         """Take a state by its sequence number, the gateway's stamp and the time of reception [ns].
 
-        Raises
-        ------
-        PayloadError
-            ``sequence``, ``stale`` or ``early``, when it must not be used.
+        Raises:
+            PayloadError: ``sequence``, ``stale`` or ``early``, when it must not be used.
         """
         if self._sequence.accept(seq):
             self._freshness.restart()

@@ -38,11 +38,8 @@ def from_wire(values: Sequence[float], linear: Sequence[bool]) -> tuple[float, .
 def for_people(value: float, unit: str) -> str:
     """Return a quantity as a person enters it: angles in deg, lengths in mm.
 
-    Parameters
-    ----------
-    value : float
-    unit : str
-        Its unit: rad or m, alone or over a time (``rad/s^2``); another one is left as it is.
+    Args:
+        unit: Its unit: rad or m, alone or over a time (``rad/s^2``); another one is left as it is.
     """
     base, slash, per = unit.partition("/")
     if base == "rad":
@@ -58,16 +55,11 @@ def for_people(value: float, unit: str) -> str:
 def last_digit(decimals: int, linear: bool = False) -> float:
     """Return what one unit of the last decimal of a joint string's field is worth.
 
-    Parameters
-    ----------
-    decimals : int
-        Decimals on the wire.
-    linear : bool, optional
-        True: of mm, for a prismatic joint; False: of deg.
+    Args:
+        decimals: Decimals on the wire.
+        linear: True: of mm, for a prismatic joint; False: of deg.
 
-    Returns
-    -------
-    digit : float
+    Returns:
         [rad], or [m] for a prismatic joint.
     """
     return 10.0**-decimals / 1e3 if linear else math.radians(10.0**-decimals)
@@ -79,18 +71,12 @@ def format_allowance(decimals: int, linear: bool = False, cycle: float = CYCLE) 
     Second differences of values rounded to 10^-d deg carry up to 2 * 10^-d deg of rounding (docs/architecture.md, law 3):
     125 deg/s^2 at 3 decimals, 0.125 at 6; likewise 125 mm/s^2 for a prismatic joint. A ninth of it in a cycle of 12 ms.
 
-    Parameters
-    ----------
-    decimals : int
-        Decimals on the wire.
-    linear : bool, optional
-        True: of mm, for a prismatic joint; False: of deg.
-    cycle : float, optional
-        Time between the rounded values [s].
+    Args:
+        decimals: Decimals on the wire.
+        linear: True: of mm, for a prismatic joint; False: of deg.
+        cycle: Time between the rounded values [s].
 
-    Returns
-    -------
-    allowance : float
+    Returns:
         [rad/s^2], or [m/s^2] for a prismatic joint.
     """
     return 2 * last_digit(decimals, linear) / cycle**2

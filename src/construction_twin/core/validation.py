@@ -59,14 +59,10 @@ class Model(Protocol):
 class WrongValue:
     """The first thing that is wrong.
 
-    Attributes
-    ----------
-    key : str
-        Keys and positions from the top, with ``/`` between; empty: the document itself.
-    value : object
-        None when the key is missing.
-    expected : str
-        What is allowed there.
+    Attributes:
+        key: Keys and positions from the top, with ``/`` between; empty: the document itself.
+        value: None when the key is missing.
+        expected: What is allowed there.
     """
 
     key: str
@@ -80,11 +76,8 @@ class WrongValue:
 def wrong_value(error: Invalid, schema: Schema) -> WrongValue:
     """Return what is wrong, in words.
 
-    Parameters
-    ----------
-    error : pydantic.ValidationError
-    schema : Mapping
-        JSON Schema of what was expected.
+    Args:
+        schema: JSON Schema of what was expected.
     """
     problems = error.errors()
     first = _mistyped(problems) or problems[0]
@@ -107,13 +100,9 @@ def _mistyped(problems: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None
 def configuration_error(error: Invalid, model: Model, where: str = "") -> ConfigurationError:
     """Return the typed error of what is wrong.
 
-    Parameters
-    ----------
-    error : pydantic.ValidationError
-    model : type
-        The pydantic model that refused.
-    where : str, optional
-        What stands before the key: a file, a parameter.
+    Args:
+        model: The pydantic model that refused.
+        where: What stands before the key: a file, a parameter.
     """
     wrong = wrong_value(error, model.model_json_schema())
     key = "/".join(filter(None, (where, wrong.key)))

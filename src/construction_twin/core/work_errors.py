@@ -15,12 +15,8 @@ class WorkError(ConstructionTwinError):
 class BuildingError(WorkError):
     """A building model cannot be used.
 
-    Attributes
-    ----------
-    file : str
-    what : str
-        Which part of it: ``#123=IFCWALL``, ``element '2O2Fr$t4X7Zf8NOew3FLOH'``.
-    found, expected : str
+    Attributes:
+        what: Which part of it: ``#123=IFCWALL``, ``element '2O2Fr$t4X7Zf8NOew3FLOH'``.
     """
 
     def __init__(self, file: str, what: str, found: str, expected: str):
@@ -31,10 +27,8 @@ class BuildingError(WorkError):
 class ScheduleError(WorkError):
     """The order of the tasks makes no sense.
 
-    Attributes
-    ----------
-    ids : tuple of str
-        GlobalIds of the tasks or elements concerned.
+    Attributes:
+        ids: GlobalIds of the tasks or elements concerned.
     """
 
     def __init__(self, message: str, ids: tuple[str, ...] = ()):
@@ -45,10 +39,8 @@ class ScheduleError(WorkError):
 class PlacementError(WorkError):
     """The model does not stand where the robot is, as far as its figures can tell.
 
-    Attributes
-    ----------
-    ids : tuple of str
-        GlobalIds of the elements concerned; empty: all, or none.
+    Attributes:
+        ids: GlobalIds of the elements concerned; empty: all, or none.
     """
 
     def __init__(self, message: str, ids: tuple[str, ...] = ()):
@@ -59,16 +51,11 @@ class PlacementError(WorkError):
 class TaskPlanningError(WorkError):
     """A task cannot be planned.
 
-    Attributes
-    ----------
-    task : str
-        Id of the task, or of the element.
-    stage : str
-        Segment that was not possible with the grip that came furthest; empty: before any.
-    grip : str
-        Name of that grip; empty: none.
-    reason : str
-        Why, as a sentence without the above.
+    Attributes:
+        task: Id of the task, or of the element.
+        stage: Segment that was not possible with the grip that came furthest; empty: before any.
+        grip: Name of that grip; empty: none.
+        reason: Why, as a sentence without the above.
     """
 
     def __init__(self, task: str, reason: str, stage: str = "", grip: str = ""):
@@ -79,12 +66,7 @@ class TaskPlanningError(WorkError):
 
 
 class LedgerError(WorkError):
-    """What was done cannot be recorded, or its record cannot be read; nothing is done without it.
-
-    Attributes
-    ----------
-    path : str
-    """
+    """What was done cannot be recorded, or its record cannot be read; nothing is done without it."""
 
     def __init__(self, path: str, problem: str):
         self.path = path
@@ -94,10 +76,8 @@ class LedgerError(WorkError):
 class BodyError(WorkError):
     """An element's geometry cannot be brought into the scene.
 
-    Attributes
-    ----------
-    element : str
-        GlobalId.
+    Attributes:
+        element: GlobalId.
     """
 
     def __init__(self, element: str, problem: str):

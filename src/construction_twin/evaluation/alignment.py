@@ -40,14 +40,10 @@ STANDSTILL = 1e-9
 class Window:
     """The span of ROS time that is evaluated.
 
-    Attributes
-    ----------
-    start, end : int
-        First and last moment [ns], both included.
-    task_end : int
-        Nominal stamp of the last setpoint [ns]; `end` is later by the time the arm needs to answer it.
-    from_plan : bool
-        Whether start and end come from the plans that were played; otherwise from the overlap of both streams.
+    Attributes:
+        start, end: First and last moment [ns], both included.
+        task_end: Nominal stamp of the last setpoint [ns]; `end` is later by the time the arm needs to answer it.
+        from_plan: Whether start and end come from the plans that were played; otherwise from the overlap of both streams.
     """
 
     start: int
@@ -73,15 +69,10 @@ class Window:
 class Alignment:
     """Differences between paired samples.
 
-    Attributes
-    ----------
-    name : str
-    stamps : array, shape (m,), int64
-        ROS time of the physical samples [ns].
-    errors : array, shape (m, n)
-        physical - twin [rad].
-    skipped : int
-        Samples inside the window without a command stamp, or beyond the twin's recording.
+    Attributes:
+        stamps: Shape (m,), int64. ROS time of the physical samples [ns].
+        errors: Shape (m, n). physical - twin [rad].
+        skipped: Samples inside the window without a command stamp, or beyond the twin's recording.
     """
 
     name: str
@@ -105,16 +96,11 @@ class TwinPath:
 
     Samples whose stamp does not lie after all earlier ones (a restarted or repeated stream) are left out and counted.
 
-    Parameters
-    ----------
-    twin : Stream
-    base : int
-        Stamp that times are counted from [ns].
+    Args:
+        base: Stamp that times are counted from [ns].
 
-    Raises
-    ------
-    ConstructionTwinError
-        If fewer than two samples have increasing stamps.
+    Raises:
+        ConstructionTwinError: If fewer than two samples have increasing stamps.
     """
 
     def __init__(self, twin: Stream, base: int):
@@ -164,10 +150,8 @@ class TwinPath:
 def task_window(recording: Recording) -> Window:
     """Return the span from the first finished plan's start to the last one's end, else the overlap of both streams.
 
-    Raises
-    ------
-    ConstructionTwinError
-        If the streams do not overlap.
+    Raises:
+        ConstructionTwinError: If the streams do not overlap.
     """
     plans = recording.finished_plans
     if plans:
@@ -185,10 +169,8 @@ def task_window(recording: Recording) -> Window:
 def align_instant(recording: Recording, window: Window) -> Alignment:
     """Pair each physical sample inside the window with the twin's pose at the same ROS time.
 
-    Raises
-    ------
-    ConstructionTwinError
-        If no pair exists.
+    Raises:
+        ConstructionTwinError: If no pair exists.
     """
     inside = window.contains(recording.physical.stamps)
     stamps = recording.physical.stamps[inside]
@@ -200,15 +182,11 @@ def align_instant(recording: Recording, window: Window) -> Alignment:
 def align_by_command(recording: Recording, window: Window) -> Alignment | None:
     """Pair each physical sample inside the window with the twin's pose at its command stamp.
 
-    Returns
-    -------
-    alignment : Alignment or None
+    Returns:
         None when the recording has no command stamps inside the window.
 
-    Raises
-    ------
-    ConstructionTwinError
-        If there are command stamps, but the twin is not recorded at any of them.
+    Raises:
+        ConstructionTwinError: If there are command stamps, but the twin is not recorded at any of them.
     """
     return _align_command("by_command", recording, window, 0.0)
 
@@ -227,14 +205,7 @@ def estimate_lag(recording: Recording, window: Window) -> float | None:
     A coarse scan over whole cycles finds the global minimum's neighbourhood (a repetitive motion has several local minima), and a
     bounded search inside it finds the minimum, to well below a nanosecond on noise-free data.
 
-    Parameters
-    ----------
-    recording : Recording
-    window : Window
-
-    Returns
-    -------
-    lag_ns : float or None
+    Returns:
         [ns], 0 to `MAX_LAG_NS`. None when there are no command stamps or the twin does not move.
     """
     answered, _ = _answered(recording, window)

@@ -61,10 +61,8 @@ class Bag(Protocol):
     def messages(self, topics: Iterable[str]) -> Iterator[tuple[str, Any, int]]:
         """Return topic, message and reception [ns] of what was recorded on some topics, in order of reception.
 
-        Raises
-        ------
-        ConstructionTwinError
-            If a message is of an unknown type, or of another definition of its type, or the bag is damaged.
+        Raises:
+            ConstructionTwinError: If a message is of an unknown type, or of another definition of its type, or the bag is damaged.
         """
 
     def nanoseconds(self, time: Any) -> int:
@@ -74,16 +72,12 @@ class Bag(Protocol):
 def recording_of(bag: Bag, namespace: str | None = None) -> Recording:
     """Return one robot's run.
 
-    Parameters
-    ----------
-    bag : Bag
-    namespace : str, optional
-        The robot's namespace, e.g. ``/kr120``; default: that of the only robot in the bag.
+    Args:
+        namespace: The robot's namespace, e.g. ``/kr120``; default: that of the only robot in the bag.
 
-    Raises
-    ------
-    ConstructionTwinError
-        If the bag holds no or several robots, a topic of another type or of another definition of its type, or too little data.
+    Raises:
+        ConstructionTwinError: If the bag holds no or several robots, a topic of another type or of another definition of its type,
+            or too little data.
     """
     robot = choose_robot(bag.types, namespace)
     return _Run(bag, robot, messages_of(bag, robot)).recording()
@@ -92,17 +86,12 @@ def recording_of(bag: Bag, namespace: str | None = None) -> Recording:
 def check_definition(known: Mapping[str, str], topic: str, name: str, md5: str) -> None:
     """Check that a bag's messages have the definition that is known here.
 
-    Parameters
-    ----------
-    known : mapping of str to str
-        md5 of each definition, by type name.
-    topic, name, md5 : str
-        Of the bag's connection: topic, type name and md5 of the definition.
+    Args:
+        known: md5 of each definition, by type name.
+        topic, name, md5: Of the bag's connection: topic, type name and md5 of the definition.
 
-    Raises
-    ------
-    ConstructionTwinError
-        If the type is not among them, or its definition is another one.
+    Raises:
+        ConstructionTwinError: If the type is not among them, or its definition is another one.
     """
     if name not in known:
         raise ConstructionTwinError(f"{topic} in the bag is a {name}; expected one of {', '.join(sorted(known))}")
@@ -136,10 +125,8 @@ def choose_robot(types: Mapping[str, str], namespace: str | None) -> str:
 def messages_of(bag: Bag, robot: str, wanted: Iterable[str] = TOPICS) -> dict[str, list[tuple[int, Any]]]:
     """Return per topic, relative to the robot's namespace, the pairs of reception [ns] and message, in order of reception.
 
-    Raises
-    ------
-    ConstructionTwinError
-        If a topic has another type than `TYPES` says; see also `Bag.messages`.
+    Raises:
+        ConstructionTwinError: If a topic has another type than `TYPES` says; see also `Bag.messages`.
     """
     relative = {f"{robot.rstrip('/')}/{topic}": topic for topic in wanted}
     for topic, name in relative.items():

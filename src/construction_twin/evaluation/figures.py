@@ -66,11 +66,8 @@ def _draw_joints(axes, evaluation: Evaluation, numbers: Sequence[int]) -> None:
 def tool_path_figure(evaluation: Evaluation, robot: RobotModel) -> Figure:
     """Return the tool's path in 3D with the arm at its start and end pose (the paper's Figure 8).
 
-    Parameters
-    ----------
-    evaluation : Evaluation
-    robot : RobotModel
-        Its joints must be the recording's, in the same order.
+    Args:
+        robot: Its joints must be the recording's, in the same order.
     """
     chain = Chain(robot)
     twin = evaluation.recording.twin

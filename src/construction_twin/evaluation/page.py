@@ -56,18 +56,12 @@ td { white-space: nowrap; } .text td:last-child, .values td { white-space: norma
 def page(summary: Mapping, recording: Recording, drawings: Mapping[str, bytes]) -> str:
     """Return the page.
 
-    Parameters
-    ----------
-    summary : Mapping
-        As `summary.json` holds it.
-    recording : Recording
-        For its plans and state changes.
-    drawings : Mapping of str to bytes
-        The PNGs, by file name.
+    Args:
+        summary: As `summary.json` holds it.
+        recording: For its plans and state changes.
+        drawings: The PNGs, by file name.
 
-    Returns
-    -------
-    html : str
+    Returns:
         ASCII except for text from the recording.
     """
     title = f"Twin and physical arm: {summary['robot']}"

@@ -15,10 +15,8 @@ from dataclasses import dataclass
 class PaperError:
     """One column pair of the paper's Table 1.
 
-    Attributes
-    ----------
-    average, maximum : float
-        Absolute joint angle error between virtual and physical robot [rad], as printed.
+    Attributes:
+        average, maximum: Absolute joint angle error between virtual and physical robot [rad], as printed.
     """
 
     average: float

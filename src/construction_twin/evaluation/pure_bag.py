@@ -59,17 +59,12 @@ class PureBag:
 def read_recording(path: str | Path, namespace: str | None = None) -> Recording:
     """Read one robot's run from a bag, without ROS.
 
-    Parameters
-    ----------
-    path : str or Path
-    namespace : str, optional
-        The robot's namespace, e.g. ``/kr120``; default: that of the only robot in the bag.
+    Args:
+        namespace: The robot's namespace, e.g. ``/kr120``; default: that of the only robot in the bag.
 
-    Raises
-    ------
-    ConstructionTwinError
-        If the file cannot be read as a bag, holds no or several robots, a topic of another type or of another definition of
-        its type, or too little data.
+    Raises:
+        ConstructionTwinError: If the file cannot be read as a bag, holds no or several robots, a topic of another type or of
+            another definition of its type, or too little data.
     """
     with open_bag(path) as bag:
         return recording_of(bag, namespace)
@@ -79,10 +74,8 @@ def read_recording(path: str | Path, namespace: str | None = None) -> Recording:
 def open_bag(path: str | Path) -> Iterator[Bag]:
     """Open a bag for reading. No code is generated from what it contains.
 
-    Raises
-    ------
-    ConstructionTwinError
-        If the file cannot be read as a bag, also if that shows while it is read.
+    Raises:
+        ConstructionTwinError: If the file cannot be read as a bag, also if that shows while it is read.
     """
     try:
         with Reader(path) as reader:

@@ -19,14 +19,10 @@ from construction_twin.core.units import NANOSECONDS
 class Stream:
     """Joint positions over time.
 
-    Attributes
-    ----------
-    stamps : array, shape (k,), int64
-        Header stamps [ns].
-    positions : array, shape (k, n)
-        [rad]
-    received : array, shape (k,), int64
-        When the recorder received each message [ns].
+    Attributes:
+        stamps: Shape (k,), int64. Header stamps [ns].
+        positions: Shape (k, n). [rad]
+        received: Shape (k,), int64. When the recorder received each message [ns].
     """
 
     stamps: np.ndarray
@@ -50,12 +46,10 @@ class Stream:
 class FeedbackStream(Stream):
     """Physical joint positions with the command they answer to.
 
-    Attributes
-    ----------
-    seq : array, shape (k,)
-        The gateway's state counter; 0 = unknown.
-    command_stamps : array, shape (k,), int64
-        Playout time, on the command sender's clock, of the target each pose answers to [ns]; 0 = unknown.
+    Attributes:
+        seq: Shape (k,). The gateway's state counter; 0 = unknown.
+        command_stamps: Shape (k,), int64. Playout time, on the command sender's clock, of the target each pose answers to [ns]; 0 =
+            unknown.
     """
 
     seq: np.ndarray
@@ -66,15 +60,10 @@ class FeedbackStream(Stream):
 class PlayedPlan:
     """One execution of a plan.
 
-    Attributes
-    ----------
-    plan_id : str
-    start : int
-        Nominal stamp of its first setpoint [ns].
-    duration : float
-        [s]
-    outcome : str
-        ``finished``, ``stopped``, ``held``, ``dropped``; empty when the recording ends before the plan does.
+    Attributes:
+        start: Nominal stamp of its first setpoint [ns].
+        duration: [s]
+        outcome: ``finished``, ``stopped``, ``held``, ``dropped``; empty when the recording ends before the plan does.
     """
 
     plan_id: str
@@ -92,20 +81,13 @@ class PlayedPlan:
 class LinkSnapshot:
     """The bridge's report at one moment.
 
-    Attributes
-    ----------
-    received : int
-        [ns]
-    session : str
-        Id of the command session at that moment.
-    commands_sent : int
-        Since the bridge started.
-    counters : Mapping of str to str
-        The gateway's counters as it reported them.
-    reply_bins : tuple of int
-        Upper bin edges of the histogram of RSI reply times [us].
-    reply_counts : tuple of int
-        Counts per bin since the gateway started; one more than `reply_bins`, the last being overflow.
+    Attributes:
+        received: [ns]
+        session: Id of the command session at that moment.
+        commands_sent: Since the bridge started.
+        counters: The gateway's counters as it reported them.
+        reply_bins: Upper bin edges of the histogram of RSI reply times [us].
+        reply_counts: Counts per bin since the gateway started; one more than `reply_bins`, the last being overflow.
     """
 
     received: int
@@ -128,16 +110,11 @@ class LinkSnapshot:
 class StateChange:
     """One change of state that was reported.
 
-    Attributes
-    ----------
-    stamp : int
-        ROS time of the change [ns].
-    source : str
-        What reported it: ``gate``, ``execution``, ``link``.
-    state : str
-        The new state's word.
-    reason : str
-        One sentence; may be empty.
+    Attributes:
+        stamp: ROS time of the change [ns].
+        source: What reported it: ``gate``, ``execution``, ``link``.
+        state: The new state's word.
+        reason: One sentence; may be empty.
     """
 
     stamp: int
@@ -150,37 +127,25 @@ class StateChange:
 class Recording:
     """One robot's run.
 
-    Attributes
-    ----------
-    robot : str
-        The robot's namespace, e.g. ``/kr120``.
-    joint_names : tuple of str, length n
-        The joints both twin and physical report, in the twin's order.
-    twin, physical : Stream
-        The physical stream's stamps are ROS time at reception in the bridge, the twin's the nominal time of the command
-        it executes.
-    feedback : FeedbackStream or None
-        One sample per physical sample, with its command stamp.
-    command : Stream or None
-        What the gate let through.
-    plans : tuple of PlayedPlan
-        In order of their start.
-    waypoints : Mapping of str to int
-        Number of waypoints of each recorded plan id.
-    links : tuple of LinkSnapshot
-        In order of reception.
-    mock : Mapping or None
-        The mock controller's status (keys ``state``, ``counters``, ``config``); None when no mock reported, so that the arm
-        may have been a real one.
-    changes : tuple of StateChange
-        In order of time.
-    linear : tuple of str
-        Those of `joint_names` that are prismatic: m in place of rad. A bag does not say so; `write_report` takes it from the robot.
+    Attributes:
+        robot: The robot's namespace, e.g. ``/kr120``.
+        joint_names: Length n. The joints both twin and physical report, in the twin's order.
+        twin, physical: The physical stream's stamps are ROS time at reception in the bridge, the twin's the nominal time of the
+            command it executes.
+        feedback: One sample per physical sample, with its command stamp.
+        command: What the gate let through.
+        plans: In order of their start.
+        waypoints: Number of waypoints of each recorded plan id.
+        links: In order of reception.
+        mock: The mock controller's status (keys ``state``, ``counters``, ``config``); None when no mock reported, so that the arm
+            may have been a real one.
+        changes: In order of time.
+        linear: Those of `joint_names` that are prismatic: m in place of rad. A bag does not say so; `write_report` takes it from
+            the robot.
 
-    Raises
-    ------
-    ConstructionTwinError
-        If there are no joints, a stream has another number of columns, or twin or physical hold fewer than two samples.
+    Raises:
+        ConstructionTwinError: If there are no joints, a stream has another number of columns, or twin or physical hold fewer than
+            two samples.
     """
 
     robot: str

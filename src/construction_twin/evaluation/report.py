@@ -25,11 +25,8 @@ PAGE = "report.html"
 class Report:
     """What `write_report` wrote.
 
-    Attributes
-    ----------
-    summary : dict
-        The content of `summary.json`.
-    files : tuple of Path
+    Attributes:
+        summary: The content of `summary.json`.
     """
 
     summary: dict
@@ -39,24 +36,13 @@ class Report:
 def write_report(recording: Recording, robot: RobotModel | None, directory: str | Path) -> Report:
     """Evaluate a recording and write everything into `directory`, which is made if it does not exist.
 
-    Parameters
-    ----------
-    recording : Recording
-    robot : RobotModel or None
-        For the tool path and the joints' units; without it, or when it has other joints than the recording, `figure8.png` is not
-        written, and every joint is taken as revolute.
-    directory : str or Path
+    Args:
+        robot: For the tool path and the joints' units; without it, or when it has other joints than the recording, `figure8.png` is
+            not written, and every joint is taken as revolute.
 
-    Returns
-    -------
-    report : Report
-
-    Raises
-    ------
-    ConstructionTwinError
-        If the recording cannot be evaluated; nothing is written then.
-    OSError
-        If a file cannot be written.
+    Raises:
+        ConstructionTwinError: If the recording cannot be evaluated; nothing is written then.
+        OSError: If a file cannot be written.
     """
     if robot is not None and robot.joint_names != recording.joint_names:
         robot = None

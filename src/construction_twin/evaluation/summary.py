@@ -24,14 +24,9 @@ _MOCK_LIMITS = ("start_pose_deg", "correction_lower_deg", "correction_upper_deg"
 class Evaluation:
     """A recording with its alignments.
 
-    Attributes
-    ----------
-    recording : Recording
-    window : Window
-    lag_ns : float or None
-        Estimated constant lag [ns].
-    alignments : dict of str to Alignment or None
-        Keys of `tables.ALIGNMENTS`.
+    Attributes:
+        lag_ns: Estimated constant lag [ns].
+        alignments: Keys of `tables.ALIGNMENTS`.
     """
 
     recording: Recording
@@ -46,18 +41,8 @@ def evaluate(recording: Recording) -> Evaluation:
     The window is the task's, from its plans' first to last setpoint, extended by the median round trip and the lag, so that
     the samples which answer the last waypoint belong to it; without plans it is the overlap of both streams.
 
-    Parameters
-    ----------
-    recording : Recording
-
-    Returns
-    -------
-    evaluation : Evaluation
-
-    Raises
-    ------
-    ConstructionTwinError
-        If twin and physical samples cannot be paired.
+    Raises:
+        ConstructionTwinError: If twin and physical samples cannot be paired.
     """
     window = alignment.task_window(recording)
     trips = alignment.round_trips(recording, window)

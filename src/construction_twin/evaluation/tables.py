@@ -114,12 +114,9 @@ def table_csv(tables: Mapping) -> str:
 def render_tables(summary: Mapping, console: Console | None = None) -> None:
     """Print a summary: one table per alignment beside the paper's figures, then lag, counts, rates and times.
 
-    Parameters
-    ----------
-    summary : Mapping
-        As `summary.json` holds it.
-    console : rich.console.Console, optional
-        Default: standard output.
+    Args:
+        summary: As `summary.json` holds it.
+        console: Default: standard output.
     """
     console = console or Console(highlight=False)
     rows = list(table_rows(summary["tables"]))
@@ -161,10 +158,8 @@ def summary_lines(summary: Mapping) -> list[str]:
 class Fact:
     """One figure of the whole recording, beside the paper's.
 
-    Attributes
-    ----------
-    name, value, paper : str
-        As people read them; `paper` is empty where it tells nothing.
+    Attributes:
+        name, value, paper: As people read them; `paper` is empty where it tells nothing.
     """
 
     name: str

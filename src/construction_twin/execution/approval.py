@@ -29,12 +29,9 @@ SCENE_DELAY = NANOSECONDS
 class WithoutPerson:
     """Which plans need no person.
 
-    Attributes
-    ----------
-    every : bool
-    sources : tuple of str
-        Sources of plans, or the names of clients that they end with: `/move_group` stands for ``... from /move_group``. Whoever
-        asks for a plan chooses these words: they are no proof of who it was.
+    Attributes:
+        sources: Sources of plans, or the names of clients that they end with: `/move_group` stands for ``... from /move_group``.
+            Whoever asks for a plan chooses these words: they are no proof of who it was.
     """
 
     every: bool = False
@@ -54,11 +51,8 @@ class WithoutPerson:
 class Taken:
     """A verdict that was recorded and carried out.
 
-    Attributes
-    ----------
-    verdict : Verdict
-    sentence : str
-        What was done.
+    Attributes:
+        sentence: What was done.
     """
 
     verdict: Verdict
@@ -70,16 +64,11 @@ class Approval:
 
     Recording waits for a disk, so it happens outside of the lock that the executor's loop takes every 4 ms.
 
-    Parameters
-    ----------
-    executor : Executor
-    record : callable
-        Called with each approval before it is carried out, with one that is refused, and with the Ending of an execution that could
-        then not begin; raises RecordError when it cannot be kept. A rejection's record is the caller's.
-    lock : context manager
-        Held around every use of the executor.
-    clock : callable
-        Returns the present moment.
+    Args:
+        record: Called with each approval before it is carried out, with one that is refused, and with the Ending of an execution
+            that could then not begin; raises RecordError when it cannot be kept. A rejection's record is the caller's.
+        lock: Held around every use of the executor.
+        clock: Returns the present moment.
     """
 
     def __init__(
@@ -109,23 +98,13 @@ class Approval:
     ) -> Taken:
         """Carry out a verdict: an approval after it was recorded, a rejection at once.
 
-        Parameters
-        ----------
-        plan_id, plan_hash : str
-        approve : bool
-        reviewer : str
-        reason : str, optional
-        seen : Moment, optional
-            The newest that the reviewer's screen had received; without one this call counts.
+        Args:
+            seen: The newest that the reviewer's screen had received; without one this call counts.
 
-        Raises
-        ------
-        ReviewError
-            When it cannot be taken; a refused approval is recorded too.
-        ExpiredError
-            When it is too old to be carried out.
-        RecordError
-            When an approval cannot be recorded; then nothing happens.
+        Raises:
+            ReviewError: When it cannot be taken; a refused approval is recorded too.
+            ExpiredError: When it is too old to be carried out.
+            RecordError: When an approval cannot be recorded; then nothing happens.
         """
         if not approve:
             # never behind an approval whose record waits for a disk: that one is void then
@@ -157,17 +136,12 @@ class Approval:
     def approve_by_itself(self, now: int, which: WithoutPerson = WithoutPerson(every=True)) -> Taken | None:
         """Approve the waiting plan as soon as it may start; withdraw it when it may not. None: there is nothing to do yet.
 
-        Parameters
-        ----------
-        now : int
-            [ns]
-        which : WithoutPerson, optional
-            Which plans need no person; by default every one.
+        Args:
+            now: [ns]
+            which: Which plans need no person; by default every one.
 
-        Raises
-        ------
-        RecordError
-            When it cannot be recorded; the plan is withdrawn.
+        Raises:
+            RecordError: When it cannot be recorded; the plan is withdrawn.
         """
         with self._lock:
             plan = self._executor.queue.plan if self._executor.is_ready() else None

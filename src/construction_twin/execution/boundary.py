@@ -26,14 +26,9 @@ SCENE_TIMEOUT = 30 * NANOSECONDS
 class ToolOrder:
     """What is asked of the tool.
 
-    Attributes
-    ----------
-    id : str
-        Of the switch; empty: forget every switch that is armed and has not fired.
-    plan_id : str
-    switch : Switch or None
-    stamp : int
-        Nominal stamp of the setpoint with which it fires [ns].
+    Attributes:
+        id: Of the switch; empty: forget every switch that is armed and has not fired.
+        stamp: Nominal stamp of the setpoint with which it fires [ns].
     """
 
     id: str
@@ -64,20 +59,13 @@ class _Asked:
 class Boundary:
     """The end of one segment. What a switch has done is done: none fires twice, whatever is paused and resumed.
 
-    Parameters
-    ----------
-    plan_id : str
-    number : int
-        Of the segment that ends here; -1: before the first.
-    segment : Segment or None
-        That segment.
-    scene_after : str
-        Hash that the scene must have to go on.
+    Args:
+        number: Of the segment that ends here; -1: before the first.
+        segment: That segment.
+        scene_after: Hash that the scene must have to go on.
 
-    Attributes
-    ----------
-    wants_scene : bool
-        The switches are confirmed, and the scene is not yet `scene_after`.
+    Attributes:
+        wants_scene: The switches are confirmed, and the scene is not yet `scene_after`.
     """
 
     def __init__(self, plan_id: str, number: int, segment: Segment | None, scene_after: str):
@@ -152,17 +140,11 @@ class Boundary:
     def update(self, stamp: int, now: int, tool: ToolReport, scene: str, may_switch: bool) -> BoundaryEvent | None:
         """Go on by one cycle; return what ends the waiting badly, else None (see `done`).
 
-        Parameters
-        ----------
-        stamp : int
-            Of this cycle's setpoint [ns].
-        now : int
-            [ns]
-        tool : ToolReport
-        scene : str
-            Hash of the present scene; empty: not known.
-        may_switch : bool
-            Whether a switch may be armed now: not while a speed limit of 0 keeps everything still.
+        Args:
+            stamp: Of this cycle's setpoint [ns].
+            now: [ns]
+            scene: Hash of the present scene; empty: not known.
+            may_switch: Whether a switch may be armed now: not while a speed limit of 0 keeps everything still.
         """
         self.observe(tool, now)
         if not self._confirmed:

@@ -29,16 +29,11 @@ class _Known:
 class ConflictVerdicts:
     """Keeps verdicts, and forgets those that are too old.
 
-    Parameters
-    ----------
-    name : str, optional
-        Of the other robot; empty: there is none, and nothing is ever against a plan.
+    Args:
+        name: Of the other robot; empty: there is none, and nothing is ever against a plan.
 
-    Attributes
-    ----------
-    name : str
-    now : int
-        The present moment, set by its owner in every cycle, on the clock of `on_verdict` [ns].
+    Attributes:
+        now: The present moment, set by its owner in every cycle, on the clock of `on_verdict` [ns].
     """
 
     def __init__(self, name: str = ""):
@@ -49,20 +44,13 @@ class ConflictVerdicts:
     def on_verdict(self, plan_id: str, problem: str, now: int, age: int = 0) -> None:
         """Take a verdict on one of our plans.
 
-        Parameters
-        ----------
-        plan_id : str
-        problem : str
-            Why it must not start, or not go on; empty: its path is free.
-        now : int
-            [ns]
-        age : int, optional
-            Of the poses that it was computed from [ns].
+        Args:
+            problem: Why it must not start, or not go on; empty: its path is free.
+            now: [ns]
+            age: Of the poses that it was computed from [ns].
 
-        Raises
-        ------
-        PayloadError
-            If it is older than `VERDICT_TIMEOUT`, or from the future; what was known before then grows old.
+        Raises:
+            PayloadError: If it is older than `VERDICT_TIMEOUT`, or from the future; what was known before then grows old.
         """
         if not -AHEAD <= age <= VERDICT_TIMEOUT:
             raise PayloadError(

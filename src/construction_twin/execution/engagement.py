@@ -31,19 +31,13 @@ Holding = tuple[tuple[Signals, ...], tuple[str, ...]]
 class Engagement:
     """An engaged segment, and the path into it. Two are the same only if they are one object.
 
-    Attributes
-    ----------
-    plan_id, task, segment : str
-        Of the work plan; the segment's name.
-    path : ExecutedPath
-        From the beginning of the engaged segments that follow each other without one that is not engaged.
-    holding : tuple of tuple of Signal
-        What the tool's inputs read while the arm is there: one of these, in the order of time. They differ where a switch may have
-        fired; then none is empty, as an empty one would hold whatever is gripped.
-    scenes : tuple of str
-        For each of them the hash of the scene that belongs to it: only there is known what hangs on the tool.
-    reason : str
-        Why the plan ended inside; empty while it is executed.
+    Attributes:
+        plan_id, task, segment: Of the work plan; the segment's name.
+        path: From the beginning of the engaged segments that follow each other without one that is not engaged.
+        holding: What the tool's inputs read while the arm is there: one of these, in the order of time. They differ where a switch
+            may have fired; then none is empty, as an empty one would hold whatever is gripped.
+        scenes: For each of them the hash of the scene that belongs to it: only there is known what hangs on the tool.
+        reason: Why the plan ended inside; empty while it is executed.
     """
 
     plan_id: str
@@ -66,11 +60,8 @@ class Engagement:
 def engagement_of(plan: Plan, number: int) -> Engagement:
     """Return the engagement of an engaged segment of a work plan that is about to be entered.
 
-    Parameters
-    ----------
-    plan : Plan
-    number : int
-        Of the segment.
+    Args:
+        number: Of the segment.
     """
     segment = plan.segments[number]
     first = number
@@ -110,12 +101,9 @@ def holding_of(segment: Segment) -> Holding:
 class EngagementKeeper:
     """Which engagement there is, and which of it is on the disk.
 
-    Attributes
-    ----------
-    present : Engagement or None
-        What must be on the disk. A segment that is engaged is entered only when it is.
-    engaged : bool
-        Whether the arm was left inside of it, so that only the way back may be played.
+    Attributes:
+        present: What must be on the disk. A segment that is engaged is entered only when it is.
+        engaged: Whether the arm was left inside of it, so that only the way back may be played.
     """
 
     def __init__(self):
@@ -195,10 +183,9 @@ def to_text(engagement: Engagement) -> str:
 def from_text(where: str, text: str, joint_names: Sequence[str]) -> Engagement:
     """Return the engagement that a file tells of.
 
-    Raises
-    ------
-    ConfigurationError
-        When it is not one of this version and robot: then nobody knows whether the arm is engaged, and a person decides.
+    Raises:
+        ConfigurationError: When it is not one of this version and robot: then nobody knows whether the arm is engaged, and a person
+            decides.
     """
     expected = "the file that an executor of this robot wrote; look at the arm, free it, and only then delete the file"
     try:

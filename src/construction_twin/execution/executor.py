@@ -61,10 +61,8 @@ class TwinPose:
 def check_start_pose(plan: Plan, pose: tuple[float, ...], robot: RobotModel) -> None:
     """Check that a plan starts at a pose, shape (n,) [rad].
 
-    Raises
-    ------
-    ReviewError
-        Naming the joint that does not, and by how much.
+    Raises:
+        ReviewError: Naming the joint that does not, and by how much.
     """
     start = tuple(plan.trajectory.positions[0])
     off = outside_tolerance(start, pose, START_TOLERANCE)
@@ -77,26 +75,15 @@ def check_start_pose(plan: Plan, pose: tuple[float, ...], robot: RobotModel) -> 
 class Executor:
     """Plays approved plans as theta_next.
 
-    Parameters
-    ----------
-    robot : RobotModel
-
-    Attributes
-    ----------
-    lag : float
-        How long the arm trails the setpoints, as far as is known [s]; only stated, never acted upon.
-    neighbour : ConflictVerdicts
-        Says whether another arm blocks the path of a plan; by default there is none.
-    limit : PlayRate, set by `limit_rate`
-    engagement : EngagementKeeper
-        Whether the arm was left inside an engaged segment, and what of it must be on the disk.
-    tool : ToolReport, set by `on_tool`
-    work : SegmentRun or None
-        The present or last execution of a work plan; None when the plan played last is none.
-    reason : str
-        Why the state was entered, and what the speed limit makes of it now.
-    beside : Beside
-        Runs what tells of a stop, a pause or a rejection: it can fail none of them.
+    Attributes:
+        lag: How long the arm trails the setpoints, as far as is known [s]; only stated, never acted upon.
+        neighbour: Says whether another arm blocks the path of a plan; by default there is none.
+        limit: Set by `limit_rate`
+        engagement: Whether the arm was left inside an engaged segment, and what of it must be on the disk.
+        tool: Set by `on_tool`
+        work: The present or last execution of a work plan; None when the plan played last is none.
+        reason: Why the state was entered, and what the speed limit makes of it now.
+        beside: Runs what tells of a stop, a pause or a rejection: it can fail none of them.
     """
 
     def __init__(self, robot: RobotModel):
@@ -184,14 +171,9 @@ class Executor:
     def on_sync(self, state: SyncState, agreed: bool, policy: str = REPLAN, held_stamp: int = 0) -> None:
         """Take the monitor's state; on anything but IN_SYNC the plan is held, or its rest is dropped.
 
-        Parameters
-        ----------
-        state : SyncState
-        agreed : bool
-        policy : str
-            What happens after a violation; only ``resume`` keeps the plan.
-        held_stamp : int
-            Nominal stamp of the last setpoint that passed the gate [ns]: there the plan waits, and goes on by itself.
+        Args:
+            policy: What happens after a violation; only ``resume`` keeps the plan.
+            held_stamp: Nominal stamp of the last setpoint that passed the gate [ns]: there the plan waits, and goes on by itself.
         """
         self._sync, self._agreed, self._policy, self._passed = state, agreed, policy, held_stamp
         if self._closed and state is SyncState.IN_SYNC:
@@ -241,16 +223,11 @@ class Executor:
     def limit_rate(self, factor: float, reason: str = "") -> None:
         """Play at most at this fraction of the planned speed from now on; 0 stands still until it is raised. The path stays.
 
-        Parameters
-        ----------
-        factor : float
-            0 to 1.
-        reason : str, optional
-            Why, for the operator.
+        Args:
+            factor: 0 to 1.
+            reason: Why, for the operator.
 
-        Raises
-        ------
-        ExecutionError
+        Raises ExecutionError.
         """
         if self.limit.take(factor, reason):
             self._say()
@@ -272,16 +249,11 @@ class Executor:
     def offer(self, plan: Plan, way_back: Engagement | None = None) -> None:
         """Put a plan under review in place of the one before.
 
-        Parameters
-        ----------
-        plan : Plan
-        way_back : Engagement, optional
-            The engagement that `check_way_back` has found this plan to be the way back out of.
+        Args:
+            way_back: The engagement that `check_way_back` has found this plan to be the way back out of.
 
-        Raises
-        ------
-        ReviewError
-            When it cannot be reviewed.
+        Raises:
+            ReviewError: When it cannot be reviewed.
         """
         present = self.engagement.present
         if self.engagement.engaged and present is not way_back:
@@ -304,10 +276,8 @@ class Executor:
     def release(self, left: Engagement) -> None:
         """End an engagement: a person has freed the arm, and that was recorded.
 
-        Raises
-        ------
-        ExecutionError
-            See `check_release`; also when the engagement is another one.
+        Raises:
+            ExecutionError: See `check_release`; also when the engagement is another one.
         """
         if self.check_release() is not left:
             raise ExecutionError("the arm was left inside another engaged segment meanwhile; look at it again")
@@ -316,10 +286,8 @@ class Executor:
     def check_release(self) -> Engagement:
         """Return the engagement that could be ended now.
 
-        Raises
-        ------
-        ExecutionError
-            When the arm is not engaged, or moves.
+        Raises:
+            ExecutionError: When the arm is not engaged, or moves.
         """
         present = self.engagement.present
         if not self.engagement.engaged or present is None:
@@ -331,10 +299,8 @@ class Executor:
     def check_start(self, plan: Plan) -> None:
         """Check that the plan under review may start now.
 
-        Raises
-        ------
-        ReviewError
-            Naming what is against it.
+        Raises:
+            ReviewError: Naming what is against it.
         """
         if self.state is not ExecutorState.IDLE:
             raise ReviewError(f"the executor is {self.state.name} ({self.reason}); approve when it is idle")
@@ -375,10 +341,8 @@ class Executor:
 
         Its record is the caller's.
 
-        Raises
-        ------
-        ReviewError
-            When it is not under review, or was decided already.
+        Raises:
+            ReviewError: When it is not under review, or was decided already.
         """
         self.queue.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
         self._events.append(verdict)
@@ -386,12 +350,8 @@ class Executor:
     def begin(self, plan: Plan, reason: str, may_wait: int = LIFETIME) -> None:
         """Play a plan that was approved, from the next cycle on; `Approval` has checked and recorded it.
 
-        Parameters
-        ----------
-        plan : Plan
-        reason : str
-        may_wait : int, optional
-            A plan that has not begun to move for longer than this ends [ns].
+        Args:
+            may_wait: A plan that has not begun to move for longer than this ends [ns].
         """
         self._approved, self._begin_by = plan, self._now + may_wait
         self._on(ExecutorEvent.APPROVED, reason)
@@ -422,16 +382,11 @@ class Executor:
     def stop_plan(self, plan_id: str, reason: str) -> str:
         """Brake one plan along its path as `stop` does, and leave the plans alone that wait; return one sentence.
 
-        Parameters
-        ----------
-        plan_id : str
-        reason : str
-            Why, for the operator.
+        Args:
+            reason: Why, for the operator.
 
-        Raises
-        ------
-        ExecutionError
-            When this plan is not played.
+        Raises:
+            ExecutionError: When this plan is not played.
         """
         if self.state not in ACTIVE:
             raise ExecutionError(f"plan {plan_id!r} is not played: the executor is {self.state.name} ({self.reason})")
@@ -457,10 +412,8 @@ class Executor:
     def pause(self, now: int) -> str:
         """Brake along the path smoothly and rest on it; return a sentence. Plans asked for until `now` [ns] and not here are void.
 
-        Raises
-        ------
-        ExecutionError
-            When nothing is playing.
+        Raises:
+            ExecutionError: When nothing is playing.
         """
         if not ROWS[self.state, ExecutorEvent.PAUSE]:
             raise ExecutionError(f"nothing to pause: the executor is {self.state.name} ({self.reason})")
@@ -482,15 +435,11 @@ class Executor:
     def resume(self, may_wait: int = LIFETIME) -> str:
         """Go on along the same path; return one sentence. The approval that started the plan covers it.
 
-        Parameters
-        ----------
-        may_wait : int, optional
-            A plan that had not begun to move, and does not for longer than this, ends [ns].
+        Args:
+            may_wait: A plan that had not begun to move, and does not for longer than this, ends [ns].
 
-        Raises
-        ------
-        ExecutionError
-            When nothing is paused, or twin and arm are not in sync and armed.
+        Raises:
+            ExecutionError: When nothing is paused, or twin and arm are not in sync and armed.
         """
         if not ROWS[self.state, ExecutorEvent.RESUME]:
             raise ExecutionError(f"nothing to resume: the executor is {self.state.name} ({self.reason})")

@@ -22,11 +22,8 @@ QUANTITIES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
 class AskedTolerance:
     """The tolerance of one joint, as it was asked for: 0 is the default, a negative number no bound.
 
-    Attributes
-    ----------
-    joint : str
-    position, velocity, acceleration : float
-        [rad, rad/s, rad/s^2], or in m.
+    Attributes:
+        position, velocity, acceleration: [rad, rad/s, rad/s^2], or in m.
     """
 
     joint: str
@@ -39,10 +36,8 @@ class AskedTolerance:
 class Tolerances:
     """How far every joint may be off.
 
-    Attributes
-    ----------
-    position, velocity, acceleration : tuple of float, length n
-        In the robot's joint order; infinity: no bound.
+    Attributes:
+        position, velocity, acceleration: Length n. In the robot's joint order; infinity: no bound.
     """
 
     position: tuple[float, ...]
@@ -59,20 +54,13 @@ class Tolerances:
     def asked(self, robot: RobotModel, asked: Iterable[AskedTolerance], name: str) -> Tolerances:
         """Return these tolerances with what a goal asks for in their place.
 
-        Parameters
-        ----------
-        robot : RobotModel
-        asked : iterable of AskedTolerance
-            Joints in any order; those that are missing keep their default.
-        name : str
-            Of the field, for messages.
+        Args:
+            asked: Joints in any order; those that are missing keep their default.
+            name: Of the field, for messages.
 
-        Raises
-        ------
-        GoalJointsError
-            Naming a joint that is none of the robot's.
-        GoalError
-            Naming a joint that comes twice, or joint and value that is not a number.
+        Raises:
+            GoalJointsError: Naming a joint that is none of the robot's.
+            GoalError: Naming a joint that comes twice, or joint and value that is not a number.
         """
         columns = {quantity: list(getattr(self, quantity)) for quantity in QUANTITIES}
         named: set[str] = set()
@@ -99,11 +87,8 @@ class Tolerances:
     ) -> str:
         """Return which joint is off by more than it may, with the values; "" when none is.
 
-        Parameters
-        ----------
-        robot : RobotModel
-        position, velocity, acceleration : sequence of float, length n
-            Actual minus desired.
+        Args:
+            position, velocity, acceleration: Length n. Actual minus desired.
         """
         for (quantity, per), errors in zip(QUANTITIES.items(), (position, velocity, acceleration)):
             for index, (error, bound) in enumerate(zip(errors, getattr(self, quantity))):
@@ -120,10 +105,8 @@ class Tolerances:
 def check_joint_names(robot: RobotModel, names: Sequence[str]) -> None:
     """Check that a goal names each of the robot's joints once, in any order.
 
-    Raises
-    ------
-    GoalJointsError
-        Naming the first joint that is too many or missing.
+    Raises:
+        GoalJointsError: Naming the first joint that is too many or missing.
     """
     known = ", ".join(robot.joint_names)
     for name in names:

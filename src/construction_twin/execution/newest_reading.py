@@ -17,10 +17,8 @@ AHEAD = 5 * NANOSECONDS
 class NewestReading:
     """What the wall clock would read if nobody had set it back.
 
-    Parameters
-    ----------
-    wall, now : int
-        Wall clock, and monotonic clock.
+    Args:
+        wall, now: Wall clock, and monotonic clock.
     """
 
     def __init__(self, wall: int, now: int):

@@ -49,12 +49,9 @@ class Progress:
 
     A rate that is reached stays exactly: at rate 1 the setpoints are the trajectory's samples on the 4 ms grid.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        At rest at both ends, and inside the acceleration limits on any grid of 4 ms.
-    acceleration, jerk : sequence of float, length n
-        Limits [rad/s^2], [rad/s^3].
+    Args:
+        trajectory: At rest at both ends, and inside the acceleration limits on any grid of 4 ms.
+        acceleration, jerk: Length n. Limits [rad/s^2], [rad/s^3].
     """
 
     def __init__(self, trajectory: Trajectory, acceleration: Sequence[float], jerk: Sequence[float]):
@@ -136,15 +133,11 @@ class Progress:
         limit; a ramp down from which none leads up again is ended first. Where there is none, or none that comes to rest soon
         enough, the rate changes as far as the acceleration limits allow, its slope as gently as the jerk limits ask for.
 
-        Parameters
-        ----------
-        rate : float
-            0 to 1.
+        Args:
+            rate: 0 to 1.
 
-        Returns
-        -------
-        setpoint : tuple, shape (n,)
-            [rad]
+        Returns:
+            Shape (n,). [rad]
         """
         if rate != self._goal:
             ramp = self._plan_ramp(rate, LONGEST_RAMP if rate >= self._now.rate else LONGEST_PAUSE)

@@ -8,14 +8,10 @@ from construction_twin.core.errors import ExecutionError
 class PlayRate:
     """The newest limit on a plan's speed.
 
-    Attributes
-    ----------
-    fraction : float
-        0 to 1; 0: it stands still until the limit is raised.
-    reason : str
-        Why it is what it is, for the operator.
-    standing : bool
-        Whether the plan has come to rest because of it.
+    Attributes:
+        fraction: 0 to 1; 0: it stands still until the limit is raised.
+        reason: Why it is what it is, for the operator.
+        standing: Whether the plan has come to rest because of it.
     """
 
     def __init__(self):
@@ -26,10 +22,8 @@ class PlayRate:
     def take(self, fraction: float, reason: str) -> bool:
         """Take a limit and why it is there; return whether there is something new to say.
 
-        Raises
-        ------
-        ExecutionError
-            When it is no fraction; nothing has changed then.
+        Raises:
+            ExecutionError: When it is no fraction; nothing has changed then.
         """
         if fraction == self.fraction and reason == self.reason:
             return False

@@ -25,17 +25,10 @@ SETPOINTS_AT_ONCE = 4
 class Playback:
     """A plan that is played, paused, held and stopped, one setpoint per cycle, always on its path.
 
-    Parameters
-    ----------
-    plan : Plan
-    robot : RobotModel
-
-    Attributes
-    ----------
-    start : int
-        Nominal stamp of the first setpoint [ns]; 0 before it.
-    goal_stamp : int
-        Nominal stamp of the setpoint that reached the end of the trajectory [ns], or of the present segment; 0 before it.
+    Attributes:
+        start: Nominal stamp of the first setpoint [ns]; 0 before it.
+        goal_stamp: Nominal stamp of the setpoint that reached the end of the trajectory [ns], or of the present segment; 0 before
+            it.
     """
 
     def __init__(self, plan: Plan, robot: RobotModel):
@@ -113,15 +106,11 @@ class Playback:
     def braking(self, lag: float) -> Braking:
         """Return what is needed to forecast a stop that begins now; nothing is computed yet.
 
-        Parameters
-        ----------
-        lag : float
-            How long the arm trails the setpoints [s]; 0 when there is none, or it is not known.
+        Args:
+            lag: How long the arm trails the setpoints [s]; 0 when there is none, or it is not known.
 
-        Raises
-        ------
-        ExecutionError
-            When the lag is negative: an arm is never ahead of its setpoints.
+        Raises:
+            ExecutionError: When the lag is negative: an arm is never ahead of its setpoints.
         """
         if lag < 0.0:
             raise ExecutionError(f"a lag of {lag:.3f} s, expected 0 or more: it was measured on a clock that was set")
@@ -133,14 +122,10 @@ class Playback:
 class Braking:
     """The forecast of a stop, on a copy: it needs no lock and holds up no cycle.
 
-    Parameters
-    ----------
-    progress : Progress
-        A copy, which is used up.
-    in_flight : sequence of float
-        Times along the trajectory of the setpoints that the arm has not reached yet [ns], the newest last.
-    lag : float
-        [s]
+    Args:
+        progress: A copy, which is used up.
+        in_flight: Times along the trajectory of the setpoints that the arm has not reached yet [ns], the newest last.
+        lag: [s]
     """
 
     def __init__(self, progress: Progress, in_flight: Sequence[float], lag: float):
@@ -151,10 +136,8 @@ class Braking:
     def forecast(self, pause: Callable[[], None] = lambda: None) -> StoppingForecast:
         """Brake the copy to rest; return the distance it took. The execution itself takes the same, unless it is held before.
 
-        Parameters
-        ----------
-        pause : callable, optional
-            Called every few setpoints: a thread that computes without a break keeps the one with the setpoints waiting.
+        Args:
+            pause: Called every few setpoints: a thread that computes without a break keeps the one with the setpoints waiting.
         """
         progress, sample = self._progress, self._progress.trajectory.sample
         before = []

@@ -27,20 +27,13 @@ RECORD_TIMEOUT = 10 * NANOSECONDS
 class SegmentRun:
     """The segments of one plan, in order, each entered only in its scene, with what it requires of the tool.
 
-    Parameters
-    ----------
-    plan : Plan
-        With segments.
-    keeper : EngagementKeeper
-    way_back : bool
-        Whether it leads out of an engagement: then it begins none, and ends that one when it is finished.
+    Args:
+        plan: With segments.
+        way_back: Whether it leads out of an engagement: then it begins none, and ends that one when it is finished.
 
-    Attributes
-    ----------
-    number : int
-        Of the segment that it is in, or at the end of; -1 before the first is entered.
-    at_boundary : bool
-        Whether it stands at the end of that segment.
+    Attributes:
+        number: Of the segment that it is in, or at the end of; -1 before the first is entered.
+        at_boundary: Whether it stands at the end of that segment.
     """
 
     def __init__(self, plan: Plan, keeper: EngagementKeeper, way_back: bool = False):

@@ -17,12 +17,9 @@ from construction_twin.robot.description import RobotModel
 class StoppingPath:
     """How far the joints move until they rest.
 
-    Attributes
-    ----------
-    joints : tuple of float, length n
-        Distance of each joint, there and back both counted [rad], [m].
-    time : float
-        [s]
+    Attributes:
+        joints: Length n. Distance of each joint, there and back both counted [rad], [m].
+        time: [s]
     """
 
     joints: tuple[float, ...]
@@ -42,10 +39,8 @@ class StoppingPath:
 def distance_along(poses: Iterable[Sequence[float]]) -> StoppingPath:
     """Return the distance along setpoints that follow each other by one cycle.
 
-    Parameters
-    ----------
-    poses : iterable of sequence, each of length n
-        At least one; the first is the pose when the stop was asked for [rad].
+    Args:
+        poses: Each of length n. At least one; the first is the pose when the stop was asked for [rad].
     """
     poses = iter(poses)
     last = next(poses)
@@ -60,14 +55,10 @@ def distance_along(poses: Iterable[Sequence[float]]) -> StoppingPath:
 class StoppingForecast:
     """Where a stop will end, stated before it has.
 
-    Attributes
-    ----------
-    setpoints : StoppingPath
-        From the last setpoint before the stop to rest.
-    arm : StoppingPath
-        What the arm does from the moment of the stop: the same, and the setpoints before it that it has not reached yet.
-    lag : float
-        How long the arm was taken to trail the setpoints [s].
+    Attributes:
+        setpoints: From the last setpoint before the stop to rest.
+        arm: What the arm does from the moment of the stop: the same, and the setpoints before it that it has not reached yet.
+        lag: How long the arm was taken to trail the setpoints [s].
     """
 
     setpoints: StoppingPath

@@ -36,19 +36,12 @@ class SwitchReport:
 class ToolReport:
     """The newest report.
 
-    Attributes
-    ----------
-    known : bool
-        Whether the outputs were read back in this RSI session: what is told below is true.
-    tool : str
-        Name of the tool; empty: a tool without hands.
-    outputs : tuple of str
-        Names.
-    inputs : mapping of str to bool
-    switches : mapping of str to SwitchReport
-        The last switches that were asked for, by id.
-    reason : str
-        Why nothing is known.
+    Attributes:
+        known: Whether the outputs were read back in this RSI session: what is told below is true.
+        tool: Name of the tool; empty: a tool without hands.
+        outputs: Names.
+        switches: The last switches that were asked for, by id.
+        reason: Why nothing is known.
     """
 
     known: bool = False

@@ -40,11 +40,8 @@ class Motion:
 class Sample:
     """Desired and actual motion at one moment.
 
-    Attributes
-    ----------
-    stamp : int
-        Of the setpoint that both belong to [ns].
-    desired, actual : Motion
+    Attributes:
+        stamp: Of the setpoint that both belong to [ns].
     """
 
     stamp: int
@@ -81,10 +78,8 @@ class Tracking:
     Velocities and accelerations are differences between the moments it was asked at: of 20 ms at 50 Hz, in which one step of a
     measurement with three decimals of a degree is 0.05 deg/s.
 
-    Parameters
-    ----------
-    has_arm : bool
-        Without a physical arm, the twin's pose is the actual one, too.
+    Args:
+        has_arm: Without a physical arm, the twin's pose is the actual one, too.
     """
 
     def __init__(self, has_arm: bool):

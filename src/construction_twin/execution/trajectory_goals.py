@@ -57,15 +57,10 @@ class Ending(Enum):
 class TrajectoryGoal:
     """A goal that names the robot's joints; whether its motion is possible is the planner's to say.
 
-    Attributes
-    ----------
-    id : str
-    client : str
-        Name of the node that sent it: an address, not a proof.
-    path, goal : Tolerances
-        While it moves, and at the end.
-    time_tolerance : float
-        How much later than planned the arm may be at the goal [s].
+    Attributes:
+        client: Name of the node that sent it: an address, not a proof.
+        path, goal: While it moves, and at the end.
+        time_tolerance: How much later than planned the arm may be at the goal [s].
     """
 
     id: str
@@ -156,16 +151,11 @@ class _Heard:
 class TrajectoryGoals:
     """Takes goals, one at a time, and says what has to be done about them.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    reviewed_by : str
-        How a person approves, for the client: the name of the service.
+    Args:
+        reviewed_by: How a person approves, for the client: the name of the service.
 
-    Attributes
-    ----------
-    goal : TrajectoryGoal or None
-        The one that has the arm.
+    Attributes:
+        goal: The one that has the arm.
     """
 
     def __init__(self, robot: RobotModel, reviewed_by: str):
@@ -306,16 +296,11 @@ class TrajectoryGoals:
     def tick(self, now: int, sample: Sample | None, at_rest: bool, settled: bool) -> None:
         """Take the time, where the arm is, and whether the twin, and then the arm, is at rest.
 
-        Parameters
-        ----------
-        now : int
-            [ns]
-        sample : Sample or None
-            The newest one; None: not known.
-        at_rest : bool
-            The twin is.
-        settled : bool
-            And the arm's pose answers to a command since then; see `Tracking.settled`.
+        Args:
+            now: [ns]
+            sample: The newest one; None: not known.
+            at_rest: The twin is.
+            settled: And the arm's pose answers to a command since then; see `Tracking.settled`.
         """
         self._now = now
         if self._retry_at and now >= self._retry_at:

@@ -24,10 +24,8 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
     It may start up to `LARGEST_ENTRY` beside the path, where a hold or the gateway has brought the arm to rest, and goes to it
     straight.
 
-    Raises
-    ------
-    ReviewError
-        Naming what is against it.
+    Raises:
+        ReviewError: Naming what is against it.
     """
     _check_segment(plan, engagement)
     trajectory, path = plan.trajectory, engagement.path
@@ -76,17 +74,12 @@ def scene_problem(scene: str, scenes: Sequence[str]) -> str:
 def follow(way: np.ndarray, poses: np.ndarray) -> int | None:
     """Follow a polyline from its beginning to its end, never backwards.
 
-    Parameters
-    ----------
-    way : array, shape (k, n)
-        Corners, at least two.
-    poses : array, shape (m, n)
-        Each within `WAY_BACK_TOLERANCE` of the polyline, at or after the place of the one before. Between two poses nothing of it
-        may be left out that is further away than their distance.
+    Args:
+        way: Shape (k, n). Corners, at least two.
+        poses: Shape (m, n). Each within `WAY_BACK_TOLERANCE` of the polyline, at or after the place of the one before. Between two
+            poses nothing of it may be left out that is further away than their distance.
 
-    Returns
-    -------
-    off : int or None
+    Returns:
         Number of the first pose that is not so; None: all of them are, and the last is at the end.
     """
     corner, fraction, last = 0, 0.0, len(way) - 2

@@ -26,10 +26,8 @@ class Arrivals:
     its smallest one came late, after a stall or after lost ones. The end of a stream is not lateness: the smallest value counts
     only once a command follows.
 
-    Parameters
-    ----------
-    assumed : int
-        Jitter to reckon with before any was seen [ns].
+    Args:
+        assumed: Jitter to reckon with before any was seen [ns].
     """
 
     def __init__(self, assumed: int) -> None:
@@ -70,16 +68,11 @@ class Arrivals:
     def note_telegram(self, lead: int, clock: int) -> bool:
         """Take how far the newest command is ahead at a telegram.
 
-        Parameters
-        ----------
-        lead : int
-            Its stamp minus the controller's clock [ns].
-        clock : int
-            The controller's clock, 0 at the stream's first command [ns].
+        Args:
+            lead: Its stamp minus the controller's clock [ns].
+            clock: The controller's clock, 0 at the stream's first command [ns].
 
-        Returns
-        -------
-        changed : bool
+        Returns:
             Whether the extremes have changed since the last call.
         """
         if not self._started:
@@ -98,12 +91,10 @@ class Arrivals:
     def note_command(self, lead: int, offset: int) -> None:
         """Take a command's arrival.
 
-        Parameters
-        ----------
-        lead : int
-            Stamp of the command before it, minus the controller's clock at the last telegram: how far what was there reached [ns].
-        offset : int
-            Its own stamp minus the controller's clock, the latter interpolated to its arrival [ns].
+        Args:
+            lead: Stamp of the command before it, minus the controller's clock at the last telegram: how far what was there reached
+                [ns].
+            offset: Its own stamp minus the controller's clock, the latter interpolated to its arrival [ns].
         """
         if self._quickest is None or offset > self._quickest:
             self._quickest = offset

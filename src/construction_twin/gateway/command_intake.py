@@ -16,10 +16,8 @@ from construction_twin.mqtt.messages import CommandProperties
 class StreamBroken(Exception):
     """The stream cannot go on, though nothing is wrong with the command itself.
 
-    Attributes
-    ----------
-    event : Event
-        ``STREAM_SILENT``, ``SPEED_IGNORED`` or ``REPLIES_LOST``: what the gateway brakes for.
+    Attributes:
+        event: ``STREAM_SILENT``, ``SPEED_IGNORED`` or ``REPLIES_LOST``: what the gateway brakes for.
     """
 
     def __init__(self, event: Event, reason: str):
@@ -28,14 +26,7 @@ class StreamBroken(Exception):
 
 
 class CommandIntake:
-    """From messages on `command` to what the player plays.
-
-    Parameters
-    ----------
-    config : GatewayConfig
-    codec : JointStringCodec
-    player : Player
-    """
+    """From messages on `command` to what the player plays."""
 
     def __init__(self, config: GatewayConfig, codec: JointStringCodec, player: Player):
         self._config = config
@@ -73,21 +64,15 @@ class CommandIntake:
     def go_on(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
         """Check a command that follows another.
 
-        Parameters
-        ----------
-        stamp : int
-            [ns]
-        q : tuple, shape (n,)
-            [rad]
-        waited : int
-            Time since the last telegram [ns].
+        Args:
+            stamp: [ns]
+            q: Shape (n,). [rad]
+            waited: Time since the last telegram [ns].
 
-        Raises
-        ------
-        MotionRefused
-            ``lead`` or a reason of `MotionCheck`.
-        StreamBroken
-            When too much of the stream is missing, the sender does not obey the speed limit, or replies do not arrive.
+        Raises:
+            MotionRefused: ``lead`` or a reason of `MotionCheck`.
+            StreamBroken: When too much of the stream is missing, the sender does not obey the speed limit, or replies do not
+                arrive.
         """
         player = self._player
         # the time since the last telegram is subtracted: playout time advances only with telegrams

@@ -26,14 +26,10 @@ _ALL = (1 << REMEMBERED) - 1
 class Command(NamedTuple):
     """A command that was read.
 
-    Attributes
-    ----------
-    stamp : int
-        On the sender's clock [ns]; on ours when commands carry none.
-    q : tuple, shape (n,)
-        Axis angles [rad].
-    lost : int
-        Commands missing between the last one and this.
+    Attributes:
+        stamp: On the sender's clock [ns]; on ours when commands carry none.
+        q: Shape (n,). Axis angles [rad].
+        lost: Commands missing between the last one and this.
     """
 
     # a NamedTuple, and not a frozen dataclass: one is made and unpacked for every command, and it is faster at both
@@ -43,13 +39,7 @@ class Command(NamedTuple):
 
 
 class CommandStream:
-    """The commands of one session.
-
-    Parameters
-    ----------
-    config : GatewayConfig
-    codec : JointStringCodec
-    """
+    """The commands of one session."""
 
     def __init__(self, config: GatewayConfig, codec: JointStringCodec):
         self._config = config
@@ -74,20 +64,14 @@ class CommandStream:
     def read(self, payload: bytes, properties: CommandProperties | None, now: int) -> Command:
         """Read a command.
 
-        Parameters
-        ----------
-        payload : bytes
-            A joint string.
-        properties : CommandProperties or None
-            What was beside it.
-        now : int
-            [ns]
+        Args:
+            payload: A joint string.
+            properties: What was beside it.
+            now: [ns]
 
-        Raises
-        ------
-        PayloadError
-            ``properties``, ``session``, ``duplicate`` (was taken), ``reordered`` (comes behind a newer one), ``sequence`` (too far
-            behind to tell, as a replayed one is, or too far ahead), ``stale``, or a reason of the codec.
+        Raises:
+            PayloadError: ``properties``, ``session``, ``duplicate`` (was taken), ``reordered`` (comes behind a newer one),
+                ``sequence`` (too far behind to tell, as a replayed one is, or too far ahead), ``stale``, or a reason of the codec.
         """
         if not self._config.properties:
             q = self._codec.decode(payload)

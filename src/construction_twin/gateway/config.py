@@ -33,60 +33,34 @@ class GatewayConfig:
 
     Axis order is A1 first; values are those of the controller's axes, which may differ from the URDF's joints in sign and offset.
 
-    Attributes
-    ----------
-    robot : str
-        Name of the robot in MQTT topics.
-    axes : tuple of str
-        RSI axis names, e.g. ``A1``.
-    lower, upper : tuple of float
-        Range [rad]; of `linear` axes [m], and so on.
-    velocity, acceleration : tuple of float
-        [rad/s], [rad/s^2].
-    cycle : int
-        The controller's cycle, and what IPOC advances by in it [ms]: 4 (`#IPO_FAST`) or 12 (`#IPO`).
-    decimals : int
-        Decimals of a degree, and of a mm for a linear axis, in the joint string.
-    properties : bool
-        Whether commands carry the MQTT 5 properties session, seq and stamp.
-    start_tolerance : float
-        A stream may begin this close to the held pose [rad]: revolute axes.
-    start_tolerance_linear : float
-        The same for linear axes [m].
-    playout_delay : float
-        Distance of the playout to the newest command when a stream begins [s].
-    playout_delay_min, playout_delay_max : float
-        Bounds of that distance, which follows the jitter of the commands [s].
-    smoothing_cycles : int
-        Delay of the smoothing of played targets, in controller cycles; 0 for none.
-    silence : float
-        The stream may be overdue this long before the gateway brakes and holds [s].
-    max_age : float
-        A command may have travelled this much longer than the quickest one [s].
-    reference : str
-        ``ASPos`` or ``AIPos``: what the corrections are relative to.
-    speed_limit_deadline : float
-        A speed limit's source that is silent for longer counts as silent [s].
-    speed_limit_silent : float
-        Fraction of the velocity limits that holds then, 0 to 1.
-    speed_limit_grace : float
-        Time in which the sender may obey a lowered limit before the gateway enforces it [s].
-    speed_limit_backlog : float
-        How far the arm may trail a sender, who does not obey or whose replies were lost, before the gateway brakes [s].
-    timeout : float
-        Silence of the controller after which its session is over [s].
-    e1_sign : int
-        +1 or -1: whether E1 counts as the controller does.
-    e1_offset : float
-        Controller's E1 where ours is 0 [rad], [m] when it is linear.
-    e1_feedback_scale, e1_correction_scale : float
-        What the controller's unit of E1 is off by: wire value = scale * value in deg or mm.
-    linear : tuple of str
-        Those of `axes` that are linear: m in place of rad, mm on the wire.
-    layout : RsiLayout
-        The controller's telegrams, from its Ethernet XML; not given: `RsiLayout.plain`.
-    tool : GatewayTool or None
-        The tool whose outputs the gateway switches; None: no tool, or one that the Ethernet XML has no channels for.
+    Attributes:
+        robot: Name of the robot in MQTT topics.
+        axes: RSI axis names, e.g. ``A1``.
+        lower, upper: Range [rad]; of `linear` axes [m], and so on.
+        velocity, acceleration: [rad/s], [rad/s^2].
+        cycle: The controller's cycle, and what IPOC advances by in it [ms]: 4 (`#IPO_FAST`) or 12 (`#IPO`).
+        decimals: Decimals of a degree, and of a mm for a linear axis, in the joint string.
+        properties: Whether commands carry the MQTT 5 properties session, seq and stamp.
+        start_tolerance: A stream may begin this close to the held pose [rad]: revolute axes.
+        start_tolerance_linear: The same for linear axes [m].
+        playout_delay: Distance of the playout to the newest command when a stream begins [s].
+        playout_delay_min, playout_delay_max: Bounds of that distance, which follows the jitter of the commands [s].
+        smoothing_cycles: Delay of the smoothing of played targets, in controller cycles; 0 for none.
+        silence: The stream may be overdue this long before the gateway brakes and holds [s].
+        max_age: A command may have travelled this much longer than the quickest one [s].
+        reference: ``ASPos`` or ``AIPos``: what the corrections are relative to.
+        speed_limit_deadline: A speed limit's source that is silent for longer counts as silent [s].
+        speed_limit_silent: Fraction of the velocity limits that holds then, 0 to 1.
+        speed_limit_grace: Time in which the sender may obey a lowered limit before the gateway enforces it [s].
+        speed_limit_backlog: How far the arm may trail a sender, who does not obey or whose replies were lost, before the gateway
+            brakes [s].
+        timeout: Silence of the controller after which its session is over [s].
+        e1_sign: +1 or -1: whether E1 counts as the controller does.
+        e1_offset: Controller's E1 where ours is 0 [rad], [m] when it is linear.
+        e1_feedback_scale, e1_correction_scale: What the controller's unit of E1 is off by: wire value = scale * value in deg or mm.
+        linear: Those of `axes` that are linear: m in place of rad, mm on the wire.
+        layout: The controller's telegrams, from its Ethernet XML; not given: `RsiLayout.plain`.
+        tool: The tool whose outputs the gateway switches; None: no tool, or one that the Ethernet XML has no channels for.
     """
 
     robot: str
@@ -234,21 +208,12 @@ class GatewayConfig:
 def parse_config(text: str, where: str) -> GatewayConfig:
     """Parse and check a configuration file's text.
 
-    Parameters
-    ----------
-    text : str
-        What `GatewayConfig.to_json` returned.
-    where : str
-        Name of the file, for messages.
+    Args:
+        text: What `GatewayConfig.to_json` returned.
+        where: Name of the file, for messages.
 
-    Returns
-    -------
-    config : GatewayConfig
-
-    Raises
-    ------
-    ConfigurationError
-        If it is not such a file, or was edited by hand (its hash no longer fits).
+    Raises:
+        ConfigurationError: If it is not such a file, or was edited by hand (its hash no longer fits).
     """
     try:
         document = json.loads(text)

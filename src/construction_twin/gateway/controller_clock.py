@@ -49,10 +49,8 @@ _MODES = {4: "#IPO_FAST", 12: "#IPO"}
 class ControllerClock:
     """What one RSI session shows of its controller's clock.
 
-    Parameters
-    ----------
-    cycle_ms : int
-        The cycle that is expected [ms].
+    Args:
+        cycle_ms: The cycle that is expected [ms].
     """
 
     def __init__(self, cycle_ms: int):
@@ -91,12 +89,9 @@ class ControllerClock:
     def note(self, ipoc: int, arrived: int) -> None:
         """Take a telegram, also one that is not answered.
 
-        Parameters
-        ----------
-        ipoc : int
-            [ms]
-        arrived : int
-            Time of arrival on any clock that runs in real time [ns].
+        Args:
+            ipoc: [ms]
+            arrived: Time of arrival on any clock that runs in real time [ns].
         """
         heard = self._heard
         if heard:
@@ -142,10 +137,9 @@ class ControllerClock:
 
         It takes as long as an answer, and is due every 0.4 s at most: call it when nothing waits for it.
 
-        Parameters
-        ----------
-        rates : bool, optional
-            False: only the cycle is judged. A rate that once was right becomes wrong by a machine that stalls, not by a program.
+        Args:
+            rates: False: only the cycle is judged. A rate that once was right becomes wrong by a machine that stalls, not by a
+                program.
         """
         if self._to_judge > 0:
             return None

@@ -63,12 +63,9 @@ _MEASURED = re.compile(r"\d+\.\d+")
 class Answer:
     """The answer to a `control` message, or to a person's stop; goes into `control/ack` or `stop/ack`.
 
-    Attributes
-    ----------
-    ok : bool
-        It was carried out.
-    reason : str
-        Why, in one sentence; "" when there is nothing to answer: it was answered before.
+    Attributes:
+        ok: It was carried out.
+        reason: Why, in one sentence; "" when there is nothing to answer: it was answered before.
     """
 
     ok: bool
@@ -78,16 +75,11 @@ class Answer:
 class Gateway:
     """One robot's gateway between the command stream and the RSI session.
 
-    Parameters
-    ----------
-    config : GatewayConfig
-    run : str
-        An id that no other run of the gateway has had; an `arm` must name it.
-    commissioning : bool, optional
-        True: everything runs and is reported as usual, but every correction that leaves is zero.
-    measures : bool, optional
-        Whether a session can be commanded only after its controller's cycle was measured, from what `clock` is told of arrivals.
-        False: telegrams come on a simulated clock.
+    Args:
+        run: An id that no other run of the gateway has had; an `arm` must name it.
+        commissioning: True: everything runs and is reported as usual, but every correction that leaves is zero.
+        measures: Whether a session can be commanded only after its controller's cycle was measured, from what `clock` is told of
+            arrivals. False: telegrams come on a simulated clock.
     """
 
     def __init__(self, config: GatewayConfig, run: str, commissioning: bool = False, measures: bool = False):
@@ -193,18 +185,12 @@ class Gateway:
     def on_telegram(self, telegram: RobotTelegram, source: object, now: int) -> tuple[float, ...] | None:
         """Take a telegram and return the corrections to answer it with.
 
-        Parameters
-        ----------
-        telegram : RobotTelegram
-        source : object
-            Where it came from; another source is another session.
-        now : int
-            [ns]
+        Args:
+            source: Where it came from; another source is another session.
+            now: [ns]
 
-        Returns
-        -------
-        correction : tuple, shape (n,) or None
-            Target minus origin [rad]; None when this telegram must not be answered.
+        Returns:
+            Shape (n,). Target minus origin [rad]; None when this telegram must not be answered.
         """
         controller = self._controller
         if controller.is_repeated(telegram.ipoc, source):
@@ -366,10 +352,8 @@ class Gateway:
     def state_message(self, stamp: int) -> tuple[bytes, StateProperties] | None:
         """Return the joint string of the measured pose and its properties, or None when there is nothing to tell.
 
-        Parameters
-        ----------
-        stamp : int
-            The gateway's own time, for the receiver's freshness check [ns].
+        Args:
+            stamp: The gateway's own time, for the receiver's freshness check [ns].
         """
         return self._states.message(self._controller.measured, self._answered_stamp, stamp)
 
@@ -507,14 +491,10 @@ class Gateway:
     def on_command(self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int) -> None:
         """Take one message of the `command` topic.
 
-        Parameters
-        ----------
-        payload : bytes
-            A joint string.
-        properties : CommandProperties, PayloadError or None
-            What was beside it: None without MQTT 5 properties, the error when they could not be read.
-        now : int
-            [ns]
+        Args:
+            payload: A joint string.
+            properties: What was beside it: None without MQTT 5 properties, the error when they could not be read.
+            now: [ns]
         """
         try:
             stamp, q = self._read_command(payload, properties, now)
@@ -740,11 +720,8 @@ class Gateway:
     def end(self, reason: str, program: bool = False) -> None:
         """Brake as in `stop`, and once at rest end RSI_MOVECORR where the Ethernet XML declares `Stop`.
 
-        Parameters
-        ----------
-        reason : str
-        program : bool, optional
-            Whether this program ends, and asks for it itself: that is no stop of anybody's, and gets no number.
+        Args:
+            program: Whether this program ends, and asks for it itself: that is no stop of anybody's, and gets no number.
         """
         self.stop(reason, ending=program)
         self._ending = self.config.layout.stop

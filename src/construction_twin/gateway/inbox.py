@@ -19,13 +19,9 @@ DRAIN_LIMIT = 64
 class Arrival:
     """A telegram that is to be answered.
 
-    Attributes
-    ----------
-    telegram : RobotTelegram
-    source : tuple
-        Address and port of the sender.
-    arrived : int
-        Time of arrival [ns].
+    Attributes:
+        source: Address and port of the sender.
+        arrived: Time of arrival [ns].
     """
 
     telegram: RobotTelegram
@@ -36,16 +32,12 @@ class Arrival:
 class TelegramInbox:
     """Reads what has come since the last time.
 
-    Parameters
-    ----------
-    gateway : Gateway
-        What is noticed here is counted there.
-    receive : callable
-        Returns a datagram, its time of arrival [ns] and its source, without waiting; raises BlockingIOError when there is none.
-    clock : callable
-        Returns the gateway's monotonic time [ns].
-    controller : str or None, optional
-        Only datagrams from this IPv4 address are read; None reads any.
+    Args:
+        gateway: What is noticed here is counted there.
+        receive: Returns a datagram, its time of arrival [ns] and its source, without waiting; raises BlockingIOError when there is
+            none.
+        clock: Returns the gateway's monotonic time [ns].
+        controller: Only datagrams from this IPv4 address are read; None reads any.
     """
 
     def __init__(

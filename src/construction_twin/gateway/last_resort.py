@@ -26,22 +26,14 @@ _LONGEST_STEP = 60_000
 class LastResort:
     """Remembers what was sent; after `take_over` answers in the gateway's place.
 
-    Parameters
-    ----------
-    limits : MotionLimits
-    encoder : SensorEncoder or None
-        Whose replies are copied; None: the controller expects no answers, and gets none.
-    cycle_ms : int, optional
-        The controller's cycle [ms].
+    Args:
+        encoder: Whose replies are copied; None: the controller expects no answers, and gets none.
+        cycle_ms: The controller's cycle [ms].
 
-    Attributes
-    ----------
-    ending : bool
-        True: once at rest, replies carry Stop 1, which ends RSI_MOVECORR.
-    correction : tuple of float, shape (n,)
-        Sent last; () before the first.
-    ipoc : int
-        Answered last.
+    Attributes:
+        ending: True: once at rest, replies carry Stop 1, which ends RSI_MOVECORR.
+        correction: Shape (n,). Sent last; () before the first.
+        ipoc: Answered last.
     """
 
     def __init__(self, limits: MotionLimits, encoder: SensorEncoder | None, cycle_ms: int = 4):
@@ -64,18 +56,13 @@ class LastResort:
     ) -> None:
         """Take note of a reply that the gateway has sent.
 
-        Parameters
-        ----------
-        ipoc : int
-            [ms]
-        source : object
-            To whom.
-        correction : tuple, shape (n,)
-            [rad], [m]
-        kept : tuple, shape (n,) or ()
-            The correction that the controller had before, and keeps if this one does not arrive; () for none.
-        delay : int or None
-            `Delay` of the telegram.
+        Args:
+            ipoc: [ms]
+            source: To whom.
+            correction: Shape (n,). [rad], [m]
+            kept: Shape (n,) or (). The correction that the controller had before, and keeps if this one does not arrive; () for
+                none.
+            delay: `Delay` of the telegram.
         """
         self.correction, self._kept, self.ipoc, self._source = correction, kept, ipoc, source
         self._delay = delay or 0

@@ -41,9 +41,7 @@ class BoundedQueueHandler(QueueHandler):
 def log_beside_the_loop() -> QueueListener:
     """Write the log from a thread of its own: the loop must not wait for a terminal or a full pipe (docs/architecture.md, law 1).
 
-    Returns
-    -------
-    listener : QueueListener
+    Returns:
         Started; stop it at the end.
     """
     handler = logging.StreamHandler()
@@ -66,10 +64,8 @@ class _Written:
 class LineLimiter:
     """At most one line per reason and period: a sender of rubbish must neither fill the disk nor hide other lines.
 
-    Parameters
-    ----------
-    period : int, optional
-        [ns]
+    Args:
+        period: [ns]
     """
 
     def __init__(self, period: int = NANOSECONDS):
@@ -79,16 +75,11 @@ class LineLimiter:
     def note(self, reason: str, now: int) -> str | None:
         """Take a line that is to be written at `now` [ns].
 
-        Parameters
-        ----------
-        reason : str
-            Its kind: one of few, never text that came from outside, because every kind is remembered.
-        now : int
-            [ns]
+        Args:
+            reason: Its kind: one of few, never text that came from outside, because every kind is remembered.
+            now: [ns]
 
-        Returns
-        -------
-        note : str or None
+        Returns:
             What to append to the line, "" or how many like it were left out before; None when it must not be written.
         """
         last = self._lines.get(reason, _Written(now - self._period))

@@ -13,10 +13,8 @@ from collections.abc import Callable
 class PartSteps:
     """Spreads the steps of whole cycles over the telegrams within them.
 
-    Parameters
-    ----------
-    cycle_ns : int
-        The configured cycle [ns].
+    Args:
+        cycle_ns: The configured cycle [ns].
     """
 
     def __init__(self, cycle_ns: int):
@@ -34,14 +32,10 @@ class PartSteps:
     ) -> tuple[float, ...]:
         """Return where to be after `elapsed` more controller time [ns].
 
-        Parameters
-        ----------
-        elapsed : int
-            [ns]
-        now : tuple, shape (n,)
-            Where the present step ends [rad].
-        step : callable
-            Takes the step of one cycle and returns where it ends [rad].
+        Args:
+            elapsed: [ns]
+            now: Shape (n,). Where the present step ends [rad].
+            step: Takes the step of one cycle and returns where it ends [rad].
         """
         begun = self.told > 0
         self.told += elapsed

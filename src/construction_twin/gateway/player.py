@@ -26,11 +26,8 @@ class _Stall:
 class Player:
     """Plays a command stream, and brakes where it has run dry.
 
-    Parameters
-    ----------
-    config : GatewayConfig
-    counters : Counter
-        The gateway's; what happens to the stream is counted there.
+    Args:
+        counters: The gateway's; what happens to the stream is counted there.
     """
 
     def __init__(self, config: GatewayConfig, counters: Counter[str]):
@@ -130,14 +127,10 @@ class Player:
     def stand(self, follower: Follower, pause: int, taken_back: bool) -> None:
         """Go on from where HOLDON keeps the arm, while a stream is followed.
 
-        Parameters
-        ----------
-        follower : Follower
-            At rest there.
-        pause : int
-            Controller time without a reply that could have been given [ns].
-        taken_back : bool
-            True: the last position did not arrive either.
+        Args:
+            follower: At rest there.
+            pause: Controller time without a reply that could have been given [ns].
+            taken_back: True: the last position did not arrive either.
         """
         stands_at = None
         if self._smoother is not None and self.stamp and self.braking is None:
@@ -167,12 +160,9 @@ class Player:
 
         The next stream begins with a delay that absorbs this, as far as the bounds allow.
 
-        Parameters
-        ----------
-        session : str or None
-            The command's; None when commands carry none.
-        now : int
-            [ns]
+        Args:
+            session: The command's; None when commands carry none.
+            now: [ns]
         """
         stall = self._stalled
         if stall is None or session not in (None, stall.session):

@@ -30,12 +30,10 @@ SLACK_CYCLES = 2
 class PlayoutBounds:
     """Delays of the playout [ns].
 
-    Attributes
-    ----------
-    start : int
-        At the beginning of the first stream, and at least this for 20 s. The delay is always this plus or minus whole cycles.
-    shortest, longest : int
-        Bounds, ``shortest <= start <= longest``.
+    Attributes:
+        start: At the beginning of the first stream, and at least this for 20 s. The delay is always this plus or minus whole
+            cycles.
+        shortest, longest: Bounds, ``shortest <= start <= longest``.
     """
 
     start: int
@@ -58,16 +56,11 @@ class PlayoutBounds:
 class Playout:
     """Buffer of commands, played a delay behind the newest.
 
-    Parameters
-    ----------
-    bounds : PlayoutBounds
-    governor : Governor, optional
-        Slows playout time while a speed limit asks for it; None: nothing can.
-    cycle_ns : int, optional
-        The controller's cycle [ns]. Commands come every 4 ms whatever it is, and what depends on them counts in 4 ms: the
-        margin, and the delay's grid.
-    behind : int, optional
-        How far the arm trails the targets that it is led by [ns]: so far `stand` can go back.
+    Args:
+        governor: Slows playout time while a speed limit asks for it; None: nothing can.
+        cycle_ns: The controller's cycle [ns]. Commands come every 4 ms whatever it is, and what depends on them counts in 4 ms: the
+            margin, and the delay's grid.
+        behind: How far the arm trails the targets that it is led by [ns]: so far `stand` can go back.
     """
 
     def __init__(
@@ -159,18 +152,12 @@ class Playout:
     def push(self, stamp: int, q: Pose, waited: int = 0) -> bool:
         """Append a command that is newer than all before.
 
-        Parameters
-        ----------
-        stamp : int
-            [ns]
-        q : tuple, shape (n,)
-            [rad]
-        waited : int, optional
-            Time from the last telegram to this arrival [ns]; the stream's beginning and the drift's estimate use it.
+        Args:
+            stamp: [ns]
+            q: Shape (n,). [rad]
+            waited: Time from the last telegram to this arrival [ns]; the stream's beginning and the drift's estimate use it.
 
-        Returns
-        -------
-        in_time : bool
+        Returns:
             False when its moment has passed: it will not be played, only help to interpolate.
         """
         commands = self._commands
@@ -206,17 +193,12 @@ class Playout:
 
         Before the first command's stamp the target is the first command, past the newest it is the newest.
 
-        Parameters
-        ----------
-        elapsed : int
-            Controller time since the last call, from IPOC [ns].
+        Args:
+            elapsed: Controller time since the last call, from IPOC [ns].
 
-        Returns
-        -------
-        stamp : int
-            Stamp of the target on the sender's clock [ns], between the oldest and the newest command held.
-        q : tuple, shape (n,)
-            Target [rad].
+        Returns:
+            stamp: Stamp of the target on the sender's clock [ns], between the oldest and the newest command held.
+            q: Shape (n,). Target [rad].
         """
         commands = self._commands
         while len(commands) > 1 and commands[1][0] <= self._now:
@@ -297,14 +279,10 @@ class Playout:
 
         What is not played now is put off, and the motion starts again on its path, with a rate that rises from 0.
 
-        Parameters
-        ----------
-        pause : int
-            Controller time that the arm has stood for [ns].
-        taken_back : bool
-            True: the last target was not reached either, because it did not arrive.
-        stands_at : int, optional
-            Stamp of the target at which the arm stands, where it trails the one that was played last [ns].
+        Args:
+            pause: Controller time that the arm has stood for [ns].
+            taken_back: True: the last target was not reached either, because it did not arrive.
+            stands_at: Stamp of the target at which the arm stands, where it trails the one that was played last [ns].
         """
         put_off = pause
         if taken_back:

@@ -20,10 +20,8 @@ class Unread:
 class Refusals:
     """Counts refusals and keeps the last one's sentence.
 
-    Parameters
-    ----------
-    counters : Counter
-        The gateway's.
+    Args:
+        counters: The gateway's.
     """
 
     def __init__(self, counters: Counter[str]):
@@ -42,14 +40,10 @@ class Refusals:
     def message(self, reason: str, why: object, follows: bool = False) -> None:
         """Count a message on MQTT as ``refused_<reason>``.
 
-        Parameters
-        ----------
-        reason : str
-        why : object
-            The sentence.
-        follows : bool, optional
-            It is refused only because nobody is armed, as what is still under way when a stop comes: its sentence takes the
-            place of no other.
+        Args:
+            why: The sentence.
+            follows: It is refused only because nobody is armed, as what is still under way when a stop comes: its sentence takes
+                the place of no other.
         """
         if follows and self._keeps:
             self._counters[f"refused_{reason}"] += 1

@@ -23,13 +23,9 @@ def distance_off(
 ) -> str:
     """Return how far the first axis beyond the start tolerance is from its reference, for people; "" when none is.
 
-    Parameters
-    ----------
-    q, reference : tuple, shape (n,)
-        [rad], [m]
-    config : GatewayConfig
-    tolerances : float, optional
-        How many start tolerances are allowed.
+    Args:
+        q, reference: Shape (n,). [rad], [m]
+        tolerances: How many start tolerances are allowed.
     """
     allowed = [tolerances * tolerance for tolerance in config.start_tolerances]
     off = outside_tolerance(q, reference, allowed)
@@ -42,11 +38,8 @@ def distance_off(
 class ControllerSession:
     """One RSI session after the other.
 
-    Parameters
-    ----------
-    config : GatewayConfig
-    counters : Counter
-        The gateway's; what is noticed here is counted there.
+    Args:
+        counters: The gateway's; what is noticed here is counted there.
     """
 
     def __init__(self, config: GatewayConfig, counters: Counter[str]):
@@ -95,21 +88,13 @@ class ControllerSession:
     ) -> int | None:
         """Take note of a telegram, and of whether it belongs to the session.
 
-        Parameters
-        ----------
-        telegram : RobotTelegram
-        source : object
-            Where it came from.
-        now : int
-            [ns]
-        correction : tuple, shape (n,), optional
-            What the last answer carried [rad]; () for nothing.
-        moving : bool, optional
-            Whether that correction is being changed.
+        Args:
+            source: Where it came from.
+            now: [ns]
+            correction: Shape (n,). What the last answer carried [rad]; () for nothing.
+            moving: Whether that correction is being changed.
 
-        Returns
-        -------
-        elapsed : int or None
+        Returns:
             Controller time since the last telegram [ns]; None when another session begins.
         """
         elapsed = self._elapsed(telegram.ipoc, source)
@@ -141,9 +126,7 @@ class ControllerSession:
     def find_origin(self, telegram: RobotTelegram) -> str:
         """Take the origin from a telegram; where that is impossible it stays unknown.
 
-        Returns
-        -------
-        reason : str
+        Returns:
             Why this session must not be answered; "" when it may be.
         """
         if telegram.measured is None and telegram.setpoint is None and not self._empty_telegrams:
@@ -180,11 +163,8 @@ class ControllerSession:
         reply, or all of a session, and does not. A number that it cannot have is counted: a higher one is a reply that is lost, a
         lower one is not (docs/rsi.md, section 5).
 
-        Parameters
-        ----------
-        telegram : RobotTelegram
-        elapsed : int
-            Controller time since the telegram that was answered last [ns].
+        Args:
+            elapsed: Controller time since the telegram that was answered last [ns].
         """
         delay, before = telegram.delay, self._last_delay
         if delay == before and elapsed == self._cycle:

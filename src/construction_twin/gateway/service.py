@@ -67,21 +67,12 @@ _Result = TypeVar("_Result")
 class GatewayService:
     """Sockets around a Gateway.
 
-    Parameters
-    ----------
-    config : GatewayConfig
-    sock : socket.socket
-        Bound UDP socket, see `bind`.
-    broker : Broker
-    topics : Topics
-    run : str
-        Random id of this run, see `Gateway`.
-    controller : str or None
-        Only datagrams from this IPv4 address are read, see `address_of`; None reads any.
-    commissioning : bool, optional
-        Send every correction as zero.
-    measures : bool, optional
-        See `Gateway`: False for a controller that is no match for real time.
+    Args:
+        sock: Bound UDP socket, see `bind`.
+        run: Random id of this run, see `Gateway`.
+        controller: Only datagrams from this IPv4 address are read, see `address_of`; None reads any.
+        commissioning: Send every correction as zero.
+        measures: See `Gateway`: False for a controller that is no match for real time.
     """
 
     def __init__(

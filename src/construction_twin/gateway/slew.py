@@ -18,12 +18,9 @@ class Pace:
     Played at a rate 1 + r, a motion's velocity is multiplied by 1 + r and its acceleration by (1 + r)^2, and a change of r adds
     velocity times dr/dt.
 
-    Attributes
-    ----------
-    back, ahead : int
-        Largest shift per cycle [ns], backwards and forwards.
-    change : int
-        Largest change of that shift from one cycle to the next [ns].
+    Attributes:
+        back, ahead: Largest shift per cycle [ns], backwards and forwards.
+        change: Largest change of that shift from one cycle to the next [ns].
     """
 
     back: int
@@ -56,10 +53,8 @@ CATCH_UP = Pace.of(0.05, 0.01, 0.1)
 class Slew:
     """Carries a shift out, cycle by cycle, beginning and ending at rate zero.
 
-    Parameters
-    ----------
-    cycle_ns : int, optional
-        Length of a cycle [ns]; paces are per such cycle.
+    Args:
+        cycle_ns: Length of a cycle [ns]; paces are per such cycle.
     """
 
     def __init__(self, cycle_ns: int = CYCLE_NS) -> None:

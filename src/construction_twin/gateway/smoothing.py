@@ -13,14 +13,11 @@ from construction_twin.core.units import CYCLE_NS
 def henderson_weights(half: int) -> list[float]:
     """Return the symmetric weights of 2 * `half` + 1 values that pass cubics unchanged and change least from one to the next.
 
-    Parameters
-    ----------
-    half : int
-        At least 2; with 1 only the value in the middle would count.
+    Args:
+        half: At least 2; with 1 only the value in the middle would count.
 
-    References
-    ----------
-    R. Henderson, Note on graduation by adjusted average, Transactions of the Actuarial Society of America 17 (1916).
+    References:
+        R. Henderson, Note on graduation by adjusted average, Transactions of the Actuarial Society of America 17 (1916).
     """
     n = half + 2
     scale = 8 * n * (n**2 - 1) * (4 * n**2 - 1) * (4 * n**2 - 9) * (4 * n**2 - 25)
@@ -37,12 +34,9 @@ class Smoother:
     for M = 2 to 6. Velocity and acceleration pass unchanged: only what changes within a few cycles is smoothed. At rest
     the result is the target itself, to the last bit.
 
-    Parameters
-    ----------
-    cycles : int
-        M, the delay in cycles; at least 2.
-    cycle_ns : int, optional
-        Length of a cycle [ns].
+    Args:
+        cycles: M, the delay in cycles; at least 2.
+        cycle_ns: Length of a cycle [ns].
     """
 
     def __init__(self, cycles: int, cycle_ns: int = CYCLE_NS):

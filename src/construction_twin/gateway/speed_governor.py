@@ -34,13 +34,9 @@ ROUNDING_FRACTION = 0.1
 class Governor:
     """Bounds the rate of playout time.
 
-    Parameters
-    ----------
-    limits : MotionLimits
-    decimals : int
-        Decimals on the wire.
-    cycle_ns : int, optional
-        The controller's cycle [ns].
+    Args:
+        decimals: Decimals on the wire.
+        cycle_ns: The controller's cycle [ns].
     """
 
     def __init__(self, limits: MotionLimits, decimals: int, cycle_ns: int = CYCLE_NS):
@@ -82,16 +78,11 @@ class Governor:
     ) -> int:
         """Return how far playout time may advance in this cycle [ns], at most `wanted`.
 
-        Parameters
-        ----------
-        commands : sequence of (int, tuple)
-            Stamps [ns] and poses [rad]; playout time lies between the first two.
-        wanted : int
-            How far it would advance without a limit [ns].
-        elapsed : int
-            Controller time since the last cycle [ns].
-        target : callable
-            From an advance [ns] to the target there [rad].
+        Args:
+            commands: Stamps [ns] and poses [rad]; playout time lies between the first two.
+            wanted: How far it would advance without a limit [ns].
+            elapsed: Controller time since the last cycle [ns].
+            target: From an advance [ns] to the target there [rad].
         """
         free = wanted / elapsed
         last = free if self.rate is None else min(self.rate, free)

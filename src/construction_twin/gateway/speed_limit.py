@@ -37,10 +37,6 @@ class SpeedLimit:
 
     The messages of a session are numbered, and an old one does nothing: with a recording of a high limit among those of today the
     low one would never come into force.
-
-    Parameters
-    ----------
-    config : GatewayConfig
     """
 
     def __init__(self, config: GatewayConfig):

@@ -164,20 +164,13 @@ CAUSES = {
 class Occasion(state_table.Occasion):
     """What came with an event.
 
-    Attributes
-    ----------
-    session : str
-        Session of the control message; "" where none is involved.
-    stamp : int
-        Of the command [ns].
-    q : tuple, shape (n,)
-        The command's pose [rad].
-    account : str
-        Whose `stop/<account>` it was; "" for every other way.
-    ending : bool
-        A stop that the program asks for itself, because it ends.
-    value : object
-        Of the control message.
+    Attributes:
+        session: Session of the control message; "" where none is involved.
+        stamp: Of the command [ns].
+        q: Shape (n,). The command's pose [rad].
+        account: Whose `stop/<account>` it was; "" for every other way.
+        ending: A stop that the program asks for itself, because it ends.
+        value: Of the control message.
     """
 
     session: str = ""

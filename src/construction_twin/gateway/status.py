@@ -52,13 +52,9 @@ class Status:
 class StateReport:
     """Makes the messages of the `state` topic.
 
-    Parameters
-    ----------
-    codec : JointStringCodec
-    counters : Counter
-        The gateway's.
-    properties : bool
-        Whether commands carry stamps; without, no state has a command stamp.
+    Args:
+        counters: The gateway's.
+        properties: Whether commands carry stamps; without, no state has a command stamp.
     """
 
     def __init__(self, codec: JointStringCodec, counters: Counter[str], properties: bool):
@@ -71,14 +67,10 @@ class StateReport:
     ) -> tuple[bytes, StateProperties] | None:
         """Return a pose's joint string and what goes beside it; None without a pose, or when it does not fit the format.
 
-        Parameters
-        ----------
-        measured : tuple, shape (n,)
-            [rad]; () for none.
-        answered_stamp : int
-            Stamp of the target in the reply before this telegram [ns]; 0 for none.
-        stamp : int
-            The gateway's own time [ns].
+        Args:
+            measured: Shape (n,). [rad]; () for none.
+            answered_stamp: Stamp of the target in the reply before this telegram [ns]; 0 for none.
+            stamp: The gateway's own time [ns].
         """
         if not measured:
             return None
@@ -94,10 +86,8 @@ class StateReport:
 class StatusClock:
     """When the periodic status is sent: in the pause after an answer, because putting it together takes part of a cycle.
 
-    Parameters
-    ----------
-    period : float
-        [s]
+    Args:
+        period: [s]
     """
 
     def __init__(self, period: float):

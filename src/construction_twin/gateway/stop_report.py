@@ -14,12 +14,9 @@ from construction_twin.core.units import NANOSECONDS
 class Braking:
     """Braking of a follower from its present step on, as the arm will carry it out.
 
-    Parameters
-    ----------
-    follower : Follower
-    measured : tuple of float, shape (n,)
-        Where the arm is, behind the follower by what its servos trail [rad], [m]; empty when it does not do what the follower does,
-        or is not known: then the distance is the follower's.
+    Args:
+        measured: Shape (n,). Where the arm is, behind the follower by what its servos trail [rad], [m]; empty when it does not do
+            what the follower does, or is not known: then the distance is the follower's.
     """
 
     def __init__(self, follower: Follower, measured: tuple[float, ...]):
@@ -39,10 +36,8 @@ class Braking:
 class StopReport:
     """The last stop of one gateway.
 
-    Parameters
-    ----------
-    linear : tuple of bool, shape (n,)
-        Axes in m.
+    Args:
+        linear: Shape (n,). Axes in m.
     """
 
     def __init__(self, linear: tuple[bool, ...]):

@@ -17,13 +17,9 @@ HOLDON = {"keep": True, "off": False}
 class ToolOutput:
     """An output.
 
-    Attributes
-    ----------
-    name : str
-    on_stop : str
-        ``keep`` or ``off``: what becomes of it when RSI ends or a reply is missed.
-    opens : bool or None
-        The value that lets go of a workpiece; None: neither does.
+    Attributes:
+        on_stop: ``keep`` or ``off``: what becomes of it when RSI ends or a reply is missed.
+        opens: The value that lets go of a workpiece; None: neither does.
     """
 
     name: str
@@ -35,12 +31,8 @@ class ToolOutput:
 class GatewayTool:
     """A tool.
 
-    Attributes
-    ----------
-    name : str
-        Of the tool file.
-    outputs : tuple of ToolOutput
-    inputs : tuple of str
+    Attributes:
+        name: Of the tool file.
     """
 
     name: str
@@ -73,18 +65,12 @@ class GatewayTool:
 def check_tool(tool: GatewayTool | None, layout: RsiLayout, where: str) -> None:
     """Check that the channels of an Ethernet XML are those of a tool, held as the tool file says.
 
-    Parameters
-    ----------
-    tool : GatewayTool or None
-        None: no tool is configured.
-    layout : RsiLayout
-    where : str
-        Name of the Ethernet XML, for messages.
+    Args:
+        tool: None: no tool is configured.
+        where: Name of the Ethernet XML, for messages.
 
-    Raises
-    ------
-    EthernetXmlError
-        Naming the first channel that does not fit.
+    Raises:
+        EthernetXmlError: Naming the first channel that does not fit.
     """
     if tool is None:
         if layout.switched:

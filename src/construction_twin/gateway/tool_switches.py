@@ -85,14 +85,9 @@ _ROWS = state_table.by_cause(SWITCH_TABLE)
 class ToolSwitch:
     """One switch, as `status` tells it.
 
-    Parameters
-    ----------
-    id, output : str
-    value : bool
-    stamp : int
-        Of the setpoint with which it fires [ns].
-    fire : callable
-        Gives the output its new value.
+    Args:
+        stamp: Of the setpoint with which it fires [ns].
+        fire: Gives the output its new value.
     """
 
     def __init__(self, id: str, output: str, value: bool, stamp: int, fire: Callable[[ToolSwitch], None]):
@@ -119,15 +114,10 @@ class ToolSwitch:
 class ToolSwitches:
     """The outputs of one tool.
 
-    Parameters
-    ----------
-    tool : GatewayTool
-    layout : RsiLayout
-        Of the telegrams.
-    cycle_ns : int
-        The controller's cycle [ns].
-    counters : Counter
-        The gateway's.
+    Args:
+        layout: Of the telegrams.
+        cycle_ns: The controller's cycle [ns].
+        counters: The gateway's.
     """
 
     def __init__(self, tool: GatewayTool, layout: RsiLayout, cycle_ns: int, counters: Counter[str]):
@@ -199,12 +189,9 @@ class ToolSwitches:
     def hear(self, obstacle: str = "", missed: bool = False) -> None:
         """Take the reading of a telegram that is being answered.
 
-        Parameters
-        ----------
-        obstacle : str, optional
-            Why this session is not answered.
-        missed : bool, optional
-            The telegrams show that the controller missed a reply since the last one.
+        Args:
+            obstacle: Why this session is not answered.
+            missed: The telegrams show that the controller missed a reply since the last one.
         """
         self._heard += 1
         reading = self._latest
@@ -286,10 +273,8 @@ class ToolSwitches:
     def channels(self, ending: bool = False) -> tuple[bool, ...]:
         """Return what a reply carries, one value per name of `RsiLayout.switched`.
 
-        Parameters
-        ----------
-        ending : bool, optional
-            The reply carries Stop 1: outputs that are `off` without RSI are switched off with it.
+        Args:
+            ending: The reply carries Stop 1: outputs that are `off` without RSI are switched off with it.
         """
         if ending not in self._replies:
             values = dict(zip(self._names, self._commanded))
@@ -304,14 +289,10 @@ class ToolSwitches:
     def arm(self, value: object, lead: float | None, obstacle: str) -> str:
         """Take a `switch`; return "" when it is armed, else in one sentence why not.
 
-        Parameters
-        ----------
-        value : object
-            Of the control message: ``{"id": ..., "output": ..., "value": ..., "stamp": ...}``.
-        lead : float or None
-            How far the stamp lies ahead of the playout [s]; None without one.
-        obstacle : str
-            Why nothing may be switched now, whatever is asked for; "" for nothing.
+        Args:
+            value: Of the control message: ``{"id": ..., "output": ..., "value": ..., "stamp": ...}``.
+            lead: How far the stamp lies ahead of the playout [s]; None without one.
+            obstacle: Why nothing may be switched now, whatever is asked for; "" for nothing.
         """
         switch = _switch_of(value, self._fire)
         if switch is None:

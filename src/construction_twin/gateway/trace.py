@@ -78,19 +78,12 @@ def _locked(file: BinaryIO, path: str) -> BinaryIO:
 class TraceEntry:
     """One answered telegram.
 
-    Attributes
-    ----------
-    ipoc : int
-        [ms]
-    stamp : int
-        Of the target played [ns, sender's clock]; 0 for none.
-    state : State
-    session : int
-        Number of the RSI session, from 1; counted modulo 65536.
-    position : tuple, shape (n,)
-        Origin plus correction [rad].
-    lost : bool
-        The telegram said that the reply before this one did not arrive in time: this one is a step from what was before that.
+    Attributes:
+        ipoc: [ms]
+        stamp: Of the target played [ns, sender's clock]; 0 for none.
+        session: Number of the RSI session, from 1; counted modulo 65536.
+        position: Shape (n,). Origin plus correction [rad].
+        lost: The telegram said that the reply before this one did not arrive in time: this one is a step from what was before that.
     """
 
     ipoc: int
@@ -108,21 +101,15 @@ class TraceEntry:
 class TraceWriter:
     """Writes a trace; `record` is what `Gateway.trace` takes.
 
-    Parameters
-    ----------
-    path : str
-        File to write; a regular file that exists is overwritten, anything else that exists is refused.
-    axes : int
-        Values per position.
-    cycles : int, optional
-        Entries that the file holds; what comes after is counted in `dropped`.
+    Args:
+        path: File to write; a regular file that exists is overwritten, anything else that exists is refused.
+        axes: Values per position.
+        cycles: Entries that the file holds; what comes after is counted in `dropped`.
 
-    Raises
-    ------
-    ConfigurationError
-        If the path is a device, a folder or anything else but a regular file: it is not opened. If another gateway records in the
-        file. If the file cannot be written, or not at its full length: one that was made for it is removed, one that was there
-        before is left, empty.
+    Raises:
+        ConfigurationError: If the path is a device, a folder or anything else but a regular file: it is not opened. If another
+            gateway records in the file. If the file cannot be written, or not at its full length: one that was made for it is
+            removed, one that was there before is left, empty.
     """
 
     def __init__(self, path: str, axes: int, cycles: int = DEFAULT_CYCLES):
@@ -172,16 +159,11 @@ class TraceWriter:
 def read_trace(path: str | Path, since: int = 0) -> list[TraceEntry]:
     """Read a trace, also one whose writer was killed or is still at it.
 
-    Parameters
-    ----------
-    path : str or Path
-    since : int, optional
-        Number of the first entry that is wanted, from 0.
+    Args:
+        since: Number of the first entry that is wanted, from 0.
 
-    Raises
-    ------
-    ConfigurationError
-        If it is not a trace.
+    Raises:
+        ConfigurationError: If it is not a trace.
     """
     data = Path(path).read_bytes()
     if len(data) < _HEADER.size or not data.startswith(MAGIC):

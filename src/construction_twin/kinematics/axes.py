@@ -20,12 +20,9 @@ TOLERANCE = 1e-9
 class Axis:
     """A joint's axis.
 
-    Attributes
-    ----------
-    point : array, shape (3,)
-        Any point on it; of a prismatic joint, the origin of its frame.
-    direction : array, shape (3,)
-        Of turning, by the right hand, or of travel.
+    Attributes:
+        point: Shape (3,). Any point on it; of a prismatic joint, the origin of its frame.
+        direction: Shape (3,). Of turning, by the right hand, or of travel.
     """
 
     point: np.ndarray

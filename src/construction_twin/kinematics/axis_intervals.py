@@ -38,14 +38,10 @@ _SHORT = 1e-8
 class Aim:
     """What is looked for.
 
-    Attributes
-    ----------
-    seed : array, shape (7,)
-        Near which: place [m] and joints [rad], within the ranges.
-    turns : sequence of int, length 6, or None
-        By how many whole turns the arm's joints are further than the nearest one; None: nearest within the ranges.
-    low, high : list of float, length 6
-        Ends of the joints' ranges, or of these turns, as distances from the seed [rad].
+    Attributes:
+        seed: Shape (7,). Near which: place [m] and joints [rad], within the ranges.
+        turns: Length 6. By how many whole turns the arm's joints are further than the nearest one; None: nearest within the ranges.
+        low, high: Length 6. Ends of the joints' ranges, or of these turns, as distances from the seed [rad].
     """
 
     seed: np.ndarray
@@ -57,16 +53,11 @@ class Aim:
 class Node(NamedTuple):
     """A branch at a place, all with respect to an `Aim`.
 
-    Attributes
-    ----------
-    away, rates : list of float, length 7
-        Distance of the place [m] and of the joints [rad] from the seed; and their rates, the place's is 1.
-    square, slope : float
-        Squared distance, and its rate; nan: there is no such branch.
-    excess, outwards : float
-        By how much the worst joint is out of range [rad], and its rate outwards.
-    edge : bool
-        At an edge of the reach, within `opw_along.AT_EDGE`.
+    Attributes:
+        away, rates: Length 7. Distance of the place [m] and of the joints [rad] from the seed; and their rates, the place's is 1.
+        square, slope: Squared distance, and its rate; nan: there is no such branch.
+        excess, outwards: By how much the worst joint is out of range [rad], and its rate outwards.
+        edge: At an edge of the reach, within `opw_along.AT_EDGE`.
     """
 
     away: list[float]
@@ -81,13 +72,10 @@ class Node(NamedTuple):
 class Interval(NamedTuple):
     """Two places of a branch. Ordered by what may be found between them.
 
-    Attributes
-    ----------
-    bound : float
-        Nowhere between is the squared distance from the seed less than this, unless at an end; inf: there is nothing between.
-    split : float
-        Where to look next, as a fraction of the way from the first to the last.
-    first, last : Node
+    Attributes:
+        bound: Nowhere between is the squared distance from the seed less than this, unless at an end; inf: there is nothing
+            between.
+        split: Where to look next, as a fraction of the way from the first to the last.
     """
 
     bound: float
@@ -99,15 +87,10 @@ class Interval(NamedTuple):
 def make_node(away: list[float], rates: list[float], aim: Aim, edge: bool = False) -> Node:
     """Return a node.
 
-    Parameters
-    ----------
-    away : list of float, length 7
-        As in `Node`; nan: there is no such branch.
-    rates : list of float, length 6
-        Of the joints.
-    aim : Aim
-    edge : bool
-        As in `Node`.
+    Args:
+        away: Length 7. As in `Node`; nan: there is no such branch.
+        rates: Length 6. Of the joints.
+        edge: As in `Node`.
     """
     rates = [1.0, *rates]
     square = sum(map(mul, away, away))
@@ -126,15 +109,10 @@ def make_intervals(
 ) -> list[Interval]:
     """Return the interval between two nodes; two of them if a joint's turns at its ends differ, for each end's to go on.
 
-    Parameters
-    ----------
-    first, last : Node
-    aim : Aim
-    straight : (float, float)
-        How far joint 5 is from the seed where axes 4 and 6 are in line [rad]; and 1 if joints 4 and 6 have the same sense there, -1
-        if not.
-    edges_known : bool
-        Whether no branch ends between two places.
+    Args:
+        straight: How far joint 5 is from the seed where axes 4 and 6 are in line [rad]; and 1 if joints 4 and 6 have the same sense
+            there, -1 if not.
+        edges_known: Whether no branch ends between two places.
     """
     if first.square != first.square or last.square != last.square:
         return _ending(first, last, edges_known)
@@ -264,12 +242,9 @@ def _rough(first: Node, last: Node, missed: list[float], straight: tuple[float, 
 def either_way(first: Sequence[float], last: Sequence[float], straight: tuple[float, float]) -> float:
     """Return a bound below the squared distance where joints turn fast, and so perhaps the other way round.
 
-    Parameters
-    ----------
-    first, last : sequence of float, length 7
-        Distances from the seed at both ends, as `Node.away`.
-    straight : (float, float)
-        See `make_intervals`.
+    Args:
+        first, last: Length 7. Distances from the seed at both ends, as `Node.away`.
+        straight: See `make_intervals`.
     """
     gaps = [0.0 if a * b < 0.0 and abs(a - b) < 0.5 * TURN else min(a * a, b * b) for a, b in zip(first, last)]
     bound = gaps[0] + gaps[2] + gaps[3]

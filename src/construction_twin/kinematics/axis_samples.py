@@ -38,24 +38,16 @@ class Samples:
 
     Samples are numbered branch by branch, in the order of `SLOTS`, those of a branch along the axis.
 
-    Attributes
-    ----------
-    flange : array, shape (4, 4)
-        The target as `ClosedFormInverse.flange` gives it, with the carriage at zero.
-    places : array, shape (m,)
-        Ascending [m].
-    q : array, shape (6, 8 m)
-        Of each sample [rad]; nan where the branch is missing or not wanted.
-    joined : array of bool, shape (8 m + 1,)
-        Which samples bound an interval with the one before; the last number stands for no sample.
-    wrist : list of float, length 8
-        |sin| of each branch's wrist angle at the given place; nan where a branch is missing.
-    singular : list of float
-        Places where the wrist is exactly singular [m], as far as found.
-    edges : list of float
-        Places just within an edge of a shoulder's reach [m].
-    edges_known : bool
-        No branch ends within an interval.
+    Attributes:
+        flange: Shape (4, 4). The target as `ClosedFormInverse.flange` gives it, with the carriage at zero.
+        places: Shape (m,). Ascending [m].
+        q: Shape (6, 8 m). Of each sample [rad]; nan where the branch is missing or not wanted.
+        joined: Shape (8 m + 1,), true or false. Which samples bound an interval with the one before; the last number stands for no
+            sample.
+        wrist: Length 8. |sin| of each branch's wrist angle at the given place; nan where a branch is missing.
+        singular: Places where the wrist is exactly singular [m], as far as found.
+        edges: Places just within an edge of a shoulder's reach [m].
+        edges_known: No branch ends within an interval.
     """
 
     flange: np.ndarray
@@ -72,18 +64,12 @@ class Samples:
 class Measured:
     """Samples with respect to an aim.
 
-    Attributes
-    ----------
-    away : array, shape (7, k)
-        Distance of place [m] and joints [rad] from the seed, with the nearest whole turns within the ranges.
-    nearest : array, shape (7, k)
-        The same with the nearest whole turns even where they are out of range.
-    squares : array, shape (k,)
-        Squared distance; nan where a branch is missing.
-    excess : array, shape (k,)
-        By how much the worst joint is out of range [rad].
-    moved : array of bool, shape (k,)
-        Whether the nearest turns are out of range.
+    Attributes:
+        away: Shape (7, k). Distance of place [m] and joints [rad] from the seed, with the nearest whole turns within the ranges.
+        nearest: Shape (7, k). The same with the nearest whole turns even where they are out of range.
+        squares: Shape (k,). Squared distance; nan where a branch is missing.
+        excess: Shape (k,). By how much the worst joint is out of range [rad].
+        moved: Shape (k,), true or false. Whether the nearest turns are out of range.
     """
 
     away: np.ndarray
@@ -96,14 +82,10 @@ class Measured:
 class AxisSampler:
     """Solves an arm at places along the axis that carries it.
 
-    Parameters
-    ----------
-    arm : ClosedFormInverse
-        The six joints on the carriage.
-    travel : array, shape (3,)
-        Direction in which the carriage travels, in the directions of the arm's model.
-    low, high : float
-        The carriage's range [m].
+    Args:
+        arm: The six joints on the carriage.
+        travel: Shape (3,). Direction in which the carriage travels, in the directions of the arm's model.
+        low, high: The carriage's range [m].
     """
 
     def __init__(self, arm: ClosedFormInverse, travel: np.ndarray, low: float, high: float):
@@ -124,14 +106,10 @@ class AxisSampler:
     def sample(self, flange: np.ndarray, place: float, wanted: np.ndarray | None = None) -> Samples:
         """Return the branches at evenly spaced places, at a given one, and at those that `opw_along` names.
 
-        Parameters
-        ----------
-        flange : array, shape (4, 4)
-            As in `Samples`.
-        place : float
-            [m]
-        wanted : array of bool, shape (8,), optional
-            Which branches. Default: all.
+        Args:
+            flange: Shape (4, 4). As in `Samples`.
+            place: [m]
+            wanted: Shape (8,), true or false. Which branches. Default: all.
         """
         edges, at_axis = self._along.steep_places(flange)
         edges = [edge for edge in edges if self._low < edge < self._high]
@@ -172,13 +150,10 @@ class AxisSampler:
     def aim(self, seed: np.ndarray, turns: Sequence[int] | None = None) -> Aim:
         """Return what to search for.
 
-        Parameters
-        ----------
-        seed : array, shape (7,)
-            Near which: place [m] and joints [rad], within the ranges.
-        turns : sequence of int, length 6, optional
-            By how many whole turns to be further than the nearest one, for joints that have more than one. Default: with the
-            nearest turns within the ranges.
+        Args:
+            seed: Shape (7,). Near which: place [m] and joints [rad], within the ranges.
+            turns: Length 6. By how many whole turns to be further than the nearest one, for joints that have more than one.
+                Default: with the nearest turns within the ranges.
         """
         low, high = (self._lower[:, 0] - seed[1:]).tolist(), (self._upper[:, 0] - seed[1:]).tolist()
         if turns is not None:

@@ -39,14 +39,10 @@ _DIVISIONS = 1000
 class Found:
     """A place on a branch within the ranges.
 
-    Attributes
-    ----------
-    square : float
-        Squared distance from the seed.
-    q : array, shape (7,)
-        The carriage's place [m], then the arm's joints [rad].
-    slot : int
-        The branch.
+    Attributes:
+        square: Squared distance from the seed.
+        q: Shape (7,). The carriage's place [m], then the arm's joints [rad].
+        slot: The branch.
     """
 
     square: float
@@ -71,18 +67,11 @@ def nearest(
 ) -> list[Found]:
     """Return the nearest place of the nearest branch, and what was the best before it was found: the nearest first.
 
-    Parameters
-    ----------
-    sampler : AxisSampler
-    samples : Samples
-    measured : Measured
-        The samples, for the same aim.
-    aim : Aim
-    at_singular : callable
-        Told of each place where the wrist is exactly singular and which may be the nearest [m]; returns the squared distance of the
-        nearest solution there.
-    slot : int, optional
-        Only this branch.
+    Args:
+        measured: The samples, for the same aim.
+        at_singular: Told of each place where the wrist is exactly singular and which may be the nearest [m]; returns the squared
+            distance of the nearest solution there.
+        slot: Only this branch.
     """
     best = min(map(at_singular, samples.singular), default=math.inf)
     found: list[Found] = []

@@ -22,12 +22,7 @@ _TOGETHER = 128
 
 
 class BatchKinematics:
-    """A chain's kinematics for a batch of joint vectors.
-
-    Parameters
-    ----------
-    chain : Chain
-    """
+    """A chain's kinematics for a batch of joint vectors."""
 
     def __init__(self, chain: Chain):
         axes = joint_axes(chain)
@@ -55,9 +50,8 @@ class BatchKinematics:
     def frames(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the tip's poses, shape (k, 4, 4), and the Jacobians, shape (k, 6, n), as `Chain.jacobian`.
 
-        Parameters
-        ----------
-        q : array, shape (k, n)
+        Args:
+            q: Shape (k, n)
         """
         if len(q) > _TOGETHER:
             parts = [self.frames(q[first : first + _TOGETHER]) for first in range(0, len(q), _TOGETHER)]
@@ -109,16 +103,12 @@ class BatchKinematics:
 
         An arm with more joints than a pose needs takes the smallest steps, measured in fractions of the joints' full speeds.
 
-        Parameters
-        ----------
-        q : array, shape (k, n)
-        positions, rotations : array, shape (k, 3) and (k, 3, 3)
-        steps : int
+        Args:
+            q: Shape (k, n)
+            positions, rotations: Shape (k, 3) and (k, 3, 3)
 
-        Returns
-        -------
-        q : array, shape (k, n)
-            Neither the ranges nor the remaining error is checked.
+        Returns:
+            Shape (k, n). Neither the ranges nor the remaining error is checked.
         """
         for _ in range(steps):
             tip, jacobian = self.frames(q)
@@ -129,19 +119,13 @@ class BatchKinematics:
     def projected(self, q: np.ndarray, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the postures on a pose that Newton steps of least length lead to.
 
-        Parameters
-        ----------
-        q : array, shape (k, n)
-        pose : Pose
+        Args:
+            q: Shape (k, n)
 
-        Returns
-        -------
-        q : array, shape (k, n)
-            Ranges are ignored.
-        arrived : array of bool, shape (k,)
-            Which ones are on the pose, to about 1e-6 m and rad.
-        jacobian : array, shape (k, 6, n)
-            Of the last postures but one, which hardly differ.
+        Returns:
+            q: Shape (k, n). Ranges are ignored.
+            arrived: Shape (k,), true or false. Which ones are on the pose, to about 1e-6 m and rad.
+            jacobian: Shape (k, 6, n). Of the last postures but one, which hardly differ.
         """
         for _ in range(_STEPS):
             tip, jacobian = self.frames(q)
@@ -160,16 +144,12 @@ class BatchKinematics:
 def tangents(jacobian: np.ndarray, held: int) -> np.ndarray:
     """Return how arms with one redundant joint move along their self-motions.
 
-    Parameters
-    ----------
-    jacobian : array, shape (k, 6, n)
-    held : int
-        The joint whose motion is positive, from 0.
+    Args:
+        jacobian: Shape (k, 6, n)
+        held: The joint whose motion is positive, from 0.
 
-    Returns
-    -------
-    tangents : array, shape (k, n)
-        Unit vectors.
+    Returns:
+        Shape (k, n). Unit vectors.
     """
     count, _, joints = jacobian.shape
     others = [joint for joint in range(joints) if joint != held]

@@ -32,12 +32,9 @@ _REFINABLE = 1e-3
 class BranchInverse(InverseKinematics, abc.ABC):
     """What all inverse kinematics of revolute joints in closed form share.
 
-    Parameters
-    ----------
-    chain : Chain
-        Of revolute joints.
-    settings : IkSettings
-        The tolerances are used.
+    Args:
+        chain: Of revolute joints.
+        settings: The tolerances are used.
     """
 
     def __init__(self, chain: Chain, settings: IkSettings):
@@ -55,12 +52,9 @@ class BranchInverse(InverseKinematics, abc.ABC):
 
         Each joint is first moved by the whole turns that bring it nearest to the seed.
 
-        Parameters
-        ----------
-        branches : sequence of sequence of float, length n
-            nan in the joint with the narrowest range: there is no such branch.
-        seed : sequence of float, length n
-            Within the ranges.
+        Args:
+            branches: Length n. nan in the joint with the narrowest range: there is no such branch.
+            seed: Length n. Within the ranges.
         """
         least, nearest = math.inf, None
         # Plain floats in one loop, and the joint with the narrowest range first: most branches fail at the first or second joint,
@@ -99,13 +93,9 @@ class BranchInverse(InverseKinematics, abc.ABC):
     ) -> IkSolution | None:
         """Return the nearest of the branches that forward kinematics confirms, or None.
 
-        Parameters
-        ----------
-        branches, seed
-            As in `nearest_branch`.
-        pose : Pose
-        configurations : sequence of Configuration or None
-            Each branch's, for the solution.
+        Args:
+            branches, seed: As in `nearest_branch`.
+            configurations: Each branch's, for the solution.
         """
         left, kinds = list(branches), list(configurations)
         while True:
@@ -129,15 +119,11 @@ class BranchInverse(InverseKinematics, abc.ABC):
     ) -> list[IkSolution]:
         """Return a branch with every choice of whole turns, where forward kinematics confirms it.
 
-        Parameters
-        ----------
-        branch : array, shape (n,)
-        pose : Pose
-        seed : sequence of float, length n
-        configuration : Configuration or None
-            The branch's, for the solutions.
-        kept : sequence of int
-            Joints whose turns have been chosen already.
+        Args:
+            branch: Shape (n,)
+            seed: Length n
+            configuration: The branch's, for the solutions.
+            kept: Joints whose turns have been chosen already.
         """
         if not np.isfinite(branch).all():
             return []

@@ -22,11 +22,9 @@ from construction_twin.robot.urdf import chain_joints, parse_urdf
 class Pose:
     """Pose of the tip in the base, ``base_T_tip``.
 
-    Attributes
-    ----------
-    position : array, shape (3,)
-        [m]
-    rotation : array, shape (3, 3)
+    Attributes:
+        position: Shape (3,). [m]
+        rotation: Shape (3, 3)
     """
 
     position: np.ndarray
@@ -38,21 +36,11 @@ class Chain:
 
     Not for use from several threads at once: the solvers work in buffers of their own.
 
-    Parameters
-    ----------
-    robot : RobotModel
-
-    Attributes
-    ----------
-    robot : RobotModel
-    kdl : PyKDL.Chain
-        For solvers of KDL.
-    reach : float
-        Upper bound of the tip's distance from `shoulder` [m]: all link lengths and strokes in one line.
-    arm_length : float
-        The same without strokes [m].
-    shoulder : array, shape (3,)
-        The first revolute joint's origin in the base, with prismatic joints at zero [m].
+    Attributes:
+        kdl: For solvers of KDL.
+        reach: Upper bound of the tip's distance from `shoulder` [m]: all link lengths and strokes in one line.
+        arm_length: The same without strokes [m].
+        shoulder: Shape (3,). The first revolute joint's origin in the base, with prismatic joints at zero [m].
     """
 
     def __init__(self, robot: RobotModel):
@@ -71,39 +59,25 @@ class Chain:
     def forward(self, q: JointValues) -> Pose:
         """Return the tip's pose.
 
-        Parameters
-        ----------
-        q : sequence of float, length n
-            Joint values [rad] or [m]; not checked against the ranges.
+        Args:
+            q: Length n. Joint values [rad] or [m]; not checked against the ranges.
 
-        Returns
-        -------
-        base_T_tip : Pose
-
-        Raises
-        ------
-        ValueError
-            If `q` has another length.
+        Raises:
+            ValueError: If `q` has another length.
         """
         return to_pose(self.frame(q))
 
     def frame(self, q: JointValues) -> PyKDL.Frame:
         """Return the tip's pose as KDL's frame: without the arrays of a `Pose`, for loops in which every microsecond counts.
 
-        Parameters
-        ----------
-        q : sequence of float, length n
-            As in `forward`.
+        Args:
+            q: Length n. As in `forward`.
 
-        Returns
-        -------
-        base_T_tip : PyKDL.Frame
+        Returns:
             A buffer: the next call changes it.
 
-        Raises
-        ------
-        ValueError
-            If `q` has another length.
+        Raises:
+            ValueError: If `q` has another length.
         """
         self._fill(q)
         self._fk.JntToCart(self._q, self._frame)
@@ -112,21 +86,15 @@ class Chain:
     def jacobian(self, q: JointValues) -> np.ndarray:
         """Return how the tip moves with each joint.
 
-        Parameters
-        ----------
-        q : sequence of float, length n
-            As in `forward`.
+        Args:
+            q: Length n. As in `forward`.
 
-        Returns
-        -------
-        jacobian : array, shape (6, n)
-            Column i: velocity of the tip's origin [m] (three rows), then angular velocity [rad] (three rows), in the
+        Returns:
+            Shape (6, n). Column i: velocity of the tip's origin [m] (three rows), then angular velocity [rad] (three rows), in the
             base's directions, per rad or m of joint i.
 
-        Raises
-        ------
-        ValueError
-            If `q` has another length.
+        Raises:
+            ValueError: If `q` has another length.
         """
         self._fill(q)
         self._jacobian.JntToJac(self._q, self._columns)
@@ -136,20 +104,14 @@ class Chain:
     def skeleton(self, q: JointValues) -> np.ndarray:
         """Return the line from the base through all link origins to the tip, for drawing the arm.
 
-        Parameters
-        ----------
-        q : sequence of float, length n
-            As in `forward`.
+        Args:
+            q: Length n. As in `forward`.
 
-        Returns
-        -------
-        points : array, shape (m, 3)
-            In the base [m], the base's origin first.
+        Returns:
+            Shape (m, 3). In the base [m], the base's origin first.
 
-        Raises
-        ------
-        ValueError
-            If `q` has another length.
+        Raises:
+            ValueError: If `q` has another length.
         """
         self._fill(q)
         frame = PyKDL.Frame()
@@ -170,14 +132,10 @@ class Chain:
 def to_kdl(joints: Sequence[Joint]) -> PyKDL.Chain:
     """Convert URDF joints to a KDL chain (kdl_parser_py, which would do it, is not in Debian).
 
-    Parameters
-    ----------
-    joints : sequence of Joint
-        From base to tip: revolute, prismatic or fixed.
+    Args:
+        joints: From base to tip: revolute, prismatic or fixed.
 
-    Returns
-    -------
-    chain : PyKDL.Chain
+    Returns:
         One segment per joint, named after its child link.
     """
     chain = PyKDL.Chain()

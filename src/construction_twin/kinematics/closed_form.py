@@ -66,14 +66,10 @@ _HEADINGS = 72
 class Branches(NamedTuple):
     """All branches of m targets, ranges not considered. A NamedTuple, because the 250 Hz paths unpack it.
 
-    Attributes
-    ----------
-    q : array, shape (m, 8, 6)
-        [rad], order of `SLOTS`; nan where there is no such branch.
-    wrist : array, shape (m, 8)
-        |sin| of the angle between axes 4 and 6.
-    extension : array, shape (m,)
-        Distance of the wrist centre to the edge of the reach [m]; positive inside, negative outside.
+    Attributes:
+        q: Shape (m, 8, 6). [rad], order of `SLOTS`; nan where there is no such branch.
+        wrist: Shape (m, 8). |sin| of the angle between axes 4 and 6.
+        extension: Shape (m,). Distance of the wrist centre to the edge of the reach [m]; positive inside, negative outside.
     """
 
     q: np.ndarray
@@ -88,13 +84,9 @@ class ClosedFormInverse(BranchInverse):
     nearest solution. Where the wrist centre is on axis 1, joint 1 is free: of the seed's angle and the angles in steps of 5
     degrees from it, the nearest solution's is used.
 
-    Parameters
-    ----------
-    chain : Chain
-    model : OpwModel
-        From `opw.find_opw`.
-    settings : IkSettings
-        Only the tolerances are used.
+    Args:
+        model: From `opw.find_opw`.
+        settings: Only the tolerances are used.
     """
 
     def __init__(self, chain: Chain, model: OpwModel, settings: IkSettings):
@@ -178,10 +170,8 @@ class ClosedFormInverse(BranchInverse):
     def flange(self, pose: Pose) -> np.ndarray:
         """Return ``opw_T_flange`` of a target, shape (4, 4).
 
-        Raises
-        ------
-        KinematicsError
-            If the pose is not finite: the calculation would go on with nan.
+        Raises:
+            KinematicsError: If the pose is not finite: the calculation would go on with nan.
         """
         self._target[:3, :3] = pose.rotation
         self._target[:3, 3] = pose.position
@@ -217,14 +207,8 @@ class ClosedFormInverse(BranchInverse):
     def branches(self, flanges: np.ndarray) -> Branches:
         """Return all branches of targets, ranges not considered.
 
-        Parameters
-        ----------
-        flanges : array, shape (m, 4, 4)
-            ``opw_T_flange``
-
-        Returns
-        -------
-        branches : Branches
+        Args:
+            flanges: Shape (m, 4, 4). ``opw_T_flange``
         """
         # For every branch within limits the package also computes the conditioning, which is not needed here and takes three
         # times as long as the rest. Limits that contain no angle switch that off.
@@ -310,17 +294,12 @@ class ClosedFormInverse(BranchInverse):
     def raise_range_error(self, branches: np.ndarray) -> None:
         """Raise the error that names the joint out of range, taken from the branch that is out of range by the least.
 
-        Parameters
-        ----------
-        branches : array, shape (m, 6)
-            All branches of a target [rad].
+        Args:
+            branches: Shape (m, 6). All branches of a target [rad].
 
-        Raises
-        ------
-        OrientationError
-            If joints 1 to 3 of some branch are in range: another orientation could be reached.
-        PositionRangeError
-            If not.
+        Raises:
+            OrientationError: If joints 1 to 3 of some branch are in range: another orientation could be reached.
+            PositionRangeError: If not.
         """
         middle = 0.5 * (self._lower + self._upper)
         q = branches - TURN * np.rint((branches - middle) / TURN)

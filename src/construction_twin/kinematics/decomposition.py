@@ -34,12 +34,9 @@ _AGREES = 1e-8
 class Property:
     """Axes that are parallel, or meet in one point.
 
-    Attributes
-    ----------
-    parallel : bool
-        False: they meet.
-    axes : tuple of int
-        From 0, ascending.
+    Attributes:
+        parallel: False: they meet.
+        axes: From 0, ascending.
     """
 
     parallel: bool
@@ -85,10 +82,8 @@ KINDS: tuple[tuple[Property, ...], ...] = (
 class NoClosedForm:
     """Why axes have no closed form.
 
-    Attributes
-    ----------
-    reason : str
-        Part of a sentence that states what was found.
+    Attributes:
+        reason: Part of a sentence that states what was found.
     """
 
     reason: str
@@ -98,18 +93,12 @@ class NoClosedForm:
 class ClosedForm:
     """A model of an arm that has a closed form.
 
-    Attributes
-    ----------
-    properties : tuple of Property
-        Why it has one.
-    off_m, off_rad : float
-        By how much the true axes miss them.
-    locked : int or None
-        The axis that has to be held for it; None: there are six.
-    directions, points : array, shape (n, 3)
-        Of the model's axes, in the base.
-    tip : Pose
-        ``base_T_tip`` with all joints at zero.
+    Attributes:
+        properties: Why it has one.
+        off_m, off_rad: By how much the true axes miss them.
+        locked: The axis that has to be held for it; None: there are six.
+        directions, points: Shape (n, 3). Of the model's axes, in the base.
+        tip: ``base_T_tip`` with all joints at zero.
     """
 
     properties: tuple[Property, ...]
@@ -141,10 +130,8 @@ class ClosedForm:
     def solver(self, held: float | None = None) -> Solver:
         """Return EAIK's solver for this model.
 
-        Parameters
-        ----------
-        held : float, optional
-            Value of the locked joint [rad].
+        Args:
+            held: Value of the locked joint [rad].
         """
         places = np.vstack([self.points, self.tip.position])
         offsets = np.diff(places, axis=0, prepend=np.zeros((1, 3)))
@@ -155,18 +142,12 @@ class ClosedForm:
 def find_closed_form(chain: Chain, axes: Sequence[Axis], locked: int | None = None) -> ClosedForm | NoClosedForm:
     """Return the model that solves an arm in closed form.
 
-    Parameters
-    ----------
-    chain : Chain
-        Of revolute joints.
-    axes : sequence of Axis
-        The chain's, see `axes.joint_axes`.
-    locked : int, optional
-        Of seven axes the one to hold, from 0.
+    Args:
+        chain: Of revolute joints.
+        axes: The chain's, see `axes.joint_axes`.
+        locked: Of seven axes the one to hold, from 0.
 
-    Returns
-    -------
-    form : ClosedForm or NoClosedForm
+    Returns:
         An exact model if there is one, otherwise the one that the arm is nearest to.
     """
     free = [axis for axis in range(len(axes)) if axis != locked]

@@ -35,10 +35,8 @@ def dense_search(chain: Chain) -> Callable[[Problem], float]:
     where a branch or a range ends or a joint jumps, what lies between two places is divided until they are less than a nanometre
     apart.
 
-    Raises
-    ------
-    ValueError
-        If the chain is no such arm.
+    Raises:
+        ValueError: If the chain is no such arm.
     """
     model = find_rail(chain)
     if isinstance(model, NotOpw):

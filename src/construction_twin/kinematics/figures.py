@@ -37,14 +37,10 @@ class Problem:
 class Figures:
     """What was measured.
 
-    Attributes
-    ----------
-    times : tuple of float
-        Of each call [s].
-    distances : tuple of float
-        Of each solution from its seed; nan: not solved.
-    residual_m, residual_rad : float
-        Largest of all solutions.
+    Attributes:
+        times: Of each call [s].
+        distances: Of each solution from its seed; nan: not solved.
+        residual_m, residual_rad: Largest of all solutions.
     """
 
     times: tuple[float, ...]
@@ -74,25 +70,16 @@ def measure(
 ) -> Figures:
     """Solve all tasks by `nearest`.
 
-    Parameters
-    ----------
-    inverse : InverseKinematics
-    tasks : sequence of Problem
-    clock : callable
-        Returns the present time [s], e.g. ``time.perf_counter``.
-    limit_s : float
-        A call that takes longer has not solved its task [s].
+    Args:
+        clock: Returns the present time [s], e.g. ``time.perf_counter``.
+        limit_s: A call that takes longer has not solved its task [s].
 
-    Returns
-    -------
-    figures : Figures
-        A task counts as solved when KDL's forward kinematics misses the pose by no more than the settings' tolerances, within
-        the ranges.
+    Returns:
+        A task counts as solved when KDL's forward kinematics misses the pose by no more than the settings' tolerances, within the
+        ranges.
 
-    Raises
-    ------
-    JointRangeError
-        If a solution is out of range.
+    Raises:
+        JointRangeError: If a solution is out of range.
     """
     settings = inverse.settings
     times, distances = [], []

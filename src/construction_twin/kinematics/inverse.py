@@ -30,22 +30,15 @@ def inverse_kinematics(
 ) -> InverseKinematics:
     """Return the inverse kinematics that fits an arm.
 
-    Parameters
-    ----------
-    chain : Chain
-    settings : IkSettings, optional
-        Default: those of an `IkSettings` without arguments.
-    rng : numpy Generator, optional
-        Source of the search's starting points. Default: one with a fixed seed, so that a program finds the same each time.
-    clock : callable, optional
-        Returns the present time [s]: for the search's budget.
+    Args:
+        settings: Default: those of an `IkSettings` without arguments.
+        rng: Source of the search's starting points. Default: one with a fixed seed, so that a program finds the same each time.
+        clock: Returns the present time [s]: for the search's budget.
 
-    Returns
-    -------
-    inverse : InverseKinematics
-        The first that fits: of the OPW kind (`opw`), another closed form (`decomposition`), an arm of the OPW kind on a linear
-        axis (`rail`), seven joints of which one can be held (`redundant`), the search (`numeric`). Its `kind` says why. Not for
-        use from several threads at once.
+    Returns:
+        The first that fits: of the OPW kind (`opw`), another closed form (`decomposition`), an arm of the OPW kind on a linear axis
+        (`rail`), seven joints of which one can be held (`redundant`), the search (`numeric`). Its `kind` says why. Not for use from
+        several threads at once.
     """
     settings = settings or IkSettings()
     rng = rng or np.random.default_rng(0)

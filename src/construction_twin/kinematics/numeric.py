@@ -56,16 +56,10 @@ _POSITION_STEPS = 60
 class NumericInverse(InverseKinematics):
     """Inverse kinematics by search.
 
-    Parameters
-    ----------
-    chain : Chain
-    settings : IkSettings
-    rng : numpy Generator
-        Source of the starting points.
-    clock : callable
-        Returns the present time [s], e.g. ``time.monotonic``: for the budget.
-    why : str
-        Why nothing better solves the arm: part of a sentence.
+    Args:
+        rng: Source of the starting points.
+        clock: Returns the present time [s], e.g. ``time.monotonic``: for the budget.
+        why: Why nothing better solves the arm: part of a sentence.
     """
 
     def __init__(
@@ -113,15 +107,11 @@ class NumericInverse(InverseKinematics):
     def solve_from(self, start: JointValues, target: PyKDL.Frame) -> np.ndarray:
         """Return where the solver ends from one starting point. Ranges are ignored, and it need not be a solution.
 
-        Parameters
-        ----------
-        start : sequence of float, length n
-            [rad] or [m]
-        target : PyKDL.Frame
+        Args:
+            start: Length n. [rad] or [m]
 
-        Returns
-        -------
-        q : array, shape (n,)
+        Returns:
+            Shape (n,)
         """
         for index, value in enumerate(start):
             self._start[index] = float(value)
@@ -162,17 +152,12 @@ class NumericInverse(InverseKinematics):
     def towards(self, q: np.ndarray, seed: np.ndarray, pose: Pose) -> np.ndarray:
         """Move a redundant or singular arm along its self-motion to where it is nearest to the seed, within the ranges.
 
-        Parameters
-        ----------
-        q : array, shape (n,)
-            Reaches the pose, in range or not.
-        seed : array, shape (n,)
-        pose : Pose
+        Args:
+            q: Shape (n,). Reaches the pose, in range or not.
+            seed: Shape (n,)
 
-        Returns
-        -------
-        q : array, shape (n,)
-            Within the ranges; whether it reaches the pose is for the caller to check.
+        Returns:
+            Shape (n,). Within the ranges; whether it reaches the pose is for the caller to check.
         """
         q = np.clip(q, self._lower, self._upper)
         for _ in range(_SELF_MOTIONS):

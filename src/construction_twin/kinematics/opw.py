@@ -26,10 +26,8 @@ _CHECK_SEED = 2014
 class NotOpw:
     """Why a chain is not of the OPW kind.
 
-    Attributes
-    ----------
-    reason : str
-        Part of a sentence that states what was found.
+    Attributes:
+        reason: Part of a sentence that states what was found.
     """
 
     reason: str
@@ -38,10 +36,8 @@ class NotOpw:
 class Margins(NamedTuple):
     """How far a wrist centre is inside a shoulder's reach [m]; negative: outside. Unpacked for every target.
 
-    Attributes
-    ----------
-    outer, inner : float
-        Distance to the edge where the arm is stretched, and to the edge where it is folded.
+    Attributes:
+        outer, inner: Distance to the edge where the arm is stretched, and to the edge where it is folded.
     """
 
     outer: float
@@ -52,16 +48,12 @@ class Margins(NamedTuple):
 class OpwModel:
     """A chain in OPW parameters: ``base_T_tip = base_T_opw * opw_T_flange(theta) * flange_T_tip``, theta = signs q - offsets.
 
-    Attributes
-    ----------
-    a1, a2, b, c1, c2, c3, c4 : float
-        [m]
-    offsets : tuple of float, length 6
-        [rad]
-    signs : tuple of int, length 6
-    base_T_opw, flange_T_tip : array, shape (4, 4)
-        The OPW base is on axis 1 level with the base link's origin, Z towards axis 2; the flange on axis 6 level with the
-        tip, Z out of it.
+    Attributes:
+        a1, a2, b, c1, c2, c3, c4: [m]
+        offsets: Length 6. [rad]
+        signs: Length 6
+        base_T_opw, flange_T_tip: Shape (4, 4). The OPW base is on axis 1 level with the base link's origin, Z towards axis 2; the
+            flange on axis 6 level with the tip, Z out of it.
     """
 
     a1: float
@@ -117,13 +109,7 @@ def find_opw(chain: Chain) -> OpwModel | NotOpw:
     It is one if it has six revolute joints, axes 2 and 3 are parallel and perpendicular to axes 1 and 4, axes 4, 5 and 6 meet
     in one point, and each of them is perpendicular to the next. The base and the tip may have any offset.
 
-    Parameters
-    ----------
-    chain : Chain
-
-    Returns
-    -------
-    model : OpwModel or NotOpw
+    Returns:
         A model's forward kinematics agrees with KDL's on seeded random poses.
     """
     if any(chain.robot.linear) or len(chain.robot.linear) != 6:

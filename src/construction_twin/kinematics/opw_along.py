@@ -24,11 +24,8 @@ AT_EDGE = 1e-11
 class OpwAlong:
     """An arm whose base travels.
 
-    Parameters
-    ----------
-    model : OpwModel
-    travel : array, shape (3,)
-        By how much the base moves for each metre of travel, in the directions of the model's base.
+    Args:
+        travel: Shape (3,). By how much the base moves for each metre of travel, in the directions of the model's base.
     """
 
     def __init__(self, model: OpwModel, travel: np.ndarray):
@@ -42,15 +39,11 @@ class OpwAlong:
     def rates(self, q: Sequence[float]) -> list[float]:
         """Return the rates of joints.
 
-        Parameters
-        ----------
-        q : sequence of float, length 6
-            Joint values on the target [rad].
+        Args:
+            q: Length 6. Joint values on the target [rad].
 
-        Returns
-        -------
-        rates : list of float, length 6
-            [rad/m]; nan at a singularity, and huge beside it.
+        Returns:
+            Length 6. [rad/m]; nan at a singularity, and huge beside it.
         """
         (tx, ty, tz), (a1, b, c2, forearm) = self._travel, self._lengths
         q1, q2, q3, q4, q5, _ = q
@@ -88,17 +81,12 @@ class OpwAlong:
     def steep_places(self, flange: np.ndarray) -> tuple[list[float], tuple[float, float] | None]:
         """Return the places near which joints 1 to 3 move fast.
 
-        Parameters
-        ----------
-        flange : array, shape (4, 4)
-            Target ``opw_T_flange`` with the base at place zero.
+        Args:
+            flange: Shape (4, 4). Target ``opw_T_flange`` with the base at place zero.
 
-        Returns
-        -------
-        edges : list of float
-            Places just within the edges of a shoulder's reach [m]. Empty for travel that is not level.
-        at_axis : (float, float) or None
-            Where the wrist centre passes axis 1 most closely, and how closely [m]; None for travel that is not level.
+        Returns:
+            edges: Places just within the edges of a shoulder's reach [m]. Empty for travel that is not level.
+            at_axis: Where the wrist centre passes axis 1 most closely, and how closely [m]; None for travel that is not level.
         """
         model = self._model
         (x, y, z), (dx, dy, _) = model.wrist_centre(flange), self._travel

@@ -13,14 +13,10 @@ from construction_twin.robot.urdf import parse_urdf
 class LinkFrame:
     """A link in another one.
 
-    Attributes
-    ----------
-    parent, child : str
-        Names of links.
-    pose : Pose
-        ``parent_T_child``
-    kind : str
-        The URDF's type of the joint between them.
+    Attributes:
+        parent, child: Names of links.
+        pose: ``parent_T_child``
+        kind: The URDF's type of the joint between them.
     """
 
     parent: str

@@ -57,14 +57,8 @@ _APART, _MOST = 0.35, 64
 def find_rail(chain: Chain) -> tuple[Chain, OpwModel] | NotOpw:
     """Return the arm on a linear axis, with its model, or why the chain is not one.
 
-    Parameters
-    ----------
-    chain : Chain
-
-    Returns
-    -------
-    arm, model : Chain, OpwModel
-        The six joints behind the first one; the carriage is their base.
+    Returns:
+        arm, model: The six joints behind the first one; the carriage is their base.
     """
     robot = chain.robot
     if robot.linear != (True,) + (False,) * 6:
@@ -80,14 +74,10 @@ def find_rail(chain: Chain) -> tuple[Chain, OpwModel] | NotOpw:
 class RailInverse(InverseKinematics):
     """Inverse kinematics of an arm of the OPW kind on a linear axis.
 
-    Parameters
-    ----------
-    chain : Chain
-        All seven joints.
-    arm : ClosedFormInverse
-        The six on the carriage.
-    search : NumericInverse
-        For the whole chain.
+    Args:
+        chain: All seven joints.
+        arm: The six on the carriage.
+        search: For the whole chain.
     """
 
     def __init__(self, chain: Chain, arm: ClosedFormInverse, search: NumericInverse):

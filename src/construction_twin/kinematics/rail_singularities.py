@@ -24,14 +24,10 @@ _SHRINK, _FINEST = 20.0, 2e-6
 class WristSingularity:
     """A place where the wrist comes closest to its singularity.
 
-    Attributes
-    ----------
-    place : float
-        [m]; may lie beyond the ends of the axis by less than the spacing.
-    width : float
-        Distance from the place at which joint 4 has turned by 45 degrees [m].
-    angle : float
-        |sin| of the wrist's angle at the place; 0: exactly singular.
+    Attributes:
+        place: [m]; may lie beyond the ends of the axis by less than the spacing.
+        width: Distance from the place at which joint 4 has turned by 45 degrees [m].
+        angle: |sin| of the wrist's angle at the place; 0: exactly singular.
     """
 
     place: float
@@ -44,18 +40,10 @@ def find_singularities(
 ) -> list[WristSingularity]:
     """Find the places where the wrist is closest to singular and joint 4 turns too fast for the given places to resolve.
 
-    Parameters
-    ----------
-    places : array, shape (m,)
-        Evenly spaced [m].
-    wrist : array, shape (m, k)
-        |sin| of the wrist's angle of k branches; nan where a branch does not exist.
-    measure : callable
-        Returns the same for other places.
-
-    Returns
-    -------
-    singularities : list of WristSingularity
+    Args:
+        places: Shape (m,). Evenly spaced [m].
+        wrist: Shape (m, k). |sin| of the wrist's angle of k branches; nan where a branch does not exist.
+        measure: Returns the same for other places.
     """
     apart = float(places[1] - places[0])
     squares = _filled(wrist**2)

@@ -119,12 +119,7 @@ class _Carried:
 
 
 def find_redundant(chain: Chain) -> tuple[ClosedForm, int] | NoClosedForm:
-    """Return the closed form of seven joints with one held, and which one from 0, or why there is none.
-
-    Parameters
-    ----------
-    chain : Chain
-    """
+    """Return the closed form of seven joints with one held, and which one from 0, or why there is none."""
     linear = chain.robot.linear
     if len(linear) != 7 or any(linear[1:]):
         revolute = linear.count(False)
@@ -160,15 +155,10 @@ def arm_on_carriage(chain: Chain) -> Chain:
 class RedundantInverse(InverseKinematics):
     """Inverse kinematics of seven joints, one of them held.
 
-    Parameters
-    ----------
-    chain : Chain
-    form : ClosedForm
-        Of the other six, from `find_redundant`.
-    held : int
-        The joint to hold, from 0.
-    search : NumericInverse
-        Of the same chain.
+    Args:
+        form: Of the other six, from `find_redundant`.
+        held: The joint to hold, from 0.
+        search: Of the same chain.
     """
 
     def __init__(self, chain: Chain, form: ClosedForm, held: int, search: NumericInverse):
@@ -272,11 +262,8 @@ class RedundantInverse(InverseKinematics):
     def held_at(self, value: float, pose: Pose) -> np.ndarray:
         """Return all postures of the model on a pose with the held joint at a value, shape (m, 7); ranges are ignored.
 
-        Parameters
-        ----------
-        value : float
-            [rad] or [m]
-        pose : Pose
+        Args:
+            value: [rad] or [m]
         """
         found = self._arm.solver(value)(_matrix(pose))
         return found.Q[~found.is_LS].reshape(-1, len(self._lower))
@@ -302,13 +289,10 @@ class RedundantInverse(InverseKinematics):
     def _samples(self, count: int, target: np.ndarray, around: float | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the samples of a division, in the order of the held joint, and how many each value has.
 
-        Parameters
-        ----------
-        count : int
-            Which division.
-        target : array, shape (4, 4)
-        around : float, optional
-            Only the values near this one.
+        Args:
+            count: Which division.
+            target: Shape (4, 4)
+            around: Only the values near this one.
         """
         values, solvers = self._solvers[count]
         if around is not None:

@@ -53,14 +53,10 @@ _NEVER = 1e3
 class Hinge:
     """A joint value that brings the axes before and behind into one line, where they turn without moving the tip.
 
-    Attributes
-    ----------
-    joint : int
-        From 0.
-    angle : float
-        [rad]
-    sense : float
-        1: the axes are parallel there, -1: they are opposite.
+    Attributes:
+        joint: From 0.
+        angle: [rad]
+        sense: 1: the axes are parallel there, -1: they are opposite.
     """
 
     joint: int
@@ -71,11 +67,8 @@ class Hinge:
 def find_hinges(axes: Sequence[Axis], linear: Sequence[bool]) -> list[Hinge]:
     """Return the hinges of an arm.
 
-    Parameters
-    ----------
-    axes : sequence of Axis
-    linear : sequence of bool
-        Which joints are prismatic.
+    Args:
+        linear: Which joints are prismatic.
     """
     found = []
     for joint in range(1, len(axes) - 1):
@@ -111,12 +104,9 @@ def _can_pass(hinge: Hinge, robot: RobotModel) -> bool:
 class SelfMotion:
     """The self-motions of one arm.
 
-    Parameters
-    ----------
-    chain : Chain
-        With seven joints.
-    held : int
-        The joint by whose value samples are sorted, from 0.
+    Args:
+        chain: With seven joints.
+        held: The joint by whose value samples are sorted, from 0.
     """
 
     def __init__(self, chain: Chain, held: int):
@@ -158,27 +148,19 @@ class SelfMotion:
     ) -> np.ndarray | None:
         """Return the nearest point within the ranges.
 
-        Parameters
-        ----------
-        samples : array, shape (m, n)
-            Points of the curves at ascending values of the held joint, those of one value in an order of the branches that does
-            not change while none of them begins or ends.
-        counts : array of int
-            How many of them have the first value of the held joint, the second, and so on; 0 where there is no point.
-        pose : Pose
-            On which the curves are.
-        seed : array, shape (n,)
-        point : callable
-            Returns the point of the curves that has the held joint's value and is nearest to joint values almost on the curve;
-            None: there is none.
+        Args:
+            samples: Shape (m, n). Points of the curves at ascending values of the held joint, those of one value in an order of the
+                branches that does not change while none of them begins or ends.
+            counts: Integers. How many of them have the first value of the held joint, the second, and so on; 0 where there is no
+                point.
+            pose: On which the curves are.
+            seed: Shape (n,)
+            point: Returns the point of the curves that has the held joint's value and is nearest to joint values almost on the
+                curve; None: there is none.
+            beside: Whether the seed is so near to the pose that a solution may be right beside it.
 
-        beside : bool
-            Whether the seed is so near to the pose that a solution may be right beside it.
-
-        Returns
-        -------
-        q : array, shape (n,), or None
-            On the pose to about 1e-6, and within the ranges to 1e-4; None: nothing was found.
+        Returns:
+            Shape (n,). On the pose to about 1e-6, and within the ranges to 1e-4; None: nothing was found.
         """
         if not len(samples):
             return None
@@ -188,15 +170,12 @@ class SelfMotion:
 class _Samples:
     """The samples of one pose and their neighbours on the curves.
 
-    Attributes
-    ----------
-    q, away : array, shape (m, n)
-        The samples, and the same from the seed.
-    layer : array, shape (m,)
-    distance, excess : array, shape (m,)
-        From the seed, and out of range by.
-    aligned : array, shape (m, 2)
-        The samples of the same branch at the next smaller and the next greater value of the held joint; -1: branches begin or end.
+    Attributes:
+        q, away: Shape (m, n). The samples, and the same from the seed.
+        layer: Shape (m,)
+        distance, excess: Shape (m,). From the seed, and out of range by.
+        aligned: Shape (m, 2). The samples of the same branch at the next smaller and the next greater value of the held joint; -1:
+            branches begin or end.
     """
 
     def __init__(self, motion: SelfMotion, samples: np.ndarray, counts: np.ndarray, seed: np.ndarray):
@@ -387,12 +366,9 @@ class _Search:
     def _sweeps(self, beside: Sequence[np.ndarray], along: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return places and points of motions past hinges that may lead nearer, for `_refine`.
 
-        Parameters
-        ----------
-        beside : sequence of array, shape (any,) each
-            Samples beside each hinge.
-        along : array, shape (m, n)
-            The curve's directions at all of these samples.
+        Args:
+            beside: Each of shape (any,) each. Samples beside each hinge.
+            along: Shape (m, n). The curve's directions at all of these samples.
         """
         found, began = [], 0
         for hinge, chosen in zip(self._motion.hinges, beside):

@@ -16,13 +16,7 @@ _ROUNDING = 1e-7
 
 
 class SingularWrist:
-    """Chooses joints 4 and 6 where axes 4 and 6 are in line.
-
-    Parameters
-    ----------
-    chain : Chain
-    model : OpwModel
-    """
+    """Chooses joints 4 and 6 where axes 4 and 6 are in line."""
 
     def __init__(self, chain: Chain, model: OpwModel):
         self._chain = chain
@@ -33,19 +27,14 @@ class SingularWrist:
     def families(self, branch: np.ndarray, pose: Pose, seed: JointValues) -> list[np.ndarray]:
         """Return solutions with axes 4 and 6 in line, one for each choice of whole turns, the nearest to the seed first.
 
-        Parameters
-        ----------
-        branch : array, shape (6,)
-            [rad]. Used are joints 1 to 3, and whether joint 5 is closer to parallel or to opposed axes 4 and 6.
-        pose : Pose
-            Target ``base_T_tip``.
-        seed : sequence of float, length 6
-            [rad]
+        Args:
+            branch: Shape (6,). [rad]. Used are joints 1 to 3, and whether joint 5 is closer to parallel or to opposed axes 4 and 6.
+            pose: Target ``base_T_tip``.
+            seed: Length 6. [rad]
 
-        Returns
-        -------
-        solutions : list of array, shape (6,)
-            With joints 4 and 6 within their ranges except for rounding, whole turns included; joints 1 to 3 unchanged.
+        Returns:
+            Each of shape (6,). With joints 4 and 6 within their ranges except for rounding, whole turns included; joints 1 to 3
+            unchanged.
         """
         signs, offsets = self._model.signs, self._model.offsets
         theta = np.asarray(signs) * branch - offsets

@@ -35,16 +35,12 @@ class Configuration:
 
     A field that is None leaves that choice open.
 
-    Attributes
-    ----------
-    shoulder : str or None
-        ``front``: the wrist centre lies on the side of axis 1 on which axis 2 is (on which the upper arm's plane begins,
-        where both axes meet); ``back``: the arm reaches over its own shoulder to the other side.
-    elbow : str or None
-        ``up`` or ``down``: on which side of the line from axis 2 to the wrist centre the elbow lies, seen with the wrist
-        centre in front as `shoulder` defines it: above the line, or below it.
-    wrist : str or None
-        ``positive`` or ``negative``: sign of joint 5, counted in its own sense from where axes 4 and 6 are in line.
+    Attributes:
+        shoulder: ``front``: the wrist centre lies on the side of axis 1 on which axis 2 is (on which the upper arm's plane begins,
+            where both axes meet); ``back``: the arm reaches over its own shoulder to the other side.
+        elbow: ``up`` or ``down``: on which side of the line from axis 2 to the wrist centre the elbow lies, seen with the wrist
+            centre in front as `shoulder` defines it: above the line, or below it.
+        wrist: ``positive`` or ``negative``: sign of joint 5, counted in its own sense from where axes 4 and 6 are in line.
     """
 
     shoulder: str | None = None
@@ -55,10 +51,8 @@ class Configuration:
     def parse(cls, text: str) -> Configuration:
         """Read a configuration from words such as ``front up positive``, in any order; a choice that no word names stays open.
 
-        Raises
-        ------
-        BranchError
-            For an unknown word, or two words for the same choice.
+        Raises:
+            BranchError: For an unknown word, or two words for the same choice.
         """
         chosen = {}
         for word in text.split():
@@ -82,18 +76,12 @@ class Configuration:
 class IkSettings:
     """How inverse kinematics searches. All settings except the tolerances apply only to arms without a closed form.
 
-    Attributes
-    ----------
-    seeds : int
-        Most starting points tried: the given seed, home, then random ones.
-    iterations : int
-        Most steps of the solver from one starting point.
-    tolerance_m, tolerance_rad : float
-        Largest distance and angle between a solution's forward kinematics and the target.
-    budget_s : float
-        Time for one target [s]. The first starting point is always tried.
-    patience : int
-        `nearest` ends its search after this many solved starting points that brought nothing nearer.
+    Attributes:
+        seeds: Most starting points tried: the given seed, home, then random ones.
+        iterations: Most steps of the solver from one starting point.
+        tolerance_m, tolerance_rad: Largest distance and angle between a solution's forward kinematics and the target.
+        budget_s: Time for one target [s]. The first starting point is always tried.
+        patience: `nearest` ends its search after this many solved starting points that brought nothing nearer.
     """
 
     seeds: int = 400
@@ -108,16 +96,11 @@ class IkSettings:
 class IkSolution:
     """Joint values within the ranges, confirmed by KDL's forward kinematics.
 
-    Attributes
-    ----------
-    q : array, shape (n,)
-        [rad], or [m] for a prismatic joint.
-    residual_m, residual_rad : float
-        Distance of their forward kinematics from the target.
-    distance : float
-        Euclidean distance from the seed, over all joints [rad and m alike].
-    configuration : Configuration or None
-        None: the arm has no named configurations.
+    Attributes:
+        q: Shape (n,). [rad], or [m] for a prismatic joint.
+        residual_m, residual_rad: Distance of their forward kinematics from the target.
+        distance: Euclidean distance from the seed, over all joints [rad and m alike].
+        configuration: None: the arm has no named configurations.
     """
 
     q: np.ndarray
@@ -131,12 +114,9 @@ class IkSolution:
 class ArmKind:
     """How an arm is solved.
 
-    Attributes
-    ----------
-    name : str
-        ``OPW``, ``closed form``, ``OPW on a linear axis``, ``one redundant joint`` or ``search``.
-    why : str
-        What was found in its geometry: part of a sentence.
+    Attributes:
+        name: ``OPW``, ``closed form``, ``OPW on a linear axis``, ``one redundant joint`` or ``search``.
+        why: What was found in its geometry: part of a sentence.
     """
 
     name: str
@@ -144,13 +124,7 @@ class ArmKind:
 
 
 class InverseKinematics(abc.ABC):
-    """From a pose of the tip to joint values. `inverse.inverse_kinematics` makes the one that fits the arm.
-
-    Attributes
-    ----------
-    chain : Chain
-    settings : IkSettings
-    """
+    """From a pose of the tip to joint values. `inverse.inverse_kinematics` makes the one that fits the arm."""
 
     def __init__(self, chain: Chain, settings: IkSettings):
         self.chain = chain
@@ -169,36 +143,23 @@ class InverseKinematics(abc.ABC):
         places of its division. With a redundant joint, or by search, it is the nearest solution found: probably the nearest that
         exists, but this is not proven, and `all` of a search may find a nearer one.
 
-        Parameters
-        ----------
-        pose : Pose
-            Target ``base_T_tip``.
-        seed : sequence of float, length n
-            Joint values within the ranges [rad] or [m]: normally the arm's present pose.
-        configuration : Configuration, optional
-            Only solutions that match it.
+        Args:
+            pose: Target ``base_T_tip``.
+            seed: Length n. Joint values within the ranges [rad] or [m]: normally the arm's present pose.
+            configuration: Only solutions that match it.
 
-        Returns
-        -------
-        solution : IkSolution
+        Returns:
             By Euclidean joint distance, whole turns included.
 
-        Raises
-        ------
-        UnreachableError
-            If the pose is too far or too close, and by how much.
-        PositionRangeError, OrientationError
-            If it can be reached only with a joint out of range; names the joint and its range.
-        BranchError
-            If no solution has the configuration asked for, or the arm knows no configurations.
-        UnreachableOrientationError
-            If its position can be reached, but not with its orientation.
-        NotFoundError
-            If nothing was found within the budget, which proves nothing.
-        JointRangeError
-            If the seed is out of range.
-        KinematicsError
-            If the pose is not finite, or its rotation matrix is not a rotation.
+        Raises:
+            UnreachableError: If the pose is too far or too close, and by how much.
+            PositionRangeError, OrientationError: If it can be reached only with a joint out of range; names the joint and its
+                range.
+            BranchError: If no solution has the configuration asked for, or the arm knows no configurations.
+            UnreachableOrientationError: If its position can be reached, but not with its orientation.
+            NotFoundError: If nothing was found within the budget, which proves nothing.
+            JointRangeError: If the seed is out of range.
+            KinematicsError: If the pose is not finite, or its rotation matrix is not a rotation.
         """
 
     @abc.abstractmethod
@@ -209,20 +170,14 @@ class InverseKinematics(abc.ABC):
         each continuous family for every choice of whole turns: the one nearest to the seed. For an arm with more than six joints,
         it also holds some that are spaced along the families, for whoever cannot use the nearest.
 
-        Parameters
-        ----------
-        pose, seed, configuration
-            As in `nearest`.
+        Args:
+            pose, seed, configuration: As in `nearest`.
 
-        Returns
-        -------
-        solutions : list of IkSolution
+        Returns:
             At least one, ordered by Euclidean joint distance from the seed.
 
-        Raises
-        ------
-        KinematicsError
-            As `nearest`.
+        Raises:
+            KinematicsError: As `nearest`.
         """
 
     @abc.abstractmethod
@@ -233,10 +188,8 @@ class InverseKinematics(abc.ABC):
 def check_pose(pose: Pose) -> None:
     """Check that a target is a position and a rotation.
 
-    Raises
-    ------
-    KinematicsError
-        If numbers are not finite or the rotation is not orthonormal and right-handed.
+    Raises:
+        KinematicsError: If numbers are not finite or the rotation is not orthonormal and right-handed.
     """
     position, rotation = np.asarray(pose.position), np.asarray(pose.rotation)
     if _is_rigid(rotation.tolist()) and all(map(math.isfinite, position.tolist())):
@@ -292,21 +245,13 @@ def distinct(solutions: Sequence[IkSolution], same: float = _SAME) -> list[IkSol
 def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8, within: bool = True) -> np.ndarray:
     """Improve joint values that almost reach a pose, by Newton steps.
 
-    Parameters
-    ----------
-    chain : Chain
-    q : array, shape (n,)
-        [rad] or [m]
-    pose : Pose
-    steps : int
-        At most.
-    within : bool
-        Stay within the ranges.
+    Args:
+        q: Shape (n,). [rad] or [m]
+        steps: At most.
+        within: Stay within the ranges.
 
-    Returns
-    -------
-    q : array, shape (n,)
-        Whether it reaches the pose is for the caller to check.
+    Returns:
+        Shape (n,). Whether it reaches the pose is for the caller to check.
     """
     endless = np.full(len(q), np.inf)
     lower, upper = (np.array(chain.robot.lower), np.array(chain.robot.upper)) if within else (-endless, endless)
@@ -329,14 +274,8 @@ def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8, within: bool
 def pose_error(reached: Pose, target: Pose) -> np.ndarray:
     """Return the twist from one pose to another near it.
 
-    Parameters
-    ----------
-    reached, target : Pose
-
-    Returns
-    -------
-    error : array, shape (6,)
-        Translation [m], then rotation vector [rad] (exact to second order in the angle), in the base's directions.
+    Returns:
+        Shape (6,). Translation [m], then rotation vector [rad] (exact to second order in the angle), in the base's directions.
     """
     # the sum of the cross products of the axes of both; written out, because numpy's takes ten times as long for single vectors
     turn = target.rotation @ reached.rotation.T

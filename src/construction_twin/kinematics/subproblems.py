@@ -58,13 +58,9 @@ _Found = TypeVar("_Found")
 class SubproblemInverse(BranchInverse):
     """Inverse kinematics of six revolute joints with a closed form.
 
-    Parameters
-    ----------
-    chain : Chain
-    form : ClosedForm
-        Of all six axes.
-    search : NumericInverse
-        Of the same chain: for singular poses, and where the branches of a nominal model lead to nothing.
+    Args:
+        form: Of all six axes.
+        search: Of the same chain: for singular poses, and where the branches of a nominal model lead to nothing.
     """
 
     def __init__(self, chain: Chain, form: ClosedForm, search: NumericInverse):
@@ -118,10 +114,8 @@ class SubproblemInverse(BranchInverse):
     def branches(self, pose: Pose) -> list[list[float]]:
         """Return the model's branches of a target [rad], ranges not considered; where there is none, the nearest miss.
 
-        Raises
-        ------
-        KinematicsError
-            If the pose is not finite.
+        Raises:
+            KinematicsError: If the pose is not finite.
         """
         self._target[:3, :3] = pose.rotation
         self._target[:3, 3] = pose.position

@@ -102,15 +102,11 @@ class BareSupervisor(LinkSupervisor):
     def take_responsibility(self, name: str, now: int) -> None:
         """Begin a session in the name of the person who is responsible for what is not checked.
 
-        Parameters
-        ----------
-        name : str
-            Not empty, printable, at most 64 characters.
+        Args:
+            name: Not empty, printable, at most 64 characters.
 
-        Raises
-        ------
-        ReviewError
-            Without a name, while it is armed or there is no PLC, or when twin and arm are not at rest.
+        Raises:
+            ReviewError: Without a name, while it is armed or there is no PLC, or when twin and arm are not at rest.
         """
         name = name.strip()
         if not name or len(name) > _LONGEST_NAME or not name.isprintable():
@@ -137,10 +133,8 @@ class BareSupervisor(LinkSupervisor):
     def request_reset(self, now: int) -> None:
         """Refuse: a person's name is needed.
 
-        Raises
-        ------
-        ReviewError
-            Always; it says why nothing could be armed either.
+        Raises:
+            ReviewError: Always; it says why nothing could be armed either.
         """
         self._refuse("reset", now)
 

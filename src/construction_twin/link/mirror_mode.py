@@ -14,17 +14,11 @@ _LEADS = "the arm leads, the twin follows; nothing is commanded"
 class MirrorMode:
     """Whether the arm leads, and the session that it ended.
 
-    Parameters
-    ----------
-    inputs : LinkObservations
-    active : bool
-        Whether the arm leads from the start.
+    Args:
+        active: Whether the arm leads from the start.
 
-    Attributes
-    ----------
-    active : bool
-    ended_session : str
-        The session that commanded before; it is ended at the gateway too.
+    Attributes:
+        ended_session: The session that commanded before; it is ended at the gateway too.
     """
 
     def __init__(self, inputs: LinkObservations, active: bool):
@@ -35,10 +29,8 @@ class MirrorMode:
     def begin(self, session: str, now: int) -> None:
         """Let the arm lead from now on; `session` is the one that commanded so far.
 
-        Raises
-        ------
-        ReviewError
-            When there is no arm to follow, or arm or command stream move or have not been seen to rest.
+        Raises:
+            ReviewError: When there is no arm to follow, or arm or command stream move or have not been seen to rest.
         """
         # a gateway that only reads is enough
         obstacle = self._inputs.obstacle(now, mirrors=True)
@@ -57,10 +49,8 @@ class MirrorMode:
     def end(self, now: int) -> None:
         """Let the arm lead no longer.
 
-        Raises
-        ------
-        ReviewError
-            When the arm's pose is not known, or it moves.
+        Raises:
+            ReviewError: When the arm's pose is not known, or it moves.
         """
         obstacle = self._inputs.obstacle(now, mirrors=True)
         if obstacle is not None:

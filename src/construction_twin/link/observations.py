@@ -30,20 +30,13 @@ ONLY_POSES = ("read_only", "measuring", "other_cycle")
 class LinkObservations:
     """The newest of everything that the link is decided by.
 
-    Parameters
-    ----------
-    config_hash : str
-        Hash of the configuration that this side would give the gateway.
-    decimals : int
-    start_tolerances : sequence of float, shape (n,)
-        Per joint [rad], [m], as `GatewayConfig.start_tolerances`.
-    last_digits : sequence of float, shape (n,)
-        Value of the last decimal on the wire [rad], [m], as `MotionLimits.last_digits`.
+    Args:
+        config_hash: Hash of the configuration that this side would give the gateway.
+        start_tolerances: Shape (n,). Per joint [rad], [m], as `GatewayConfig.start_tolerances`.
+        last_digits: Shape (n,). Value of the last decimal on the wire [rad], [m], as `MotionLimits.last_digits`.
 
-    Attributes
-    ----------
-    status : dict
-        The gateway's last status; empty while there is no connection.
+    Attributes:
+        status: The gateway's last status; empty while there is no connection.
     """
 
     def __init__(

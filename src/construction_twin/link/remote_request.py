@@ -43,26 +43,16 @@ Vector = tuple[float, ...]
 class RemoteRequest:
     """A wish for a plan.
 
-    Attributes
-    ----------
-    id : str
-        The sender's own, echoed in the answer.
-    kind : str
-        One of `KINDS`; of the fields below only those of its kind count.
-    joints : tuple of float
-        Goal in the robot's order [rad], [m].
-    position, orientation : tuple of float
-        Of tool0 in the base_link [m]; x y z w, of unit length.
-    configuration : str
-        Empty: any.
-    speed : float
-        Of the tool along a line [m/s]; 0: as fast as the limits allow.
-    speed_scale, acceleration_scale : float
-        Fractions of the limits; 0: the planner's default.
-    task : str
-        Id of a task of the building model; empty: the next one.
-    moment : Moment
-        The newest that the screen had received.
+    Attributes:
+        id: The sender's own, echoed in the answer.
+        kind: One of `KINDS`; of the fields below only those of its kind count.
+        joints: Goal in the robot's order [rad], [m].
+        position, orientation: Of tool0 in the base_link [m]; x y z w, of unit length.
+        configuration: Empty: any.
+        speed: Of the tool along a line [m/s]; 0: as fast as the limits allow.
+        speed_scale, acceleration_scale: Fractions of the limits; 0: the planner's default.
+        task: Id of a task of the building model; empty: the next one.
+        moment: The newest that the screen had received.
     """
 
     id: str
@@ -82,13 +72,9 @@ class RemoteRequest:
 class IkRequest:
     """A pose for which joint values are wanted while it is dragged.
 
-    Attributes
-    ----------
-    id : str
-    position, orientation : tuple of float
-        As in `RemoteRequest`.
-    seed : tuple of float
-        Joint values to be near to [rad], [m], in the robot's order; empty: the twin's present ones.
+    Attributes:
+        position, orientation: As in `RemoteRequest`.
+        seed: Joint values to be near to [rad], [m], in the robot's order; empty: the twin's present ones.
     """
 
     id: str
@@ -100,13 +86,9 @@ class IkRequest:
 def read_request(payload: bytes, retained: bool, what: str) -> dict[str, Any]:
     """Return the JSON object of a message; PayloadError (``retained``, ``size`` or ``format``).
 
-    Parameters
-    ----------
-    payload : bytes
-    retained : bool
-        The message's retain flag.
-    what : str
-        ``plan_request`` or ``ik``, for the sentence.
+    Args:
+        retained: The message's retain flag.
+        what: ``plan_request`` or ``ik``, for the sentence.
     """
     if retained:
         raise PayloadError(
@@ -169,18 +151,12 @@ def ik_answer(
 ) -> bytes:
     """Return the payload for `ik/ack/<account>`.
 
-    Parameters
-    ----------
-    request : str
-        The sender's id; empty when it could not be read.
-    reach : str
-        ``free``, ``contact``, ``out`` or ``unknown``.
-    joints : Mapping of str to float, or None
-        Joint values by name [rad], [m]; None: there are none.
-    sentence : str
-        Why, for people.
-    between : sequence of str
-        The two bodies that touch; empty for none.
+    Args:
+        request: The sender's id; empty when it could not be read.
+        reach: ``free``, ``contact``, ``out`` or ``unknown``.
+        joints: Joint values by name [rad], [m]; None: there are none.
+        sentence: Why, for people.
+        between: The two bodies that touch; empty for none.
     """
     answer = {"id": request, "reach": reach, "joints": None if joints is None else dict(joints), "sentence": sentence}
     return json.dumps(answer | {"between": list(between)}, allow_nan=False).encode()

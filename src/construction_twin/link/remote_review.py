@@ -37,20 +37,12 @@ Point = tuple[float, float, float]
 class RemoteReview:
     """A verdict that came by MQTT.
 
-    Attributes
-    ----------
-    plan_id, plan_hash : str
-    verdict : str
-        ``approved`` or ``rejected``.
-    reviewer : str
-        Who is on record: the topic's account, and only without one what the message says.
-    reason : str
-    account : str
-        The topic's, which a site's broker has checked; "" on `review`.
-    says : str
-        What a message of an account says of who gave it, where that is another name; proves nothing.
-    moment : str
-        The newest that the screen had received; of a rejection it may be "".
+    Attributes:
+        verdict: ``approved`` or ``rejected``.
+        reviewer: Who is on record: the topic's account, and only without one what the message says.
+        account: The topic's, which a site's broker has checked; "" on `review`.
+        says: What a message of an account says of who gave it, where that is another name; proves nothing.
+        moment: The newest that the screen had received; of a rejection it may be "".
     """
 
     plan_id: str
@@ -71,20 +63,14 @@ class RemoteReview:
 def parse_review(payload: bytes, retained: bool, account: str = "") -> RemoteReview:
     """Return the verdict in a message on `review/<account>`, or on `review`.
 
-    Parameters
-    ----------
-    payload : bytes
-        JSON object with `plan_id`, `plan_hash`, `verdict`, `reviewer`, `moment` and, if wanted, `reason`; with an account
-        `reviewer` may be left out, of a rejection `moment`.
-    retained : bool
-        The message's retain flag.
-    account : str, optional
-        Of the topic; "" on `review`.
+    Args:
+        payload: JSON object with `plan_id`, `plan_hash`, `verdict`, `reviewer`, `moment` and, if wanted, `reason`; with an account
+            `reviewer` may be left out, of a rejection `moment`.
+        retained: The message's retain flag.
+        account: Of the topic; "" on `review`.
 
-    Raises
-    ------
-    PayloadError
-        ``retained``, ``moment`` or ``review``.
+    Raises:
+        PayloadError: ``retained``, ``moment`` or ``review``.
     """
     if retained:
         raise PayloadError(
@@ -126,16 +112,10 @@ def review_answer(
 ) -> bytes:
     """Return the payload for `review/ack`.
 
-    Parameters
-    ----------
-    review : RemoteReview or None
-        None: it could not be read, its fields are empty.
-    ok : bool
-    reason : str
-    account : str, optional
-        Of the topic, for a review that could not be read.
-    expired : bool, optional
-        It is void because what its screen had shown is too old.
+    Args:
+        review: None: it could not be read, its fields are empty.
+        account: Of the topic, for a review that could not be read.
+        expired: It is void because what its screen had shown is too old.
     """
     review = review or RemoteReview("", "", "", account, account=account)
     answer = {"plan_id": review.plan_id, "plan_hash": review.plan_hash, "verdict": review.verdict}
@@ -149,22 +129,13 @@ def review_answer(
 class SegmentView:
     """What is shown of a segment of a work plan.
 
-    Attributes
-    ----------
-    name : str
-    end : float
-        [s]
-    engaged : bool
-    requires : Mapping of str to bool
-        Inputs of the tool.
-    switches : sequence of Mapping
-        ``output``, ``value``, ``confirm`` (as `requires`), ``timeout`` [s].
-    scene, scene_after : str
-        Hashes.
-    put, remove : sequence of str
-        Names of the objects that come, and of those that go; for display.
-    end_waypoint : int
-        Number of the waypoint at its end, from 0.
+    Attributes:
+        end: [s]
+        requires: Inputs of the tool.
+        switches: ``output``, ``value``, ``confirm`` (as `requires`), ``timeout`` [s].
+        scene, scene_after: Hashes.
+        put, remove: Names of the objects that come, and of those that go; for display.
+        end_waypoint: Number of the waypoint at its end, from 0.
     """
 
     name: str
@@ -183,30 +154,17 @@ class SegmentView:
 class PlanView:
     """What is shown of a plan.
 
-    Attributes
-    ----------
-    id, hash, source, planner, scene, frame : str
-        `frame` is that of all points.
-    created_ns : int
-        ROS time [ns].
-    duration, planning_time : float
-        [s]
-    joint_names : sequence of str
-    start, goal : sequence of float
-        Joint positions [rad].
-    tool_path : sequence of (float, float, float)
-        Of tool0 at the waypoints [m].
-    clearance : Mapping or None
-        ``distance`` [m], ``time`` [s], ``between``, ``point`` [m]; None when it was not measured.
-    use : Mapping
-        Largest fraction of the limits per joint: ``velocity``, ``acceleration``, ``jerk``; empty lists when not measured.
-    task : str, optional
-    segments : sequence of SegmentView, optional
-    content : str, optional
-        Of a work plan: the text whose SHA-256 is its hash.
-    trajectory : Mapping of str to sequence, optional
-        What the trajectory's hash covers besides the joints' names: ``times`` [s], and by waypoint ``positions``,
-        ``velocities`` and ``accelerations`` [rad, m, s].
+    Attributes:
+        id, hash, source, planner, scene, frame: `frame` is that of all points.
+        created_ns: ROS time [ns].
+        duration, planning_time: [s]
+        start, goal: Joint positions [rad].
+        tool_path: Of tool0 at the waypoints [m].
+        clearance: ``distance`` [m], ``time`` [s], ``between``, ``point`` [m]; None when it was not measured.
+        use: Largest fraction of the limits per joint: ``velocity``, ``acceleration``, ``jerk``; empty lists when not measured.
+        content: Of a work plan: the text whose SHA-256 is its hash.
+        trajectory: What the trajectory's hash covers besides the joints' names: ``times`` [s], and by waypoint ``positions``,
+            ``velocities`` and ``accelerations`` [rad, m, s].
     """
 
     id: str
@@ -232,11 +190,9 @@ class PlanView:
     def to_json(self, points: int) -> bytes:
         """Return the payload for `plan`.
 
-        Parameters
-        ----------
-        points : int
-            The tool path is thinned to at most so many points, both ends among them; of a work plan the ends of the segments
-            are kept besides.
+        Args:
+            points: The tool path is thinned to at most so many points, both ends among them; of a work plan the ends of the
+                segments are kept besides.
         """
         path, deviation, ends = thinned(self.tool_path, points, [segment.end_waypoint for segment in self.segments])
         document = {
@@ -310,23 +266,15 @@ def _finite(value):
 def thinned(path: Sequence[Point], points: int, keep: Sequence[int] = ()) -> tuple[list[Point], float, list[int]]:
     """Return at most `points` of a path, evenly by their number and with both ends, and how much was lost.
 
-    Parameters
-    ----------
-    path : sequence of (float, float, float)
-        [m]
-    points : int
-        At least 2.
-    keep : sequence of int, optional
-        Numbers of points that are kept besides.
+    Args:
+        path: [m]
+        points: At least 2.
+        keep: Numbers of points that are kept besides.
 
-    Returns
-    -------
-    kept : list of (float, float, float)
-        [m]
-    deviation : float
-        Largest distance of a point left out from the line between its kept neighbours [m].
-    places : list of int
-        Where in `kept` the points of `keep` are.
+    Returns:
+        kept: [m]
+        deviation: Largest distance of a point left out from the line between its kept neighbours [m].
+        places: Where in `kept` the points of `keep` are.
     """
     last = len(path) - 1
     if last < points:

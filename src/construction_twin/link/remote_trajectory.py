@@ -64,12 +64,9 @@ class Joints:
 class TrajectoryPoint:
     """A point in the robot's joint order, SI.
 
-    Attributes
-    ----------
-    positions, velocities, accelerations : tuple of float
-        [rad] or [m], and per s and s²; of the last two every point has values, or none.
-    time_ns : int
-        From the start [ns]; 0 in all points: not timed.
+    Attributes:
+        positions, velocities, accelerations: [rad] or [m], and per s and s²; of the last two every point has values, or none.
+        time_ns: From the start [ns]; 0 in all points: not timed.
     """
 
     positions: Values
@@ -82,17 +79,11 @@ class TrajectoryPoint:
 class TrajectoryRequest:
     """A motion from elsewhere.
 
-    Attributes
-    ----------
-    id : str
-        The sender's own, echoed in the answer; empty where COMPAS gave none.
-    source : str
-        What the sender says of itself; proves nothing.
-    speed_scale, acceleration_scale : float
-        Fractions of the limits, 0 for the planner's default.
-    points : tuple of TrajectoryPoint
-    notes : tuple of str
-        What was understood in a way that the sender should know.
+    Attributes:
+        id: The sender's own, echoed in the answer; empty where COMPAS gave none.
+        source: What the sender says of itself; proves nothing.
+        speed_scale, acceleration_scale: Fractions of the limits, 0 for the planner's default.
+        notes: What was understood in a way that the sender should know.
     """
 
     id: str
@@ -121,18 +112,12 @@ def checked_sender(account: str) -> str:
 def read_document(payload: bytes, retained: bool, limit: int) -> dict:
     """Return the JSON object of a message on `trajectory`.
 
-    Parameters
-    ----------
-    payload : bytes
-    retained : bool
-        The message's retain flag.
-    limit : int
-        Longest payload that is read [bytes].
+    Args:
+        retained: The message's retain flag.
+        limit: Longest payload that is read [bytes].
 
-    Raises
-    ------
-    PayloadError
-        ``retained``, ``size`` or ``format``.
+    Raises:
+        PayloadError: ``retained``, ``size`` or ``format``.
     """
     if retained:
         raise PayloadError(
@@ -149,10 +134,8 @@ def read_document(payload: bytes, retained: bool, limit: int) -> dict:
 def request_id(document: Mapping[str, Any]) -> str:
     """Return what the answer echoes: the document's `id`, else the guid of a COMPAS object; "" without one.
 
-    Raises
-    ------
-    PayloadError
-        ``format``
+    Raises:
+        PayloadError: ``format``
     """
     value = document.get("id", document.get("guid", "") if "dtype" in document else "")
     return text(value, "id")
@@ -161,17 +144,12 @@ def request_id(document: Mapping[str, Any]) -> str:
 def parse_trajectory(document: Mapping[str, Any], joints: Joints) -> TrajectoryRequest:
     """Return the motion in a document.
 
-    Parameters
-    ----------
-    document : Mapping
-        See `read_document`.
-    joints : Joints
-        Of the robot; the sender may name them in any order.
+    Args:
+        document: See `read_document`.
+        joints: Of the robot; the sender may name them in any order.
 
-    Raises
-    ------
-    PayloadError
-        ``format`` (keys and their kinds), ``units``, ``joints``, ``values``.
+    Raises:
+        PayloadError: ``format`` (keys and their kinds), ``units``, ``joints``, ``values``.
     """
     if "dtype" in document:
         return _compas_request(document, document, joints)
@@ -191,18 +169,12 @@ def parse_trajectory(document: Mapping[str, Any], joints: Joints) -> TrajectoryR
 def trajectory_answer(request: str, sender: str, ok: bool, reason: str, **plan: object) -> bytes:
     """Return the payload for `trajectory/ack`.
 
-    Parameters
-    ----------
-    request : str
-        The sender's id; empty when it could not be read.
-    sender : str
-        The account in the topic's name; empty when there is none.
-    ok : bool
-        The motion is a plan under review.
-    reason : str
-        One sentence: what was planned, or why not and what to do.
-    **plan
-        `plan_id`, `plan_hash`, `duration` [s], `notes`; empty without a plan.
+    Args:
+        request: The sender's id; empty when it could not be read.
+        sender: The account in the topic's name; empty when there is none.
+        ok: The motion is a plan under review.
+        reason: One sentence: what was planned, or why not and what to do.
+        **plan: `plan_id`, `plan_hash`, `duration` [s], `notes`; empty without a plan.
     """
     empty = {"plan_id": "", "plan_hash": "", "duration": 0.0, "notes": []}
     return json.dumps({"id": request, "sender": sender, "ok": ok, "reason": reason} | empty | plan).encode()

@@ -121,12 +121,8 @@ class Seen:
 class ViewWriter:
     """Writes the messages of one run of the program; not for use from several threads.
 
-    Parameters
-    ----------
-    robot : str
-    run : str
-        Random id of this run: `seq` begins again with another one.
-    joints : Joints
+    Args:
+        run: Random id of this run: `seq` begins again with another one.
     """
 
     def __init__(self, robot: str, run: str, joints: Joints):
@@ -139,13 +135,9 @@ class ViewWriter:
     def write(self, now: int, seen: Seen, moment: Moment) -> bytes:
         """Return the next message.
 
-        Parameters
-        ----------
-        now : int
-            ROS time [ns].
-        seen : Seen
-        moment : Moment
-            The present one, for the requests of whoever sees this.
+        Args:
+            now: ROS time [ns].
+            moment: The present one, for the requests of whoever sees this.
         """
         self._seq += 1
         return self._message(True, self._seq, now, seen, str(moment))
@@ -201,13 +193,9 @@ def _plain(value: object) -> object:
 class Report:
     """What counts of an Execution.msg for the progress; times in ROS time [s].
 
-    Attributes
-    ----------
-    stamp, start : float
-        Of the report; nominal time of the plan's first setpoint, 0 for none.
-    state, plan_id, outcome : str
-    duration, rate : float
-        Of the plan [s]; fraction of the planned speed.
+    Attributes:
+        stamp, start: Of the report; nominal time of the plan's first setpoint, 0 for none.
+        duration, rate: Of the plan [s]; fraction of the planned speed.
     """
 
     stamp: float

@@ -18,11 +18,9 @@ class SpeedForwarder:
     A message is forwarded at most once, except to a session that began after it: the receiver's deadline then runs from
     where the source's own silence began.
 
-    Parameters
-    ----------
-    deadline : float
-        A source that was heard this recently is the only one [s]. A message older than this is not sent any more: its source has
-        fallen silent.
+    Args:
+        deadline: A source that was heard this recently is the only one [s]. A message older than this is not sent any more: its
+            source has fallen silent.
     """
 
     def __init__(self, deadline: float):
@@ -40,10 +38,8 @@ class SpeedForwarder:
     def on_limit(self, limit: float, source: str, now: int) -> None:
         """Take a message [fraction, 0 to 1] that `source` sent and that came at `now` [ns].
 
-        Raises
-        ------
-        PayloadError
-            ``speed_limit``, or ``speed_limit_source`` while another source is heard: the executor refuses it too.
+        Raises:
+            PayloadError: ``speed_limit``, or ``speed_limit_source`` while another source is heard: the executor refuses it too.
         """
         self._source.accept(limit, source, now)
         self.limit, self._unsent = limit, True

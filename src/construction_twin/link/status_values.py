@@ -29,20 +29,14 @@ def status_values(status: dict) -> dict[str, str]:
     """Return what stands beside the counters: controller, cycle, playout, speed limit, stop and its number, mode, intruder,
     refusals, last jump of IPOC.
 
-    Parameters
-    ----------
-    status : dict
-        As `parse_status` returned it; what is absent is left out.
+    Args:
+        status: As `parse_status` returned it; what is absent is left out.
 
-    Returns
-    -------
-    values : dict of str
+    Returns:
         E.g. ``{"playout_delay_ms": "20", "intruder_session": "", "last_refusal": "..."}``; "" for what is not known.
 
-    Raises
-    ------
-    PayloadError
-        ``status``, when a value is no number, short text or null.
+    Raises:
+        PayloadError: ``status``, when a value is no number, short text or null.
     """
     values = {name: _text(name, status[name]) for name in _SINGLE if name in status}
     for group in _GROUPS:

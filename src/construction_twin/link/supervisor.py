@@ -28,41 +28,26 @@ _NO_ARM = (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.NO_CONTR
 class LinkSupervisor:
     """Decides when to start a session, arm, and resume: finds the events, guards and actions of `states.TABLE`.
 
-    Parameters
-    ----------
-    config_hash : str
-        Hash of the configuration that this side would give the gateway.
-    decimals : int
-    start_tolerances : tuple of float, shape (n,)
-        Per joint [rad], [m], as `GatewayConfig.start_tolerances`.
-    last_digits : tuple of float, shape (n,)
-        Value of the last decimal on the wire [rad], [m], as `MotionLimits.last_digits`.
-    new_id : callable
-        Returns a new unique id.
-    mirrors : bool, optional
-        Whether the arm leads from the start: it did when the process before this one ended, and only a person ends that.
-    waits : str, optional
-        What `waits_for` said when the process before this one ended: then nothing is armed before a person resets.
+    Args:
+        config_hash: Hash of the configuration that this side would give the gateway.
+        start_tolerances: Shape (n,). Per joint [rad], [m], as `GatewayConfig.start_tolerances`.
+        last_digits: Shape (n,). Value of the last decimal on the wire [rad], [m], as `MotionLimits.last_digits`.
+        new_id: Returns a new unique id.
+        mirrors: Whether the arm leads from the start: it did when the process before this one ended, and only a person ends that.
+        waits: What `waits_for` said when the process before this one ended: then nothing is armed before a person resets.
 
-    Attributes
-    ----------
-    machine : Machine
-        The link's state, and what changes it.
-    session : str
-        "" before the first.
-    inputs : LinkObservations
-        What is known of gateway, arm and command stream.
-    kind : str
-        What takes the commands, of `messages.GATEWAY_KINDS`.
-    responsible : str
-        Who has armed a bare PLC; empty for a gateway, which checks by itself.
-    not_checked : tuple of str
-        What is not checked with a bare PLC; empty for a gateway.
-    sends_control : bool
-        Whether control messages are understood.
+    Attributes:
+        machine: The link's state, and what changes it.
+        session: "" before the first.
+        inputs: What is known of gateway, arm and command stream.
+        responsible: Who has armed a bare PLC; empty for a gateway, which checks by itself.
+        not_checked: What is not checked with a bare PLC; empty for a gateway.
+        sends_control: Whether control messages are understood.
     """
 
-    kind, sends_control = RSI, True
+    #: What takes the commands, of `messages.GATEWAY_KINDS`.
+    kind = RSI
+    sends_control = True
     not_checked: tuple[str, ...] = ()
     _observations: type[LinkObservations] = LinkObservations
     _rows: Mapping[tuple[LinkState, LinkEvent], tuple[Row, ...]] = ROWS
@@ -203,10 +188,8 @@ class LinkSupervisor:
     def request_reset(self, now: int) -> None:
         """Start over from the arm's pose, on a person's request: it clears the stops that are known now, and no later one.
 
-        Raises
-        ------
-        ReviewError
-            When the arm leads, the gateway's program has failed, the arm's pose is not known, or it moves.
+        Raises:
+            ReviewError: When the arm leads, the gateway's program has failed, the arm's pose is not known, or it moves.
         """
         if self._mirror.active:
             raise ReviewError(
@@ -222,11 +205,9 @@ class LinkSupervisor:
     def request_arm(self, now: int) -> None:
         """Begin a session on a person's request where nothing needs to move for it.
 
-        Raises
-        ------
-        ReviewError
-            When it is armed already, there is no arm, the gateway's program has failed, or twin and arm are not at rest within
-            the start tolerance.
+        Raises:
+            ReviewError: When it is armed already, there is no arm, the gateway's program has failed, or twin and arm are not at
+                rest within the start tolerance.
         """
         if self.state is not LinkState.NEEDS_RESET:
             raise ReviewError(f"nothing to arm: {self.state.name}, {self.reason}")
@@ -252,12 +233,9 @@ class LinkSupervisor:
         is still under way arms nothing then, and a bridge that is started again waits for a person too. Where mirror mode began
         since, it goes on, and has ended the request's session at the gateway.
 
-        Parameters
-        ----------
-        request : int
-            `requests` after it was asked for; nothing happens when a person has asked again since.
-        reason : str
-            One sentence.
+        Args:
+            request: `requests` after it was asked for; nothing happens when a person has asked again since.
+            reason: One sentence.
         """
         if request == self.requests and self._halted is None:
             self.take(LinkEvent.WITHDRAWN, 0, reason if reason.endswith("call reset") else f"{reason}; call reset")
@@ -265,10 +243,8 @@ class LinkSupervisor:
     def take_responsibility(self, name: str, now: int) -> None:
         """Arm a bare PLC in a person's name; with a gateway nothing needs it.
 
-        Raises
-        ------
-        ReviewError
-            With a gateway always: it is armed by itself once it has been checked.
+        Raises:
+            ReviewError: With a gateway always: it is armed by itself once it has been checked.
         """
         raise ReviewError(
             "nothing is left to a person's responsibility: rsi_gateway is checked, and armed by itself; after a fault call reset"
@@ -280,10 +256,8 @@ class LinkSupervisor:
     def begin_mirror(self, now: int) -> str:
         """Let the arm lead, on a person's request: nothing is commanded until `end_mirror`. Return one sentence.
 
-        Raises
-        ------
-        ReviewError
-            When there is no arm to follow, or arm or command stream move.
+        Raises:
+            ReviewError: When there is no arm to follow, or arm or command stream move.
         """
         if self._mirror.active:
             return "the arm leads already"
@@ -294,10 +268,8 @@ class LinkSupervisor:
     def end_mirror(self, now: int) -> str:
         """Stop following the arm, on a person's request, and start over as after `reset`. Return one sentence.
 
-        Raises
-        ------
-        ReviewError
-            When the arm does not lead, its pose is not known, it moves, or the gateway's program has failed.
+        Raises:
+            ReviewError: When the arm does not lead, its pose is not known, it moves, or the gateway's program has failed.
         """
         if not self._mirror.active:
             raise ReviewError(f"the arm does not lead: {self.state.name}, {self.reason}")
@@ -335,13 +307,9 @@ class LinkSupervisor:
     def take(self, event: LinkEvent, now: int, reason: str = "") -> None:
         """Carry out the first row of the table whose guard holds; without one nothing changes.
 
-        Parameters
-        ----------
-        event : LinkEvent
-        now : int
-            [ns]
-        reason : str, optional
-            The event's own sentence, for the actions that use it.
+        Args:
+            now: [ns]
+            reason: The event's own sentence, for the actions that use it.
         """
         self.machine.on(event, Occasion(reason, now))
 

@@ -36,14 +36,8 @@ _WORDS = {"armed": ToldSwitch.ARMED, "fired": ToldSwitch.FIRED, "void": ToldSwit
 class ToolReport:
     """What `tool` tells; see `ToolState.msg`.
 
-    Attributes
-    ----------
-    known : bool
-    tool : str
-    outputs, inputs : tuple of (str, bool)
-    switches : tuple of (str, ToldSwitch, str)
-        Id, state, sentence; oldest first.
-    reason : str
+    Attributes:
+        switches: Id, state, sentence; oldest first.
     """
 
     known: bool = False
@@ -57,10 +51,8 @@ class ToolReport:
 class ToolLink:
     """The tool behind one gateway.
 
-    Parameters
-    ----------
-    new_id : callable
-        Returns a new unique id.
+    Args:
+        new_id: Returns a new unique id.
     """
 
     def __init__(self, new_id: Callable[[], str]):
@@ -78,16 +70,10 @@ class ToolLink:
     def switch(self, id: str, output: str, value: bool, stamp: int, session: str, obstacle: str) -> Control | None:
         """Take a switch; return the message for the gateway, None when it is refused here.
 
-        Parameters
-        ----------
-        id, output : str
-        value : bool
-        stamp : int
-            [ns]
-        session : str
-            That commands.
-        obstacle : str
-            Why nothing can be sent now; "" for nothing.
+        Args:
+            stamp: [ns]
+            session: That commands.
+            obstacle: Why nothing can be sent now; "" for nothing.
         """
         if id in self._switches or id in self._by_control.values():
             self._refused = f"tool: switch {id!r} was asked for before"
@@ -170,10 +156,8 @@ class ToolLink:
     def report(self, obstacle: str) -> ToolReport:
         """Return what `tool` tells.
 
-        Parameters
-        ----------
-        obstacle : str
-            Why the gateway's status says nothing of the present; "" for nothing.
+        Args:
+            obstacle: Why the gateway's status says nothing of the present; "" for nothing.
         """
         status = self._status
         switches = tuple((id, told, reason) for id, (told, reason) in self._switches.items())
@@ -186,10 +170,8 @@ class ToolLink:
 def tool_report(status: dict) -> ToolReport:
     """Return what a gateway's status says of its tool.
 
-    Raises
-    ------
-    PayloadError
-        ``status``, when it is not as the interface says.
+    Raises:
+        PayloadError: ``status``, when it is not as the interface says.
     """
     if "tool" not in status:
         return ToolReport(reason="the gateway's configuration has no tool: a robot without hands")

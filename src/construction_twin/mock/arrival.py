@@ -19,10 +19,8 @@ _TIGHT = 2_000
 class ArrivalClock:
     """Converts stamps of the wall clock to the monotonic one.
 
-    Parameters
-    ----------
-    wall, monotonic : callable
-        Return the time [ns].
+    Args:
+        wall, monotonic: Return the time [ns].
     """
 
     def __init__(self, wall: Callable[[], int], monotonic: Callable[[], int]):
@@ -37,16 +35,11 @@ class ArrivalClock:
     def arrival(self, stamp: int, read: int) -> int | None:
         """Return when a datagram arrived.
 
-        Parameters
-        ----------
-        stamp : int
-            The kernel's, on the wall clock [ns].
-        read : int
-            When it was read, on the monotonic clock [ns].
+        Args:
+            stamp: The kernel's, on the wall clock [ns].
+            read: When it was read, on the monotonic clock [ns].
 
-        Returns
-        -------
-        arrived : int or None
+        Returns:
             On the monotonic clock [ns], not after `read`. None when the wall clock was set while the datagram may have waited: the
             stamp says nothing then.
         """

@@ -19,48 +19,29 @@ _BOUNDS = ("correction_lower", "correction_upper", "correction_monitor")
 class MockConfig:
     """What is set on the controller. Tuples are in the order of `axes`; rad throughout.
 
-    Attributes
-    ----------
-    axes : tuple of str, length n
-        Axis names in the telegrams.
-    start_pose : tuple of float
-        Pose in which the first session starts [rad], inside the soft limits.
-    lower, upper : tuple of float
-        Soft limits [rad].
-    velocity, acceleration : tuple of float
-        Limits that the supervision is a multiple of [rad/s], [rad/s^2].
-    layout : RsiLayout, optional
-        The Ethernet configuration; a reply that does not fit it does not count. Default: `RsiLayout.plain`.
-    units : tuple of AxisUnit, optional
-        How each axis is written in the telegrams; default: deg, and no axis linear.
-    cycle : int
-        Length of a controller cycle, and what IPOC advances by in it [ms]: 4 (`#IPO_FAST`) or 12 (`#IPO`, KR C2).
-    precision : int
-        Decimals of sent values, 1 to 32. Real controllers default to 1 and run with 4; 6 keeps an evaluation exact.
-    timeout : int
-        Cycles without a valid reply after which RSI stops.
-    stop_required : bool
-        True: a reply without the `Stop` that the layout declares does not count; False: it counts, as one with Stop 0 (docs/rsi.md,
-        section 3).
-    cumulative_delay : bool
-        True: `Delay` counts all missed cycles of the session; False: consecutive ones.
-    correction_lower, correction_upper : tuple of float, or None
-        AXISCORR: bounds of the correction [rad], <= 0 and >= 0; clamps without an error. None: soft limit - start pose.
-    correction_monitor : tuple of float, or None
-        AXISCORRMON: RSI stops when the clamped correction is larger [rad]. None: the larger of the two bounds.
-    velocity_factor : float
-        RSI stops when the setpoint moves faster than this times `velocity`; 0 switches it off.
-    acceleration_factor : float
-        The same for `acceleration`. A single missed reply at speed v is an acceleration of v / cycle, at 4 ms hundreds of times
-        the limit; the default allows the step from rest that `velocity_factor` allows. 0 switches it off.
-    first_ipoc : int
-        IPOC of the first packet [ms].
-    restart_gap : int
-        How far the controller's clock has advanced when the next session starts [ms].
-    gripper : Gripper
-        What the tool does, where the layout has channels of one.
-    tool_gated : bool
-        False: the RSI context maps the outputs plainly, so that RSI_ON itself switches them off (`gripper`).
+    Attributes:
+        axes: Length n. Axis names in the telegrams.
+        start_pose: Pose in which the first session starts [rad], inside the soft limits.
+        lower, upper: Soft limits [rad].
+        velocity, acceleration: Limits that the supervision is a multiple of [rad/s], [rad/s^2].
+        layout: The Ethernet configuration; a reply that does not fit it does not count. Default: `RsiLayout.plain`.
+        units: How each axis is written in the telegrams; default: deg, and no axis linear.
+        cycle: Length of a controller cycle, and what IPOC advances by in it [ms]: 4 (`#IPO_FAST`) or 12 (`#IPO`, KR C2).
+        precision: Decimals of sent values, 1 to 32. Real controllers default to 1 and run with 4; 6 keeps an evaluation exact.
+        timeout: Cycles without a valid reply after which RSI stops.
+        stop_required: True: a reply without the `Stop` that the layout declares does not count; False: it counts, as one with Stop
+            0 (docs/rsi.md, section 3).
+        cumulative_delay: True: `Delay` counts all missed cycles of the session; False: consecutive ones.
+        correction_lower, correction_upper: AXISCORR: bounds of the correction [rad], <= 0 and >= 0; clamps without an error. None:
+            soft limit - start pose.
+        correction_monitor: AXISCORRMON: RSI stops when the clamped correction is larger [rad]. None: the larger of the two bounds.
+        velocity_factor: RSI stops when the setpoint moves faster than this times `velocity`; 0 switches it off.
+        acceleration_factor: The same for `acceleration`. A single missed reply at speed v is an acceleration of v / cycle, at 4 ms
+            hundreds of times the limit; the default allows the step from rest that `velocity_factor` allows. 0 switches it off.
+        first_ipoc: IPOC of the first packet [ms].
+        restart_gap: How far the controller's clock has advanced when the next session starts [ms].
+        gripper: What the tool does, where the layout has channels of one.
+        tool_gated: False: the RSI context maps the outputs plainly, so that RSI_ON itself switches them off (`gripper`).
     """
 
     axes: tuple[str, ...]

@@ -53,58 +53,33 @@ ForwardKinematics = Callable[[tuple[float, ...]], tuple[Sequence[float], Sequenc
 class MockController:
     """One mock controller; see the module for what it does and when.
 
-    Parameters
-    ----------
-    config : MockConfig
-    servo : Servo
-    forward_kinematics : callable
-        From axis angles [rad] to the tool's position [m] and A, B, C [rad], for RIst and RSol.
+    Args:
+        forward_kinematics: From axis angles [rad] to the tool's position [m] and A, B, C [rad], for RIst and RSol.
 
-    Attributes
-    ----------
-    running : bool
-        False when RSI has stopped; then nothing is sent and nothing is accepted.
-    reason : str
-        Why it stopped; empty while running.
-    flag : bool
-        The ETHERNET object's `$FLAG`: the link was interrupted (timeout).
-    session : int
-        Number of the RSI session, from 1.
-    ipoc : int
-        IPOC of the last packet [ms].
-    delay : int
-        What `Delay` reports.
-    stat : int
-        AXISCORR's `Stat`: 0 inactive, 1 correcting, plus 2 << 2 i (lower) or 4 << 2 i (upper) when axis i is clamped. The
-        layout is our own: docs/rsi.md gives none.
-    start_pose, setpoint, measured : tuple of float, length n
-        Programmed pose of the session, present setpoint, measured axes [rad].
-    encoders : Encoders
-        Between the measured axes and what is reported.
-    reported, true : tuple of float, length n
-        What the last packet reports of the axes, and where they really are, which only a fault of an encoder tells apart [rad].
-    applied : tuple of float, length n
-        Correction in effect, after clamping [rad].
-    correction_lower, correction_upper, correction_monitor : tuple of float, length n
-        Bounds in force in this session [rad].
-    pressed : bool
-        True while the emergency stop is pressed.
-    needs_person : bool
-        True after an emergency stop: RSI is started again by a person only.
-    deaf : bool
-        True while replies are ignored.
-    ramp : EmergencyBrake or None
-        The last emergency stop's, until the next session.
-    program : Program or None
-        The program that runs.
-    refusals : ReplyRefusals
-        Why replies did not count.
-    tool : SimulatedTool or None
-        What the channels of a tool switch and read; None where the Ethernet XML has none.
-    told : ControllerStatus
-        What the optional channels say in place of what is; None for a channel that says what is. It changes nothing else.
-    counters : dict of str to int
-        Totals since construction, see `COUNTERS`.
+    Attributes:
+        running: False when RSI has stopped; then nothing is sent and nothing is accepted.
+        reason: Why it stopped; empty while running.
+        flag: The ETHERNET object's `$FLAG`: the link was interrupted (timeout).
+        session: Number of the RSI session, from 1.
+        ipoc: IPOC of the last packet [ms].
+        delay: What `Delay` reports.
+        stat: AXISCORR's `Stat`: 0 inactive, 1 correcting, plus 2 << 2 i (lower) or 4 << 2 i (upper) when axis i is clamped. The
+            layout is our own: docs/rsi.md gives none.
+        start_pose, setpoint, measured: Length n. Programmed pose of the session, present setpoint, measured axes [rad].
+        encoders: Between the measured axes and what is reported.
+        reported, true: Length n. What the last packet reports of the axes, and where they really are, which only a fault of an
+            encoder tells apart [rad].
+        applied: Length n. Correction in effect, after clamping [rad].
+        correction_lower, correction_upper, correction_monitor: Length n. Bounds in force in this session [rad].
+        pressed: True while the emergency stop is pressed.
+        needs_person: True after an emergency stop: RSI is started again by a person only.
+        deaf: True while replies are ignored.
+        ramp: The last emergency stop's, until the next session.
+        program: The program that runs.
+        refusals: Why replies did not count.
+        tool: What the channels of a tool switch and read; None where the Ethernet XML has none.
+        told: What the optional channels say in place of what is; None for a channel that says what is. It changes nothing else.
+        counters: Totals since construction, see `COUNTERS`.
     """
 
     #: packets sent; valid replies; missed cycles; replies to an earlier packet of the session; replies to no packet;
@@ -193,17 +168,12 @@ class MockController:
     def restart(self, pose: Sequence[float] | None = None) -> None:
         """Start a new RSI session, ending the present one if there is one.
 
-        Parameters
-        ----------
-        pose : sequence of float, length n, optional
-            Start pose [rad]; default: what the encoders report, brought inside the soft limits.
+        Args:
+            pose: Length n. Start pose [rad]; default: what the encoders report, brought inside the soft limits.
 
-        Raises
-        ------
-        ConfigurationError
-            If the emergency stop is pressed.
-        JointRangeError
-            If `pose` lies outside the soft limits.
+        Raises:
+            ConfigurationError: If the emergency stop is pressed.
+            JointRangeError: If `pose` lies outside the soft limits.
         """
         if self.pressed:
             raise ConfigurationError(
@@ -217,9 +187,7 @@ class MockController:
     def begin_cycle(self) -> bytes | None:
         """Close the open cycle, move the servo, open the next one.
 
-        Returns
-        -------
-        packet : bytes or None
+        Returns:
             The datagram to send; None when RSI has stopped.
         """
         if self.running and self._open:
@@ -246,15 +214,10 @@ class MockController:
     def receive(self, data: bytes, in_time: bool = True) -> bool:
         """Take one datagram that is read during the open cycle.
 
-        Parameters
-        ----------
-        data : bytes
-        in_time : bool, optional
-            False: it arrived when the open cycle should have been over.
+        Args:
+            in_time: False: it arrived when the open cycle should have been over.
 
-        Returns
-        -------
-        valid : bool
+        Returns:
             True when it is the reply of this cycle; everything else is counted by its kind and has no effect.
         """
         if not self.running or self._decoder is None:
@@ -326,21 +289,14 @@ class MockController:
 
         In a session the programmed pose (ASPos) moves and corrections are added to it, so the goal is met if they stay.
 
-        Parameters
-        ----------
-        goal : sequence of float, length n
-            [rad]
-        duration : float, optional
-            [s]; 0: `JOG_FRACTION` of the limits.
+        Args:
+            goal: Length n. [rad]
+            duration: [s]; 0: `JOG_FRACTION` of the limits.
 
-        Raises
-        ------
-        ConfigurationError
-            If the arm cannot move by itself now.
-        ValueError
-            If the limits do not allow `duration`.
-        JointRangeError
-            If the goal lies outside the range.
+        Raises:
+            ConfigurationError: If the arm cannot move by itself now.
+            ValueError: If the limits do not allow `duration`.
+            JointRangeError: If the goal lies outside the range.
         """
         if self.pressed or self.ramp is not None and not self.ramp.done:
             raise ConfigurationError("jog", tuple(goal), "an arm at rest whose emergency stop is not pressed")

@@ -14,21 +14,14 @@ from construction_twin.core.units import CYCLE
 class Encoders:
     """From measured angles to reported ones, one `read` per cycle.
 
-    Parameters
-    ----------
-    count : int
-        Number of axes.
-    period : float, optional
-        Length of a cycle [s].
+    Args:
+        count: Number of axes.
+        period: Length of a cycle [s].
 
-    Attributes
-    ----------
-    active : bool
-        False: `read` would change nothing.
-    offset : list of float, length n
-        What is added to the measured angle now [rad].
-    slip : list of float, length n
-        Error of the controller's angles since it took its readings as its pose [rad], see `absorb`.
+    Attributes:
+        active: False: `read` would change nothing.
+        offset: Length n. What is added to the measured angle now [rad].
+        slip: Length n. Error of the controller's angles since it took its readings as its pose [rad], see `absorb`.
     """
 
     def __init__(self, count: int, period: float = CYCLE):

@@ -25,26 +25,16 @@ DIRECTIONS = ("", "to_pc", "to_controller")
 class FaultKind:
     """The arguments of a fault.
 
-    Attributes
-    ----------
-    axis : str
-        ``one`` axis, ``any`` (none named: all of them), or ``no`` axis.
-    values : tuple of int
-        Allowed numbers of values; -1 stands for one per axis.
-    meaning : str
-        Of the values, for the messages.
-    network : bool
-        True when a direction may be given.
-    shift : bool
-        True when the value is a difference of an axis angle, whose sign follows the axis's.
-    positive : bool
-        True when every value must be greater than 0; network faults also allow a jitter of 0.
-    lasting : bool
-        False: it is over as soon as it has happened, and cannot be switched off.
-    largest : float
-        The value is at least 0, and at most this.
-    whole : bool
-        True when the value is a whole number.
+    Attributes:
+        axis: ``one`` axis, ``any`` (none named: all of them), or ``no`` axis.
+        values: Allowed numbers of values; -1 stands for one per axis.
+        meaning: Of the values, for the messages.
+        network: True when a direction may be given.
+        shift: True when the value is a difference of an axis angle, whose sign follows the axis's.
+        positive: True when every value must be greater than 0; network faults also allow a jitter of 0.
+        lasting: False: it is over as soon as it has happened, and cannot be switched off.
+        largest: The value is at least 0, and at most this.
+        whole: True when the value is a whole number.
     """
 
     axis: str
@@ -90,18 +80,12 @@ KINDS = {
 class Fault:
     """A fault to be injected or ended.
 
-    Attributes
-    ----------
-    name : str
-        One of `KINDS`.
-    axis : str
-        The controller's axis; empty for none, or for all.
-    values : tuple of float
-        As the kind says; ignored when the fault is ended.
-    direction : str
-        One of `DIRECTIONS`.
-    duration : float
-        The fault ends by itself after this time [s]; 0: it stays. Of ``jog``: the length of the motion, 0: moderate.
+    Attributes:
+        name: One of `KINDS`.
+        axis: The controller's axis; empty for none, or for all.
+        values: As the kind says; ignored when the fault is ended.
+        direction: One of `DIRECTIONS`.
+        duration: The fault ends by itself after this time [s]; 0: it stays. Of ``jog``: the length of the motion, 0: moderate.
     """
 
     name: str
@@ -122,18 +106,12 @@ class Fault:
 class FaultBoard:
     """The faults of one controller and of its network.
 
-    Parameters
-    ----------
-    controller : MockController
-    seed : int
-        Of the noise and of the network's faults.
+    Args:
+        seed: Of the noise and of the network's faults.
 
-    Attributes
-    ----------
-    to_pc, to_controller : Line
-        Where datagrams go while a line is active.
-    changes : int
-        Counts every change of the active faults.
+    Attributes:
+        to_pc, to_controller: Where datagrams go while a line is active.
+        changes: Counts every change of the active faults.
     """
 
     def __init__(self, controller: MockController, seed: int):
@@ -162,15 +140,11 @@ class FaultBoard:
     def inject(self, fault: Fault) -> str:
         """Switch a fault on, or change its values.
 
-        Returns
-        -------
-        text : str
+        Returns:
             What happens now, one sentence.
 
-        Raises
-        ------
-        ConfigurationError
-            If there is no such fault, an argument is wrong, or the fault is not possible now.
+        Raises:
+            ConfigurationError: If there is no such fault, an argument is wrong, or the fault is not possible now.
         """
         kind = self._check(fault)
         start, _ = self._actions(fault)
@@ -188,10 +162,8 @@ class FaultBoard:
     def end(self, fault: Fault) -> str:
         """Switch a fault off; only name, axis and direction count.
 
-        Raises
-        ------
-        ConfigurationError
-            If it is not on.
+        Raises:
+            ConfigurationError: If it is not on.
         """
         if (fault.name, fault.subject) not in self._active:
             raise ConfigurationError(

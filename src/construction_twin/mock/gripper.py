@@ -26,14 +26,10 @@ _NOTHING: Mapping[str, bool] = MappingProxyType({})
 class Gripper:
     """What is simulated.
 
-    Attributes
-    ----------
-    close, closed : mapping of str to bool
-        Outputs that close the grip, and what the inputs read when it has closed.
-    open, opened : mapping of str to bool
-        The same for opening.
-    time : float
-        From the outputs to the inputs [s].
+    Attributes:
+        close, closed: Outputs that close the grip, and what the inputs read when it has closed.
+        open, opened: The same for opening.
+        time: From the outputs to the inputs [s].
     """
 
     close: Mapping[str, bool] = field(default_factory=dict)
@@ -46,22 +42,14 @@ class Gripper:
 class SimulatedTool:
     """The tool of one mock controller.
 
-    Parameters
-    ----------
-    layout : RsiLayout
-        With channels of a tool.
-    gripper : Gripper
-    period : float
-        The controller's cycle [s].
-    gated : bool, optional
-        Whether the RSI context leaves the outputs alone while ``Set.Enable`` is 0.
+    Args:
+        layout: With channels of a tool.
+        period: The controller's cycle [s].
+        gated: Whether the RSI context leaves the outputs alone while ``Set.Enable`` is 0.
 
-    Attributes
-    ----------
-    outputs, inputs : dict of str to bool
-        `$OUT` and `$IN` by the tool's names.
-    fails, lost, hidden : bool
-        Faults: the grip does not close; it has let go; the telegrams do not tell the outputs.
+    Attributes:
+        outputs, inputs: `$OUT` and `$IN` by the tool's names.
+        fails, lost, hidden: Faults: the grip does not close; it has let go; the telegrams do not tell the outputs.
     """
 
     def __init__(self, layout: RsiLayout, gripper: Gripper, period: float, gated: bool = True):

@@ -13,12 +13,8 @@ from construction_twin.core.units import NANOSECONDS
 class Underway(NamedTuple):
     """A datagram that has not arrived; as a tuple it stands in the heap by its time, then in the order of sending.
 
-    Attributes
-    ----------
-    due : int
-        When it arrives [ns].
-    order : int
-    data : bytes
+    Attributes:
+        due: When it arrives [ns].
     """
 
     due: int
@@ -29,16 +25,9 @@ class Underway(NamedTuple):
 class Line:
     """Loses, doubles and delays datagrams of one direction.
 
-    Parameters
-    ----------
-    random_numbers : random.Random
-
-    Attributes
-    ----------
-    active : bool
-        False: datagrams need not come here.
-    dropped, doubled, delayed : int
-        Datagrams so far.
+    Attributes:
+        active: False: datagrams need not come here.
+        dropped, doubled, delayed: Datagrams so far.
     """
 
     def __init__(self, random_numbers: random.Random):

@@ -41,38 +41,23 @@ Result = TypeVar("Result")
 class MockRsi:
     """Runs a mock controller against a gateway.
 
-    Parameters
-    ----------
-    controller : MockController
-    gateway : tuple of (str, int)
-        Host and UDP port of the gateway.
-    restart_after : float, optional
-        A stopped controller starts a new RSI session after this time [s]; 0 (default): it stays stopped.
-    observe : callable, optional
-        Called with this object in every cycle, right after sending; must be quick.
-    report : callable, optional
-        Called with one sentence when a session starts or stops, and when replies begin to be refused or count again.
-    fault_seed : int, optional
-        Of the faults' random numbers.
+    Args:
+        gateway: Host and UDP port of the gateway.
+        restart_after: A stopped controller starts a new RSI session after this time [s]; 0 (default): it stays stopped.
+        observe: Called with this object in every cycle, right after sending; must be quick.
+        report: Called with one sentence when a session starts or stops, and when replies begin to be refused or count again.
+        fault_seed: Of the faults' random numbers.
 
-    Attributes
-    ----------
-    faults : FaultBoard
-    overruns : int
-        Packets that left more than half a cycle late, because this process was not scheduled in time.
-    skipped : int
-        Grid points skipped because this process was not scheduled for longer than `CATCH_UP`.
-    foreign : int
-        Datagrams that did not come from the gateway.
-    send_errors : int
-        Packets the system refused to send.
-    left : int
-        Time at which the last packet left, on the monotonic clock [ns]. The effect of its cycle on the arm is not visible before.
+    Attributes:
+        overruns: Packets that left more than half a cycle late, because this process was not scheduled in time.
+        skipped: Grid points skipped because this process was not scheduled for longer than `CATCH_UP`.
+        foreign: Datagrams that did not come from the gateway.
+        send_errors: Packets the system refused to send.
+        left: Time at which the last packet left, on the monotonic clock [ns]. The effect of its cycle on the arm is not visible
+            before.
 
-    Raises
-    ------
-    ConstructionTwinError
-        If the gateway's host is unknown.
+    Raises:
+        ConstructionTwinError: If the gateway's host is unknown.
     """
 
     def __init__(
@@ -114,10 +99,8 @@ class MockRsi:
     def request(self, action: Callable[[], Result], timeout: float = 1.0) -> Result:
         """Run `action` between two cycles of the loop and return its result; for other threads.
 
-        Raises
-        ------
-        TimeoutError
-            If the loop does not get to it within `timeout` [s].
+        Raises:
+            TimeoutError: If the loop does not get to it within `timeout` [s].
         """
         future: Future = Future()
         self._requests.put((action, future))

@@ -22,23 +22,15 @@ _PEAK_VELOCITY, _PEAK_ACCELERATION = 15.0 / 8.0, 10.0 / math.sqrt(3.0)
 class EmergencyBrake:
     """The STOP ramp: all axes come to rest at the same time, along a straight line, within the slowest axis' limit.
 
-    Parameters
-    ----------
-    position, step : sequence of float, length n
-        Setpoint [rad] and its last step [rad per cycle].
-    acceleration : sequence of float, length n
-        Limits [rad/s^2].
-    measured : sequence of float, length n
-        Where the arm is, behind the setpoint [rad].
-    period : float, optional
-        Length of a cycle [s].
+    Args:
+        position, step: Length n. Setpoint [rad] and its last step [rad per cycle].
+        acceleration: Length n. Limits [rad/s^2].
+        measured: Length n. Where the arm is, behind the setpoint [rad].
+        period: Length of a cycle [s].
 
-    Attributes
-    ----------
-    cycles : int
-        Length of the setpoint's ramp.
-    distance : tuple of float, length n
-        Distance of the arm to rest, including its lag behind the setpoint [rad].
+    Attributes:
+        cycles: Length of the setpoint's ramp.
+        distance: Length n. Distance of the arm to rest, including its lag behind the setpoint [rad].
     """
 
     def __init__(
@@ -74,21 +66,14 @@ class EmergencyBrake:
 class Program:
     """A motion of the controller's own: from rest to rest along a straight line in joint space, in a given time.
 
-    Parameters
-    ----------
-    start, goal : sequence of float, length n
-        [rad]
-    velocity, acceleration : sequence of float, length n
-        Limits [rad/s], [rad/s^2].
-    duration : float, optional
-        [s]; 0 (default): as long as `JOG_FRACTION` of the limits takes.
-    period : float, optional
-        Length of a cycle [s].
+    Args:
+        start, goal: Length n. [rad]
+        velocity, acceleration: Length n. Limits [rad/s], [rad/s^2].
+        duration: [s]; 0 (default): as long as `JOG_FRACTION` of the limits takes.
+        period: Length of a cycle [s].
 
-    Raises
-    ------
-    ValueError
-        If the limits do not allow `duration`; the text names the shortest one.
+    Raises:
+        ValueError: If the limits do not allow `duration`; the text names the shortest one.
     """
 
     def __init__(
@@ -132,18 +117,12 @@ class ToolSpeedLimit:
     acceleration limit, so that the tool may be faster for as long as it takes to brake. What a KR C4 really does about
     fast corrections in T1 is not known (docs/rsi.md, section 14): it may as well stop RSI.
 
-    Parameters
-    ----------
-    position, step : sequence of float, length n
-        Present setpoint [rad] and its last step [rad per cycle].
-    velocity, acceleration : sequence of float, length n
-        Limits [rad/s], [rad/s^2].
-    tool_position : callable
-        From axis angles [rad] to the tool's position [m].
-    speed : float, optional
-        [m/s]
-    period : float, optional
-        Length of a cycle [s].
+    Args:
+        position, step: Length n. Present setpoint [rad] and its last step [rad per cycle].
+        velocity, acceleration: Length n. Limits [rad/s], [rad/s^2].
+        tool_position: From axis angles [rad] to the tool's position [m].
+        speed: [m/s]
+        period: Length of a cycle [s].
     """
 
     def __init__(

@@ -76,12 +76,9 @@ class MockSettings(pydantic.BaseModel):
 def build_controller(settings: MockSettings, robot: RobotModel) -> MockController:
     """Build the controller of `robot` as `settings` say.
 
-    Raises
-    ------
-    ConfigurationError
-        If a setting does not fit the robot.
-    JointRangeError
-        If the start pose lies outside the range.
+    Raises:
+        ConfigurationError: If a setting does not fit the robot.
+        JointRangeError: If the start pose lies outside the range.
     """
     layout = _layout(settings)
     ends = zip(axis_angles(robot, robot.lower), axis_angles(robot, robot.upper))

@@ -6,21 +6,14 @@ from __future__ import annotations
 class ReplyRefusals:
     """The refused replies of a controller.
 
-    Parameters
-    ----------
-    recovery : int
-        So many replies must count in a row until refused ones are over, and told of anew.
+    Args:
+        recovery: So many replies must count in a row until refused ones are over, and told of anew.
 
-    Attributes
-    ----------
-    last : str
-        Why the last one did not count, one sentence; "" before the first.
-    present : str
-        The same while replies are refused; "" when so many have counted since that it is over.
-    since_valid : str
-        The same, of those since the last reply that counted.
-    news : list of str
-        Sentences for the log; whoever writes them empties the list.
+    Attributes:
+        last: Why the last one did not count, one sentence; "" before the first.
+        present: The same while replies are refused; "" when so many have counted since that it is over.
+        since_valid: The same, of those since the last reply that counted.
+        news: Sentences for the log; whoever writes them empties the list.
     """
 
     def __init__(self, recovery: int) -> None:

@@ -24,10 +24,8 @@ class Servo(ABC):
     setpoint within velocity and acceleration limits; when position and speed match the setpoint, the joint follows it directly
     again. A slow joint approaches its setpoint in the same manner all the time, with a lower velocity limit.
 
-    Parameters
-    ----------
-    period : float
-        Length of a cycle [s].
+    Args:
+        period: Length of a cycle [s].
     """
 
     def __init__(self, period: float) -> None:
@@ -58,15 +56,11 @@ class Servo(ABC):
     def step(self, setpoint: Sequence[float]) -> tuple[float, ...]:
         """Advance one cycle.
 
-        Parameters
-        ----------
-        setpoint : sequence of float, length n
-            Setpoint of this cycle [rad].
+        Args:
+            setpoint: Length n. Setpoint of this cycle [rad].
 
-        Returns
-        -------
-        measured : tuple of float, length n
-            Measured position at the end of the cycle [rad].
+        Returns:
+            Length n. Measured position at the end of the cycle [rad].
         """
         reference = list(setpoint)
         for joint in self._stalled:
@@ -89,12 +83,9 @@ class Servo(ABC):
     def release(self, joint: int, velocity: float, acceleration: float) -> None:
         """Let a stalled joint catch up with its setpoint; no effect on a joint that is not stalled.
 
-        Parameters
-        ----------
-        joint : int
-            Index of the joint.
-        velocity, acceleration : float
-            Limits of the approach [rad/s], [rad/s^2]; of a slow joint its own velocity.
+        Args:
+            joint: Index of the joint.
+            velocity, acceleration: Limits of the approach [rad/s], [rad/s^2]; of a slow joint its own velocity.
         """
         if joint in self._stalled:
             self._stalled.remove(joint)
@@ -137,13 +128,10 @@ class Servo(ABC):
 class IdealServo(Servo):
     """A pure delay: the arm reaches each setpoint exactly, a fixed number of cycles later.
 
-    Parameters
-    ----------
-    delay_cycles : int, optional
-        Cycles from the packet whose reply carries a setpoint to the packet that reports it as reached; at least 1,
-        default 3.
-    period : float, optional
-        Length of a cycle [s].
+    Args:
+        delay_cycles: Cycles from the packet whose reply carries a setpoint to the packet that reports it as reached; at least 1,
+            default 3.
+        period: Length of a cycle [s].
     """
 
     def __init__(self, delay_cycles: int = 3, period: float = CYCLE):
@@ -170,16 +158,11 @@ class RealisticServo(Servo):
 
     On a ramp it lags by 2 zeta / omega seconds (27 ms with the defaults) plus half a cycle of holding.
 
-    Parameters
-    ----------
-    omega : float, optional
-        Natural frequency [rad/s].
-    zeta : float, optional
-        Damping ratio.
-    resolution : float, optional
-        Encoder step [rad]; 0 for an exact reading.
-    period : float, optional
-        Length of a cycle [s].
+    Args:
+        omega: Natural frequency [rad/s].
+        zeta: Damping ratio.
+        resolution: Encoder step [rad]; 0 for an exact reading.
+        period: Length of a cycle [s].
     """
 
     def __init__(
@@ -218,21 +201,15 @@ class RealisticServo(Servo):
 class Chase:
     """A reference that approaches a moving setpoint within limits; one `aim` and one `move` per cycle.
 
-    Parameters
-    ----------
-    position, setpoint : float
-        Where it begins, and the setpoint of that cycle [rad].
-    step : float
-        Its last step [rad per cycle].
-    velocity, acceleration : float
-        Limits [rad/s], [rad/s^2]. A chase that begins faster than `velocity` first brakes to it within `acceleration`.
-    period : float
-        Length of a cycle [s].
+    Args:
+        position, setpoint: Where it begins, and the setpoint of that cycle [rad].
+        step: Its last step [rad per cycle].
+        velocity, acceleration: Limits [rad/s], [rad/s^2]. A chase that begins faster than `velocity` first brakes to it within
+            `acceleration`.
+        period: Length of a cycle [s].
 
-    Attributes
-    ----------
-    met : bool
-        True when the last `aim` matched the setpoint in position and speed.
+    Attributes:
+        met: True when the last `aim` matched the setpoint in position and speed.
     """
 
     def __init__(

@@ -28,23 +28,17 @@ def next_pose(
 ) -> tuple[tuple[float, ...], bool]:
     """Choose the pose to execute next: Algorithm 1, line by line.
 
-    Parameters
-    ----------
-    theta_virtual, theta_physical, theta_next : tuple, shape (n,)
-        Joint angles of the twin, of the physical arm, and of the next setpoint [rad].
-    threshold : tuple, shape (n,)
-        Largest difference that still counts as agreement, per joint [rad].
+    Args:
+        theta_virtual, theta_physical, theta_next: Shape (n,). Joint angles of the twin, of the physical arm, and of the next
+            setpoint [rad].
+        threshold: Shape (n,). Largest difference that still counts as agreement, per joint [rad].
 
-    Returns
-    -------
-    theta : tuple, shape (n,)
-        `theta_next`, or `theta_virtual` when any joint differs by more than its threshold.
-    replan : bool
-        True when the trajectory must be planned anew from `theta`.
+    Returns:
+        theta: Shape (n,). `theta_next`, or `theta_virtual` when any joint differs by more than its threshold.
+        replan: True when the trajectory must be planned anew from `theta`.
 
-    References
-    ----------
-    Liang et al., section 3.3, Algorithm 1.
+    References:
+        Liang et al., section 3.3, Algorithm 1.
     """
     for virtual, physical, limit in zip(theta_virtual, theta_physical, threshold):
         # written so that a nan does not pass
@@ -98,18 +92,13 @@ class TwinHistory:
 class Comparison:
     """One physical pose compared with the twin.
 
-    Attributes
-    ----------
-    at : int
-        When the physical pose was received [ns].
-    mode : str
-        ``aligned`` or ``instant``.
-    theta_virtual, theta_physical, threshold : tuple, shape (n,)
-        [rad]; [m] for prismatic joints.
-    round_trip : float
-        From the setpoint with the command stamp to the arm's answer, on the monotonic clock of who compares [s]; nan when unknown.
-    servo_lag : float
-        How long the arm trails what it is compared with [s]; nan until it has moved.
+    Attributes:
+        at: When the physical pose was received [ns].
+        mode: ``aligned`` or ``instant``.
+        theta_virtual, theta_physical, threshold: Shape (n,). [rad]; [m] for prismatic joints.
+        round_trip: From the setpoint with the command stamp to the arm's answer, on the monotonic clock of who compares [s]; nan
+            when unknown.
+        servo_lag: How long the arm trails what it is compared with [s]; nan until it has moved.
     """
 
     at: int
@@ -147,16 +136,12 @@ class Comparison:
 class ComparisonSettings:
     """How poses are compared.
 
-    Attributes
-    ----------
-    threshold : tuple, shape (n,)
-        Agreement at rest, per joint [rad]; [m] for prismatic joints.
-    lag_allowance : float
-        Largest servo lag that is believed, and until the lag is known what is allowed for it at the commanded velocity [s].
-    lag_margin : float
-        Once the lag is known: what it may be wrong by [s].
-    aligned : bool
-        True compares by command stamp where there is one, False always with the twin's present pose.
+    Attributes:
+        threshold: Shape (n,). Agreement at rest, per joint [rad]; [m] for prismatic joints.
+        lag_allowance: Largest servo lag that is believed, and until the lag is known what is allowed for it at the commanded
+            velocity [s].
+        lag_margin: Once the lag is known: what it may be wrong by [s].
+        aligned: True compares by command stamp where there is one, False always with the twin's present pose.
     """
 
     threshold: tuple[float, ...]
@@ -171,30 +156,19 @@ def undetected(settings: ComparisonSettings, velocity: Sequence[float], known: b
     The comparison takes out a lag of up to `lag_allowance`, and grants `lag_margin` beyond that. Until the lag is known it grants
     `lag_allowance` a second time, because what was learned so far may be wrong by as much.
 
-    Parameters
-    ----------
-    settings : ComparisonSettings
-    velocity : sequence of float, length n
-        Commanded velocity of each joint [rad/s]; [m/s] for prismatic joints.
-    known : bool, optional
-        Whether the lag is known: `lag.ENOUGH` samples in motion after the start of a command session.
+    Args:
+        velocity: Length n. Commanded velocity of each joint [rad/s]; [m/s] for prismatic joints.
+        known: Whether the lag is known: `lag.ENOUGH` samples in motion after the start of a command session.
 
-    Returns
-    -------
-    difference : tuple, shape (n,)
-        [rad]; [m] for prismatic joints.
+    Returns:
+        Shape (n,). [rad]; [m] for prismatic joints.
     """
     lag = settings.lag_allowance + (settings.lag_margin if known else settings.lag_allowance)
     return tuple(limit + lag * abs(v) for limit, v in zip(settings.threshold, velocity))
 
 
 class PoseComparison:
-    """Compares each physical pose with the twin's, the arm's lag taken out.
-
-    Parameters
-    ----------
-    settings : ComparisonSettings
-    """
+    """Compares each physical pose with the twin's, the arm's lag taken out."""
 
     def __init__(self, settings: ComparisonSettings):
         self.twin = TwinHistory()
@@ -214,20 +188,13 @@ class PoseComparison:
     ) -> Comparison | None:
         """Compare a physical pose.
 
-        Parameters
-        ----------
-        q : tuple, shape (n,)
-            Physical pose [rad].
-        command_stamp : int
-            Stamp of the command it answers to [ns]; 0 compares with the twin's present pose.
-        now : int
-            Time of reception, on the clock of the stamps [ns]: for the report alone.
-        round_trip : float, optional
-            See `Comparison`.
+        Args:
+            q: Shape (n,). Physical pose [rad].
+            command_stamp: Stamp of the command it answers to [ns]; 0 compares with the twin's present pose.
+            now: Time of reception, on the clock of the stamps [ns]: for the report alone.
+            round_trip: See `Comparison`.
 
-        Returns
-        -------
-        comparison : Comparison or None
+        Returns:
             None when the twin's pose for that stamp is not known.
         """
         settings = self._settings

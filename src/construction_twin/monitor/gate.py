@@ -44,30 +44,18 @@ _TOO_LATE = f"at most {LATEST / NANOSECONDS:g} s: the monitor was not run, or th
 class GateSettings:
     """How strict the gate is.
 
-    Attributes
-    ----------
-    threshold, threshold_linear : float
-        Agreement at rest of revolute joints [rad], and of prismatic ones [m].
-    thresholds : mapping of str to float
-        Other values for single joints, by joint name.
-    aligned : bool
-        Compare by command stamp where there is one; otherwise always with the twin's present pose.
-    lag_allowance, lag_margin : float
-        [s], see `ComparisonSettings`.
-    feedback_timeout : float
-        Physical feedback older than this counts as out of sync [s].
-    agree_share : float
-        Fraction of the threshold, up to 1, that every error must stay below for the poses to agree again.
-    agree_time : float
-        They must do so this long before the gate opens [s].
-    policy : str
-        What happens after a violation: ``replan``, ``resume`` or ``stop``.
-    give_up_time : float
-        A gate that is closed this long stays closed until there is a new command session [s].
-    escalate_count, escalate_time : int, float
-        So does one that closes this often within this time, but not for stale feedback [s].
-    compares : bool
-        False without a physical arm: the gate then only checks the motion.
+    Attributes:
+        threshold, threshold_linear: Agreement at rest of revolute joints [rad], and of prismatic ones [m].
+        thresholds: Other values for single joints, by joint name.
+        aligned: Compare by command stamp where there is one; otherwise always with the twin's present pose.
+        lag_allowance, lag_margin: [s], see `ComparisonSettings`.
+        feedback_timeout: Physical feedback older than this counts as out of sync [s].
+        agree_share: Fraction of the threshold, up to 1, that every error must stay below for the poses to agree again.
+        agree_time: They must do so this long before the gate opens [s].
+        policy: What happens after a violation: ``replan``, ``resume`` or ``stop``.
+        give_up_time: A gate that is closed this long stays closed until there is a new command session [s].
+        escalate_count, escalate_time: So does one that closes this often within this time, but not for stale feedback [s].
+        compares: False without a physical arm: the gate then only checks the motion.
     """
 
     threshold: float = 0.01
@@ -88,10 +76,8 @@ class GateSettings:
     def comparison(self, limits: MotionLimits) -> ComparisonSettings:
         """Return the part that the comparison needs, for the joints of `limits` in their order.
 
-        Raises
-        ------
-        ConfigurationError
-            When `thresholds` names another joint.
+        Raises:
+            ConfigurationError: When `thresholds` names another joint.
         """
         foreign = [name for name in self.thresholds if name not in limits.names]
         if foreign:
@@ -109,18 +95,11 @@ class Gate:
     theta_virtual is the twin's present pose. A command that has not reached the twin yet counts as executed: holding anything
     older would send both robots a step backwards.
 
-    Parameters
-    ----------
-    limits : MotionLimits
-    codec : JointStringCodec
-        The wire's; everything that passes is rounded by it, so that both robots execute identical numbers.
-    settings : GateSettings
-    now : int, optional
-        [ns]
+    Args:
+        codec: The wire's; everything that passes is rounded by it, so that both robots execute identical numbers.
+        now: [ns]
 
-    Raises
-    ------
-    ConfigurationError
+    Raises ConfigurationError.
     """
 
     def __init__(self, limits: MotionLimits, codec: JointStringCodec, settings: GateSettings, now: int = 0):
@@ -222,9 +201,7 @@ class Gate:
     def check_rest(self, now: int) -> None:
         """Refuse a change of settings while the arm moves or may move, or while the gate holds; `now` in ns.
 
-        Raises
-        ------
-        ConfigurationError
+        Raises ConfigurationError.
         """
         if self.mirrored:
             raise ConfigurationError("the gate", "the arm leads", "an arm that does not: it can move at any moment")
@@ -239,18 +216,12 @@ class Gate:
     def configure(self, settings: GateSettings, reason: str, now: int) -> None:
         """Go on with other settings, from rest; the change is a transition.
 
-        Parameters
-        ----------
-        settings : GateSettings
-        reason : str
-            Who changed what.
-        now : int
-            [ns]
+        Args:
+            reason: Who changed what.
+            now: [ns]
 
-        Raises
-        ------
-        ConfigurationError
-            As `check_rest`, or when `thresholds` names a joint that is unknown. Nothing is changed then.
+        Raises:
+            ConfigurationError: As `check_rest`, or when `thresholds` names a joint that is unknown. Nothing is changed then.
         """
         self.check_rest(now)
         comparison = settings.comparison(self._limits)
@@ -277,20 +248,13 @@ class Gate:
     ) -> Comparison | None:
         """Take a physical pose. The first one above a threshold closes the gate at once.
 
-        Parameters
-        ----------
-        q : tuple, shape (n,)
-            [rad]
-        command_stamp : int
-            See `PoseComparison.compare`.
-        now : int
-            [ns]
-        received : int, optional
-            Time of reception on the clock of the stamps [ns], for the report alone; by default `now`.
+        Args:
+            q: Shape (n,). [rad]
+            command_stamp: See `PoseComparison.compare`.
+            now: [ns]
+            received: Time of reception on the clock of the stamps [ns], for the report alone; by default `now`.
 
-        Returns
-        -------
-        comparison : Comparison or None
+        Returns:
             None when the twin's pose for that stamp is not known.
         """
         continued = self._fresh(now)
@@ -328,20 +292,14 @@ class Gate:
     def pass_next(self, stamp: int, theta_next: tuple[float, ...], now: int) -> tuple[float, ...] | None:
         """Decide what is executed in place of theta_next.
 
-        Parameters
-        ----------
-        stamp : int
-            Nominal time of the setpoint [ns].
-        theta_next : tuple, shape (n,)
-            [rad]
-        now : int
-            [ns]
+        Args:
+            stamp: Nominal time of the setpoint [ns].
+            theta_next: Shape (n,). [rad]
+            now: [ns]
 
-        Returns
-        -------
-        command : tuple, shape (n,) or None
-            Pose to execute, rounded to the wire [rad]; None while the gate has never been open and while the arm leads, and for a
-            setpoint that is not newer than the last one: whatever went out with its stamp would be refused further on.
+        Returns:
+            Shape (n,). Pose to execute, rounded to the wire [rad]; None while the gate has never been open and while the arm leads,
+            and for a setpoint that is not newer than the last one: whatever went out with its stamp would be refused further on.
         """
         if stamp <= self._stamp:
             self.refused += 1

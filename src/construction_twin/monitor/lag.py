@@ -23,10 +23,8 @@ class LagEstimate:
     A pose measured L after its command differs from the commanded one by -L times the velocity. Each difference between the
     arm and the twin at the present estimate so corrects it, weighted by velocity squared.
 
-    Parameters
-    ----------
-    most : float
-        Largest lag that is believed [s]: a joint at rest must not be taken for one that is late.
+    Args:
+        most: Largest lag that is believed [s]: a joint at rest must not be taken for one that is late.
     """
 
     def __init__(self, most: float):
@@ -53,12 +51,9 @@ class LagEstimate:
     def learn(self, difference: tuple[float, ...], velocity: tuple[float, ...]) -> None:
         """Take one sample; a sample at rest is ignored.
 
-        Parameters
-        ----------
-        difference : tuple, shape (n,)
-            Physical pose minus the twin's pose at the present estimate [rad].
-        velocity : tuple, shape (n,)
-            Of the twin there [rad/s].
+        Args:
+            difference: Shape (n,). Physical pose minus the twin's pose at the present estimate [rad].
+            velocity: Shape (n,). Of the twin there [rad/s].
         """
         power = sum(v * v for v in velocity)
         if power < SLOWEST * SLOWEST:

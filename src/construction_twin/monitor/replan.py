@@ -16,15 +16,12 @@ KEPT = 20
 class ReplanGoal:
     """Goal and pace of a plan.
 
-    Attributes
-    ----------
-    plan_id : str
-    goal : tuple, shape (n,)
-        [rad]
-    speed_scale, acceleration_scale : float
-        Largest fraction of the limits that the plan uses, at most 1; 0 for a plan that stands still.
-    seen : int
-        When the executor was last known to play it [ns]; 0: never. A plan that a person stopped later must not be taken up again.
+    Attributes:
+        goal: Shape (n,). [rad]
+        speed_scale, acceleration_scale: Largest fraction of the limits that the plan uses, at most 1; 0 for a plan that stands
+            still.
+        seen: When the executor was last known to play it [ns]; 0: never. A plan that a person stopped later must not be taken up
+            again.
     """
 
     plan_id: str
@@ -38,13 +35,9 @@ class ReplanGoal:
 class Played:
     """What the executor did when it was last heard.
 
-    Attributes
-    ----------
-    plan_id : str
-    playing : bool
-        It played that plan, and was not told to stop or to pause.
-    stamp : int
-        [ns]
+    Attributes:
+        playing: It played that plan, and was not told to stop or to pause.
+        stamp: [ns]
     """
 
     plan_id: str = ""

@@ -42,15 +42,11 @@ class Behaviour(pydantic.BaseModel):
     def changed(self, text: str) -> Behaviour:
         """Return the behaviour with some settings changed.
 
-        Parameters
-        ----------
-        text : str
-            YAML, as in config/pca_monitor.yaml: ``{policy: resume, thresholds: {joint_a3: 0.02}}``.
+        Args:
+            text: YAML, as in config/pca_monitor.yaml: ``{policy: resume, thresholds: {joint_a3: 0.02}}``.
 
-        Raises
-        ------
-        ConfigurationError
-            When one of them does not exist or makes no sense.
+        Raises:
+            ConfigurationError: When one of them does not exist or makes no sense.
         """
         try:
             changes = yaml.safe_load(text)

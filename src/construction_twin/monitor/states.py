@@ -109,18 +109,11 @@ ROWS = state_table.by_cause(TABLE)
 class Transition:
     """One change of state.
 
-    Attributes
-    ----------
-    at : int
-        When [ns], on the gate's own clock, until the monitor reports it in ROS time.
-    source, target : SyncState
-    event : SyncEvent
-    reason : str
-        One sentence with the values.
-    comparison : Comparison or None
-        The newest comparison of the poses at that moment; None before the first.
-    held_stamp : int
-        Stamp of the last setpoint that passed [ns]; 0 when none.
+    Attributes:
+        at: When [ns], on the gate's own clock, until the monitor reports it in ROS time.
+        reason: One sentence with the values.
+        comparison: The newest comparison of the poses at that moment; None before the first.
+        held_stamp: Stamp of the last setpoint that passed [ns]; 0 when none.
     """
 
     at: int
@@ -146,11 +139,8 @@ class SyncOccasion(state_table.Occasion):
 class SyncMachine(state_table.Machine[SyncState, SyncEvent, Guard, Action, SyncOccasion]):
     """The present state, and how it changes: every change is kept, with its cause, until it is taken.
 
-    Parameters
-    ----------
-    guards : mapping of Guard to callable
-    actions : mapping of Action to callable
-        As `Machine`; other settings are no reason to be in a state.
+    Args:
+        actions: As `Machine`; other settings are no reason to be in a state.
     """
 
     def __init__(

@@ -45,24 +45,16 @@ def _by_joint(names: Sequence[str], values: Sequence[float]) -> dict[str, float 
 class TransitionLog:
     """Appends transitions to a file, which is created when it does not exist; for use from several threads.
 
-    Parameters
-    ----------
-    path : str or Path
-        ``~`` is the home folder.
-    names : sequence of str
-        Joint names.
+    Args:
+        path: ``~`` is the home folder.
+        names: Joint names.
 
-    Attributes
-    ----------
-    written : int
-        Transitions written since the start.
-    lost : int
-        Transitions that could not be kept until the file could be written.
+    Attributes:
+        written: Transitions written since the start.
+        lost: Transitions that could not be kept until the file could be written.
 
-    Raises
-    ------
-    ConfigurationError
-        When the file cannot be written.
+    Raises:
+        ConfigurationError: When the file cannot be written.
     """
 
     def __init__(self, path: str | Path, names: Sequence[str]):
@@ -90,10 +82,8 @@ class TransitionLog:
     def flush(self) -> None:
         """Write what was deferred.
 
-        Raises
-        ------
-        TransitionLogError
-            When it cannot be; what is not written stays deferred.
+        Raises:
+            TransitionLogError: When it cannot be; what is not written stays deferred.
         """
         with self._lock:
             while self._deferred:

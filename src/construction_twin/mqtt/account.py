@@ -26,23 +26,15 @@ _MAX_BYTES = 65536
 class Account:
     """An account on a broker: a user with a password, or a client certificate. Empty means none.
 
-    Attributes
-    ----------
-    user : str
-        MQTT user name; it needs `password_file`.
-    password_file : str
-        The password is its first line; only the owner may read it.
-    ca_file : str
-        Certificates (PEM) of who signed the broker's; with it the connection is TLS.
-    cert_file, key_file : str
-        Client certificate and its key (PEM, without a passphrase).
-    name : str
-        What messages call it: the account file, or the user.
+    Attributes:
+        user: MQTT user name; it needs `password_file`.
+        password_file: The password is its first line; only the owner may read it.
+        ca_file: Certificates (PEM) of who signed the broker's; with it the connection is TLS.
+        cert_file, key_file: Client certificate and its key (PEM, without a passphrase).
+        name: What messages call it: the account file, or the user.
 
-    Raises
-    ------
-    ConfigurationError
-        When one half of a pair is missing, or a certificate is given without `ca_file`.
+    Raises:
+        ConfigurationError: When one half of a pair is missing, or a certificate is given without `ca_file`.
     """
 
     user: str = ""
@@ -75,10 +67,8 @@ class Account:
     def context(self) -> ssl.SSLContext:
         """Return what makes a TLS connection: TLS 1.2 or newer, the broker's chain and host name checked.
 
-        Raises
-        ------
-        ConfigurationError
-            When a file is missing, is no certificate or key, or the key may be read by others.
+        Raises:
+            ConfigurationError: When a file is missing, is no certificate or key, or the key may be read by others.
         """
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
@@ -94,19 +84,11 @@ class Account:
 def load_account(path: str | Path) -> Account:
     """Read an account file.
 
-    Parameters
-    ----------
-    path : str or Path
-
-    Returns
-    -------
-    account : Account
+    Returns:
         With absolute paths.
 
-    Raises
-    ------
-    ConfigurationError
-        When it cannot be read or holds anything but the keys of `Account`.
+    Raises:
+        ConfigurationError: When it cannot be read or holds anything but the keys of `Account`.
     """
     path = Path(path).expanduser()
     try:

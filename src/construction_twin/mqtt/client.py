@@ -31,21 +31,13 @@ _PROTOCOLS = {"5": MQTTProtocolVersion.MQTTv5, "3.1.1": MQTTProtocolVersion.MQTT
 class Broker:
     """Where the broker is and how to talk to it.
 
-    Attributes
-    ----------
-    host : str
-    port : int
-    protocol : str
-        ``5`` or ``3.1.1``.
-    keepalive : int
-        [s]
-    account : Account or None
-        None: anonymous, without TLS.
+    Attributes:
+        protocol: ``5`` or ``3.1.1``.
+        keepalive: [s]
+        account: None: anonymous, without TLS.
 
-    Raises
-    ------
-    ConfigurationError
-        When the protocol is another one, or a password would cross a network in clear.
+    Raises:
+        ConfigurationError: When the protocol is another one, or a password would cross a network in clear.
     """
 
     host: str = "127.0.0.1"
@@ -97,29 +89,18 @@ def make_client(
 ) -> PlainClient:
     """Return a client that is not connected yet.
 
-    Parameters
-    ----------
-    broker : Broker
-    client_id : str
-        See `unique_id`.
-    will_topic : str
-        The broker publishes `will` there when the connection is lost.
-    will : str, optional
-        Empty: the topic's retained message is taken away.
-    direct : bool, optional
-        Send from the thread that publishes, where the socket allows it (not with TLS); for a client served by `loop_start`.
-    will_retained : bool, optional
-        Whether the broker keeps the will for who comes later.
+    Args:
+        client_id: See `unique_id`.
+        will_topic: The broker publishes `will` there when the connection is lost.
+        will: Empty: the topic's retained message is taken away.
+        direct: Send from the thread that publishes, where the socket allows it (not with TLS); for a client served by `loop_start`.
+        will_retained: Whether the broker keeps the will for who comes later.
 
-    Returns
-    -------
-    client : PlainClient
+    Returns:
         A fast one where the installed paho was tested with it. Call `connect_async` and a loop on it.
 
-    Raises
-    ------
-    ConfigurationError
-        When a file of the account cannot be used.
+    Raises:
+        ConfigurationError: When a file of the account cannot be used.
     """
     kind: type[PlainClient] = PlainClient
     if is_tested():
@@ -145,12 +126,8 @@ def watch_answer(client: paho.Client, mid: int, on_refused: Callable[[ReasonCode
 
     For one message only: a callback for every published message would cost time with each command. MQTT 3.1.1 has no such answer.
 
-    Parameters
-    ----------
-    client : paho.Client
-    mid : int
-        Of a publish with QoS 1; call this from the thread that serves the client, so that the answer cannot be here already.
-    on_refused : callable
+    Args:
+        mid: Of a publish with QoS 1; call this from the thread that serves the client, so that the answer cannot be here already.
     """
 
     def on_publish(client, userdata, answered, reason_code, properties) -> None:

@@ -29,11 +29,8 @@ _CLOSED = 128
 def connection_failure(broker: Broker, error: OSError) -> str:
     """Return the sentence for a connection that was not made.
 
-    Parameters
-    ----------
-    broker : Broker
-    error : OSError
-        What connecting raised; errors of TLS and of name resolution are OSErrors too.
+    Args:
+        error: What connecting raised; errors of TLS and of name resolution are OSErrors too.
     """
     where = f"broker {broker.host}:{broker.port}"
     if isinstance(error, ssl.SSLCertVerificationError):
@@ -152,16 +149,11 @@ def refused_publish(broker: Broker, topic: str, reason_code: ReasonCode) -> str:
 class ConnectionReport:
     """Says why there is no connection: each sentence once, until another one is due.
 
-    Parameters
-    ----------
-    broker : Broker
-    say : callable
-        Takes a sentence, e.g. a logger's `error`; called from the thread that connects or serves the client.
+    Args:
+        say: Takes a sentence, e.g. a logger's `error`; called from the thread that connects or serves the client.
 
-    Attributes
-    ----------
-    sentence : str
-        Why there is no connection; empty while there is one, and before the first attempt has ended.
+    Attributes:
+        sentence: Why there is no connection; empty while there is one, and before the first attempt has ended.
     """
 
     def __init__(self, broker: Broker, say: Callable[[str], None]):

@@ -43,12 +43,7 @@ _END_TIME = 2.0
 
 
 class UserProperties:
-    """User properties as paho's `publish` takes them and as a received message has them, and no others.
-
-    Parameters
-    ----------
-    pairs : list of (str, str)
-    """
+    """User properties as paho's `publish` takes them and as a received message has them, and no others."""
 
     __slots__ = ("UserProperty",)
 
@@ -82,14 +77,10 @@ def _variable_length(value: int) -> bytes:
 def read_plain(packet: bytes) -> tuple[bytes, UserProperties, bytes] | None:
     """Return topic, properties and payload of an MQTT 5 PUBLISH of QoS 0.
 
-    Parameters
-    ----------
-    packet : bytes
-        All that follows the fixed header.
+    Args:
+        packet: All that follows the fixed header.
 
-    Returns
-    -------
-    parts : tuple or None
+    Returns:
         None when there is anything in it but at most 127 bytes of user properties in printable ASCII: it is left to paho.
     """
     start = 2 + int.from_bytes(packet[:2], "big")
@@ -125,14 +116,10 @@ def renewed_id(client_id: str) -> str:
 def whole_publish(ahead: bytes) -> tuple[int, int] | None:
     """Return where the first packet's topic begins and where the packet ends.
 
-    Parameters
-    ----------
-    ahead : bytes
-        What has come in, from the beginning of a packet on.
+    Args:
+        ahead: What has come in, from the beginning of a packet on.
 
-    Returns
-    -------
-    span : tuple of int or None
+    Returns:
         None unless it is a PUBLISH of QoS 0, shorter than 16 kB, and all of it has come.
     """
     if len(ahead) < 3 or ahead[0] & 0xFE != paho.PUBLISH:
@@ -188,12 +175,8 @@ class FastClient(PlainClient):
         What the socket does not take at once paho sends when it does. While there is no connection the message is dropped,
         as by `publish`.
 
-        Parameters
-        ----------
-        topic : str
-        payload : bytes
-        pairs : list of (str, str), optional
-            User properties; MQTT 3.1.1 has none.
+        Args:
+            pairs: User properties; MQTT 3.1.1 has none.
         """
         packet = self._publish_packet(topic.encode(), payload, pairs)
         with self._writing:

@@ -38,20 +38,14 @@ class Intervention:
 def parse_intervention(verb: str, account: str, payload: bytes, retained: bool) -> Intervention:
     """Return what is asked for in a message on ``<verb>/<account>``.
 
-    Parameters
-    ----------
-    verb, account : str
-        Of the topic.
-    payload : bytes
-        JSON object with `id`, a text of 1 to 64 characters in one line; of a `resume` also `moment`, as the newest view has it. In
-        a stop or a pause a moment may stand, and is not read.
-    retained : bool
-        The message's retain flag.
+    Args:
+        verb, account: Of the topic.
+        payload: JSON object with `id`, a text of 1 to 64 characters in one line; of a `resume` also `moment`, as the newest view
+            has it. In a stop or a pause a moment may stand, and is not read.
+        retained: The message's retain flag.
 
-    Raises
-    ------
-    PayloadError
-        ``retained``, ``moment``, or the verb.
+    Raises:
+        PayloadError: ``retained``, ``moment``, or the verb.
     """
     if retained:
         raise PayloadError(

@@ -22,29 +22,20 @@ DIGITS, LINEAR_DIGITS = 3, 5
 class JointStringCodec:
     """Encodes and decodes joint strings of one length and one number of decimals.
 
-    Parameters
-    ----------
-    joints : int
-        Number of joints.
-    decimals : int
-        Decimals of a degree, and of a mm, 1 to 6. The paper's are 3.
-    mapping : sequence of (int, float), optional
-        Sign and offset [rad], [m] per joint: the wire carries the controller's axis value ``sign * q + offset``. Without it
-        joint and axis values are the same, as they are on the KUKA, and always on the gateway's side.
-    axes : sequence of str, optional
-        RSI name of each joint's axis, all different. Fields are in alphabetical order of these: A1 to A6, then E1. Default: as
-        the joints are.
-    linear : sequence of bool, optional
-        Which joints are linear: m inside, mm on the wire. Default: none.
+    Args:
+        joints: Number of joints.
+        decimals: Decimals of a degree, and of a mm, 1 to 6. The paper's are 3.
+        mapping: Sign and offset [rad], [m] per joint: the wire carries the controller's axis value ``sign * q + offset``. Without
+            it joint and axis values are the same, as they are on the KUKA, and always on the gateway's side.
+        axes: RSI name of each joint's axis, all different. Fields are in alphabetical order of these: A1 to A6, then E1. Default:
+            as the joints are.
+        linear: Which joints are linear: m inside, mm on the wire. Default: none.
 
-    Raises
-    ------
-    ConfigurationError
-        If `decimals` or `joints` is out of range, or `axes` and `linear` are not one per joint.
+    Raises:
+        ConfigurationError: If `decimals` or `joints` is out of range, or `axes` and `linear` are not one per joint.
 
-    References
-    ----------
-    Liang et al., section 3.3 and Figure 6.
+    References:
+        Liang et al., section 3.3 and Figure 6.
     """
 
     def __init__(
@@ -91,20 +82,14 @@ class JointStringCodec:
     def encode(self, q: tuple[float, ...]) -> bytes:
         """Return the joint string of a pose.
 
-        Parameters
-        ----------
-        q : tuple, shape (joints,)
-            Joint values [rad], [m] where linear, in the robot's order.
+        Args:
+            q: Shape (joints,). Joint values [rad], [m] where linear, in the robot's order.
 
-        Returns
-        -------
-        payload : bytes
+        Returns:
             ASCII; zero is always ``+000.000``, rounding is half-even on the exact value.
 
-        Raises
-        ------
-        PayloadError
-            ``count``, ``values`` (nan, inf) or ``range`` (1000 degrees, or 100 m, or more after rounding).
+        Raises:
+            PayloadError: ``count``, ``values`` (nan, inf) or ``range`` (1000 degrees, or 100 m, or more after rounding).
         """
         if len(q) != self.joints:
             raise PayloadError("count", f"{len(q)} joint values; expected {self.joints}")
@@ -129,19 +114,11 @@ class JointStringCodec:
     def decode(self, payload: bytes) -> tuple[float, ...]:
         """Return the pose that a joint string stands for.
 
-        Parameters
-        ----------
-        payload : bytes
+        Returns:
+            Shape (joints,). Joint values [rad], [m] where linear, in the robot's order.
 
-        Returns
-        -------
-        q : tuple, shape (joints,)
-            Joint values [rad], [m] where linear, in the robot's order.
-
-        Raises
-        ------
-        PayloadError
-            ``decimals`` when the string is well formed with another number of decimals, ``length`` or ``format``.
+        Raises:
+            PayloadError: ``decimals`` when the string is well formed with another number of decimals, ``length`` or ``format``.
         """
         match = self._pattern.fullmatch(payload) if len(payload) == self.length else None
         if match is None:

@@ -350,9 +350,7 @@ def parse_status(payload: bytes) -> dict:
 def parse_presence(payload: bytes) -> dict:
     """Parse what is on `status`, whoever sent it: a gateway's JSON, see `parse_status`, or a bare PLC's word.
 
-    Returns
-    -------
-    status : dict
+    Returns:
         Of a bare PLC ``{"state": "ready", "kind": "plc"}``. In a gateway's `kind` is ``rsi``, whatever its message holds.
     """
     if payload in (READY.encode(), OFFLINE.encode()):
@@ -365,10 +363,8 @@ def account_of(topic: str) -> str:
 
     Answers have the form of such a topic, so who subscribes to ``stop/+`` hears them too.
 
-    Raises
-    ------
-    PayloadError
-        ``sender``: no account is called so.
+    Raises:
+        PayloadError: ``sender``: no account is called so.
     """
     account = topic.rpartition("/")[2]
     if not _ACCOUNT.fullmatch(account):

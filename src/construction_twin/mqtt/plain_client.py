@@ -40,12 +40,9 @@ class PlainClient(paho.Client):
     def on_stream(self, topic: str, callback: StreamCallback) -> None:
         """Call ``callback(payload, pairs, retained)`` for each message on `topic`, in the thread that serves the connection.
 
-        Parameters
-        ----------
-        topic : str
-            Without wildcards.
-        callback : callable
-            ``pairs`` are the user properties.
+        Args:
+            topic: Without wildcards.
+            callback: ``pairs`` are the user properties.
         """
         self.message_callback_add(
             topic,
@@ -55,12 +52,8 @@ class PlainClient(paho.Client):
     def send_stream(self, topic: str, payload: bytes, pairs: list[tuple[str, str]] | None = None) -> None:
         """Publish with QoS 0; while there is no connection the message is dropped.
 
-        Parameters
-        ----------
-        topic : str
-        payload : bytes
-        pairs : list of (str, str), optional
-            User properties; MQTT 3.1.1 has none.
+        Args:
+            pairs: User properties; MQTT 3.1.1 has none.
         """
         properties = None
         if pairs and self.protocol == MQTTProtocolVersion.MQTTv5:

@@ -25,14 +25,10 @@ _MAX_PACKETS = 3
 class PolledClient:
     """Drives a paho client from a selector loop.
 
-    Parameters
-    ----------
-    client : PlainClient
-        With `connect_async` called and callbacks set.
-    selector : selectors.BaseSelector
-        The loop's selector; the MQTT socket is registered with this object as data.
-    on_failure : callable, optional
-        Called with the OSError of every attempt to connect that fails, from the thread that connects.
+    Args:
+        client: With `connect_async` called and callbacks set.
+        selector: The loop's selector; the MQTT socket is registered with this object as data.
+        on_failure: Called with the OSError of every attempt to connect that fails, from the thread that connects.
     """
 
     def __init__(
@@ -74,10 +70,8 @@ class PolledClient:
     def service(self, now: float) -> None:
         """Write what is queued, keep the connection alive, connect again when it is lost.
 
-        Parameters
-        ----------
-        now : float
-            Monotonic time [s].
+        Args:
+            now: Monotonic time [s].
         """
         if self._connector is not None:
             if self._connector.is_alive():

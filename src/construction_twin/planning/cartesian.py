@@ -52,14 +52,9 @@ SPEED_ROUNDS = 4
 class CartesianMotion:
     """A trajectory along a tool path, with measurements on its 4 ms samples.
 
-    Attributes
-    ----------
-    trajectory : Trajectory
-    path : ToolPath
-    deviation_m, deviation_rad : float
-        Largest distance and angle from the commanded pose.
-    top_speed : float
-        Largest speed of the tool [m/s].
+    Attributes:
+        deviation_m, deviation_rad: Largest distance and angle from the commanded pose.
+        top_speed: Largest speed of the tool [m/s].
     """
 
     trajectory: Trajectory
@@ -81,39 +76,21 @@ def plan_cartesian(
 ) -> CartesianMotion:
     """Plan a motion along a tool path.
 
-    Parameters
-    ----------
-    start : sequence of float, length n
-        The arm's pose; the path begins at its tool pose.
-    waypoints : sequence of ToolWaypoint
-    inverse : InverseKinematics
-        Of the arm; used only to explain why a path ends.
-    world : CollisionWorld, optional
-        The motion must be free of contact in it, at every 4 ms sample and between them. Default: nothing is checked.
-    speed : float, optional
-        Of the tool along the path [m/s]: never exceeded, and reached where the joint limits allow. Default: as fast as
-        the limits allow.
-    speed_scale, acceleration_scale : float, optional
-        As in `timing.time_path`.
-    bounds : PlanBounds, optional
-        Largest duration and number of waypoints. Default: any.
+    Args:
+        start: Length n. The arm's pose; the path begins at its tool pose.
+        inverse: Of the arm; used only to explain why a path ends.
+        world: The motion must be free of contact in it, at every 4 ms sample and between them. Default: nothing is checked.
+        speed: Of the tool along the path [m/s]: never exceeded, and reached where the joint limits allow. Default: as fast as the
+            limits allow.
+        speed_scale, acceleration_scale: As in `timing.time_path`.
+        bounds: Largest duration and number of waypoints. Default: any.
 
-    Returns
-    -------
-    motion : CartesianMotion
-
-    Raises
-    ------
-    JointRangeError
-        If `start` is out of range.
-    CartesianPathError
-        If the path cannot be followed to its end; where, and why.
-    FarWaypointError
-        If a waypoint, or an arc that leads to one, is more than `FAR` times as far away as the arm reaches.
-    PlanSizeError
-        If the path or the motion would be larger than `bounds`.
-    PlanningError
-        If the path or an argument is invalid.
+    Raises:
+        JointRangeError: If `start` is out of range.
+        CartesianPathError: If the path cannot be followed to its end; where, and why.
+        FarWaypointError: If a waypoint, or an arc that leads to one, is more than `FAR` times as far away as the arm reaches.
+        PlanSizeError: If the path or the motion would be larger than `bounds`.
+        PlanningError: If the path or an argument is invalid.
     """
     if speed is not None and not 0.0 < speed < math.inf:
         raise PlanningError(f"the requested tool speed is {for_people(speed, 'm/s')}; expected a positive number")

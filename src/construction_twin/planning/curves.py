@@ -27,20 +27,13 @@ SAME_KNOT = 1e-9
 class JointCurve:
     """A piecewise polynomial joint curve with continuous second derivatives.
 
-    Parameters
-    ----------
-    pieces : PPoly
-        From parameter 0, values of shape (n,).
+    Args:
+        pieces: From parameter 0, values of shape (n,).
 
-    Attributes
-    ----------
-    length : float
-        Last parameter value.
-    knots : array, shape (k,)
-        Where the pieces meet, with both ends.
-    joints : int
-    straight : bool
-        The curve is one straight line at constant speed.
+    Attributes:
+        length: Last parameter value.
+        knots: Shape (k,). Where the pieces meet, with both ends.
+        straight: The curve is one straight line at constant speed.
     """
 
     def __init__(self, pieces: PPoly):
@@ -53,16 +46,12 @@ class JointCurve:
     def __call__(self, s: np.ndarray, order: int = 0) -> np.ndarray:
         """Evaluate the curve or one of its derivatives.
 
-        Parameters
-        ----------
-        s : array, shape (m,)
-            Within [0, `length`].
-        order : int
-            0 to 2.
+        Args:
+            s: Shape (m,). Within [0, `length`].
+            order: 0 to 2.
 
-        Returns
-        -------
-        values : array, shape (m, n)
+        Returns:
+            Shape (m, n)
         """
         return self._derivatives[order](s)
 
@@ -70,12 +59,9 @@ class JointCurve:
 def straight(start: np.ndarray, goal: np.ndarray, pace: np.ndarray) -> JointCurve:
     """Return the straight line between two joint vectors.
 
-    Parameters
-    ----------
-    start, goal : array, shape (n,)
-        Not the same.
-    pace : array, shape (n,)
-        Full speed of each joint, which sets the parameter.
+    Args:
+        start, goal: Shape (n,). Not the same.
+        pace: Shape (n,). Full speed of each joint, which sets the parameter.
     """
     length = float(_spans(np.array([start, goal]), pace)[0])
     return JointCurve(PPoly(np.array([[(goal - start) / length], [start]]), [0.0, length]))
@@ -84,12 +70,9 @@ def straight(start: np.ndarray, goal: np.ndarray, pace: np.ndarray) -> JointCurv
 def interpolated(points: np.ndarray, pace: np.ndarray) -> JointCurve:
     """Return the cubic spline through all points.
 
-    Parameters
-    ----------
-    points : array, shape (m, n)
-        m >= 2; successive points differ.
-    pace : array, shape (n,)
-        Full speed of each joint, which sets the parameter.
+    Args:
+        points: Shape (m, n). m >= 2; successive points differ.
+        pace: Shape (n,). Full speed of each joint, which sets the parameter.
     """
     if len(points) == 2:
         return straight(points[0], points[1], pace)
@@ -104,12 +87,9 @@ def monotone(points: np.ndarray, pace: np.ndarray) -> JointCurve:
     lines that meet there, but 0 where the joint reverses, and at most 1.25 times the smaller one. The control points of a
     quintic lie at fifths of its segment, and this bound keeps them, and with them the quintic, between its ends.
 
-    Parameters
-    ----------
-    points : array, shape (m, n)
-        m >= 2; successive points differ.
-    pace : array, shape (n,)
-        Full speed of each joint, which sets the parameter.
+    Args:
+        points: Shape (m, n). m >= 2; successive points differ.
+        pace: Shape (n,). Full speed of each joint, which sets the parameter.
     """
     if len(points) == 2:
         return straight(points[0], points[1], pace)
@@ -137,14 +117,10 @@ def rounded(points: np.ndarray, pace: np.ndarray, corner_fraction: float) -> Joi
     distance, times the length of the difference of the two directions (0.24 of it at a right angle, a third where the
     path turns back).
 
-    Parameters
-    ----------
-    points : array, shape (m, n)
-        m >= 2; successive points differ.
-    pace : array, shape (n,)
-        Full speed of each joint, which sets the parameter.
-    corner_fraction : float
-        In (0, 1]: smaller keeps closer to the points and is slower.
+    Args:
+        points: Shape (m, n). m >= 2; successive points differ.
+        pace: Shape (n,). Full speed of each joint, which sets the parameter.
+        corner_fraction: In (0, 1]: smaller keeps closer to the points and is slower.
     """
     if len(points) == 2:
         return straight(points[0], points[1], pace)

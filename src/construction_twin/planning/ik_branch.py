@@ -41,19 +41,9 @@ FINEST = 1e-5
 class Branch:
     """Follows a tool path from a joint vector.
 
-    Parameters
-    ----------
-    path : ToolPath
-    inverse : InverseKinematics
-        Asked only why a branch ends.
-    start : array, shape (n,)
-        Joint values at the path's start.
-
-    Attributes
-    ----------
-    path : ToolPath
-    chain : Chain
-    batch : BatchKinematics
+    Args:
+        inverse: Asked only why a branch ends.
+        start: Shape (n,). Joint values at the path's start.
     """
 
     def __init__(self, path: ToolPath, inverse: InverseKinematics, start: np.ndarray):
@@ -71,21 +61,15 @@ class Branch:
     def walk(self, start: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Follow the path over given places.
 
-        Parameters
-        ----------
-        start : array, shape (n,)
-            Joint values at the first place.
-        s : array, shape (m,)
-            Places along the path, ascending [m].
+        Args:
+            start: Shape (n,). Joint values at the first place.
+            s: Shape (m,). Places along the path, ascending [m].
 
-        Returns
-        -------
-        q : array, shape (m, n)
+        Returns:
+            Shape (m, n)
 
-        Raises
-        ------
-        CartesianPathError
-            Where the branch ends.
+        Raises:
+            CartesianPathError: Where the branch ends.
         """
         targets = [Pose(*target) for target in zip(*self.path.poses(s))]
         done = np.asarray(start)[None]
@@ -112,17 +96,12 @@ class Branch:
     def check(self, q: np.ndarray, before: np.ndarray, s_before: np.ndarray, s: np.ndarray) -> None:
         """Check that joint vectors that were not found by `walk` belong to the branch.
 
-        Parameters
-        ----------
-        q : array, shape (m, n)
-            At places `s`, shape (m,).
-        before : array, shape (m, n)
-            On the branch, at places `s_before`, each a little before the place of the same row of `q`.
+        Args:
+            q: Shape (m, n). At places `s`, shape (m,).
+            before: Shape (m, n). On the branch, at places `s_before`, each a little before the place of the same row of `q`.
 
-        Raises
-        ------
-        CartesianPathError
-            Where the branch ends.
+        Raises:
+            CartesianPathError: Where the branch ends.
         """
         far = np.any(np.abs(q - before) > LONGEST_STEP, axis=1)
         for row in np.flatnonzero(self._faults(q) | far)[:1]:

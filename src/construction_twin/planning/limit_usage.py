@@ -25,14 +25,10 @@ SAME_POINT = 1e-9
 class SampledUsage:
     """A trajectory's use of the limits at its 4 ms samples; 1 is exactly at the limit.
 
-    Attributes
-    ----------
-    times : array, shape (m,)
-        See `cycle_times` [s].
-    positions : array, shape (m, n)
-        [rad] or [m]
-    velocity, acceleration, jerk : array, shape (m, n)
-        Fractions of each joint's limit.
+    Attributes:
+        times: Shape (m,). See `cycle_times` [s].
+        positions: Shape (m, n). [rad] or [m]
+        velocity, acceleration, jerk: Shape (m, n). Fractions of each joint's limit.
     """
 
     times: np.ndarray
@@ -58,17 +54,7 @@ def cycle_times(trajectory: Trajectory) -> np.ndarray:
 
 
 def sampled_usage(trajectory: Trajectory, robot: RobotModel) -> SampledUsage:
-    """Return a trajectory's use of the limits at every 4 ms sample. Ranges are not checked.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-    robot : RobotModel
-
-    Returns
-    -------
-    sampled : SampledUsage
-    """
+    """Return a trajectory's use of the limits at every 4 ms sample. Ranges are not checked."""
     times = cycle_times(trajectory)
     q, qd, qdd, qddd = trajectory.sample_many(times)
     velocity, acceleration, jerk = np.abs(qd), np.abs(qdd), np.abs(qddd)
@@ -109,15 +95,11 @@ def _knot_jerks(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 def check_range(q: np.ndarray, robot: RobotModel) -> None:
     """Check that joint vectors are in range, to `SAME_POINT`.
 
-    Parameters
-    ----------
-    q : array, shape (m, n)
-    robot : RobotModel
+    Args:
+        q: Shape (m, n)
 
-    Raises
-    ------
-    JointRangeError
-        For the first value out of range.
+    Raises:
+        JointRangeError: For the first value out of range.
     """
     outside = np.argwhere((q < np.array(robot.lower) - SAME_POINT) | (q > np.array(robot.upper) + SAME_POINT))
     if len(outside):

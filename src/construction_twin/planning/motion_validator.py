@@ -22,13 +22,10 @@ CORNERS_TIGHTENED = 24
 class MotionValidator:
     """Whether the arm can go straight from one joint vector to another without touching anything.
 
-    Parameters
-    ----------
-    world : CollisionWorld
-    levers : array, shape (n,)
-        As from `CollisionWorld.levers`.
-    step : float
-        Largest distance that any point of the arm, its tool and what it carries moves between two states that are checked [m].
+    Args:
+        levers: Shape (n,). As from `CollisionWorld.levers`.
+        step: Largest distance that any point of the arm, its tool and what it carries moves between two states that are checked
+            [m].
     """
 
     def __init__(self, world: CollisionWorld, levers: np.ndarray, step: float):
@@ -38,10 +35,8 @@ class MotionValidator:
     def free(self, start: np.ndarray, end: np.ndarray) -> bool:
         """Return whether nothing touches between `start`, which is not checked, and `end`, which is.
 
-        Parameters
-        ----------
-        start, end : array, shape (n,)
-            [rad] or [m]
+        Args:
+            start, end: Shape (n,). [rad] or [m]
         """
         displacement = end - start
         return self.world.all_free(start + _middle_first(self.count(displacement)) * displacement) is None
@@ -49,10 +44,8 @@ class MotionValidator:
     def count(self, displacement: np.ndarray) -> int:
         """Return how many states of a straight motion are checked, at least 1.
 
-        Parameters
-        ----------
-        displacement : array, shape (n,)
-            The motion's end minus its start.
+        Args:
+            displacement: Shape (n,). The motion's end minus its start.
         """
         return max(1, int(np.ceil(np.abs(displacement) @ self._states_per_unit)))
 
@@ -79,11 +72,8 @@ def _middle_first(count: int) -> np.ndarray:
 class CornerRounding:
     """Adds points to a polyline until the curve that rounds its corners is free.
 
-    Parameters
-    ----------
-    validator : MotionValidator
-    pace : array, shape (n,)
-        As for `curves.rounded`.
+    Args:
+        pace: Shape (n,). As for `curves.rounded`.
     """
 
     def __init__(self, validator: MotionValidator, pace: np.ndarray):
@@ -95,13 +85,11 @@ class CornerRounding:
 
         A corner is cut over half the distance to the next point. A point added halfway on either side halves its width.
 
-        Parameters
-        ----------
-        path : array, shape (m, n)
+        Args:
+            path: Shape (m, n)
 
-        Returns
-        -------
-        path : array, shape (k, n), or None
+        Returns:
+            Shape (k, n)
         """
         if len(path) == 2:
             return path if self._validator.free(*path) else None

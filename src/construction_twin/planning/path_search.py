@@ -20,19 +20,14 @@ from construction_twin.planning.motion_validator import MotionValidator
 class PathQuery:
     """What a path is sought for. Joint vectors are in the order of `RobotModel.joint_names` [rad] or [m].
 
-    Attributes
-    ----------
-    start : array, shape (n,)
-        Free, within the bounds.
-    goals : sequence of array, shape (n,)
-        At least one, the nearest first; each free and within the bounds. The path may end at any of them.
-    validator : MotionValidator
-        Says whether a straight edge is free; its `world` whether a pose is.
-    lower, upper : array, shape (n,)
-        Lowest and highest joint values that a path may have.
-    seed : int
-        Of everything that a search draws by chance, 1 to 2**32 - 1: the same query gives the same path, unless the search improves
-        its path until the budget is over.
+    Attributes:
+        start: Shape (n,). Free, within the bounds.
+        goals: Each of shape (n,). At least one, the nearest first; each free and within the bounds. The path may end at any of
+            them.
+        validator: Says whether a straight edge is free; its `world` whether a pose is.
+        lower, upper: Shape (n,). Lowest and highest joint values that a path may have.
+        seed: Of everything that a search draws by chance, 1 to 2**32 - 1: the same query gives the same path, unless the search
+            improves its path until the budget is over.
     """
 
     start: np.ndarray
@@ -54,20 +49,14 @@ class PathSearch(Protocol):
     def find(self, query: PathQuery, budget: float) -> np.ndarray:
         """Find a path from the start to one of the goals.
 
-        Parameters
-        ----------
-        budget : float
-            Time for it [s]; shortening what was found may come on top.
+        Args:
+            budget: Time for it [s]; shortening what was found may come on top.
 
-        Returns
-        -------
-        path : array, shape (m, n)
-            At least two points, none like the one before; the first is the start and the last a goal, both to the last bit. The
-            straight edges between them are free by the query's validator.
+        Returns:
+            Shape (m, n). At least two points, none like the one before; the first is the start and the last a goal, both to the
+            last bit. The straight edges between them are free by the query's validator.
 
-        Raises
-        ------
-        NoPathError
-            If none was found within the budget.
+        Raises:
+            NoPathError: If none was found within the budget.
         """
         ...

@@ -18,10 +18,8 @@ def path_searches() -> dict[str, Callable[[], PathSearch]]:
 def path_search(name: str) -> PathSearch:
     """Return a search by its name.
 
-    Raises
-    ------
-    ConfigurationError
-        If there is none of that name; lists what there is.
+    Raises:
+        ConfigurationError: If there is none of that name; lists what there is.
     """
     known = path_searches()
     if name not in known:

@@ -196,7 +196,8 @@ class Turn:
 @dataclass(frozen=True, eq=False)
 class Blend:
     """A rounded corner: a quintic for position and rotation vector (against `corner`) over a parameter 0 to 1, which
-    `parameter` gives over length. It meets both sides in value, first and second derivative over length."""
+    `parameter` gives over length. It meets both sides in value, first and second derivative over length.
+    """
 
     curve: BPoly
     parameter: CubicHermiteSpline
@@ -206,7 +207,8 @@ class Blend:
     @classmethod
     def between(cls, before: Leg, after: Leg, cut: float) -> Blend | None:
         """Blend the corner between two segments over the last and first `cut` metres of them; None where the path
-        turns back."""
+        turns back.
+        """
         begin = before.length - cut
         positions, _ = before.at(np.array([begin]))
         goals, _ = after.at(np.array([cut]))

@@ -41,23 +41,15 @@ class PlanningPipeline:
     scene cannot be used with this robot, `SceneChangedError` if another scene arrived while planning, `LimitError` and
     `CollisionError` if a 4 ms sample of the result is outside a limit, or something touches, at a sample or between two.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    solver : InverseKinematics, optional
-        Default: the one that fits the robot.
-    settings : PlannerSettings, optional
-        Default: the shipped ones.
-    self_collision : SelfCollision, optional
-        Default: found anew by `sample_self_collision`, which takes some seconds; a program keeps it in a file.
-    clock : callable, optional
-        Returns seconds from any fixed origin; measures planning time.
-    rng : numpy Generator, optional
-        Default: one with a fixed seed.
-    source : str
-        Name of the source of scenes, for the message when there is no scene.
-    neighbour : callable, optional
-        Returns the space that another arm occupies now, padding included. Called for every plan; raises when it is not known.
+    Args:
+        solver: Default: the one that fits the robot.
+        settings: Default: the shipped ones.
+        self_collision: Default: found anew by `sample_self_collision`, which takes some seconds; a program keeps it in a file.
+        clock: Returns seconds from any fixed origin; measures planning time.
+        rng: Default: one with a fixed seed.
+        source: Name of the source of scenes, for the message when there is no scene.
+        neighbour: Returns the space that another arm occupies now, padding included. Called for every plan; raises when it is not
+            known.
     """
 
     def __init__(
@@ -113,15 +105,11 @@ class PlanningPipeline:
     def wait_for_scene(self, timeout: float) -> None:
         """Wait for the first scene.
 
-        Parameters
-        ----------
-        timeout : float
-            [s]
+        Args:
+            timeout: [s]
 
-        Raises
-        ------
-        NoSceneError
-            If none arrived.
+        Raises:
+            NoSceneError: If none arrived.
         """
         with self._scene_changed:
             if not self._scene_changed.wait_for(lambda: self._scene is not None or self._problem is not None, timeout):
@@ -144,14 +132,10 @@ class PlanningPipeline:
     ) -> Plan:
         """Plan a motion of the tip along lines and arcs; see `cartesian.plan_cartesian`.
 
-        Parameters
-        ----------
-        start : sequence of float, length n
-        waypoints : sequence of ToolWaypoint
-        speed : float, optional
-            Of the tool along the path [m/s]; None: as fast as the limits allow.
-        request : PlanRequest
-            Its duration and number of waypoints are not used.
+        Args:
+            start: Length n
+            speed: Of the tool along the path [m/s]; None: as fast as the limits allow.
+            request: Its duration and number of waypoints are not used.
         """
 
         def make(world: CollisionWorld) -> Trajectory:
@@ -164,16 +148,11 @@ class PlanningPipeline:
     def through(self, waypoints: Waypoints, present: JointValues, request: PlanRequest, retime: bool = False) -> Plan:
         """Plan a motion through joint waypoints made elsewhere; see `waypoints.plan_waypoints`.
 
-        Parameters
-        ----------
-        waypoints : Waypoints
-        present : sequence of float, length n
-            The arm's pose.
-        request : PlanRequest
-            Its duration and number of waypoints are not used.
-        retime : bool, optional
-            Times that need too much acceleration or jerk are replaced (`waypoints.retime_waypoints`), and the plan says so, with
-            the reason; otherwise they are refused.
+        Args:
+            present: Length n. The arm's pose.
+            request: Its duration and number of waypoints are not used.
+            retime: Times that need too much acceleration or jerk are replaced (`waypoints.retime_waypoints`), and the plan says so,
+                with the reason; otherwise they are refused.
         """
 
         def make(world: CollisionWorld) -> Trajectory:
@@ -209,16 +188,10 @@ class PlanningPipeline:
     ) -> Plan:
         """Plan the way back along an executed path, as a work plan of one engaged segment; see `way_back.way_back`.
 
-        Parameters
-        ----------
-        task : str
-            Of the work plan that was being executed.
-        path : ExecutedPath
-        requires : tuple of Signal
-            What the tool's inputs must read on the way.
-        present : sequence of float, length n
-            The arm's pose.
-        request : PlanRequest
+        Args:
+            task: Of the work plan that was being executed.
+            requires: What the tool's inputs must read on the way.
+            present: Length n. The arm's pose.
         """
 
         def make(world: CollisionWorld) -> Plan:

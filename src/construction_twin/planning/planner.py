@@ -45,24 +45,15 @@ DIRECT = "direct"
 class PlannerSettings(pydantic.BaseModel):
     """How the planner works. The values, each explained, are in config/planner.yaml; none has a second default here: `shipped`.
 
-    Attributes
-    ----------
-    planner : str
-        Name of a search, as in `path_searches`.
-    planning_budget : float
-        [s]
-    edge_step : float
-        [m]
-    goals : int
-        Most joint solutions of a goal pose that the search is given.
-    speed_scale : float
-        Used by requests that give neither this nor a duration, in (0, 1].
-    max_waypoints : int
-        A plan with more is refused.
-    max_duration : float
-        A longer plan is refused [s].
-    seed : int
-        0: different every time.
+    Attributes:
+        planner: Name of a search, as in `path_searches`.
+        planning_budget: [s]
+        edge_step: [m]
+        goals: Most joint solutions of a goal pose that the search is given.
+        speed_scale: Used by requests that give neither this nor a duration, in (0, 1].
+        max_waypoints: A plan with more is refused.
+        max_duration: A longer plan is refused [s].
+        seed: 0: different every time.
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
@@ -99,22 +90,14 @@ class PlannerSettings(pydantic.BaseModel):
 class PlanRequest:
     """What a request asks of a plan besides its ends, and what identifies it.
 
-    Attributes
-    ----------
-    plan_id : str, optional
-        Unique id of the plan to be made. Default: a new one.
-    created_ns : int, optional
-        Time of the request [ns, ROS time]. Default: 0, it is not told.
-    source : str
-        Name of the requester, for the reviewer.
-    duration : float, optional
-        [s]; None: as fast as the scales allow.
-    speed_scale : float, optional
-        Fraction of the velocity limits in (0, 1]; None: the planner's default, or 1 with a duration.
-    acceleration_scale : float, optional
-        Fraction of the acceleration limits in (0, 1]; None: the same as the speed scale.
-    waypoints : int, optional
-        None: the default of `timing.time_path`.
+    Attributes:
+        plan_id: Unique id of the plan to be made. Default: a new one.
+        created_ns: Time of the request [ns, ROS time]. Default: 0, it is not told.
+        source: Name of the requester, for the reviewer.
+        duration: [s]; None: as fast as the scales allow.
+        speed_scale: Fraction of the velocity limits in (0, 1]; None: the planner's default, or 1 with a duration.
+        acceleration_scale: Fraction of the acceleration limits in (0, 1]; None: the same as the speed scale.
+        waypoints: None: the default of `timing.time_path`.
     """
 
     plan_id: str = field(default_factory=lambda: str(uuid.uuid4()))
@@ -137,19 +120,11 @@ class PlanRequest:
     ) -> Plan:
         """Return the plan that answers this request.
 
-        Parameters
-        ----------
-        planner : str
-            How the path was found.
-        planning_time : float
-            Without the report's own [s].
-        trajectory : Trajectory
-        measured : PlanReport
-        scene : str
-            Hash of the scene it was checked against.
-        task : str, optional
-        segments : tuple of Segment, optional
-            Of a work plan.
+        Args:
+            planner: How the path was found.
+            planning_time: Without the report's own [s].
+            scene: Hash of the scene it was checked against.
+            segments: Of a work plan.
         """
         return Plan(
             id=self.plan_id,
@@ -185,17 +160,11 @@ class _Found:
 class Planner:
     """Plans joint motions of one robot. Not for use from several threads at once.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    solver : InverseKinematics
-        For goals given as poses.
-    settings : PlannerSettings
-    clock : callable
-        Returns seconds from any fixed origin; measures planning time. OMPL's searches run on OMPL's own clock.
-    rng : numpy Generator
-        Source of seeds if the settings give none. With a seed in the settings the same request in the same world gives the
-        same plan; see `search` for the planners to which this applies.
+    Args:
+        solver: For goals given as poses.
+        clock: Returns seconds from any fixed origin; measures planning time. OMPL's searches run on OMPL's own clock.
+        rng: Source of seeds if the settings give none. With a seed in the settings the same request in the same world gives the
+            same plan; see `search` for the planners to which this applies.
     """
 
     def __init__(
@@ -219,32 +188,17 @@ class Planner:
     ) -> Plan:
         """Plan a motion between two joint vectors.
 
-        Parameters
-        ----------
-        start, goal : sequence of float, length n
-            [rad] or [m], order of the robot's `joint_names`.
-        request : PlanRequest
-        world : CollisionWorld
-            What must not be touched.
+        Args:
+            start, goal: Length n. [rad] or [m], order of the robot's `joint_names`.
+            world: What must not be touched.
 
-        Returns
-        -------
-        plan : Plan
-
-        Raises
-        ------
-        JointRangeError
-            If start or goal is out of range.
-        CollisionError
-            If start or goal touches something, and what.
-        NoPathError
-            If none was found within the budget.
-        DurationError
-            If the requested duration is shorter than the limits allow.
-        PlanSizeError
-            If the plan would have more waypoints, or last longer, than the settings allow.
-        PlanningError
-            If the request does not make sense: also a goal where the arm already is (`TrajectoryError`).
+        Raises:
+            JointRangeError: If start or goal is out of range.
+            CollisionError: If start or goal touches something, and what.
+            NoPathError: If none was found within the budget.
+            DurationError: If the requested duration is shorter than the limits allow.
+            PlanSizeError: If the plan would have more waypoints, or last longer, than the settings allow.
+            PlanningError: If the request does not make sense: also a goal where the arm already is (`TrajectoryError`).
         """
         began = self._clock()
         begin, end = self._joint_vector("start", start), self._joint_vector("goal", goal)
@@ -261,30 +215,17 @@ class Planner:
         Every joint solution of the pose is a goal: straight motions to them are tried first, the nearest before the
         others; a search is given the nearest ones that are free.
 
-        Parameters
-        ----------
-        start : sequence of float, length n
-            [rad] or [m], order of the robot's `joint_names`.
-        pose : Pose
-            Of the tip in the robot's base frame.
-        request : PlanRequest
-        world : CollisionWorld
-            What must not be touched.
-        configuration : str, optional
-            Only joint solutions of this configuration, see `Configuration.parse`. Default: all.
+        Args:
+            start: Length n. [rad] or [m], order of the robot's `joint_names`.
+            pose: Of the tip in the robot's base frame.
+            world: What must not be touched.
+            configuration: Only joint solutions of this configuration, see `Configuration.parse`. Default: all.
 
-        Returns
-        -------
-        plan : Plan
-
-        Raises
-        ------
-        KinematicsError
-            If the pose cannot be reached within the ranges, or start is out of range.
-        CollisionError
-            If the start, or every solution of the goal, touches something; for the goal the pair of the nearest one.
-        PlanningError
-            See `plan_to_joints`.
+        Raises:
+            KinematicsError: If the pose cannot be reached within the ranges, or start is out of range.
+            CollisionError: If the start, or every solution of the goal, touches something; for the goal the pair of the nearest
+                one.
+            PlanningError: See `plan_to_joints`.
         """
         began = self._clock()
         begin = self._joint_vector("start", start)

@@ -47,25 +47,13 @@ class World(Protocol):
 def recheck(trajectory: Trajectory, robot: RobotModel, world: World, clock: Callable[[], float]) -> PlanReport:
     """Check and measure a trajectory: its limits at every 4 ms sample, its contacts and clearance also between two samples.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        In the robot's joint order.
-    robot : RobotModel
-    world : CollisionWorld
-    clock : callable
-        Returns seconds from any fixed origin; measures `PlanReport.recheck_time`.
+    Args:
+        trajectory: In the robot's joint order.
+        clock: Returns seconds from any fixed origin; measures `PlanReport.recheck_time`.
 
-    Returns
-    -------
-    report : PlanReport
-
-    Raises
-    ------
-    LimitError
-        If a sample is outside the range or a limit.
-    CollisionError
-        If something touches, at a sample or between two; `where` says when.
+    Raises:
+        LimitError: If a sample is outside the range or a limit.
+        CollisionError: If something touches, at a sample or between two; `where` says when.
     """
     began = clock()
     usage = check_limits(trajectory, robot)
@@ -82,19 +70,8 @@ def recheck(trajectory: Trajectory, robot: RobotModel, world: World, clock: Call
 def check_limits(trajectory: Trajectory, robot: RobotModel) -> LimitUsage:
     """Check every 4 ms sample of a trajectory against the robot's limits.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-    robot : RobotModel
-
-    Returns
-    -------
-    usage : LimitUsage
-
-    Raises
-    ------
-    LimitError
-        For the first sample outside, naming time, joint, quantity, value and limit.
+    Raises:
+        LimitError: For the first sample outside, naming time, joint, quantity, value and limit.
     """
     sampled = sampled_usage(trajectory, robot)
     _check_range(sampled, robot)
@@ -112,18 +89,12 @@ def check_limits(trajectory: Trajectory, robot: RobotModel) -> LimitUsage:
 def check_free(q: np.ndarray, times: np.ndarray, world: World) -> None:
     """Check that nothing touches in the rows and between them, where each joint goes evenly from one row to the next.
 
-    Parameters
-    ----------
-    q : array, shape (m, n)
-        Successive joint values.
-    times : array, shape (m,)
-        When each is reached [s], for the message.
-    world : CollisionWorld
+    Args:
+        q: Shape (m, n). Successive joint values.
+        times: Shape (m,). When each is reached [s], for the message.
 
-    Raises
-    ------
-    CollisionError
-        For the first contact, with the pair and ``at ... s``.
+    Raises:
+        CollisionError: For the first contact, with the pair and ``at ... s``.
     """
     found = world.first_contact(q)
     if found is not None:

@@ -22,11 +22,8 @@ TOOL_STEP = 0.05
 class PlanBounds:
     """The largest plan that is made.
 
-    Attributes
-    ----------
-    duration : float
-        [s]
-    waypoints : float
+    Attributes:
+        duration: [s]
     """
 
     duration: float = math.inf
@@ -35,16 +32,11 @@ class PlanBounds:
     def check(self, duration: float, waypoints: float = 0) -> None:
         """Check a plan that is about to be made.
 
-        Parameters
-        ----------
-        duration : float
-            [s]
-        waypoints : float, optional
+        Args:
+            duration: [s]
 
-        Raises
-        ------
-        PlanSizeError
-            If it would be too large; also if the duration is not a number.
+        Raises:
+            PlanSizeError: If it would be too large; also if the duration is not a number.
         """
         if not duration <= self.duration:
             raise PlanSizeError("duration", duration, self.duration, " s", "ask for a faster or shorter motion")
@@ -56,9 +48,7 @@ class PlanBounds:
     def check_tool_path(self, length: float, speed: float | None) -> None:
         """Check the length of a tool path [m], and the time it takes at a speed of the tool [m/s] (None: any).
 
-        Raises
-        ------
-        PlanSizeError
+        Raises PlanSizeError.
         """
         if speed is not None:
             self.check(length / speed)
@@ -72,10 +62,8 @@ def check_request(
 ) -> None:
     """Check what a request asks of a plan besides its path; see `timing.time_path`.
 
-    Raises
-    ------
-    PlanningError
-        Naming the argument, its value and what was expected.
+    Raises:
+        PlanningError: Naming the argument, its value and what was expected.
     """
     if duration is not None and not 0.0 < duration < math.inf:
         raise PlanningError(f"the requested duration is {duration} s; expected a positive number")

@@ -42,9 +42,8 @@ SLOWER_TRIES = 10
 class MotionLimits:
     """The part of the robot's limits that a motion may use; all symmetric.
 
-    Attributes
-    ----------
-    velocity, acceleration, jerk : array, shape (n,)
+    Attributes:
+        velocity, acceleration, jerk: Shape (n,)
     """
 
     velocity: np.ndarray
@@ -62,14 +61,10 @@ class MotionLimits:
 class TimeScaling:
     """The curve parameter s over time, from 0 to the curve's length, from rest to rest.
 
-    Attributes
-    ----------
-    duration : float
-        [s]
-    derivatives : tuple of PPoly, length 3
-        s, ds/dt and d2s/dt2 over t in [0, `duration`].
-    blur : float
-        Half-width of the smoothing: values this far before and after are averaged [s].
+    Attributes:
+        duration: [s]
+        derivatives: Length 3. s, ds/dt and d2s/dt2 over t in [0, `duration`].
+        blur: Half-width of the smoothing: values this far before and after are averaged [s].
     """
 
     duration: float
@@ -83,10 +78,8 @@ class RestToRest:
 
     It is the velocity trapezoid with `acceleration`, smoothed by a moving average over `window`.
 
-    Attributes
-    ----------
-    distance, velocity, acceleration, window : float
-        `velocity` and `acceleration` are the values reached, at most the limits.
+    Attributes:
+        distance, velocity, acceleration, window: `velocity` and `acceleration` are the values reached, at most the limits.
     """
 
     distance: float
@@ -128,13 +121,9 @@ class RestToRest:
 def straight_time_scaling(curve: JointCurve, limits: MotionLimits, top_speed: float = math.inf) -> TimeScaling:
     """Return the fastest smooth time scaling of a straight curve.
 
-    Parameters
-    ----------
-    curve : JointCurve
-        With `straight` true.
-    limits : MotionLimits
-    top_speed : float
-        Largest ds/dt.
+    Args:
+        curve: With `straight` true.
+        top_speed: Largest ds/dt.
     """
     direction = np.abs(curve(np.zeros(1), 1)[0])
     moving = direction > 0.0
@@ -148,18 +137,12 @@ def straight_time_scaling(curve: JointCurve, limits: MotionLimits, top_speed: fl
 class TimeScalingSearch:
     """Finds the time scaling of one curve, repeatedly with less speed where the last one was too fast.
 
-    Parameters
-    ----------
-    curve : JointCurve or alike
-        With `length`, `knots` and `__call__(s, order)`.
-    limits : MotionLimits
-    top_speed : float
-        Largest ds/dt.
+    Args:
+        curve: JointCurve or alike. With `length`, `knots` and `__call__(s, order)`.
+        top_speed: Largest ds/dt.
 
-    Raises
-    ------
-    PlanningError
-        From `find`, if no motion is within the limits.
+    Raises:
+        PlanningError: From `find`, if no motion is within the limits.
     """
 
     def __init__(self, curve, limits: MotionLimits, top_speed: float = math.inf):
@@ -233,12 +216,9 @@ def smoothed(s_over_time: PPoly, first: float, second: float) -> TimeScaling:
     d2s/dt2 of the result is a difference of four values of s divided by the windows, hence quadratic between shifted
     knots: three samples give each piece exactly, and integrating it keeps s and its derivatives consistent.
 
-    Parameters
-    ----------
-    s_over_time : PPoly
-        From t = 0.
-    first, second : float
-        Windows [s]; the result is longer by both.
+    Args:
+        s_over_time: From t = 0.
+        first, second: Windows [s]; the result is longer by both.
     """
     end = s_over_time.x[-1]
     shifts = np.array([0.0, first, second, first + second])

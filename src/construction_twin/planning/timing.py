@@ -78,45 +78,26 @@ def time_path(
     `LIMIT_FRACTION` times `acceleration_scale` of the robot's limits, its jerk within the robot's limit, its positions
     within the range.
 
-    Parameters
-    ----------
-    path : array, shape (m, n)
-        Points of the path [rad] ([m] for a prismatic joint), at least two. Two make a straight line.
-    robot : RobotModel
-    duration : float, optional
-        Duration of the motion [s], to the nanosecond. Default: as short as the limits allow.
-    speed_scale : float, optional
-        Fraction of the velocity limits in (0, 1].
-    acceleration_scale : float, optional
-        Fraction of the acceleration limits in (0, 1]. Default: `speed_scale`.
-    waypoints : int, optional
-        Number of waypoints, equally spaced in time, at least 2. With few waypoints the motion between two of them leaves
-        the path. Default: one every `WAYPOINT_SPACING`, at least `MINIMUM_WAYPOINTS`.
-    corner_fraction : float, optional
-        In (0, 1]: follow the straight lines between the points and round the corners over this fraction of the available
-        length (`curves.rounded`); never out of range. Default: a curve through all points (`curves.interpolated`, or
-        `curves.monotone` where that would leave the range).
-    bounds : PlanBounds, optional
-        Largest duration and number of waypoints. Default: any.
-    times : array, shape (m,), optional
-        Increasing [s]: from one point to the next the motion takes no less time than these do. Not with `corner_fraction`.
+    Args:
+        path: Shape (m, n). Points of the path [rad] ([m] for a prismatic joint), at least two. Two make a straight line.
+        duration: Duration of the motion [s], to the nanosecond. Default: as short as the limits allow.
+        speed_scale: Fraction of the velocity limits in (0, 1].
+        acceleration_scale: Fraction of the acceleration limits in (0, 1]. Default: `speed_scale`.
+        waypoints: Number of waypoints, equally spaced in time, at least 2. With few waypoints the motion between two of them leaves
+            the path. Default: one every `WAYPOINT_SPACING`, at least `MINIMUM_WAYPOINTS`.
+        corner_fraction: In (0, 1]: follow the straight lines between the points and round the corners over this fraction of the
+            available length (`curves.rounded`); never out of range. Default: a curve through all points (`curves.interpolated`, or
+            `curves.monotone` where that would leave the range).
+        bounds: Largest duration and number of waypoints. Default: any.
+        times: Shape (m,). Increasing [s]: from one point to the next the motion takes no less time than these do. Not with
+            `corner_fraction`.
 
-    Returns
-    -------
-    trajectory : Trajectory
-
-    Raises
-    ------
-    DurationError
-        If `duration` is shorter than the limits allow.
-    JointRangeError
-        If a point is out of range, or the motion between few waypoints leaves the range.
-    PlanSizeError
-        If the motion would be larger than `bounds`.
-    TrajectoryError
-        If the path ends where it starts, or its shape or a value is invalid.
-    PlanningError
-        If another argument is invalid, or the path cannot be timed.
+    Raises:
+        DurationError: If `duration` is shorter than the limits allow.
+        JointRangeError: If a point is out of range, or the motion between few waypoints leaves the range.
+        PlanSizeError: If the motion would be larger than `bounds`.
+        TrajectoryError: If the path ends where it starts, or its shape or a value is invalid.
+        PlanningError: If another argument is invalid, or the path cannot be timed.
     """
     acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
     check_request(duration, speed_scale, acceleration_scale, waypoints, corner_fraction)
@@ -153,31 +134,20 @@ def time_curve(
 ) -> TimedCurve:
     """Time a given smooth joint curve from rest to rest, as fast as the limits allow.
 
-    Parameters
-    ----------
-    curve : JointCurve or alike
-        Has `length`, `knots` (where its pieces meet, with both ends) and ``curve(s, order)`` for orders 0 to 2.
-    robot : RobotModel
-    speed_scale, acceleration_scale : float, optional
-        As in `time_path`.
-    top_speed : float, optional
-        Largest ds/dt [unit of `length` per s], for a curve over the length of the tool's path the tool's speed.
-    spacing : float, optional
-        Time between waypoints [s]; with a shorter one the motion stays closer to the curve.
-    bounds : PlanBounds, optional
-        As in `time_path`.
+    Args:
+        curve: JointCurve or alike. Has `length`, `knots` (where its pieces meet, with both ends) and ``curve(s, order)`` for orders
+            0 to 2.
+        speed_scale, acceleration_scale: As in `time_path`.
+        top_speed: Largest ds/dt [unit of `length` per s], for a curve over the length of the tool's path the tool's speed.
+        spacing: Time between waypoints [s]; with a shorter one the motion stays closer to the curve.
+        bounds: As in `time_path`.
 
-    Returns
-    -------
-    timed : TimedCurve
+    Returns:
         Its duration is a whole number of 4 ms cycles, so that motions joined one after the other stay on one 4 ms grid.
 
-    Raises
-    ------
-    JointRangeError
-        If the curve leaves the range.
-    PlanningError
-        If an argument is invalid, the motion would be too large, or the curve cannot be timed.
+    Raises:
+        JointRangeError: If the curve leaves the range.
+        PlanningError: If an argument is invalid, the motion would be too large, or the curve cannot be timed.
     """
     acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
     check_request(None, speed_scale, acceleration_scale, None, None)
@@ -196,13 +166,10 @@ def minimum_duration(start: np.ndarray, goal: np.ndarray, robot: RobotModel) -> 
     Each joint alone moves within its full velocity, acceleration and jerk limits; the slowest joint gives the bound. No motion
     within the limits is faster; most take longer.
 
-    Parameters
-    ----------
-    start, goal : array, shape (n,)
+    Args:
+        start, goal: Shape (n,)
 
-    Returns
-    -------
-    duration : float
+    Returns:
         [s]; 0 where nothing moves.
     """
     distances = np.abs(np.asarray(goal, dtype=float) - start)
@@ -214,13 +181,11 @@ def with_midpoints(path: np.ndarray) -> np.ndarray:
     """Halve every segment of a path, so that a curve through its points stays closer to the straight lines between
     them.
 
-    Parameters
-    ----------
-    path : array, shape (m, n)
+    Args:
+        path: Shape (m, n)
 
-    Returns
-    -------
-    denser : array, shape (2 * m - 1, n)
+    Returns:
+        Shape (2 * m - 1, n)
     """
     denser = np.empty((2 * len(path) - 1, path.shape[1]))
     denser[::2] = path
@@ -232,12 +197,8 @@ def with_midpoints(path: np.ndarray) -> np.ndarray:
 class TimedCurve:
     """A curve with a motion along it.
 
-    Attributes
-    ----------
-    trajectory : Trajectory
-    scaling : TimeScaling
-    stretch : float
-        The trajectory is this many times slower than `scaling`.
+    Attributes:
+        stretch: The trajectory is this many times slower than `scaling`.
     """
 
     trajectory: Trajectory
@@ -247,15 +208,11 @@ class TimedCurve:
     def parameter(self, times: np.ndarray) -> np.ndarray:
         """Return where on the curve the motion is.
 
-        Parameters
-        ----------
-        times : array, shape (m,)
-            [s]
+        Args:
+            times: Shape (m,). [s]
 
-        Returns
-        -------
-        s : array, shape (m,)
-            From 0 to the curve's length.
+        Returns:
+            Shape (m,). From 0 to the curve's length.
         """
         return self.scaling.derivatives[0](np.clip(times / self.stretch, 0.0, self.scaling.duration))
 
@@ -323,7 +280,8 @@ class _Request:
 
     def _slowed(self, curve, scaling: TimeScaling, ends: np.ndarray, least: float = 1.0) -> TimedCurve:
         """Slow a motion by the smallest factor (at least 1 and `least`, to `STRETCH_STEP`) that brings it into the
-        limits."""
+        limits.
+        """
         stretch = max(1.0, least)
         for _ in range(STRETCH_ROUNDS):
             if self.whole_cycles:

@@ -34,15 +34,11 @@ SMOOTH = 1e-6
 class ToolWaypoint:
     """Where one segment of a tool path ends.
 
-    Attributes
-    ----------
-    pose : Pose
-        Of the tip in the robot's base.
-    via : array, shape (3,), or None
-        Any other point of the circular arc that leads here [m]; None: a straight line.
-    blend : float
-        Radius of the rounded corner [m]: how far before and after the waypoint, along the path, the tool leaves the
-        segments. 0: the tool stops here, unless the path goes on in the same direction. The last one always stops.
+    Attributes:
+        pose: Of the tip in the robot's base.
+        via: Shape (3,). Any other point of the circular arc that leads here [m]; None: a straight line.
+        blend: Radius of the rounded corner [m]: how far before and after the waypoint, along the path, the tool leaves the
+            segments. 0: the tool stops here, unless the path goes on in the same direction. The last one always stops.
     """
 
     pose: Pose
@@ -54,16 +50,11 @@ class ToolWaypoint:
 class Piece:
     """The part of a tool path from one stop to the next.
 
-    Attributes
-    ----------
-    begin, end : float
-        Along the path [m].
-    turn : bool
-        It is a turn on the spot, to which the tool's speed does not apply.
-    knots : tuple of float
-        Where the segments meet, `begin` and `end` included.
-    cells : tuple of int
-        Number of samples of each segment to start with.
+    Attributes:
+        begin, end: Along the path [m].
+        turn: It is a turn on the spot, to which the tool's speed does not apply.
+        knots: Where the segments meet, `begin` and `end` included.
+        cells: Number of samples of each segment to start with.
     """
 
     begin: float
@@ -101,23 +92,15 @@ class _Trimmed:
 class ToolPath:
     """A checked tool path.
 
-    Parameters
-    ----------
-    start : Pose
-        The tool's pose.
-    waypoints : sequence of ToolWaypoint
-        At least one that differs from the start.
+    Args:
+        start: The tool's pose.
+        waypoints: At least one that differs from the start.
 
-    Attributes
-    ----------
-    length : float
-        [m], turns on the spot counted by `TURN_LENGTH`.
-    pieces : tuple of Piece
+    Attributes:
+        length: [m], turns on the spot counted by `TURN_LENGTH`.
 
-    Raises
-    ------
-    PlanningError
-        If no waypoint differs from the start, an arc has no circle, or a blend does not fit; names the waypoint.
+    Raises:
+        PlanningError: If no waypoint differs from the start, an arc has no circle, or a blend does not fit; names the waypoint.
     """
 
     def __init__(self, start: Pose, waypoints: Sequence[ToolWaypoint]):
@@ -136,15 +119,12 @@ class ToolPath:
     def poses(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the commanded poses along the path.
 
-        Parameters
-        ----------
-        s : array, shape (m,)
-            [m], from 0 to `length`.
+        Args:
+            s: Shape (m,). [m], from 0 to `length`.
 
-        Returns
-        -------
-        positions : array, shape (m, 3)
-        rotations : array, shape (m, 3, 3)
+        Returns:
+            positions: Shape (m, 3)
+            rotations: Shape (m, 3, 3)
         """
         s = np.asarray(s, dtype=float)
         positions, rotations = np.empty((len(s), 3)), np.empty((len(s), 3, 3))

@@ -31,23 +31,16 @@ SPACING, CLOSEST = 0.01, 1e-4
 def way_back(path: ExecutedPath, present: JointValues, robot: RobotModel) -> Trajectory:
     """Return the motion from where the arm is back along a path to its beginning.
 
-    Parameters
-    ----------
-    path : ExecutedPath
-    present : sequence of float, length n
-        The arm's pose. Beside the path by more than a quarter of `WAY_BACK_TOLERANCE`, it goes straight to the nearest point of it
-        first, and rests there.
-    robot : RobotModel
+    Args:
+        present: Length n. The arm's pose. Beside the path by more than a quarter of `WAY_BACK_TOLERANCE`, it goes straight to the
+            nearest point of it first, and rests there.
 
-    Returns
-    -------
-    trajectory : Trajectory
+    Returns:
         Begins where the arm is, to that quarter.
 
-    Raises
-    ------
-    PlanningError
-        If the arm is too far from the path, or at its beginning already, or the path cannot be gone back within the limits.
+    Raises:
+        PlanningError: If the arm is too far from the path, or at its beginning already, or the path cannot be gone back within the
+            limits.
     """
     pose = np.array(present, dtype=float)
     if path.trajectory.joint_names != tuple(robot.joint_names):

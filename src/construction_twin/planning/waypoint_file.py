@@ -45,24 +45,16 @@ _RATES = {"_s": "velocities", "_s2": "accelerations"}
 def parse_waypoints(text: str, robot: RobotModel, columns: str = "") -> Waypoints:
     """Read the text of a CSV file of waypoints.
 
-    Parameters
-    ----------
-    text : str
-    robot : RobotModel
-    columns : str, optional
-        For a file without a line of names: the names of its columns, separated by commas. ``joints_rad`` and ``joints_deg`` stand
-        for a column of every joint in the robot's order (a prismatic joint: in m, in mm), ``joints_rad_s`` and ``joints_rad_s2``
-        for its velocities and accelerations. Empty: the file names them.
+    Args:
+        columns: For a file without a line of names: the names of its columns, separated by commas. ``joints_rad`` and
+            ``joints_deg`` stand for a column of every joint in the robot's order (a prismatic joint: in m, in mm), ``joints_rad_s``
+            and ``joints_rad_s2`` for its velocities and accelerations. Empty: the file names them.
 
-    Returns
-    -------
-    waypoints : Waypoints
+    Returns:
         `rows` are the file's lines, from 1.
 
-    Raises
-    ------
-    WaypointsError
-        Naming the line, the column, what was found and what was expected.
+    Raises:
+        WaypointsError: Naming the line, the column, what was found and what was expected.
     """
     lines = [
         (number, line.split("#", 1)[0].strip()) for number, line in enumerate(text.lstrip("\ufeff").splitlines(), 1)
@@ -125,15 +117,10 @@ def format_waypoints(
 
     Numbers are the shortest decimals that give the same 64 bit value again: read back, a file in rad has the trajectory's hash.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-    linear : iterable of bool, length n
-        Which joints are prismatic.
-    comments : iterable of str, optional
-        Lines before the names, after ``#``.
-    degrees : bool, optional
-        In deg and mm; exact to the last digit or two. Otherwise in rad and m.
+    Args:
+        linear: Length n. Which joints are prismatic.
+        comments: Lines before the names, after ``#``.
+        degrees: In deg and mm; exact to the last digit or two. Otherwise in rad and m.
     """
     units = [("mm" if is_linear else "deg") if degrees else ("m" if is_linear else "rad") for is_linear in linear]
     names = [_TIME]

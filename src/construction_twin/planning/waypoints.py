@@ -54,19 +54,13 @@ class Unit:
 class Waypoints:
     """Waypoints in the robot's joint order, not yet checked against its limits.
 
-    Attributes
-    ----------
-    rows : tuple of int
-        Number of each waypoint in messages: a line of the file, or the index of the point.
-    row_name : str
-        ``line`` or ``point``.
-    units : tuple of Unit, length n
-    positions : array, shape (m, n)
-        [rad] or [m]
-    times : array, shape (m,), or None
-        [s]
-    velocities, accelerations : array, shape (m, n), or None
-        Only with `times`.
+    Attributes:
+        rows: Number of each waypoint in messages: a line of the file, or the index of the point.
+        row_name: ``line`` or ``point``.
+        units: Length n
+        positions: Shape (m, n). [rad] or [m]
+        times: Shape (m,). [s]
+        velocities, accelerations: Shape (m, n). Only with `times`.
     """
 
     rows: tuple[int, ...]
@@ -92,26 +86,14 @@ def from_points(
 ) -> Waypoints:
     """Return the waypoints in a trajectory message. A single point is a goal: the motion to it begins at the present pose.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    joint_names : sequence of str
-        The robot's joints in any order, each once.
-    positions : sequence of sequence of float
-        Per point, in the order of `joint_names` [rad] or [m].
-    velocities, accelerations : sequence of sequence of float, optional
-        The same; None or all empty: not given.
-    times : sequence of float, optional
-        [s]; None or all 0: not given.
+    Args:
+        joint_names: The robot's joints in any order, each once.
+        positions: Per point, in the order of `joint_names` [rad] or [m].
+        velocities, accelerations: The same; None or all empty: not given.
+        times: [s]; None or all 0: not given.
 
-    Returns
-    -------
-    waypoints : Waypoints
-
-    Raises
-    ------
-    WaypointsError
-        If names or counts do not fit, or a value is not finite.
+    Raises:
+        WaypointsError: If names or counts do not fit, or a value is not finite.
     """
     if sorted(joint_names) != sorted(robot.joint_names):
         raise WaypointsError(
@@ -144,10 +126,8 @@ def from_points(
 def check_finite(waypoints: Waypoints, robot: RobotModel) -> None:
     """Check that there is a waypoint, and that every value is a finite number.
 
-    Raises
-    ------
-    WaypointsError
-        Naming row, joint and value.
+    Raises:
+        WaypointsError: Naming row, joint and value.
     """
     if not len(waypoints.positions):
         raise WaypointsError("0 waypoints; a motion needs at least one, its goal")
@@ -180,32 +160,18 @@ def plan_waypoints(
     With times, the timing is kept: the motion passes every waypoint at its time, counted from the first. Between them it
     is smooth up to the acceleration; where velocities are not given, up to the fourth derivative (quintic spline).
 
-    Parameters
-    ----------
-    waypoints : Waypoints
-    present : sequence of float, length n
-        The arm's pose. The first waypoint must be there within `START_TOLERANCE_RAD` or `START_TOLERANCE_M`, and the
-        trajectory then begins exactly at `present`. A single waypoint is the goal of a straight joint motion from there; its time
-        is how long the motion takes.
-    robot : RobotModel
-    speed_scale, acceleration_scale : float, optional
-        As in `timing.time_path`; only for waypoints without times.
-    bounds : PlanBounds, optional
-        Largest duration and number of waypoints. Default: any.
+    Args:
+        present: Length n. The arm's pose. The first waypoint must be there within `START_TOLERANCE_RAD` or `START_TOLERANCE_M`, and
+            the trajectory then begins exactly at `present`. A single waypoint is the goal of a straight joint motion from there;
+            its time is how long the motion takes.
+        speed_scale, acceleration_scale: As in `timing.time_path`; only for waypoints without times.
+        bounds: Largest duration and number of waypoints. Default: any.
 
-    Returns
-    -------
-    trajectory : Trajectory
-
-    Raises
-    ------
-    WaypointsError
-        Naming row, joint, value and limit: out of range, too far from the present pose, times that do not increase, not
-        at rest at an end, too fast.
-    PlanSizeError
-        If there are too many waypoints, or the motion would be larger than `bounds`.
-    PlanningError
-        If waypoints without times cannot be timed.
+    Raises:
+        WaypointsError: Naming row, joint, value and limit: out of range, too far from the present pose, times that do not increase,
+            not at rest at an end, too fast.
+        PlanSizeError: If there are too many waypoints, or the motion would be larger than `bounds`.
+        PlanningError: If waypoints without times cannot be timed.
     """
     bounds.check(0.0, len(waypoints.rows))
     robot.check_range(present)
@@ -247,17 +213,12 @@ def retime_waypoints(
 
     For planners that know no jerk limit (MoveIt, and whoever else plans with steps of acceleration): nothing that they time fits.
 
-    Parameters
-    ----------
-    waypoints : Waypoints
-        With times.
-    present, robot, speed_scale, acceleration_scale, bounds : optional
-        As for `plan_waypoints`.
+    Args:
+        waypoints: With times.
+        present, robot, speed_scale, acceleration_scale, bounds: As for `plan_waypoints`.
 
-    Raises
-    ------
-    WaypointsError, PlanSizeError, PlanningError
-        As `plan_waypoints` without times.
+    Raises:
+        WaypointsError, PlanSizeError, PlanningError: As `plan_waypoints` without times.
     """
     if len(waypoints.positions) == 1:
         waypoints = _goal_from(waypoints, np.array(present, dtype=float))
@@ -354,10 +315,8 @@ def _check_times(waypoints: Waypoints, times: np.ndarray) -> None:
 def _moving_end(waypoints: Waypoints, robot: RobotModel) -> WaypointTimesError | None:
     """Return why the times of a motion must be replaced whose ends are nearly at rest; None where both are.
 
-    Raises
-    ------
-    WaypointsError
-        If a joint moves at an end.
+    Raises:
+        WaypointsError: If a joint moves at an end.
     """
     ends = [0, len(waypoints.rows) - 1]
 

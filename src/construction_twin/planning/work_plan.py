@@ -45,18 +45,11 @@ CARRIED_DISTANCE, CARRIED_ANGLE = 2e-3, float(np.radians(0.2))
 class AskedSegment:
     """One part of a work plan as it is asked for.
 
-    Attributes
-    ----------
-    name : str
-        For people and records.
-    trajectory : Trajectory
-        From rest to rest; begins where the one before ends.
-    engaged : bool, optional
-    requires : tuple of Signal, optional
-    switches : tuple of Switch, optional
-        As in `robot.segments.Segment`.
-    change : SceneChange, optional
-        Of the scene, after the switches.
+    Attributes:
+        name: For people and records.
+        trajectory: From rest to rest; begins where the one before ends.
+        switches: As in `robot.segments.Segment`.
+        change: Of the scene, after the switches.
     """
 
     name: str
@@ -79,39 +72,22 @@ def plan_work(
 ) -> Plan:
     """Join segments to a plan and check each in its scene, limits at every 4 ms, contacts between these samples too.
 
-    Parameters
-    ----------
-    task : str
-        Id of the task, which the plan's hash covers.
-    asked : sequence of AskedSegment
-    present : sequence of float, length n
-        The arm's pose. The first segment must begin there within `START_TOLERANCE_RAD` or `START_TOLERANCE_M`; what is left of
-        the difference fades away during the segment, so that the plan begins exactly at `present`.
-    request : PlanRequest
-        Its duration, scales and number of waypoints are not used.
-    world : CollisionWorld
-        The robot in the present scene, with its neighbour.
-    bounds : PlanBounds
-        Of the whole plan.
-    clock : callable
-        Returns seconds from any fixed origin.
-    planner : str, optional
-        How the motions were found, for the reviewer.
+    Args:
+        task: Id of the task, which the plan's hash covers.
+        present: Length n. The arm's pose. The first segment must begin there within `START_TOLERANCE_RAD` or `START_TOLERANCE_M`;
+            what is left of the difference fades away during the segment, so that the plan begins exactly at `present`.
+        request: Its duration, scales and number of waypoints are not used.
+        world: The robot in the present scene, with its neighbour.
+        bounds: Of the whole plan.
+        clock: Returns seconds from any fixed origin.
+        planner: How the motions were found, for the reviewer.
 
-    Returns
-    -------
-    plan : Plan
-
-    Raises
-    ------
-    SegmentError
-        Naming the segment. Its cause: `TrajectoryError` if it does not begin where the one before ends, or does not begin and end
-        at rest; `LimitError`, `CollisionError`, also at its end after its change of the scene; `SceneError` if the change is
-        impossible; `PlanningError` for names, numbers and counts that make no sense.
-    PlanSizeError
-        If the plan would be too large.
-    PlanningError
-        If there is no task, or no segment.
+    Raises:
+        SegmentError: Naming the segment. Its cause: `TrajectoryError` if it does not begin where the one before ends, or does not
+            begin and end at rest; `LimitError`, `CollisionError`, also at its end after its change of the scene; `SceneError` if
+            the change is impossible; `PlanningError` for names, numbers and counts that make no sense.
+        PlanSizeError: If the plan would be too large.
+        PlanningError: If there is no task, or no segment.
     """
     began = clock()
     _check_counts(task, asked, bounds)
@@ -283,16 +259,12 @@ def _check_begin(missing: np.ndarray, robot: RobotModel, at_present: bool) -> No
 def joined(parts: Sequence[Trajectory]) -> tuple[Trajectory, list[float]]:
     """Join trajectories of which each begins where the one before ends.
 
-    Parameters
-    ----------
-    parts : sequence of Trajectory
-        At least one.
+    Args:
+        parts: At least one.
 
-    Returns
-    -------
-    trajectory : Trajectory
-    ends : list of float
-        Time of each one's end in it [s].
+    Returns:
+        trajectory
+        ends: Time of each one's end in it [s].
     """
     # whole nanoseconds are added, so that no end depends on how sums of seconds are rounded
     spans = [np.round(part.times * NANOSECONDS).astype(np.int64) for part in parts]

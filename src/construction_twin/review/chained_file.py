@@ -34,18 +34,8 @@ class LogState:
 def verify(path: str | Path) -> LogState:
     """Check a chained file from its first line to its last.
 
-    Parameters
-    ----------
-    path : str or Path
-
-    Returns
-    -------
-    state : LogState
-
-    Raises
-    ------
-    ConfigurationError
-        Naming the first line that is not what it was when it was written, or a file that cannot be read.
+    Raises:
+        ConfigurationError: Naming the first line that is not what it was when it was written, or a file that cannot be read.
     """
     content = read_whole(Path(path))
     lines = content.split(b"\n")
@@ -69,10 +59,8 @@ def iso_time(now: int) -> str:
 def read_whole(path: Path) -> bytes:
     """Return a file's contents.
 
-    Raises
-    ------
-    ConfigurationError
-        If it cannot be read.
+    Raises:
+        ConfigurationError: If it cannot be read.
     """
     try:
         return path.read_bytes()
@@ -83,26 +71,16 @@ def read_whole(path: Path) -> bytes:
 class ChainedFile:
     """Appends to a chained file, which is created when it does not exist. Not for several threads at once.
 
-    Parameters
-    ----------
-    path : str or Path
-    failure : callable
-        Takes the path and what is wrong; returns the error that is raised when a line cannot be appended.
-    writer : str
-        Who else may be writing it, for the sentence: ``executor``.
-    mend : bool, optional
-        A last line without its end was never reported as written (the power failed): it is cut off. By default it is refused.
+    Args:
+        failure: Takes the path and what is wrong; returns the error that is raised when a line cannot be appended.
+        writer: Who else may be writing it, for the sentence: ``executor``.
+        mend: A last line without its end was never reported as written (the power failed): it is cut off. By default it is refused.
 
-    Attributes
-    ----------
-    path : Path
-    mended : int
-        Bytes that were cut off.
+    Attributes:
+        mended: Bytes that were cut off.
 
-    Raises
-    ------
-    ConfigurationError
-        When the file cannot be written, another process writes it, or its chain is broken.
+    Raises:
+        ConfigurationError: When the file cannot be written, another process writes it, or its chain is broken.
     """
 
     def __init__(
@@ -129,17 +107,12 @@ class ChainedFile:
     def append(self, now: int, fields: dict) -> None:
         """Write one line; when this returns it is on the disk.
 
-        Parameters
-        ----------
-        now : int
-            Time since 1970 [ns].
-        fields : dict
-            What JSON can hold.
+        Args:
+            now: Time since 1970 [ns].
+            fields: What JSON can hold.
 
-        Raises
-        ------
-        ConstructionTwinError
-            What `failure` makes. What could be written of the line is taken back.
+        Raises:
+            ConstructionTwinError: What `failure` makes. What could be written of the line is taken back.
         """
         fields = {"time": iso_time(now), "time_ns": now} | fields | {"previous": self._state.head}
         line = json.dumps(fields, allow_nan=False).encode()

@@ -16,16 +16,11 @@ EXECUTOR = "executor"
 class Verdict:
     """What was decided about a plan, by whom and why.
 
-    Attributes
-    ----------
-    verdict : str
-        ``approved``, ``rejected``, ``refused`` (an approval that could not be taken) or ``withdrawn`` (by the executor).
-    plan_id, plan_hash : str
-        As the reviewer named them; the hash may be empty in a refusal.
-    reviewer, reason : str
-        The reviewer's words; of a refusal, why it was refused.
-    plan : Plan or None
-        The plan, where it was known.
+    Attributes:
+        verdict: ``approved``, ``rejected``, ``refused`` (an approval that could not be taken) or ``withdrawn`` (by the executor).
+        plan_id, plan_hash: As the reviewer named them; the hash may be empty in a refusal.
+        reviewer, reason: The reviewer's words; of a refusal, why it was refused.
+        plan: The plan, where it was known.
     """
 
     verdict: str
@@ -73,14 +68,10 @@ class ReviewQueue:
 
     An approval covers one execution of one plan, in the scene it was checked against.
 
-    Attributes
-    ----------
-    plan : Plan or None
-        Under review.
-    scene : str
-        Hash of the present scene; empty while none is known.
-    scene_alive : bool
-        Whether the scene's publisher is there, which would tell that the scene changes.
+    Attributes:
+        plan: Under review.
+        scene: Hash of the present scene; empty while none is known.
+        scene_alive: Whether the scene's publisher is there, which would tell that the scene changes.
     """
 
     def __init__(self):
@@ -93,11 +84,9 @@ class ReviewQueue:
     def offer(self, plan: Plan) -> Plan | None:
         """Put a plan under review, unless it was decided already; return the plan that it replaces.
 
-        Raises
-        ------
-        ReviewError
-            When it, or one of its segments, does not start and end at rest, or was asked for before the queue was last voided.
-            (That a plan's hash is that of its content is the Plan's own matter.)
+        Raises:
+            ReviewError: When it, or one of its segments, does not start and end at rest, or was asked for before the queue was last
+                voided. (That a plan's hash is that of its content is the Plan's own matter.)
         """
         trajectory = plan.trajectory
         if any(rows[end].any() for rows in (trajectory.velocities, trajectory.accelerations) for end in (0, -1)):
@@ -137,21 +126,11 @@ class ReviewQueue:
     def decide(self, plan_id: str, plan_hash: str, reviewer: str) -> Plan:
         """Take the named plan out of review to carry out a verdict on it.
 
-        Parameters
-        ----------
-        plan_id : str
-        plan_hash : str
-            Hash of the plan that was looked at; "" when the reviewer did not compare.
-        reviewer : str
-            Must not be empty.
+        Args:
+            plan_hash: Hash of the plan that was looked at; "" when the reviewer did not compare.
+            reviewer: Must not be empty.
 
-        Returns
-        -------
-        plan : Plan
-
-        Raises
-        ------
-        ReviewError
+        Raises ReviewError.
         """
         plan = self.check(plan_id, plan_hash, reviewer)
         self.clear()

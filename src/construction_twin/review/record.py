@@ -30,13 +30,9 @@ KEPT = 1000
 class Responsibility:
     """A bare PLC was armed by a person, who is responsible for what is not checked; see docs/broker.md.
 
-    Attributes
-    ----------
-    name : str
-        Of the person.
-    session : str
-        Id of the command session that it is for.
-    not_checked : tuple of str
+    Attributes:
+        name: Of the person.
+        session: Id of the command session that it is for.
     """
 
     name: str
@@ -48,13 +44,9 @@ class Responsibility:
 class Release:
     """A person has freed an arm that was engaged, and says how.
 
-    Attributes
-    ----------
-    person, reason : str
-    plan, task, segment : str
-        Where it was left.
-    refused : str
-        Why it stays engaged after all; empty: it does not.
+    Attributes:
+        plan, task, segment: Where it was left.
+        refused: Why it stays engaged after all; empty: it does not.
     """
 
     person: str
@@ -82,14 +74,10 @@ class _Deferred:
 class Fate:
     """What the record says of one plan.
 
-    Attributes
-    ----------
-    plan : str
-        Its id; empty: the record has none that fits.
-    approved : bool or None
-        None: the record cannot be read.
-    outcome : str
-        Of its execution; empty: none is recorded.
+    Attributes:
+        plan: Its id; empty: the record has none that fits.
+        approved: None: the record cannot be read.
+        outcome: Of its execution; empty: none is recorded.
     """
 
     plan: str
@@ -100,13 +88,9 @@ class Fate:
 def read_fate(path: str | Path, plan_id: str, source: str = "") -> Fate:
     """Return what a review file, which another process may be writing, says of a plan.
 
-    Parameters
-    ----------
-    path : str or Path
-    plan_id : str
-        Empty: the plan is known by its source alone.
-    source : str, optional
-        Part of the plan's source; empty: its id must fit.
+    Args:
+        plan_id: Empty: the plan is known by its source alone.
+        source: Part of the plan's source; empty: its id must fit.
     """
     try:
         lines = read_whole(Path(path)).split(b"\n")[:-1]
@@ -125,26 +109,17 @@ def read_fate(path: str | Path, plan_id: str, source: str = "") -> Fate:
 class ReviewLog:
     """Appends records to a review file, which is created when it does not exist; for use from several threads.
 
-    Parameters
-    ----------
-    path : str or Path
-        ``~`` is the home folder.
-    clock : callable
-        Returns the time since 1970 in UTC [ns].
+    Args:
+        path: ``~`` is the home folder.
+        clock: Returns the time since 1970 in UTC [ns].
 
-    Attributes
-    ----------
-    responsibility : Responsibility or None
-        What is in force; it is recorded with every verdict.
-    lost : int
-        Deferred records that were not kept, because `KEPT` others waited for a file that could not be written.
+    Attributes:
+        responsibility: What is in force; it is recorded with every verdict.
+        lost: Deferred records that were not kept, because `KEPT` others waited for a file that could not be written.
 
-    Raises
-    ------
-    ConfigurationError
-        When the path is empty, the file cannot be written, another process writes it, or its chain is broken.
-    RecordError
-        When the record of an execution that had no end cannot be written.
+    Raises:
+        ConfigurationError: When the path is empty, the file cannot be written, another process writes it, or its chain is broken.
+        RecordError: When the record of an execution that had no end cannot be written.
     """
 
     def __init__(self, path: str | Path, clock: Callable[[], int]):
@@ -182,10 +157,8 @@ class ReviewLog:
     def flush(self) -> None:
         """Write what was deferred.
 
-        Raises
-        ------
-        RecordError
-            When it cannot be; what is not written stays deferred.
+        Raises:
+            RecordError: When it cannot be; what is not written stays deferred.
         """
         with self._lock:
             while self._deferred:
@@ -201,10 +174,8 @@ class ReviewLog:
     def append(self, record: Record) -> None:
         """Write one record, behind those that were deferred; when this returns it is on the disk.
 
-        Raises
-        ------
-        RecordError
-            When it is not. What could be written of it is taken back.
+        Raises:
+            RecordError: When it is not. What could be written of it is taken back.
         """
         self.flush()
         with self._lock:

@@ -49,14 +49,10 @@ _Turned = Annotated[float, pydantic.Field(ge=-_MOST_TURNED, le=_MOST_TURNED)]
 class AxisMapping:
     """How a joint appears on the wire and in RSI: ``rsi_value = sign * q + offset``.
 
-    Attributes
-    ----------
-    rsi : str
-        Attribute name in RSI telegrams, e.g. ``A1``, or ``E1`` for an external axis.
-    sign : int
-        +1 or -1.
-    offset : float
-        [rad] ([m] for a prismatic joint).
+    Attributes:
+        rsi: Attribute name in RSI telegrams, e.g. ``A1``, or ``E1`` for an external axis.
+        sign: +1 or -1.
+        offset: [rad] ([m] for a prismatic joint).
     """
 
     rsi: str
@@ -70,31 +66,19 @@ class RobotModel:
 
     The units given are those of a revolute joint; where `linear` is True, the joint is prismatic: read m for rad.
 
-    Attributes
-    ----------
-    name : str
-    urdf : str
-        The URDF's XML text (already expanded).
-    base_link, tip_link : str
-        Ends of the kinematic chain.
-    joint_names : tuple of str, length n
-    lower, upper : tuple of float, length n
-        Joint range [rad].
-    velocity : tuple of float, length n
-        [rad/s]
-    acceleration : tuple of float, length n
-        [rad/s^2]
-    jerk : tuple of float, length n
-        [rad/s^3]
-    home : tuple of float, length n
-        [rad], within the range.
-    axes : tuple of AxisMapping, length n
-    linear : tuple of bool, length n
-        True: a prismatic joint, whose values are in m, m/s, m/s^2, m/s^3.
-    other_joints : tuple of OtherJoint
-        The movable joints outside of the chain, and where they stand.
-    estimates : tuple of str
-        Which of the robot YAML's values are estimates, some of `ESTIMATES`: a real arm must not move by them.
+    Attributes:
+        urdf: The URDF's XML text (already expanded).
+        base_link, tip_link: Ends of the kinematic chain.
+        joint_names: Length n
+        lower, upper: Length n. Joint range [rad].
+        velocity: Length n. [rad/s]
+        acceleration: Length n. [rad/s^2]
+        jerk: Length n. [rad/s^3]
+        home: Length n. [rad], within the range.
+        axes: Length n
+        linear: Length n. True: a prismatic joint, whose values are in m, m/s, m/s^2, m/s^3.
+        other_joints: The movable joints outside of the chain, and where they stand.
+        estimates: Which of the robot YAML's values are estimates, some of `ESTIMATES`: a real arm must not move by them.
     """
 
     name: str
@@ -116,17 +100,12 @@ class RobotModel:
     def check_range(self, q: JointValues) -> None:
         """Check that every joint lies within its range, limits included.
 
-        Parameters
-        ----------
-        q : sequence of float, length n
-            Joint values [rad] or [m], order of `joint_names`.
+        Args:
+            q: Length n. Joint values [rad] or [m], order of `joint_names`.
 
-        Raises
-        ------
-        JointRangeError
-            Naming the first joint outside; nan is outside every range.
-        ValueError
-            If `q` has another length.
+        Raises:
+            JointRangeError: Naming the first joint outside; nan is outside every range.
+            ValueError: If `q` has another length.
         """
         if len(q) != len(self.joint_names):
             raise ValueError(f"{len(q)} joint values for {len(self.joint_names)} joints of {self.name}")
@@ -200,21 +179,12 @@ def load_robot(urdf: str, description: Mapping) -> RobotModel:
     The robot's joints are the movable ones between the YAML's `base_link` and `tip_link`. They must be revolute, prismatic or
     continuous; one that is continuous in the URDF has its range from the YAML's `range_deg`.
 
-    Parameters
-    ----------
-    urdf : str
-        URDF XML text.
-    description : Mapping
-        The parsed robot YAML.
+    Args:
+        urdf: URDF XML text.
+        description: The parsed robot YAML.
 
-    Returns
-    -------
-    robot : RobotModel
-
-    Raises
-    ------
-    ConfigurationError
-        Naming the key (``robot/...``) or the URDF element, its value and what was expected.
+    Raises:
+        ConfigurationError: Naming the key (``robot/...``) or the URDF element, its value and what was expected.
     """
     parsed = _validate(_RobotDescription, dict(description), "robot")
     model = parse_urdf(urdf)
@@ -248,23 +218,13 @@ def load_robot(urdf: str, description: Mapping) -> RobotModel:
 def read_robot_files(urdf_path: str | Path, yaml_path: str | Path, xacro_args: str = "") -> RobotModel:
     """Build a robot from files, without ROS.
 
-    Parameters
-    ----------
-    urdf_path : str or Path
-        A URDF, or a xacro, which is expanded.
-    yaml_path : str or Path
-        The robot YAML.
-    xacro_args : str, optional
-        Arguments of the xacro, see `urdf.xacro_arguments`.
+    Args:
+        urdf_path: A URDF, or a xacro, which is expanded.
+        yaml_path: The robot YAML.
+        xacro_args: Arguments of the xacro, see `urdf.xacro_arguments`.
 
-    Returns
-    -------
-    robot : RobotModel
-
-    Raises
-    ------
-    ConfigurationError
-        See `load_robot`; also for a file that cannot be read or parsed.
+    Raises:
+        ConfigurationError: See `load_robot`; also for a file that cannot be read or parsed.
     """
     return load_robot(expand_xacro(urdf_path, xacro_arguments(xacro_args)), _read_description(yaml_path))
 
@@ -272,10 +232,8 @@ def read_robot_files(urdf_path: str | Path, yaml_path: str | Path, xacro_args: s
 def home_positions(yaml_path: str | Path) -> dict[str, float]:
     """Return the home pose of a robot YAML, and where its other joints stand, by joint name [rad], [m]; needs no URDF.
 
-    Raises
-    ------
-    ConfigurationError
-        If the file is not a robot YAML, as far as this can be told without the URDF.
+    Raises:
+        ConfigurationError: If the file is not a robot YAML, as far as this can be told without the URDF.
     """
     parsed = _validate(_RobotDescription, _read_description(yaml_path), "robot")
     kinds = {name: _PrismaticJoint if "home_mm" in joint else _RevoluteJoint for name, joint in parsed.joints.items()}

@@ -24,12 +24,9 @@ LARGEST_ENTRY = 0.02
 class Entry:
     """Where a pose lies on a path, or next to it.
 
-    Attributes
-    ----------
-    time : float
-        Of the nearest point [s]; where the path passes it more than once, the last.
-    distance : float
-        To that point.
+    Attributes:
+        time: Of the nearest point [s]; where the path passes it more than once, the last.
+        distance: To that point.
     """
 
     time: float
@@ -40,12 +37,9 @@ class Entry:
 class ExecutedPath:
     """A trajectory from its beginning to where it was left.
 
-    Attributes
-    ----------
-    trajectory : Trajectory
-        Begins at rest.
-    end : float
-        Time along it that was reached at most [s], 0 to its duration.
+    Attributes:
+        trajectory: Begins at rest.
+        end: Time along it that was reached at most [s], 0 to its duration.
     """
 
     trajectory: Trajectory
@@ -75,17 +69,13 @@ class ExecutedPath:
 def nearest_on_lines(starts: np.ndarray, ends: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return where on straight lines a pose is nearest, and how far that is.
 
-    Parameters
-    ----------
-    starts, ends : array, shape (k, n)
-    pose : array, shape (n,)
+    Args:
+        starts, ends: Shape (k, n)
+        pose: Shape (n,)
 
-    Returns
-    -------
-    fractions : array, shape (k,)
-        0 at the start, 1 at the end.
-    distances : array, shape (k,)
-        Largest over the joints.
+    Returns:
+        fractions: Shape (k,). 0 at the start, 1 at the end.
+        distances: Shape (k,). Largest over the joints.
     """
     way = ends - starts
     square = (way * way).sum(axis=1)

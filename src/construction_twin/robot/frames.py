@@ -24,15 +24,12 @@ def rotation_to_abc(rotation) -> tuple[float, float, float]:
 
     At B = +-90 deg, where only A - C (or A + C) is defined, A is 0.
 
-    Parameters
-    ----------
-    rotation : array, shape (3, 3)
-        Or any object whose elements are read by ``[row, column]``, such as a PyKDL.Frame or a PyKDL.Rotation.
+    Args:
+        rotation: Shape (3, 3). Or any object whose elements are read by ``[row, column]``, such as a PyKDL.Frame or a
+            PyKDL.Rotation.
 
-    Returns
-    -------
-    a, b, c : float
-        [rad]; A and C in [-pi, pi], B in [-pi/2, pi/2].
+    Returns:
+        a, b, c: [rad]; A and C in [-pi, pi], B in [-pi/2, pi/2].
     """
     r = rotation
     cos_b = math.hypot(r[0, 0], r[1, 0])
@@ -48,15 +45,11 @@ def rotation_to_abc(rotation) -> tuple[float, float, float]:
 def abc_to_rotation(a: float, b: float, c: float) -> np.ndarray:
     """Convert KUKA's A, B, C to a rotation matrix.
 
-    Parameters
-    ----------
-    a, b, c : float
-        [rad]
+    Args:
+        a, b, c: [rad]
 
-    Returns
-    -------
-    rotation : array, shape (3, 3)
-        ``Rz(A) Ry(B) Rx(C)``
+    Returns:
+        Shape (3, 3). ``Rz(A) Ry(B) Rx(C)``
     """
     sin_a, cos_a = math.sin(a), math.cos(a)
     sin_b, cos_b = math.sin(b), math.cos(b)
@@ -73,14 +66,11 @@ def abc_to_rotation(a: float, b: float, c: float) -> np.ndarray:
 def rotation_to_quaternion(rotation: np.ndarray) -> np.ndarray:
     """Convert a rotation matrix to a unit quaternion.
 
-    Parameters
-    ----------
-    rotation : array, shape (3, 3)
+    Args:
+        rotation: Shape (3, 3)
 
-    Returns
-    -------
-    quaternion : array, shape (4,)
-        x, y, z, w with w >= 0.
+    Returns:
+        Shape (4,). x, y, z, w with w >= 0.
     """
     return Rotation.from_matrix(rotation).as_quat(canonical=True)
 
@@ -88,19 +78,14 @@ def rotation_to_quaternion(rotation: np.ndarray) -> np.ndarray:
 def quaternion_to_rotation(quaternion) -> np.ndarray:
     """Convert a quaternion to a rotation matrix.
 
-    Parameters
-    ----------
-    quaternion : sequence of float, length 4
-        x, y, z, w; normalised here when its norm is 1 within 1e-3.
+    Args:
+        quaternion: Length 4. x, y, z, w; normalised here when its norm is 1 within 1e-3.
 
-    Returns
-    -------
-    rotation : array, shape (3, 3)
+    Returns:
+        Shape (3, 3)
 
-    Raises
-    ------
-    KinematicsError
-        If it is no unit quaternion, e.g. the (0, 0, 0, 0) of a message whose field was never set.
+    Raises:
+        KinematicsError: If it is no unit quaternion, e.g. the (0, 0, 0, 0) of a message whose field was never set.
     """
     values = np.asarray(quaternion, dtype=float)
     if values.shape != (4,) or not abs(np.linalg.norm(values) - 1.0) <= _NORM_TOLERANCE:

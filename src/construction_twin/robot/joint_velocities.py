@@ -14,10 +14,8 @@ _JUMP = 1.1
 class JointVelocities:
     """Velocities of a chain's joints.
 
-    Parameters
-    ----------
-    largest : sequence of float, length n
-        The joints' speed limits [rad/s], [m/s].
+    Args:
+        largest: Length n. The joints' speed limits [rad/s], [m/s].
     """
 
     def __init__(self, largest: Sequence[float]):
@@ -31,12 +29,9 @@ class JointVelocities:
         0 for the first pose, for a stamp that is not newer, and for a pose that no joint could have moved to since: the twin took
         the arm's pose over.
 
-        Parameters
-        ----------
-        stamp : int
-            Of the pose [ns].
-        q : tuple, shape (n,)
-            [rad], [m]
+        Args:
+            stamp: Of the pose [ns].
+            q: Shape (n,). [rad], [m]
         """
         before, self._last = self._last, (stamp, q)
         if before is None or stamp <= before[0]:

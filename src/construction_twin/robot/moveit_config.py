@@ -36,16 +36,11 @@ _ACTION = "follow_joint_trajectory"
 def moveit_files(robot: RobotModel, ignored: Mapping[frozenset[str], str]) -> dict[str, str]:
     """Return the files of a robot's folder below ``moveit/config``, by name.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    ignored : mapping of frozenset of two str to str
-        As for `srdf.srdf`.
+    Args:
+        ignored: As for `srdf.srdf`.
 
-    Raises
-    ------
-    ConfigurationError
-        As `srdf.srdf`.
+    Raises:
+        ConfigurationError: As `srdf.srdf`.
     """
     groups = planning_groups(robot)
     return {

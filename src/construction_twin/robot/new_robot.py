@@ -38,18 +38,12 @@ def robot_name(urdf: str) -> str:
 def find_ends(urdf: str, base_link: str = "", tip_link: str = "") -> tuple[str, str]:
     """Return the ends of an arm's chain.
 
-    Parameters
-    ----------
-    urdf : str
-    base_link : str, optional
-        Not given: ``base_link``, if the tip descends from it, else the URDF's root (after a root called ``world``).
-    tip_link : str, optional
-        Not given: ``tool0``.
+    Args:
+        base_link: Not given: ``base_link``, if the tip descends from it, else the URDF's root (after a root called ``world``).
+        tip_link: Not given: ``tool0``.
 
-    Raises
-    ------
-    ConfigurationError
-        If a link is not there, or the tip does not descend from the base.
+    Raises:
+        ConfigurationError: If a link is not there, or the tip does not descend from the base.
     """
     model = parse_urdf(urdf)
     tip_link = tip_link or "tool0"
@@ -78,17 +72,11 @@ def _path(model: URDF, link: str) -> list[str]:
 def new_description(urdf: str, name: str, base_link: str, tip_link: str, full_speed_in: float) -> dict[str, Any]:
     """Return the mapping of a robot YAML, with home in the middle of every range.
 
-    Parameters
-    ----------
-    urdf : str
-    name, base_link, tip_link : str
-    full_speed_in : float
-        Every joint's acceleration is the one that reaches its full speed in this time [s].
+    Args:
+        full_speed_in: Every joint's acceleration is the one that reaches its full speed in this time [s].
 
-    Raises
-    ------
-    ConfigurationError
-        If the chain has no joint that moves, or more than RSI has axes; if a joint has no limits.
+    Raises:
+        ConfigurationError: If the chain has no joint that moves, or more than RSI has axes; if a joint has no limits.
     """
     joints = [joint for joint in chain_joints(parse_urdf(urdf), base_link, tip_link) if joint.joint_type != "fixed"]
     if not 0 < len(joints) <= _MOST:
@@ -109,21 +97,14 @@ def robot_of_urdf(
 ) -> RobotModel:
     """Build a robot from a URDF alone; `RobotModel.estimates` says what of it is an estimate.
 
-    Parameters
-    ----------
-    path : str or Path
-        A URDF, or a xacro, which is expanded.
-    base_link, tip_link : str, optional
-        Ends of its chain, as of `find_ends`.
-    full_speed_in : float, optional
-        As of `new_description` [s].
-    xacro_args : str, optional
-        Arguments of the xacro, see `urdf.xacro_arguments`.
+    Args:
+        path: A URDF, or a xacro, which is expanded.
+        base_link, tip_link: Ends of its chain, as of `find_ends`.
+        full_speed_in: As of `new_description` [s].
+        xacro_args: Arguments of the xacro, see `urdf.xacro_arguments`.
 
-    Raises
-    ------
-    ConfigurationError
-        As `find_ends` and `new_description`; also for a file that cannot be read.
+    Raises:
+        ConfigurationError: As `find_ends` and `new_description`; also for a file that cannot be read.
     """
     urdf = expand_xacro(path, xacro_arguments(xacro_args))
     base_link, tip_link = find_ends(urdf, base_link, tip_link)
@@ -136,10 +117,8 @@ def rsi_axes(linear: Sequence[bool]) -> list[str]:
     Prismatic joints before the first revolute one are tracks, external axes; the others are A1 to A6 in the order of the chain, and
     what is more than six is external, too.
 
-    Parameters
-    ----------
-    linear : sequence of bool
-        Whether each joint is prismatic, base to tip.
+    Args:
+        linear: Whether each joint is prismatic, base to tip.
     """
     tracks = next((index for index, prismatic in enumerate(linear) if not prismatic), 0)
     own = len(linear) - tracks
@@ -195,14 +174,10 @@ def with_home(description: Mapping[str, Any], home: Sequence[float]) -> dict[str
 def robot_yaml(description: Mapping[str, Any], command: str, full_speed_in: float) -> str:
     """Return the text of a robot YAML, with what a person must know of its values.
 
-    Parameters
-    ----------
-    description : Mapping
-        As from `new_description` and `with_home`.
-    command : str
-        What wrote it.
-    full_speed_in : float
-        As of `new_description` [s].
+    Args:
+        description: As from `new_description` and `with_home`.
+        command: What wrote it.
+        full_speed_in: As of `new_description` [s].
     """
     lines = [
         f"# {description['name']}: what its URDF cannot carry. Every key is explained in config/kr120.yaml. Written by",

@@ -22,12 +22,9 @@ _UNITS = {"revolute": "rad", "continuous": "rad", "prismatic": "m"}
 class Following:
     """How a joint moves with a joint of the chain: ``position = factor * leader + offset``.
 
-    Attributes
-    ----------
-    leader : str
-        A joint of the chain.
-    factor, offset : float
-        [rad], [m]
+    Attributes:
+        leader: A joint of the chain.
+        factor, offset: [rad], [m]
     """
 
     leader: str
@@ -39,17 +36,11 @@ class Following:
 class OtherJoint:
     """A movable joint of the URDF that is not between base and tip.
 
-    Attributes
-    ----------
-    name : str
-    kind : str
-        The URDF's type.
-    position : float or None
-        Where it stands [rad], [m]; None for a mimic joint that moves with a joint of the chain.
-    follows : str
-        For a mimic joint the joint it names, which may itself follow another; otherwise empty.
-    following : Following or None
-        How it moves, where `position` is None.
+    Attributes:
+        kind: The URDF's type.
+        position: Where it stands [rad], [m]; None for a mimic joint that moves with a joint of the chain.
+        follows: For a mimic joint the joint it names, which may itself follow another; otherwise empty.
+        following: How it moves, where `position` is None.
     """
 
     name: str
@@ -68,20 +59,14 @@ class OtherJoint:
 def find_other_joints(model: URDF, chain: Collection[str], given: Mapping[str, float]) -> tuple[OtherJoint, ...]:
     """Return the movable joints outside of the chain, in the URDF's order.
 
-    Parameters
-    ----------
-    model : URDF
-    chain : collection of str
-        The joints of the chain, fixed ones need not be among them.
-    given : Mapping of str to float
-        Where they stand [rad], [m], by name: ``other_joints`` of the robot YAML. Others stand at zero, or, where their range does
-        not hold it, in its middle; mimic joints follow.
+    Args:
+        chain: The joints of the chain, fixed ones need not be among them.
+        given: Where they stand [rad], [m], by name: ``other_joints`` of the robot YAML. Others stand at zero, or, where their range
+            does not hold it, in its middle; mimic joints follow.
 
-    Raises
-    ------
-    ConfigurationError
-        If a value is given for what takes none, or is out of range; if a joint has no range, or follows one that is not there or
-        itself.
+    Raises:
+        ConfigurationError: If a value is given for what takes none, or is out of range; if a joint has no range, or follows one
+            that is not there or itself.
     """
     others = {joint.name: joint for joint in model.joints if joint.joint_type != "fixed" and joint.name not in chain}
     settable = [name for name, joint in others.items() if joint.mimic is None and joint.joint_type in _UNITS]

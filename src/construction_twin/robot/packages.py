@@ -25,16 +25,11 @@ class Packages:
     def folder(self, name: str, where: str) -> Path:
         """Return a package's folder.
 
-        Parameters
-        ----------
-        name : str
-        where : str
-            What names the package, for the error.
+        Args:
+            where: What names the package, for the error.
 
-        Raises
-        ------
-        ConfigurationError
-            If there is no such package, or a package.xml on the way cannot be read.
+        Raises:
+            ConfigurationError: If there is no such package, or a package.xml on the way cannot be read.
         """
         try:
             return Path(self._rospack.get_path(name))
@@ -57,16 +52,11 @@ class Packages:
     def file(self, uri: str, where: str) -> Path:
         """Return the file that a URDF names: ``package://<package>/<path>``, ``file:///<path>`` or an absolute path.
 
-        Parameters
-        ----------
-        uri : str
-        where : str
-            What names the file, for the error.
+        Args:
+            where: What names the file, for the error.
 
-        Raises
-        ------
-        ConfigurationError
-            If it is none of these, its package is not found, or it is no file.
+        Raises:
+            ConfigurationError: If it is none of these, its package is not found, or it is no file.
         """
         scheme, separator, rest = uri.partition("://")
         if not separator:
@@ -91,16 +81,9 @@ def with_mesh_files(urdf: str) -> str:
     Pinocchio, which reads the result, looks for ``package://`` in folders of the package's name that lie directly in
     ROS_PACKAGE_PATH, so it misses every package inside of a repository of several.
 
-    Parameters
-    ----------
-    urdf : str
-
-    Raises
-    ------
-    ConfigurationError
-        Naming the link, for a mesh that is not found.
-    ElementTree.ParseError
-        If the text is not XML.
+    Raises:
+        ConfigurationError: Naming the link, for a mesh that is not found.
+        ElementTree.ParseError: If the text is not XML.
     """
     robot = ElementTree.fromstring(urdf)
     packages = Packages()

@@ -19,16 +19,11 @@ BY_ACTION = "follow_joint_trajectory from"
 class Clearance:
     """Smallest distance between two bodies that must not touch.
 
-    Attributes
-    ----------
-    distance : float
-        [m]; negative: the penetration depth. inf: there is nothing to touch.
-    between : tuple of str, length 2 or 0
-        Names of the two: a link of the robot first, then a link or an object of the scene.
-    point : tuple of float, length 3
-        Nearest point on the first of them, in the robot's base frame [m].
-    time : float
-        Time from the start of the trajectory at which the distance occurs [s]; 0 for a single pose.
+    Attributes:
+        distance: [m]; negative: the penetration depth. inf: there is nothing to touch.
+        between: Length 2 or 0. Names of the two: a link of the robot first, then a link or an object of the scene.
+        point: Length 3. Nearest point on the first of them, in the robot's base frame [m].
+        time: Time from the start of the trajectory at which the distance occurs [s]; 0 for a single pose.
     """
 
     distance: float
@@ -41,9 +36,8 @@ class Clearance:
 class LimitUsage:
     """Largest fraction of each joint's limit that a trajectory uses, over all 4 ms samples; 1 is exactly at the limit.
 
-    Attributes
-    ----------
-    velocity, acceleration, jerk : tuple of float, length n
+    Attributes:
+        velocity, acceleration, jerk: Length n
     """
 
     velocity: tuple[float, ...]
@@ -55,12 +49,8 @@ class LimitUsage:
 class PlanReport:
     """What was measured on every 4 ms sample of a trajectory.
 
-    Attributes
-    ----------
-    clearance : Clearance
-    usage : LimitUsage
-    recheck_time : float
-        Time the measurement took [s].
+    Attributes:
+        recheck_time: Time the measurement took [s].
     """
 
     clearance: Clearance
@@ -72,35 +62,20 @@ class PlanReport:
 class Plan:
     """A trajectory with its origin, as a reviewer sees it. The constructor refuses a hash that is not the trajectory's.
 
-    Attributes
-    ----------
-    id : str
-        Unique id.
-    hash : str
-        The trajectory's `content_hash`; of a work plan: `segments_hash`.
-    source : str
-        Name of the requester.
-    planner : str
-        How the path was found: name of an OMPL planner, ``direct``, ``cartesian``, ``waypoints``.
-    scene : str
-        Hash of the scene it was checked against.
-    created_ns : int
-        When it was planned [ns, ROS time].
-    planning_time : float
-        Time spent planning and timing [s], without `PlanReport.recheck_time`.
-    trajectory : Trajectory
-    report : PlanReport
-    retimed : str, optional
-        Why the times that were asked for were replaced, as one sentence; empty: they were kept, or there were none.
-    task : str, optional
-        Id of the task that a work plan carries out.
-    segments : tuple of Segment, optional
-        Of a work plan; empty: the trajectory is one motion in one scene.
+    Attributes:
+        id: Unique id.
+        hash: The trajectory's `content_hash`; of a work plan: `segments_hash`.
+        source: Name of the requester.
+        planner: How the path was found: name of an OMPL planner, ``direct``, ``cartesian``, ``waypoints``.
+        scene: Hash of the scene it was checked against.
+        created_ns: When it was planned [ns, ROS time].
+        planning_time: Time spent planning and timing [s], without `PlanReport.recheck_time`.
+        retimed: Why the times that were asked for were replaced, as one sentence; empty: they were kept, or there were none.
+        task: Id of the task that a work plan carries out.
+        segments: Of a work plan; empty: the trajectory is one motion in one scene.
 
-    Raises
-    ------
-    TrajectoryError
-        If `id` is empty, `hash` is not that of the content, or the segments do not fit trajectory and scene.
+    Raises:
+        TrajectoryError: If `id` is empty, `hash` is not that of the content, or the segments do not fit trajectory and scene.
     """
 
     id: str

@@ -22,12 +22,8 @@ _BASE = "base_link"
 class PlanningGroup:
     """A chain of joints.
 
-    Attributes
-    ----------
-    name : str
-    base_link, tip_link : str
-    joints : tuple of str
-        The joints of the robot in it, base to tip.
+    Attributes:
+        joints: The joints of the robot in it, base to tip.
     """
 
     name: str
@@ -40,13 +36,9 @@ class PlanningGroup:
 class EndEffector:
     """Links behind the arm that are not on its way to the tip: a gripper, a camera, or the tool behind the flange.
 
-    Attributes
-    ----------
-    name : str
-    parent_link : str
-        The link of the arm that carries them.
-    links : tuple of str
-        In the URDF's order.
+    Attributes:
+        parent_link: The link of the arm that carries them.
+        links: In the URDF's order.
     """
 
     name: str

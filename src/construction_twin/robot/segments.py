@@ -18,11 +18,8 @@ from construction_twin.core.motion_errors import TrajectoryError
 class Signal:
     """An input of the tool, and what it must read.
 
-    Attributes
-    ----------
-    name : str
-        Input of the tool file.
-    value : bool
+    Attributes:
+        name: Input of the tool file.
     """
 
     name: str
@@ -33,15 +30,10 @@ class Signal:
 class Switch:
     """An output of the tool that is switched at rest, at the end of a segment.
 
-    Attributes
-    ----------
-    output : str
-        Output of the tool file.
-    value : bool
-    confirm : tuple of Signal
-        What the tool's inputs must read afterwards, all of them.
-    timeout : float
-        Longest time from the switch to that [s], above 0.
+    Attributes:
+        output: Output of the tool file.
+        confirm: What the tool's inputs must read afterwards, all of them.
+        timeout: Longest time from the switch to that [s], above 0.
     """
 
     output: str
@@ -58,22 +50,14 @@ class Switch:
 class Segment:
     """One part of a plan, from rest to rest.
 
-    Attributes
-    ----------
-    name : str
-        For people and records: ``carry``, ``set down``.
-    end : float
-        Time of its end in the plan's trajectory [s]; of the last segment: the trajectory's duration.
-    engaged : bool
-        After a stop inside of it, nothing but the way back along the executed path may be planned.
-    requires : tuple of Signal
-        What the tool's inputs must read during all of it.
-    switches : tuple of Switch
-        Fired together at its end.
-    scene : str
-        Hash of the scene it was checked in, which must be present while it is executed.
-    scene_after : str
-        Hash of the scene after its switches: that of the next segment. The same as `scene` where nothing changes.
+    Attributes:
+        name: For people and records: ``carry``, ``set down``.
+        end: Time of its end in the plan's trajectory [s]; of the last segment: the trajectory's duration.
+        engaged: After a stop inside of it, nothing but the way back along the executed path may be planned.
+        requires: What the tool's inputs must read during all of it.
+        switches: Fired together at its end.
+        scene: Hash of the scene it was checked in, which must be present while it is executed.
+        scene_after: Hash of the scene after its switches: that of the next segment. The same as `scene` where nothing changes.
     """
 
     name: str
@@ -91,12 +75,8 @@ class Segment:
 def segments_hash(trajectory_hash: str, task: str, segments: tuple[Segment, ...]) -> str:
     """Return the SHA-256 (hex) over a trajectory's hash, the task, and the ordered segments with switches and scenes.
 
-    Parameters
-    ----------
-    trajectory_hash : str
-        `Trajectory.content_hash`.
-    task : str
-    segments : tuple of Segment
+    Args:
+        trajectory_hash: `Trajectory.content_hash`.
     """
     return hashlib.sha256(segments_content(trajectory_hash, task, segments).encode()).hexdigest()
 
@@ -110,19 +90,12 @@ def segments_content(trajectory_hash: str, task: str, segments: tuple[Segment, .
 def check_segments(plan_id: str, scene: str, duration: float, segments: tuple[Segment, ...]) -> None:
     """Check that segments fill a trajectory and that each begins in the scene in which the one before ended.
 
-    Parameters
-    ----------
-    plan_id : str
-    scene : str
-        Hash of the scene that the plan begins in.
-    duration : float
-        Of the trajectory [s].
-    segments : tuple of Segment
+    Args:
+        scene: Hash of the scene that the plan begins in.
+        duration: Of the trajectory [s].
 
-    Raises
-    ------
-    TrajectoryError
-        Naming the segment.
+    Raises:
+        TrajectoryError: Naming the segment.
     """
     before, present = 0.0, scene
     for number, segment in enumerate(segments):

@@ -21,14 +21,10 @@ SUFFIXES = (".stl", ".dae", ".obj")
 class ShownUrdf:
     """What a browser gets.
 
-    Attributes
-    ----------
-    text : str
-        The URDF; its meshes are ``<folder><digest><suffix>``.
-    meshes : dict of str to bytes
-        Contents by ``<digest><suffix>``.
-    problems : tuple of str
-        One sentence for each shape that is left out, because its mesh cannot be used.
+    Attributes:
+        text: The URDF; its meshes are ``<folder><digest><suffix>``.
+        meshes: Contents by ``<digest><suffix>``.
+        problems: One sentence for each shape that is left out, because its mesh cannot be used.
     """
 
     text: str
@@ -39,17 +35,12 @@ class ShownUrdf:
 def shown_urdf(urdf: str, folder: str) -> ShownUrdf:
     """Return a URDF without collision shapes, whose visual meshes are named by their digests.
 
-    Parameters
-    ----------
-    urdf : str
-        Expanded.
-    folder : str
-        What stands before a mesh's name, e.g. ``/private/mesh/``.
+    Args:
+        urdf: Expanded.
+        folder: What stands before a mesh's name, e.g. ``/private/mesh/``.
 
-    Raises
-    ------
-    ElementTree.ParseError
-        If the text is not XML.
+    Raises:
+        ElementTree.ParseError: If the text is not XML.
     """
     # bytes, because the XML parser refuses an encoding declaration in a str
     robot = ElementTree.fromstring(urdf.encode())

@@ -28,21 +28,14 @@ def srdf(robot: RobotModel, ignored: Mapping[frozenset[str], str]) -> str:
     Links that nothing moves (a pedestal, a rail) are not checked against objects, as in our own scene: MoveIt would otherwise find
     the pedestal in contact with the floor that it stands on. They are checked against the links that move.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    ignored : mapping of frozenset of two str to str
-        Pairs of links that are not checked, with the reason ``adjacent``, ``always`` or ``never``.
+    Args:
+        ignored: Pairs of links that are not checked, with the reason ``adjacent``, ``always`` or ``never``.
 
-    Returns
-    -------
-    srdf : str
+    Returns:
         Indented XML.
 
-    Raises
-    ------
-    ConfigurationError
-        If a pair names a link that the URDF does not have, or another reason.
+    Raises:
+        ConfigurationError: If a pair names a link that the URDF does not have, or another reason.
     """
     model = parse_urdf(robot.urdf)
     root = ElementTree.Element("robot", name=model.name)

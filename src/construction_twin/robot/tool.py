@@ -29,12 +29,9 @@ class _Strict(pydantic.BaseModel):
 class Place(_Strict):
     """A pose in a file.
 
-    Attributes
-    ----------
-    xyz : tuple of float, length 3
-        [m]
-    rpy_deg : tuple of float, length 3
-        About the fixed x, y and z axes, in this order [deg].
+    Attributes:
+        xyz: Length 3. [m]
+        rpy_deg: Length 3. About the fixed x, y and z axes, in this order [deg].
     """
 
     xyz: _Vector
@@ -54,14 +51,10 @@ class ToolShape(_Strict):
 class Cups(_Strict):
     """Suction cups in the plane of the TCP.
 
-    Attributes
-    ----------
-    radius : float
-        [m]
-    holds : float
-        What one cup holds, safety factor included [kg].
-    at : tuple of tuple of float, length 2
-        Middle of each, x and y in the TCP's frame [m].
+    Attributes:
+        radius: [m]
+        holds: What one cup holds, safety factor included [kg].
+        at: Length 2. Middle of each, x and y in the TCP's frame [m].
     """
 
     radius: _Positive
@@ -72,12 +65,9 @@ class Cups(_Strict):
 class Output(_Strict):
     """One output of the tool.
 
-    Attributes
-    ----------
-    on_stop : str
-        ``keep`` or ``off``: what becomes of it when RSI ends or a reply is missed.
-    opens : bool or None
-        The value that lets go of a workpiece; None: neither does.
+    Attributes:
+        on_stop: ``keep`` or ``off``: what becomes of it when RSI ends or a reply is missed.
+        opens: The value that lets go of a workpiece; None: neither does.
     """
 
     on_stop: Literal["keep", "off"]
@@ -99,14 +89,10 @@ class Output(_Strict):
 class Action(_Strict):
     """What closes or opens the grip.
 
-    Attributes
-    ----------
-    set : mapping of str to bool
-        Outputs and their values.
-    confirm : mapping of str to bool
-        What the inputs must read afterwards.
-    timeout : float
-        [s]
+    Attributes:
+        set: Outputs and their values.
+        confirm: What the inputs must read afterwards.
+        timeout: [s]
     """
 
     set: Annotated[dict[_Name, bool], pydantic.Field(min_length=1)]
@@ -125,18 +111,8 @@ class Action(_Strict):
 class Tool(_Strict):
     """A tool. The keys of the file, each explained in config/tools/vacuum_frame.yaml.
 
-    Attributes
-    ----------
-    name : str
-    tool0_T_tcp : Place
-    mass, payload, load : float
-        [kg]
-    shapes : mapping of str to ToolShape
-    touch : tuple of str
-    cups : Cups or None
-    outputs : mapping of str to Output
-    inputs : tuple of str
-    grip, release : Action
+    Attributes:
+        mass, payload, load: [kg]
     """
 
     name: _Name
@@ -177,13 +153,7 @@ class Tool(_Strict):
 
 @dataclass(frozen=True)
 class ToolFile:
-    """A tool, and the folder that its mesh files are relative to.
-
-    Attributes
-    ----------
-    tool : Tool
-    folder : Path
-    """
+    """A tool, and the folder that its mesh files are relative to."""
 
     tool: Tool
     folder: Path
@@ -192,10 +162,8 @@ class ToolFile:
 def read_tool(path: str | Path) -> ToolFile:
     """Read a tool file.
 
-    Raises
-    ------
-    ConfigurationError
-        Naming file, key, value and what was expected.
+    Raises:
+        ConfigurationError: Naming file, key, value and what was expected.
     """
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))

@@ -22,18 +22,13 @@ class Trajectory:
     Times are held on whole nanoseconds, as in a ROS duration, so that a trajectory and its hash survive a message. The
     arrays are copied and made read-only.
 
-    Parameters
-    ----------
-    joint_names : tuple of str, length n
-    times : array, shape (k,)
-        Time of each waypoint from the start [s]: first 0, strictly increasing, at least two.
-    positions, velocities, accelerations : array, shape (k, n)
-        [rad], [rad/s], [rad/s^2]
+    Attributes:
+        joint_names: Length n
+        times: Shape (k,). Time of each waypoint from the start [s]: first 0, strictly increasing, at least two.
+        positions, velocities, accelerations: Shape (k, n). [rad], [rad/s], [rad/s^2]
 
-    Raises
-    ------
-    TrajectoryError
-        If shapes do not fit, a value is not finite, or times do not start at 0 and increase; names row and joint.
+    Raises:
+        TrajectoryError: If shapes do not fit, a value is not finite, or times do not start at 0 and increase; names row and joint.
     """
 
     joint_names: tuple[str, ...]
@@ -70,15 +65,11 @@ class Trajectory:
         Before 0 and after `duration` the motion rests at its first or last position: velocity and acceleration are zero
         there even if the end waypoints have other values. At exactly 0 and `duration` the waypoints' own values are returned.
 
-        Parameters
-        ----------
-        t : float
-            Time from the start of the motion [s].
+        Args:
+            t: Time from the start of the motion [s].
 
-        Returns
-        -------
-        q, qd, qdd : array, shape (n,)
-            [rad], [rad/s], [rad/s^2]; the caller's own copies.
+        Returns:
+            q, qd, qdd: Shape (n,). [rad], [rad/s], [rad/s^2]; the caller's own copies.
         """
         knots = self._knots
         if not 0.0 <= t < knots[-1]:
@@ -101,15 +92,11 @@ class Trajectory:
     def sample_many(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Evaluate the motion at many times; outside [0, `duration`] as `sample` does.
 
-        Parameters
-        ----------
-        times : array, shape (m,)
-            [s]
+        Args:
+            times: Shape (m,). [s]
 
-        Returns
-        -------
-        q, qd, qdd, qddd : array, shape (m, n)
-            [rad], [rad/s], [rad/s^2] and jerk [rad/s^3].
+        Returns:
+            q, qd, qdd, qddd: Shape (m, n). [rad], [rad/s], [rad/s^2] and jerk [rad/s^3].
         """
         times = np.asarray(times, dtype=np.float64)
         segment = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
@@ -162,14 +149,10 @@ class Trajectory:
 def whole_nanoseconds(times: np.ndarray) -> np.ndarray:
     """Round times to whole nanoseconds, the resolution of a ROS duration.
 
-    Parameters
-    ----------
-    times : array
-        [s]
+    Args:
+        times: [s]
 
-    Returns
-    -------
-    times : array
+    Returns:
         [s]; each equal to some ``integer / 1e9`` to the last bit.
     """
     return np.round(np.asarray(times, dtype=np.float64) * 1e9) / 1e9
@@ -207,7 +190,8 @@ def _check_times(times: np.ndarray) -> np.ndarray:
 
 def _quintic_coefficients(trajectory: Trajectory) -> np.ndarray:
     """Return the segments' polynomial coefficients by ascending power of the time in the segment, shape (k - 1, 6,
-    n)."""
+    n).
+    """
     h = np.diff(trajectory.times)[:, None]
     q0, q1 = trajectory.positions[:-1], trajectory.positions[1:]
     v0, v1 = trajectory.velocities[:-1], trajectory.velocities[1:]

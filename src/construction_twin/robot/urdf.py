@@ -29,15 +29,11 @@ _AMENT = "ament_index_python.packages"
 def xacro_arguments(text: str) -> dict[str, str]:
     """Return the arguments of a xacro file from one text, as the launch argument ``robot_xacro_args`` has it.
 
-    Parameters
-    ----------
-    text : str
-        Words ``name=value`` (or ``name:=value``, which roslaunch does not take on its command line), quoted as in a shell.
+    Args:
+        text: Words ``name=value`` (or ``name:=value``, which roslaunch does not take on its command line), quoted as in a shell.
 
-    Raises
-    ------
-    ConfigurationError
-        Naming the word that is none.
+    Raises:
+        ConfigurationError: Naming the word that is none.
     """
     expected = "words name=value, divided by spaces"
     try:
@@ -73,21 +69,14 @@ class _Arguments(dict[str, str]):
 def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -> str:
     """Expand a xacro file to URDF text. ``$(find pkg)`` is answered by rospack.
 
-    Parameters
-    ----------
-    path : str or Path
-    arguments : Mapping of str to str, optional
-        Values for the file's ``xacro:arg`` elements.
+    Args:
+        arguments: Values for the file's ``xacro:arg`` elements.
 
-    Returns
-    -------
-    urdf : str
+    Returns:
         Indented XML.
 
-    Raises
-    ------
-    ConfigurationError
-        If the file cannot be read or expanded, or has no argument of a name that was given.
+    Raises:
+        ConfigurationError: If the file cannot be read or expanded, or has no argument of a name that was given.
     """
     read_text(path)  # xacro's own message for a missing file does not say what was expected
     given = _Arguments(arguments or {})
@@ -152,10 +141,8 @@ def _found(path: str, error: Exception) -> str:
 def parse_urdf(urdf: str) -> URDF:
     """Parse URDF text with urdfdom's Python parser. What it prints about unknown tags goes to the debug log.
 
-    Raises
-    ------
-    ConfigurationError
-        If the text is not a URDF.
+    Raises:
+        ConfigurationError: If the text is not a URDF.
     """
     remarks = io.StringIO()
     try:
@@ -172,10 +159,8 @@ def parse_urdf(urdf: str) -> URDF:
 def chain_joints(model: URDF, base_link: str, tip_link: str) -> list[Joint]:
     """Return the joints from `base_link` to `tip_link`, fixed ones included.
 
-    Raises
-    ------
-    ConfigurationError
-        If a link is missing or `tip_link` does not descend from `base_link`.
+    Raises:
+        ConfigurationError: If a link is missing or `tip_link` does not descend from `base_link`.
     """
     for key, link in (("robot/base_link", base_link), ("robot/tip_link", tip_link)):
         if link not in model.link_map:
@@ -193,10 +178,8 @@ def chain_joints(model: URDF, base_link: str, tip_link: str) -> list[Joint]:
 def read_text(path: str | Path) -> str:
     """Return the contents of a text file in UTF-8.
 
-    Raises
-    ------
-    ConfigurationError
-        If it cannot be read.
+    Raises:
+        ConfigurationError: If it cannot be read.
     """
     try:
         return Path(path).read_text(encoding="utf-8")

@@ -43,22 +43,16 @@ _NO_STATUS = ControllerStatus()
 class RobotEncoder:
     """Writes controller packets.
 
-    Parameters
-    ----------
-    axes : tuple of str, length n
-        Axis names, in the order of the positions. The blocks always have six attributes; an axis that is not there reads 0.
-    precision : int
-        Decimals of every sent value, 1 to 32 (the ETHERNET object's `Precision`).
-    send : tuple of str, optional
-        Blocks in the order of the Ethernet XML, see `RsiLayout`; default: RIst, RSol, AIPos, ASPos, Delay. The channels of
-        `status_channels` and of a tool may be among them.
-    units : tuple of AxisUnit, length n, optional
-        Default: every axis is revolute, and in the controller's own units.
+    Args:
+        axes: Length n. Axis names, in the order of the positions. The blocks always have six attributes; an axis that is not there
+            reads 0.
+        precision: Decimals of every sent value, 1 to 32 (the ETHERNET object's `Precision`).
+        send: Blocks in the order of the Ethernet XML, see `RsiLayout`; default: RIst, RSol, AIPos, ASPos, Delay. The channels of
+            `status_channels` and of a tool may be among them.
+        units: Length n. Default: every axis is revolute, and in the controller's own units.
 
-    Raises
-    ------
-    ConfigurationError
-        If a name is no RSI axis, a block is not known here, or the precision is out of range.
+    Raises:
+        ConfigurationError: If a name is no RSI axis, a block is not known here, or the precision is out of range.
     """
 
     def __init__(
@@ -98,30 +92,19 @@ class RobotEncoder:
     ) -> bytes:
         """Write one packet.
 
-        Parameters
-        ----------
-        ipoc : int
-            Controller time [ms].
-        measured, setpoint : sequence of float, length n
-            Axis positions for AIPos and EIPos, ASPos and ESPos [rad] ([m] for a linear axis).
-        measured_pose, setpoint_pose : sequence of float, length 6
-            X, Y, Z [m] and A, B, C [rad] of the tool in the base, for RIst and RSol.
-        delay : int
-            Cycles without a valid reply.
-        status : ControllerStatus, optional
-            For the optional channels; what is not known is sent as 0.
-        signals : mapping of str to bool, optional
-            Outputs and inputs of a tool by their TAGs, e.g. ``Out.vacuum``; what is not there is sent as 0.
+        Args:
+            ipoc: Controller time [ms].
+            measured, setpoint: Length n. Axis positions for AIPos and EIPos, ASPos and ESPos [rad] ([m] for a linear axis).
+            measured_pose, setpoint_pose: Length 6. X, Y, Z [m] and A, B, C [rad] of the tool in the base, for RIst and RSol.
+            delay: Cycles without a valid reply.
+            status: For the optional channels; what is not known is sent as 0.
+            signals: Outputs and inputs of a tool by their TAGs, e.g. ``Out.vacuum``; what is not there is sent as 0.
 
-        Returns
-        -------
-        data : bytes
+        Returns:
             The datagram.
 
-        Raises
-        ------
-        TelegramError
-            If a value is missing or not finite.
+        Raises:
+            TelegramError: If a value is missing or not finite.
         """
         check_values("AIPos", measured, self._count)
         check_values("ASPos", setpoint, self._count)
@@ -149,20 +132,13 @@ class RobotEncoder:
 class SensorDecoder:
     """Reads replies, as a controller with this Ethernet configuration does.
 
-    Parameters
-    ----------
-    sentype : str
-        SENTYPE of the Ethernet configuration.
-    axes : tuple of str, length n
-        Axis names, in the order of the corrections.
-    receive : tuple of str, optional
-        Declared channels, see `RsiLayout`; all of them must be there. Default: `AK` and `EK`, and `Stop` when it is sent.
-    units : tuple of AxisUnit, length n, optional
-        Default: every axis is revolute, and in the controller's own units.
-    stop_required : bool, optional
-        False: a declared `Stop` may be missing.
-    switched : tuple of str, optional
-        Channels of a tool, see `RsiLayout`; all of them must be there.
+    Args:
+        sentype: SENTYPE of the Ethernet configuration.
+        axes: Length n. Axis names, in the order of the corrections.
+        receive: Declared channels, see `RsiLayout`; all of them must be there. Default: `AK` and `EK`, and `Stop` when it is sent.
+        units: Length n. Default: every axis is revolute, and in the controller's own units.
+        stop_required: False: a declared `Stop` may be missing.
+        switched: Channels of a tool, see `RsiLayout`; all of them must be there.
     """
 
     def __init__(
@@ -189,20 +165,14 @@ class SensorDecoder:
     def parse(self, data: bytes) -> SensorTelegram:
         """Read a reply.
 
-        Parameters
-        ----------
-        data : bytes
-            One datagram.
+        Args:
+            data: One datagram.
 
-        Returns
-        -------
-        telegram : SensorTelegram
+        Returns:
             Corrections in rad and m; `stop` is None where the element is not declared, or not there.
 
-        Raises
-        ------
-        TelegramError
-            With the reason; ``sentype`` when the reply is meant for another configuration.
+        Raises:
+            TelegramError: With the reason; ``sentype`` when the reply is meant for another configuration.
         """
         root = read_document(data, "Sen")
         if root.get("Type") != self._sentype:

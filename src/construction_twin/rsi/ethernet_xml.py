@@ -43,16 +43,11 @@ _GENERATOR_1 = re.compile(r"DEF_Tech\.[CT]1").fullmatch
 class EthernetXml:
     """What an Ethernet XML says.
 
-    Attributes
-    ----------
-    where : str
-        Name of the file, for messages.
-    address : str
-        IP_NUMBER: where the controller sends to.
-    layout : RsiLayout
-        Everything about the telegrams; `send` has the wire names, without ``DEF_``.
-    text : str
-        The file's text.
+    Attributes:
+        where: Name of the file, for messages.
+        address: IP_NUMBER: where the controller sends to.
+        layout: Everything about the telegrams; `send` has the wire names, without ``DEF_``.
+        text: The file's text.
     """
 
     where: str
@@ -85,20 +80,11 @@ def load_ethernet_xml(path: str | Path) -> EthernetXml:
 def read_ethernet_xml(text: str, where: str) -> EthernetXml:
     """Read the text of an Ethernet XML as the controller would.
 
-    Parameters
-    ----------
-    text : str
-    where : str
-        Name of the file or parameter, for messages.
+    Args:
+        where: Name of the file or parameter, for messages.
 
-    Returns
-    -------
-    ethernet : EthernetXml
-
-    Raises
-    ------
-    EthernetXmlError
-        Naming the element, what was found, and what was expected.
+    Raises:
+        EthernetXmlError: Naming the element, what was found, and what was expected.
     """
     root = _document(text, where)
     config = _section(root, "CONFIG", where)
@@ -140,17 +126,11 @@ def read_ethernet_xml(text: str, where: str) -> EthernetXml:
 def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
     """Check that the corrections of an Ethernet XML are those of a robot's axes, in one element per kind of axis.
 
-    Parameters
-    ----------
-    layout : RsiLayout
-    axes : sequence of str
-        RSI axes of the robot.
-    where : str
+    Args:
+        axes: RSI axes of the robot.
 
-    Raises
-    ------
-    EthernetXmlError
-        For a missing, a foreign or a repeated axis, and for a channel that is not filled.
+    Raises:
+        EthernetXmlError: For a missing, a foreign or a repeated axis, and for a channel that is not filled.
     """
     if layout.onlysend:
         return
@@ -185,18 +165,12 @@ def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
 def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
     """Check that the gateway can serve a controller with this Ethernet XML.
 
-    Parameters
-    ----------
-    layout : RsiLayout
-    axes : sequence of str
-        RSI axes of the robot.
-    where : str
+    Args:
+        axes: RSI axes of the robot.
 
-    Raises
-    ------
-    EthernetXmlError
-        For a position block or a `Delay` that is not sent, an optional channel that is there twice, HOLDON 0 on a correction, and
-        as `check_axes`.
+    Raises:
+        EthernetXmlError: For a position block or a `Delay` that is not sent, an optional channel that is there twice, HOLDON 0 on a
+            correction, and as `check_axes`.
     """
     check_axes(layout, axes, where)
     blocks = {"AIPos": "the measured axes", "ASPos": "the pose that corrections are relative to"}
@@ -250,20 +224,11 @@ def tool_channels(layout: RsiLayout) -> tuple[str, ...]:
 def controller_sends_to(path: str | Path, layout: RsiLayout) -> str:
     """Check the file that was copied to a controller against the layout that the gateway was configured with.
 
-    Parameters
-    ----------
-    path : str or Path
-    layout : RsiLayout
-
-    Returns
-    -------
-    address : str
+    Returns:
         IP_NUMBER of the file.
 
-    Raises
-    ------
-    EthernetXmlError
-        Naming the first difference.
+    Raises:
+        EthernetXmlError: Naming the first difference.
     """
     ethernet = load_ethernet_xml(path)
     for field in fields(RsiLayout):

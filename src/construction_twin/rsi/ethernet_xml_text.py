@@ -18,12 +18,9 @@ NOTICE = (
 def receive_channels(axes: Sequence[str], holdon: Mapping[str, bool] | None = None) -> list[tuple[str, str, int]]:
     """Return TAG, TYPE and HOLDON of a reply's channels, in the order of their INDX, which counts from 1.
 
-    Parameters
-    ----------
-    axes : sequence of str
-        RSI axes of the arm.
-    holdon : mapping of str to bool, optional
-        Outputs of the tool; True: it keeps its value when a reply is missed.
+    Args:
+        axes: RSI axes of the arm.
+        holdon: Outputs of the tool; True: it keeps its value when a reply is missed.
     """
     corrections = [(f"{default_element(axis)}.{axis}", "DOUBLE", 1) for axis in sorted(axes)]
     outputs = [(f"{SET}.{name}", "BOOL", int(held)) for name, held in (holdon or {}).items()]
@@ -43,16 +40,11 @@ def ethernet_xml_text(
 ) -> str:
     """Return the text of an Ethernet XML.
 
-    Parameters
-    ----------
-    axes : sequence of str
-        RSI axes of the arm, e.g. ``A1``; each gets a correction channel, in the order of RSI.
-    receives : bool, optional
-        False: the controller sends only and takes no corrections.
-    holdon : mapping of str to bool, optional
-        Outputs of the tool; True: it keeps its value when a reply is missed.
-    inputs : sequence of str, optional
-        Of the tool.
+    Args:
+        axes: RSI axes of the arm, e.g. ``A1``; each gets a correction channel, in the order of RSI.
+        receives: False: the controller sends only and takes no corrections.
+        holdon: Outputs of the tool; True: it keeps its value when a reply is missed.
+        inputs: Of the tool.
     """
     ordered = sorted(axes)
     external = ["EIPos", "ESPos"] if any(axis in EXTERNAL_AXES for axis in ordered) else []

@@ -54,12 +54,9 @@ RELEARN_AFTER = 250
 class RobotDecoder:
     """Reads controller packets of one configuration.
 
-    Parameters
-    ----------
-    axes : tuple of str, length n
-        Axes to read, in the order wanted.
-    units : tuple of AxisUnit, length n, optional
-        Default: every axis is revolute, and in the controller's own units.
+    Args:
+        axes: Length n. Axes to read, in the order wanted.
+        units: Length n. Default: every axis is revolute, and in the controller's own units.
     """
 
     def __init__(self, axes: tuple[str, ...], units: tuple[AxisUnit, ...] = ()):
@@ -87,20 +84,14 @@ class RobotDecoder:
         The root's attribute and unknown elements are ignored; a packet holding only `IPOC` is legal, and so are an XML declaration
         and numbers with an exponent, as senders write them that are no controller.
 
-        Parameters
-        ----------
-        data : bytes
-            One datagram.
+        Args:
+            data: One datagram.
 
-        Returns
-        -------
-        telegram : RobotTelegram
+        Returns:
             Positions in rad and m.
 
-        Raises
-        ------
-        TelegramError
-            With the reason (see `telegram`) when anything read is not as the protocol says.
+        Raises:
+            TelegramError: With the reason (see `telegram`) when anything read is not as the protocol says.
         """
         known = self._of_shape(self._shape, data) if self._shape is not None else None
         if known:
@@ -172,23 +163,15 @@ def _blocks(robot: str, external: str, is_external: list[bool]) -> tuple[str, ..
 class SensorEncoder:
     """Writes replies of one configuration; everything that stays the same is prepared once.
 
-    Parameters
-    ----------
-    sentype : str
-        The SENTYPE of the controller's Ethernet configuration.
-    axes : tuple of str, length n
-        Axis names, in the order of the corrections.
-    receive : tuple of str, optional
-        Channels in the order of the Ethernet XML, see `RsiLayout`; default: `AK` and `EK`, no `Stop`.
-    units : tuple of AxisUnit, length n, optional
-        Default: every axis is revolute, and in the controller's own units.
-    switched : tuple of str, optional
-        Channels of a tool, see `RsiLayout`.
+    Args:
+        sentype: The SENTYPE of the controller's Ethernet configuration.
+        axes: Length n. Axis names, in the order of the corrections.
+        receive: Channels in the order of the Ethernet XML, see `RsiLayout`; default: `AK` and `EK`, no `Stop`.
+        units: Length n. Default: every axis is revolute, and in the controller's own units.
+        switched: Channels of a tool, see `RsiLayout`.
 
-    Raises
-    ------
-    ConfigurationError
-        If a name cannot stand in a telegram, or the channels are not those of the axes.
+    Raises:
+        ConfigurationError: If a name cannot stand in a telegram, or the channels are not those of the axes.
     """
 
     def __init__(
@@ -228,26 +211,17 @@ class SensorEncoder:
     ) -> bytes:
         """Write one reply.
 
-        Parameters
-        ----------
-        correction : sequence of float, length n
-            Axis corrections [rad] ([m] for a linear axis).
-        ipoc : int
-            IPOC of the packet being answered.
-        stop : bool, optional
-            Content of the `Stop` element. Default None: 0 where the element is declared, else no element.
-        switched : tuple of bool, optional
-            Channels of a tool, one per name of `RsiLayout.switched`. Default: all 0, which leaves its outputs alone.
+        Args:
+            correction: Length n. Axis corrections [rad] ([m] for a linear axis).
+            ipoc: IPOC of the packet being answered.
+            stop: Content of the `Stop` element. Default None: 0 where the element is declared, else no element.
+            switched: Channels of a tool, one per name of `RsiLayout.switched`. Default: all 0, which leaves its outputs alone.
 
-        Returns
-        -------
-        data : bytes
+        Returns:
             The datagram: fixed point, six decimals of a degree or mm, never ``-0.000000``.
 
-        Raises
-        ------
-        TelegramError
-            If a correction is missing or not finite.
+        Raises:
+            TelegramError: If a correction is missing or not finite.
         """
         check_values("correction", correction, self._count)
         values = [correction[index] * factor for index, factor in self.order]

@@ -21,26 +21,17 @@ EXTERNAL_AXES = ("E1", "E2", "E3", "E4", "E5", "E6")
 class RsiLayout:
     """The telegrams that an Ethernet XML declares.
 
-    Attributes
-    ----------
-    sentype : str
-        SENTYPE: the `Type` of every reply.
-    port : int
-        UDP port of the PC.
-    onlysend : bool
-        True: the controller expects no answers and takes no corrections.
-    send : tuple of str
-        Blocks of a packet as they appear on the wire, in order, e.g. ``AIPos``; `IPOC` follows.
-    receive : tuple of str
-        Channels of a reply in order: ``Stop``, or element and axis, e.g. ``AK.A1``; `IPOC` follows.
-    holdon : tuple of bool
-        Per channel of `receive`: True keeps the last value when a reply is missed, False falls to 0.
-    not_filled : tuple of str
-        Digital outputs that the file declares, e.g. ``Out.01``; no reply carries them, so they stay as they are at RSI's start.
-    switched : tuple of str
-        Channels of a reply that set a tool's outputs, without ``Set.``, in order: ``Enable`` and the outputs' names.
-    switched_holdon : tuple of bool
-        Per channel of `switched`, as `holdon`.
+    Attributes:
+        sentype: SENTYPE: the `Type` of every reply.
+        port: UDP port of the PC.
+        onlysend: True: the controller expects no answers and takes no corrections.
+        send: Blocks of a packet as they appear on the wire, in order, e.g. ``AIPos``; `IPOC` follows.
+        receive: Channels of a reply in order: ``Stop``, or element and axis, e.g. ``AK.A1``; `IPOC` follows.
+        holdon: Per channel of `receive`: True keeps the last value when a reply is missed, False falls to 0.
+        not_filled: Digital outputs that the file declares, e.g. ``Out.01``; no reply carries them, so they stay as they are at
+            RSI's start.
+        switched: Channels of a reply that set a tool's outputs, without ``Set.``, in order: ``Enable`` and the outputs' names.
+        switched_holdon: Per channel of `switched`, as `holdon`.
     """
 
     sentype: str
@@ -79,16 +70,11 @@ class AxisUnit:
     `unit` is degrees per rad, or mm per m for a linear axis. A correction has no offset and a scale of its own: a controller
     that reports an axis in another unit need not take it in that unit (docs/rsi.md, section 11).
 
-    Attributes
-    ----------
-    linear : bool
-        True: x in m and mm on the wire; False: rad and deg.
-    sign : int
-        +1 or -1.
-    offset : float
-        [rad] or [m], on the controller's side.
-    feedback_scale, correction_scale : float
-        Positive; 1 when the controller keeps to its own units.
+    Attributes:
+        linear: True: x in m and mm on the wire; False: rad and deg.
+        sign: +1 or -1.
+        offset: [rad] or [m], on the controller's side.
+        feedback_scale, correction_scale: Positive; 1 when the controller keeps to its own units.
     """
 
     linear: bool = False

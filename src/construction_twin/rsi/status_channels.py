@@ -38,14 +38,10 @@ _PROGRAM_SENTENCES = {
 class ControllerStatus:
     """What a controller says of itself.
 
-    Attributes
-    ----------
-    mode : int or None
-        Operating mode, see `MODES`; None when it is not told, or cannot be read.
-    program : int or None
-        State of the robot interpreter, see `PROGRAM_STATES`.
-    override : float or None
-        Program override, `$OV_PRO` [percent].
+    Attributes:
+        mode: Operating mode, see `MODES`; None when it is not told, or cannot be read.
+        program: State of the robot interpreter, see `PROGRAM_STATES`.
+        override: Program override, `$OV_PRO` [percent].
     """
 
     mode: int | None = None
@@ -98,10 +94,8 @@ def _name_of(tag: str) -> str:
 class StatusReader:
     """Reads the optional channels of one Ethernet XML.
 
-    Parameters
-    ----------
-    channels : sequence of str
-        See `status_channels`.
+    Args:
+        channels: See `status_channels`.
     """
 
     def __init__(self, channels: Sequence[str]):
@@ -115,11 +109,9 @@ class StatusReader:
     def read(self, data: bytes) -> tuple[ControllerStatus, int]:
         """Read what a telegram says that was read as one before.
 
-        Returns
-        -------
-        status : ControllerStatus
-        unreadable : int
-            How many declared channels are missing, or are no number of the kind.
+        Returns:
+            status
+            unreadable: How many declared channels are missing, or are no number of the kind.
         """
         texts = [None if search is None else _text(search(data)) for search in self._searches]
         if texts != self._texts:

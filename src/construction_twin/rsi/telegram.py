@@ -48,17 +48,12 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}").fullmatch
 class RobotTelegram:
     """One controller packet.
 
-    Attributes
-    ----------
-    ipoc : int
-        Controller time [ms], 0 to 2^64 - 1; the reply must carry it unchanged. How far it is on: `ipoc_step`.
-    measured : tuple of float, length n, or None
-        Actual axis positions, `AIPos` and `EIPos` [rad] ([m] for a linear axis); None when the packet has none (first packet of
-        old controllers).
-    setpoint : tuple of float, length n, or None
-        Programmed axis positions, `ASPos` and `ESPos`; constant during a correction.
-    delay : int or None
-        The controller's count of cycles without a valid reply.
+    Attributes:
+        ipoc: Controller time [ms], 0 to 2^64 - 1; the reply must carry it unchanged. How far it is on: `ipoc_step`.
+        measured: Length n. Actual axis positions, `AIPos` and `EIPos` [rad] ([m] for a linear axis); None when the packet has none
+            (first packet of old controllers).
+        setpoint: Length n. Programmed axis positions, `ASPos` and `ESPos`; constant during a correction.
+        delay: The controller's count of cycles without a valid reply.
     """
 
     ipoc: int
@@ -71,16 +66,11 @@ class RobotTelegram:
 class SensorTelegram:
     """One reply.
 
-    Attributes
-    ----------
-    ipoc : int
-        Echo of the packet it answers.
-    correction : tuple of float, length n
-        Axis corrections [rad] ([m] for a linear axis), relative to the session's start pose.
-    stop : bool or None
-        Content of the `Stop` element; None without one.
-    switched : tuple of bool
-        Channels of a tool, in the order of `RsiLayout.switched`.
+    Attributes:
+        ipoc: Echo of the packet it answers.
+        correction: Length n. Axis corrections [rad] ([m] for a linear axis), relative to the session's start pose.
+        stop: Content of the `Stop` element; None without one.
+        switched: Channels of a tool, in the order of `RsiLayout.switched`.
     """
 
     ipoc: int
@@ -92,17 +82,12 @@ class SensorTelegram:
 def ipoc_step(before: int, ipoc: int, longest: int) -> int:
     """Return how far a controller's clock is on from one telegram to another of the same session.
 
-    Parameters
-    ----------
-    before, ipoc : int
-        IPOC of both [ms].
-    longest : int
-        Largest step that is plausible within a session [ms], less than 2^31. A count that went past 2^32, or back over it, is
-        taken for a step only when it is no longer; everything else is the plain difference.
+    Args:
+        before, ipoc: IPOC of both [ms].
+        longest: Largest step that is plausible within a session [ms], less than 2^31. A count that went past 2^32, or back over it,
+            is taken for a step only when it is no longer; everything else is the plain difference.
 
-    Returns
-    -------
-    step : int
+    Returns:
         [ms]; negative when the second telegram is the older one.
     """
     step = ipoc - before

@@ -25,14 +25,10 @@ _END = re.compile(rb"([^\"]*<IPOC>)[0-9]+(</IPOC></[A-Za-z]+>\s*)").fullmatch
 class TelegramShape:
     """One telegram's shape; made by `of`.
 
-    Parameters
-    ----------
-    texts : list of bytes
-        What stands before each value.
-    end : tuple of bytes
-        What stands before and behind the number in IPOC, which is the last element.
-    places : list of int
-        Which values are read, in order.
+    Args:
+        texts: What stands before each value.
+        end: What stands before and behind the number in IPOC, which is the last element.
+        places: Which values are read, in order.
     """
 
     def __init__(self, texts: list[bytes], end: tuple[bytes, bytes], places: list[int]):
@@ -44,17 +40,12 @@ class TelegramShape:
     def of(cls, data: bytes, wanted: Sequence[tuple[str, str]]) -> TelegramShape | None:
         """Return the shape of a telegram that was read as XML without complaint.
 
-        Parameters
-        ----------
-        data : bytes
-        wanted : sequence of (str, str)
-            Element and attribute of each value to be read.
+        Args:
+            wanted: Element and attribute of each value to be read.
 
-        Returns
-        -------
-        shape : TelegramShape or None
-            None where the text does not show at once what its values stand for: a wanted one is missing or there
-            twice, IPOC is not the last element, or something else stands in quotation marks or apostrophes.
+        Returns:
+            None where the text does not show at once what its values stand for: a wanted one is missing or there twice, IPOC is not
+            the last element, or something else stands in quotation marks or apostrophes.
         """
         if b"'" in data:
             return None

@@ -32,10 +32,8 @@ _VALUES = {b"0": False, b"1": True}
 class ToolReading:
     """What a telegram tells of a tool.
 
-    Attributes
-    ----------
-    outputs, inputs : tuple of bool
-        In the order of the reader's names.
+    Attributes:
+        outputs, inputs: In the order of the reader's names.
     """
 
     outputs: tuple[bool, ...]
@@ -76,10 +74,8 @@ def grouped(send: Sequence[str]) -> list[tuple[str, ...]]:
 class ToolReader:
     """Reads outputs and inputs of a tool from telegrams that were read as ones before.
 
-    Parameters
-    ----------
-    outputs, inputs : sequence of str
-        Names, in the order wanted.
+    Args:
+        outputs, inputs: Names, in the order wanted.
     """
 
     def __init__(self, outputs: Sequence[str], inputs: Sequence[str]):
@@ -111,17 +107,12 @@ class ToolReader:
 def set_element(switched: Sequence[str], values: Sequence[bool]) -> str:
     """Return the element of a reply that sets a tool's outputs; "" where there are none.
 
-    Parameters
-    ----------
-    switched : sequence of str
-        Names behind ``Set.``, see `RsiLayout.switched`.
-    values : sequence of bool
-        One per name; none at all: every channel 0, which leaves the outputs alone.
+    Args:
+        switched: Names behind ``Set.``, see `RsiLayout.switched`.
+        values: One per name; none at all: every channel 0, which leaves the outputs alone.
 
-    Raises
-    ------
-    ConfigurationError
-        When the values are not one per name.
+    Raises:
+        ConfigurationError: When the values are not one per name.
     """
     values = values or (False,) * len(switched)
     if len(values) != len(switched):

@@ -44,17 +44,12 @@ def ask_for_stamps(sock: socket.socket) -> bool:
 def address_of(host: str, option: str) -> str:
     """Return the one IPv4 address of a host, which is what a datagram's source is compared with.
 
-    Parameters
-    ----------
-    host : str
-        Address or name.
-    option : str
-        Where it was given.
+    Args:
+        host: Address or name.
+        option: Where it was given.
 
-    Raises
-    ------
-    ConfigurationError
-        When the name is not known, or stands for several addresses.
+    Raises:
+        ConfigurationError: When the name is not known, or stands for several addresses.
     """
     try:
         found = {str(entry[4][0]) for entry in socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)}
@@ -70,21 +65,14 @@ def address_of(host: str, option: str) -> str:
 def receive(sock: socket.socket) -> tuple[bytes, int, tuple]:
     """Read one datagram.
 
-    Returns
-    -------
-    data : bytes
-        Longer than `MAX_TELEGRAM` when the datagram was, so that it is refused; maybe not all of it.
-    arrived : int
-        Time of arrival on the wall clock [ns]; the time of reading where the system does not tell.
-    source : tuple
-        Address and port of the sender.
+    Returns:
+        data: Longer than `MAX_TELEGRAM` when the datagram was, so that it is refused; maybe not all of it.
+        arrived: Time of arrival on the wall clock [ns]; the time of reading where the system does not tell.
+        source: Address and port of the sender.
 
-    Raises
-    ------
-    BlockingIOError
-        When there is none.
-    OSError
-        For what the system reports instead, e.g. "port unreachable" for an earlier reply.
+    Raises:
+        BlockingIOError: When there is none.
+        OSError: For what the system reports instead, e.g. "port unreachable" for an earlier reply.
     """
     if not hasattr(sock, "recvmsg"):  # Windows
         data, source = sock.recvfrom(_LARGEST_DATAGRAM)

@@ -62,16 +62,13 @@ class Move(_Model):
 class Step(_Model):
     """One thing that is done.
 
-    Attributes
-    ----------
-    when : str
-        What it waits for: ``now`` (the step before is done), ``motion`` (the start of the last motion), ``rest`` (the arm
-        stands), or a state as ``sync HOLDING``, ``link ARMED``, ``execution HELD``, that was entered since the step
-        before, or stands.
-    after : float
-        So long after that moment [s].
-    move, approve, inject, call
-        Exactly one of them: plan (and have it started), approve the plan under review, a fault, a service of `Call`.
+    Attributes:
+        when: What it waits for: ``now`` (the step before is done), ``motion`` (the start of the last motion), ``rest`` (the arm
+            stands), or a state as ``sync HOLDING``, ``link ARMED``, ``execution HELD``, that was entered since the step before, or
+            stands.
+        after: So long after that moment [s].
+        move, approve, inject, call: Exactly one of them: plan (and have it started), approve the plan under review, a fault, a
+            service of `Call`.
     """
 
     when: Annotated[str, pydantic.Field(pattern=r"^(now|motion|rest|(sync|link|execution) [A-Z_]+)$")] = "now"
@@ -118,17 +115,11 @@ class Expectation(_Model):
 class Scenario(_Model):
     """A scenario; see the module.
 
-    Attributes
-    ----------
-    name : str
-        Of the file, without its ending.
-    title : str
-        One sentence.
-    steps : list of Step
-        One after another.
-    limit : float
-        Longest that all of it may take, from the first step to the end [s].
-    expect : Expectation
+    Attributes:
+        name: Of the file, without its ending.
+        title: One sentence.
+        steps: One after another.
+        limit: Longest that all of it may take, from the first step to the end [s].
     """
 
     name: Annotated[str, pydantic.Field(pattern=r"^[a-z0-9_]+$")]
@@ -152,10 +143,8 @@ class Scenario(_Model):
 def make_scenario(name: str, content: object) -> Scenario:
     """Return the scenario that a YAML's key ``scenario`` holds.
 
-    Raises
-    ------
-    ScenarioError
-        With the place, the value and what was expected.
+    Raises:
+        ScenarioError: With the place, the value and what was expected.
     """
     if not isinstance(content, Mapping):
         raise ScenarioError(f"{name}: the key `scenario` holds {content!r}; expected title, steps, expect")
@@ -168,10 +157,8 @@ def make_scenario(name: str, content: object) -> Scenario:
 def read_scenario(path: Path) -> Scenario:
     """Read a scenario file.
 
-    Raises
-    ------
-    ScenarioError
-        If it cannot be read, or makes no sense.
+    Raises:
+        ScenarioError: If it cannot be read, or makes no sense.
     """
     try:
         content = yaml.safe_load(path.read_text())

@@ -48,15 +48,11 @@ class Check:
 class Verdict:
     """The outcome of a run.
 
-    Attributes
-    ----------
-    scenario, title : str
-    checks : tuple of Check
-    measured : dict
-        Figures for the table: ``did``, ``detection_s``, ``detection_samples``, ``worst_error_deg``, ``worst_joint``,
-        ``velocity_fraction``, ``acceleration_fraction`` (of the corrections), ``arm_velocity_fraction``,
-        ``arm_acceleration_fraction`` (of the sound joints), ``missed_replies``, ``stop_distance_deg``, ``stop_time_s``;
-        None where there is none.
+    Attributes:
+        measured: Figures for the table: ``did``, ``detection_s``, ``detection_samples``, ``worst_error_deg``, ``worst_joint``,
+            ``velocity_fraction``, ``acceleration_fraction`` (of the corrections), ``arm_velocity_fraction``,
+            ``arm_acceleration_fraction`` (of the sound joints), ``missed_replies``, ``stop_distance_deg``, ``stop_time_s``; None
+            where there is none.
     """
 
     scenario: str
@@ -79,23 +75,14 @@ def judge(
 ) -> Verdict:
     """Judge a run.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    run : Run
-    trace : sequence of TraceEntry
-        What the gateway sent, complete.
-    limits : MotionLimits
-        Of the robot's joints, in the recording's order.
-    decimals : int
-        On the wire.
-    cycle : float
-        The controller's cycle [s]: a reply, and a pose of the arm, in each.
+    Args:
+        trace: What the gateway sent, complete.
+        limits: Of the robot's joints, in the recording's order.
+        decimals: On the wire.
+        cycle: The controller's cycle [s]: a reply, and a pose of the arm, in each.
 
-    Raises
-    ------
-    ConstructionTwinError
-        If the recording does not hold what is needed.
+    Raises:
+        ConstructionTwinError: If the recording does not hold what is needed.
     """
     expect = scenario.expect
     checks = [Check("carried out", "every step", run.failure or "every step", not run.failure), *_begun(scenario, run)]
@@ -197,16 +184,11 @@ def _detection(scenario: Scenario, run: Run, measured: dict) -> list[Check]:
 class _Crossing:
     """How a joint's error went over its threshold.
 
-    Attributes
-    ----------
-    joint : int
-        Column of the recording.
-    samples : int
-        Over the threshold until the gate closed.
-    within : int
-        Stamp of the command that the last sample within the threshold was compared with [ns].
-    last : int
-        Stamp of the last sample of the recording [ns].
+    Attributes:
+        joint: Column of the recording.
+        samples: Over the threshold until the gate closed.
+        within: Stamp of the command that the last sample within the threshold was compared with [ns].
+        last: Stamp of the last sample of the recording [ns].
     """
 
     joint: int

@@ -24,24 +24,16 @@ def limit_usage(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest velocity and acceleration of each joint as a fraction of its limit with the format's allowance.
 
-    Parameters
-    ----------
-    positions : array, shape (k, n)
-        One per cycle [rad].
-    breaks : array, shape (k,), bool
-        True where a position does not follow the one before: what was before counts for nothing, the arm was at rest.
-    limits : MotionLimits
-    decimals : int
-        On the wire.
-    cycle : float
-        The controller's cycle [s].
-    left_out : array, shape (k,), bool, optional
-        Positions that do not count.
+    Args:
+        positions: Shape (k, n). One per cycle [rad].
+        breaks: Shape (k,), true or false. True where a position does not follow the one before: what was before counts for nothing,
+            the arm was at rest.
+        decimals: On the wire.
+        cycle: The controller's cycle [s].
+        left_out: Shape (k,), true or false. Positions that do not count.
 
-    Returns
-    -------
-    velocity, acceleration : array, shape (n,)
-        Greater than 1: the limit was left.
+    Returns:
+        velocity, acceleration: Shape (n,). Greater than 1: the limit was left.
     """
     allowance = np.array(limits.allowances(decimals, cycle))
     steps = np.diff(positions, axis=0, prepend=positions[:1])
@@ -82,21 +74,14 @@ def trace_arrays(entries: Sequence[TraceEntry], cycle: float) -> tuple[np.ndarra
 def distance_after(stamps: np.ndarray, positions: np.ndarray, begin: int, end: int) -> tuple[np.ndarray, float]:
     """Return the largest distance of each joint from its position at `begin`, until `end`, and when the arm came to rest.
 
-    Parameters
-    ----------
-    stamps : array, shape (k,)
-        [ns]
-    positions : array, shape (k, n)
-        [rad]
-    begin, end : int
-        [ns]
+    Args:
+        stamps: Shape (k,). [ns]
+        positions: Shape (k, n). [rad]
+        begin, end: [ns]
 
-    Returns
-    -------
-    distance : array, shape (n,)
-        Largest [rad].
-    rest : float
-        From `begin` to the last cycle that moved [s].
+    Returns:
+        distance: Shape (n,). Largest [rad].
+        rest: From `begin` to the last cycle that moved [s].
     """
     # from the cycle before: by its number, because a controller process that was late sends the next ones sooner
     first = max(0, int(np.searchsorted(stamps, begin)) - 1)

@@ -45,10 +45,8 @@ def print_verdict(verdict: Verdict, console: Console) -> None:
 def read_verdicts(folder: Path) -> dict[str, list[dict]]:
     """Return every verdict below a folder by scenario, sorted by name.
 
-    Raises
-    ------
-    ScenarioError
-        If there is none.
+    Raises:
+        ScenarioError: If there is none.
     """
     found = defaultdict(list)
     for path in sorted(folder.rglob("verdict.json")):
@@ -69,10 +67,8 @@ def markdown_table(verdicts: dict[str, list[dict]]) -> str:
 def put_into(text: str, table: str, where: str) -> str:
     """Return a document with the table between its two marks.
 
-    Raises
-    ------
-    ScenarioError
-        If the marks are not there.
+    Raises:
+        ScenarioError: If the marks are not there.
     """
     before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)

@@ -13,16 +13,11 @@ from construction_twin.evaluation.recording import Recording
 class Change:
     """A change of a state, or something that was done.
 
-    Attributes
-    ----------
-    stamp : int
-        [ns]
-    topic : str
-        ``sync``, ``link``, ``execution``, ``outcome``, ``fault``, ``fault_end``, ``session`` (RSI's), ``call``, ``move``,
-        ``approve``.
-    value : str
-        The state's word, or what was done.
-    reason : str
+    Attributes:
+        stamp: [ns]
+        topic: ``sync``, ``link``, ``execution``, ``outcome``, ``fault``, ``fault_end``, ``session`` (RSI's), ``call``, ``move``,
+            ``approve``.
+        value: The state's word, or what was done.
     """
 
     stamp: int
@@ -35,15 +30,10 @@ class Change:
 class SyncMoment:
     """What the gate measured when it left a state.
 
-    Attributes
-    ----------
-    stamp : int
-        [ns]
-    joints : tuple of str
-    error, threshold : tuple of float
-        [rad]; empty when nothing was compared.
-    servo_lag : float
-        As estimated then [s]; nan when unknown.
+    Attributes:
+        stamp: [ns]
+        error, threshold: [rad]; empty when nothing was compared.
+        servo_lag: As estimated then [s]; nan when unknown.
     """
 
     stamp: int
@@ -57,12 +47,10 @@ class SyncMoment:
 class GatewayStop:
     """A stop as the gateway reported it at its end.
 
-    Attributes
-    ----------
-    cause : str
-        ``silence``, ``refused``, ``stop``, ``speed_limit`` or ``drift``.
-    stated, moved : tuple of float, shape (n,)
-        Distance of each joint to rest: as stated when braking began, and as the arm went [deg], [mm] where linear.
+    Attributes:
+        cause: ``silence``, ``refused``, ``stop``, ``speed_limit`` or ``drift``.
+        stated, moved: Shape (n,). Distance of each joint to rest: as stated when braking began, and as the arm went [deg], [mm]
+            where linear.
     """
 
     cause: str
@@ -74,26 +62,15 @@ class GatewayStop:
 class Run:
     """One recorded run of a scenario.
 
-    Attributes
-    ----------
-    recording : Recording
-    changes : tuple of Change
-        In order of their stamps.
-    closings : tuple of SyncMoment
-        Of each time the gate left IN_SYNC.
-    arm_stamps : array, shape (k,), int64
-        [ns]
-    arm : array, shape (k, n)
-        True joint positions of the mock arm, every cycle [rad].
-    missed : int
-        Replies that the controller missed during the run.
-    missed_at : array, shape (m,), int64
-        When it said so [ns].
-    failure : str
-        Why the run was not carried out to its end; empty when it was.
-    stops : tuple of GatewayStop
-    stated : tuple of float
-        Distance of each axis to rest, as the controller stated it when an emergency stop began [deg]; empty without one.
+    Attributes:
+        changes: In order of their stamps.
+        closings: Of each time the gate left IN_SYNC.
+        arm_stamps: Shape (k,), int64. [ns]
+        arm: Shape (k, n). True joint positions of the mock arm, every cycle [rad].
+        missed: Replies that the controller missed during the run.
+        missed_at: Shape (m,), int64. When it said so [ns].
+        failure: Why the run was not carried out to its end; empty when it was.
+        stated: Distance of each axis to rest, as the controller stated it when an emergency stop began [deg]; empty without one.
     """
 
     recording: Recording

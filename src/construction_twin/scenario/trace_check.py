@@ -22,17 +22,11 @@ _ROUNDING = 1e-6
 class Excess:
     """A cycle in which a limit was left.
 
-    Attributes
-    ----------
-    index : int
-        Of the entry.
-    ipoc : int
-        [ms]
-    axis : str
-    kind : str
-        ``range``, ``velocity`` or ``acceleration``.
-    value, limit : float
-        [rad], [rad/s] or [rad/s^2]; the limit with the format's allowance.
+    Attributes:
+        index: Of the entry.
+        ipoc: [ms]
+        kind: ``range``, ``velocity`` or ``acceleration``.
+        value, limit: [rad], [rad/s] or [rad/s^2]; the limit with the format's allowance.
     """
 
     index: int
@@ -58,15 +52,10 @@ def trace_excesses(
     Each reply is one step from the last one that arrived. An RSI session begins at rest; so does what follows a cycle without a
     reply, because HOLDON has stopped the arm.
 
-    Parameters
-    ----------
-    entries : iterable of TraceEntry
-    limits : MotionLimits
-        Of the axes, in the trace's order.
-    decimals : int
-        Decimals on the wire; velocity and acceleration are allowed what their rounding adds.
-    cycle : float, optional
-        The controller's cycle [s].
+    Args:
+        limits: Of the axes, in the trace's order.
+        decimals: Decimals on the wire; velocity and acceleration are allowed what their rounding adds.
+        cycle: The controller's cycle [s].
     """
     allowances = limits.allowances(decimals, cycle)
     velocity = [v + allowance * cycle / 2 for v, allowance in zip(limits.velocity, allowances)]

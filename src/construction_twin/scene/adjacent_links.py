@@ -24,10 +24,6 @@ def adjacent_links(bodies: RobotBodies) -> set[frozenset[str]]:
     joint together with those that follow it.
 
     Their ranges keep the castings apart; shapes that enclose them overlap.
-
-    Parameters
-    ----------
-    bodies : RobotBodies
     """
     urdf = parse_urdf(bodies.robot.urdf)
     chain = set(bodies.model.names)

@@ -28,10 +28,8 @@ class _Place(pydantic.BaseModel):
 class Cell:
     """Robots and where they stand: the root of each one's URDF in ``world``.
 
-    Parameters
-    ----------
-    places : Mapping of str to Pose
-        ``world_T_root`` by the robot's name.
+    Args:
+        places: ``world_T_root`` by the robot's name.
     """
 
     def __init__(self, places: Mapping[str, Pose]):
@@ -40,10 +38,8 @@ class Cell:
     def world_T_root(self, robot: str) -> Pose:  # noqa: N802 (a transform's name)
         """Return where a robot stands.
 
-        Raises
-        ------
-        ConfigurationError
-            If the cell has no such robot.
+        Raises:
+            ConfigurationError: If the cell has no such robot.
         """
         if robot not in self._places:
             raise ConfigurationError("the cell's robots", sorted(self._places), f"one named {robot!r}")
@@ -60,15 +56,12 @@ _PLACES = pydantic.TypeAdapter(dict[str, _Place])
 def load_cell(description: object) -> Cell:
     """Build a cell from a parsed YAML file, see config/cell_two_robots.yaml.
 
-    Parameters
-    ----------
-    description : object
-        A mapping of robots' names to ``xyz`` [m] and ``rpy_deg``: about the fixed x, y and z axes, in this order [deg].
+    Args:
+        description: A mapping of robots' names to ``xyz`` [m] and ``rpy_deg``: about the fixed x, y and z axes, in this order
+            [deg].
 
-    Raises
-    ------
-    ConfigurationError
-        Naming the key, its value and what was expected.
+    Raises:
+        ConfigurationError: Naming the key, its value and what was expected.
     """
     try:
         places = _PLACES.validate_python(description)

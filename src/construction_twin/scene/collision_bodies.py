@@ -44,19 +44,12 @@ _MESHES_KEPT = 4096
 class Body:
     """One shape, rigidly fixed to a joint.
 
-    Attributes
-    ----------
-    owner : str
-        Name of the link or of the scene object.
-    link : str
-        The link it belongs to or is carried by; empty: it stands in the world.
-    joint : int
-        Pinocchio's index of the joint that moves it; 0: nothing does.
-    placement : pinocchio.SE3
-        Of the shape in the joint's frame.
-    geometry : coal.CollisionGeometry
-    item : SceneObject, optional
-        None for a link of the robot.
+    Attributes:
+        owner: Name of the link or of the scene object.
+        link: The link it belongs to or is carried by; empty: it stands in the world.
+        joint: Pinocchio's index of the joint that moves it; 0: nothing does.
+        placement: Of the shape in the joint's frame.
+        item: None for a link of the robot.
     """
 
     owner: str
@@ -73,31 +66,15 @@ class RobotBodies:
     Joints outside of the chain are locked where `RobotModel.other_joints` says; those that follow a joint of the chain are joints
     here as well, and `rows` says where they are.
 
-    Parameters
-    ----------
-    robot : RobotModel
+    Attributes:
+        order: Shape (n,), integers. Index of each of ``robot.joint_names`` in Pinocchio's configuration, which has `size` places.
+        followers: Of each joint that follows one of the chain: its index in Pinocchio's configuration, that of its leader there,
+            the factor and the offset [rad] or [m].
+        link_joints: The joint that moves each link; 0: nothing does.
+        strokes: Shape (size,). Largest absolute value of each joint, Pinocchio's order [rad] or [m].
 
-    Attributes
-    ----------
-    robot : RobotModel
-    model : pinocchio.Model
-    order : array of int, shape (n,)
-        Index of each of ``robot.joint_names`` in Pinocchio's configuration, which has `size` places.
-    size : int
-    followers : tuple of (int, int, float, float)
-        Of each joint that follows one of the chain: its index in Pinocchio's configuration, that of its leader there, the factor
-        and the offset [rad] or [m].
-    bodies : tuple of Body
-    root_T_base : pinocchio.SE3
-    link_joints : dict of str to int
-        The joint that moves each link; 0: nothing does.
-    strokes : array, shape (size,)
-        Largest absolute value of each joint, Pinocchio's order [rad] or [m].
-
-    Raises
-    ------
-    ConfigurationError
-        If Pinocchio cannot read the URDF, or one of its collision meshes is not found or cannot be read.
+    Raises:
+        ConfigurationError: If Pinocchio cannot read the URDF, or one of its collision meshes is not found or cannot be read.
     """
 
     def __init__(self, robot: RobotModel):
@@ -137,14 +114,11 @@ class RobotBodies:
     def rows(self, qs: np.ndarray) -> np.ndarray:
         """Return joint values in Pinocchio's order, those that follow included.
 
-        Parameters
-        ----------
-        qs : array, shape (m, n)
-            [rad] or [m], order of ``robot.joint_names``.
+        Args:
+            qs: Shape (m, n). [rad] or [m], order of ``robot.joint_names``.
 
-        Returns
-        -------
-        rows : array, shape (m, size)
+        Returns:
+            Shape (m, size)
         """
         rows = np.empty((len(qs), self.size))
         rows[:, self.order] = qs
@@ -159,16 +133,11 @@ class RobotBodies:
     def link_pose(self, q: JointValues, link: str) -> Pose:
         """Return a link's pose in the base_link.
 
-        Parameters
-        ----------
-        q : sequence of float, length n
-            [rad] or [m], order of ``robot.joint_names``.
-        link : str
+        Args:
+            q: Length n. [rad] or [m], order of ``robot.joint_names``.
 
-        Raises
-        ------
-        SceneError
-            If the robot has no such link.
+        Raises:
+            SceneError: If the robot has no such link.
         """
         if link not in self.link_joints:
             raise SceneError("a link's name", link, f"a link of the robot: {sorted(self.link_joints)}")
@@ -181,16 +150,11 @@ class RobotBodies:
     def place(self, item: SceneObject, objects: Collection[str] = ()) -> Body:
         """Return the body of a scene object.
 
-        Parameters
-        ----------
-        item : SceneObject
-        objects : collection of str, optional
-            Names of the objects of its scene, which it may name in `touch`.
+        Args:
+            objects: Names of the objects of its scene, which it may name in `touch`.
 
-        Raises
-        ------
-        SceneError
-            If it names a link or object that does not exist, has a link's name, or its mesh cannot be used.
+        Raises:
+            SceneError: If it names a link or object that does not exist, has a link's name, or its mesh cannot be used.
         """
         if item.link and item.link not in self.link_joints:
             raise SceneError(
@@ -258,10 +222,8 @@ def scene_geometry(item: SceneObject) -> coal.CollisionGeometry:
 
     A closed convex mesh is solid. Any other mesh is a surface: an arm completely inside it is not in contact with it.
 
-    Raises
-    ------
-    SceneError
-        If its mesh file has changed since the object was made, or cannot be used: see `mesh_file.parse_mesh`.
+    Raises:
+        SceneError: If its mesh file has changed since the object was made, or cannot be used: see `mesh_file.parse_mesh`.
     """
     if item.shape == "box":
         return coal.Box(*item.size)
@@ -320,11 +282,9 @@ def mesh_triangles(mesh: coal.BVHModelBase) -> tuple[np.ndarray, np.ndarray]:
 def is_convex(vertices: np.ndarray, triangles: np.ndarray) -> bool:
     """Return whether triangles make a closed convex body.
 
-    Parameters
-    ----------
-    vertices : array, shape (v, 3)
-        [m]
-    triangles : array of int, shape (t, 3)
+    Args:
+        vertices: Shape (v, 3). [m]
+        triangles: Shape (t, 3), integers
     """
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, uses = np.unique(edges, axis=0, return_counts=True)
@@ -348,10 +308,8 @@ def is_convex(vertices: np.ndarray, triangles: np.ndarray) -> bool:
 def shape_contents(geometry: coal.CollisionGeometry) -> list:
     """Return a shape's kind and numbers, rounded to 1e-9, for a hash.
 
-    Raises
-    ------
-    ConfigurationError
-        If it is a kind that no URDF can hold.
+    Raises:
+        ConfigurationError: If it is a kind that no URDF can hold.
     """
     if isinstance(geometry, coal.Box):
         numbers = geometry.halfSide
@@ -378,10 +336,8 @@ def measured(
     Where Coal knows no depth, the first shape is moved by up to 0.1 mm, which the distance then is wrong by at most: it is told as
     that much smaller.
 
-    Raises
-    ------
-    SceneError
-        If Coal knows none beside there either.
+    Raises:
+        SceneError: If Coal knows none beside there either.
     """
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     request.gjk_tolerance = _GJK_TOLERANCE

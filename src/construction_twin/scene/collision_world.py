@@ -43,10 +43,8 @@ _WITH_NEIGHBOUR = pinocchio.TreeBroadPhaseManager_NaiveCollisionManager
 class Contact:
     """Two bodies that touch, or are closer than the padding.
 
-    Attributes
-    ----------
-    between : tuple of str, length 2
-        A link or a carried object first, then a link or an object.
+    Attributes:
+        between: Length 2. A link or a carried object first, then a link or an object.
     """
 
     between: tuple[str, str]
@@ -56,14 +54,10 @@ class Contact:
 class PairDistance:
     """How far two bodies are from each other.
 
-    Attributes
-    ----------
-    between : tuple of str, length 2
-        As in `Contact`.
-    distance : float
-        Negative for two bodies that penetrate each other [m].
-    margin : float
-        At this distance or less they are in contact [m].
+    Attributes:
+        between: Length 2. As in `Contact`.
+        distance: Negative for two bodies that penetrate each other [m].
+        margin: At this distance or less they are in contact [m].
     """
 
     between: tuple[str, str]
@@ -84,25 +78,12 @@ class CollisionWorld:
 
     Not for use from several threads at once: it works in buffers of its own.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    scene : Scene
-    self_collision : SelfCollision
-        The pairs of links that are not checked.
+    Args:
+        self_collision: The pairs of links that are not checked.
 
-    Attributes
-    ----------
-    robot : RobotModel
-    scene : Scene
-    self_collision : SelfCollision
-
-    Raises
-    ------
-    ConfigurationError
-        If the robot's shapes cannot be read.
-    SceneError
-        If the scene names links or objects that do not exist, or a mesh cannot be used.
+    Raises:
+        ConfigurationError: If the robot's shapes cannot be read.
+        SceneError: If the scene names links or objects that do not exist, or a mesh cannot be used.
     """
 
     def __init__(self, robot: RobotModel, scene: Scene, self_collision: SelfCollision):
@@ -138,10 +119,8 @@ class CollisionWorld:
         Moving links and carried objects are checked against its bodies (contact: distance within the scene's padding plus the
         obstacle's). Bodies that do not move are not checked.
 
-        Parameters
-        ----------
-        obstacles : iterable of Obstacle
-            They replace the present ones.
+        Args:
+            obstacles: They replace the present ones.
         """
         world = object.__new__(CollisionWorld)
         world._build(self._robot_bodies, self.scene, self.self_collision, self._own, tuple(obstacles))
@@ -189,11 +168,9 @@ class CollisionWorld:
 
         With few bodies it is this one.
 
-        Parameters
-        ----------
-        qs : array, shape (m, n)
-        gap : float
-            Paddings come on top of it [m].
+        Args:
+            qs: Shape (m, n)
+            gap: Paddings come on top of it [m].
         """
         if self._only is not None or len(self._near) <= MANY_BODIES:
             return self
@@ -268,10 +245,8 @@ class CollisionWorld:
     def is_free(self, q: JointValues) -> bool:
         """Return whether nothing touches. The fastest check: it ends at the first contact.
 
-        Parameters
-        ----------
-        q : sequence of float, length n
-            [rad] or [m]; an array is the fastest. Not checked against the ranges.
+        Args:
+            q: Length n. [rad] or [m]; an array is the fastest. Not checked against the ranges.
         """
         return self._checks.is_free(q)
 
@@ -292,16 +267,11 @@ class CollisionWorld:
     def distance(self, q: JointValues, first: str, second: str) -> float:
         """Return the smallest distance between the shapes of two links or objects, whether the pair is checked or not.
 
-        Parameters
-        ----------
-        q : sequence of float, length n
-            [rad] or [m]
-        first, second : str
-            Names.
+        Args:
+            q: Length n. [rad] or [m]
+            first, second: Names.
 
-        Returns
-        -------
-        distance : float
+        Returns:
             [m]; negative: how deep one is in the other; inf if one of them has no shape.
         """
         data = self._robot_bodies.model.createData()
@@ -319,10 +289,8 @@ class CollisionWorld:
     def object_pose(self, q: JointValues, name: str) -> Pose:
         """Return an object's pose in the base_link, at joint values `q` when a link carries it.
 
-        Raises
-        ------
-        SceneError
-            If the scene has no such object.
+        Raises:
+            SceneError: If the scene has no such object.
         """
         item = self.scene.get(name)
         return product(self.link_pose(q, item.link), item.pose) if item.link else item.pose
@@ -334,10 +302,8 @@ class CollisionWorld:
     def all_free(self, qs: np.ndarray) -> int | None:
         """Return the first row that is in contact, None when none is.
 
-        Parameters
-        ----------
-        qs : array, shape (m, n)
-            [rad] or [m]
+        Args:
+            qs: Shape (m, n). [rad] or [m]
         """
         # poses far from each other come near most objects: all are checked
         close = len(qs) > 1 and float(np.abs(np.diff(qs, axis=0)).max()) <= _CLOSE
@@ -348,14 +314,10 @@ class CollisionWorld:
     def clearance(self, q: JointValues) -> Clearance:
         """Return the smallest distance of a checked pair; the padding is not subtracted.
 
-        Parameters
-        ----------
-        q : sequence of float, length n
-            [rad] or [m]
+        Args:
+            q: Length n. [rad] or [m]
 
-        Returns
-        -------
-        clearance : Clearance
+        Returns:
             Negative for two bodies that penetrate each other; inf if no pair is checked.
         """
         return self._checks.clearance(q)
@@ -366,16 +328,12 @@ class CollisionWorld:
         Each joint goes evenly from one row to the next. What is found free is free by a bound of how far the bodies move, not by
         samples: nothing comes closer than its margin by more than half of `distance_bounds.RESOLUTION` (0.01 mm).
 
-        Parameters
-        ----------
-        qs : array, shape (m, n)
-            Successive joint values, [rad] or [m]; m >= 1.
+        Args:
+            qs: Shape (m, n). Successive joint values, [rad] or [m]; m >= 1.
 
-        Returns
-        -------
-        place : float
-            In rows: 3.5 is half way from row 3 to row 4.
-        contact : Contact
+        Returns:
+            place: In rows: 3.5 is half way from row 3 to row 4.
+            contact
         """
         world = self._beside(qs, 0.0)
         row = self.all_free(qs)
@@ -397,18 +355,13 @@ class CollisionWorld:
         Each joint goes evenly from one row to the next. Successive rows should be close to each other: then only few distances need
         to be measured, see `distance_bounds`.
 
-        Parameters
-        ----------
-        qs : array, shape (m, n)
-            m >= 1; [rad] or [m]
+        Args:
+            qs: Shape (m, n). m >= 1; [rad] or [m]
 
-        Returns
-        -------
-        clearance : Clearance
-            As from `clearance`, within 1e-6 m in the rows, and between them within 1e-4 m or a hundredth of it, whichever is more;
-            its time is 0.
-        place : float
-            In rows: 3.5 is half way from row 3 to row 4.
+        Returns:
+            clearance: As from `clearance`, within 1e-6 m in the rows, and between them within 1e-4 m or a hundredth of it,
+                whichever is more; its time is 0.
+            place: In rows: 3.5 is half way from row 3 to row 4.
         """
         gap = _NEAR
         while True:
@@ -574,17 +527,11 @@ def checked_pairs(
 ) -> list[tuple[int, int, float]]:
     """Return the pairs of bodies that must not touch, and the distance below which they do.
 
-    Parameters
-    ----------
-    bodies : sequence of Body
-        A robot's, then a scene's.
-    padding : float
-        The scene's [m].
-    self_collision : SelfCollision
+    Args:
+        bodies: A robot's, then a scene's.
+        padding: The scene's [m].
 
-    Returns
-    -------
-    pairs : list of (int, int, float)
+    Returns:
         Indices into `bodies`, in the order in which reports name them, and the margin [m].
     """
     pairs: list[tuple[int, int, float]] = []
@@ -603,10 +550,8 @@ def checked_pairs(
 def touching_pairs(bodies: Sequence[Body]) -> list[tuple[int, int, float]]:
     """Return the pairs that `checked_pairs` leaves out because one of two names the other in `touch`, in the same form, margin 0.
 
-    Parameters
-    ----------
-    bodies : sequence of Body
-        A robot's, then a scene's.
+    Args:
+        bodies: A robot's, then a scene's.
     """
     return [
         (second, first, 0.0) if _carried_first(bodies[first], bodies[second]) else (first, second, 0.0)

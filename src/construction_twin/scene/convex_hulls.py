@@ -30,23 +30,14 @@ _POINTS, _SEED = 2048, 0
 class Hull:
     """The convex hull of one collision mesh.
 
-    Attributes
-    ----------
-    link : str
-    number : int
-        Which collision element of the link, from 0.
-    triangles : int
-        Of the mesh.
-    volume : float
-        Of the mesh [m^3].
-    estimated : bool
-        Whether the mesh is not one closed surface, so that its volume is an estimate.
-    vertices : array, shape (v, 3)
-        Of the hull, in the frame of the collision element [m].
-    faces : array of int, shape (t, 3)
-        Of the hull, counterclockwise seen from outside.
-    hull_volume : float
-        [m^3]
+    Attributes:
+        number: Which collision element of the link, from 0.
+        triangles: Of the mesh.
+        volume: Of the mesh [m^3].
+        estimated: Whether the mesh is not one closed surface, so that its volume is an estimate.
+        vertices: Shape (v, 3). Of the hull, in the frame of the collision element [m].
+        faces: Shape (t, 3), integers. Of the hull, counterclockwise seen from outside.
+        hull_volume: [m^3]
     """
 
     link: str
@@ -67,10 +58,8 @@ class Hull:
 def mesh_hulls(bodies: RobotBodies) -> list[Hull]:
     """Return the hull of every collision mesh that is not convex itself, in the order of the links.
 
-    Raises
-    ------
-    ConfigurationError
-        If a mesh is flat, so that there is no hull.
+    Raises:
+        ConfigurationError: If a mesh is flat, so that there is no hull.
     """
     hulls = []
     numbers: dict[str, int] = {}
@@ -124,11 +113,9 @@ def closed_volume(vertices: np.ndarray, triangles: np.ndarray) -> float | None:
 
     Several closed surfaces in one mesh may overlap: their volumes cannot be added.
 
-    Parameters
-    ----------
-    vertices : array, shape (v, 3)
-        [m]; equal vertices are one.
-    triangles : array of int, shape (t, 3)
+    Args:
+        vertices: Shape (v, 3). [m]; equal vertices are one.
+        triangles: Shape (t, 3), integers
     """
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     forth, rows, uses = np.unique(edges, axis=0, return_index=True, return_counts=True)
@@ -151,13 +138,10 @@ def estimated_volume(vertices: np.ndarray, triangles: np.ndarray, hull: ConvexHu
     little, and bodies that overlap each other count once. The solid angle of a triangle: tan(angle / 2) is its vertices' triple
     product over a sum of products of their lengths and scalar products, with the vertices as seen from the point.
 
-    Parameters
-    ----------
-    vertices : array, shape (v, 3)
-        [m]
-    triangles : array of int, shape (t, 3)
-    hull : scipy.spatial.ConvexHull
-        Of the vertices.
+    Args:
+        vertices: Shape (v, 3). [m]
+        triangles: Shape (t, 3), integers
+        hull: Of the vertices.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     points = low + (high - low) * qmc.Sobol(3, rng=np.random.default_rng(_SEED)).random(_POINTS)
@@ -184,13 +168,9 @@ def hull_file(hull: Hull) -> str:
 def urdf_with_hulls(urdf: str, hulls: Sequence[Hull], folder: Path) -> str:
     """Return a URDF with hulls in place of the meshes.
 
-    Parameters
-    ----------
-    urdf : str
-        The URDF that the hulls were made from.
-    hulls : sequence of Hull
-    folder : Path
-        Where their meshes lie: absolute.
+    Args:
+        urdf: The URDF that the hulls were made from.
+        folder: Where their meshes lie: absolute.
     """
     root = ElementTree.fromstring(urdf.encode())
     links = {link.get("name"): link for link in root.iter("link")}
@@ -208,9 +188,7 @@ def urdf_with_hulls(urdf: str, hulls: Sequence[Hull], folder: Path) -> str:
 def write_proposal(urdf: str, hulls: Sequence[Hull], folder: Path) -> Path:
     """Write the meshes of the hulls and the URDF that names them into a folder; return the URDF's path.
 
-    Raises
-    ------
-    OSError
+    Raises OSError.
     """
     folder = folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)

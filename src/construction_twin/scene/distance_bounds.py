@@ -44,19 +44,12 @@ class _Gap(NamedTuple):
 def levers(robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple], strokes: np.ndarray) -> np.ndarray:
     """Return how far the two bodies of each pair can move relative to each other per unit of each joint.
 
-    Parameters
-    ----------
-    robot : RobotBodies
-    bodies : sequence of Body
-    pairs : sequence of tuple
-        Their first two entries are indices into `bodies`.
-    strokes : array, shape (size,)
-        Largest absolute value of each joint, Pinocchio's order; used for prismatic joints [m].
+    Args:
+        pairs: Their first two entries are indices into `bodies`.
+        strokes: Shape (size,). Largest absolute value of each joint, Pinocchio's order; used for prismatic joints [m].
 
-    Returns
-    -------
-    levers : array, shape (size, p)
-        [m/rad], or 1 for prismatic joints; Pinocchio's order.
+    Returns:
+        Shape (size, p). [m/rad], or 1 for prismatic joints; Pinocchio's order.
     """
     model = robot.model
     per_body, _ = body_levers(robot, bodies, strokes)
@@ -73,19 +66,12 @@ def levers(robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple], s
 def body_levers(robot: RobotBodies, bodies: Sequence[Body], strokes: np.ndarray) -> tuple[np.ndarray, list[float]]:
     """Return bounds of the motion of a body's points per unit of each joint, and of their distance from the root.
 
-    Parameters
-    ----------
-    robot : RobotBodies
-    bodies : sequence of Body
-    strokes : array, shape (size,)
-        As of `levers`.
+    Args:
+        strokes: Shape (size,). As of `levers`.
 
-    Returns
-    -------
-    levers : array, shape (size, b)
-        [m/rad], or 1 for prismatic joints; Pinocchio's order. 0 for a joint that does not move the body.
-    reaches : list of float, length b
-        Largest distance of any point of it from the root at any joint values [m].
+    Returns:
+        levers: Shape (size, b). [m/rad], or 1 for prismatic joints; Pinocchio's order. 0 for a joint that does not move the body.
+        reaches: Length b. Largest distance of any point of it from the root at any joint values [m].
     """
     model = robot.model
     per_body = np.zeros((model.nq, len(bodies)))
@@ -119,14 +105,10 @@ class Motion:
 
     A place on it is a number of rows: 3.5 is half way from row 3 to row 4.
 
-    Parameters
-    ----------
-    travel : array, shape (m, p)
-        For each pair, an upper bound of the relative motion of its bodies from the first row to each row [m].
-    measure_row : callable
-        Returns the distances of all pairs in a row, shape (p,) [m].
-    measure : callable
-        Returns the distance of one pair at a place [m]: ``measure(place, pair)``.
+    Args:
+        travel: Shape (m, p). For each pair, an upper bound of the relative motion of its bodies from the first row to each row [m].
+        measure_row: Returns the distances of all pairs in a row, shape (p,) [m].
+        measure: Returns the distance of one pair at a place [m]: ``measure(place, pair)``.
     """
 
     def __init__(
@@ -144,12 +126,10 @@ class Motion:
     def smallest(self) -> tuple[float, int]:
         """Find the smallest distance of all pairs anywhere on the motion.
 
-        Returns
-        -------
-        place : float
-        pair : int
-            Where the smallest distance is. No other in a row is smaller by more than `TOLERANCE`, and none between two rows by
-            more than `BETWEEN` or `BETWEEN_PART` of it.
+        Returns:
+            place
+            pair: Where the smallest distance is. No other in a row is smaller by more than `TOLERANCE`, and none between two rows
+                by more than `BETWEEN` or `BETWEEN_PART` of it.
         """
         at, closest = np.unravel_index(np.argmin(self._known), self._known.shape)
         best, best_place, best_pair = float(self._known[at, closest]), float(self._rows[at]), int(closest)
@@ -170,19 +150,14 @@ class Motion:
     def first_contact(self, margins: np.ndarray, touches: Callable[[float, int], bool]) -> tuple[float, int] | None:
         """Find where two bodies first touch; None if none do anywhere on the motion.
 
-        Parameters
-        ----------
-        margins : array, shape (p,)
-            At this distance or less two bodies touch [m].
-        touches : callable
-            Whether a pair touches at a place, asked where the distance says so: ``touches(place, pair)``.
+        Args:
+            margins: Shape (p,). At this distance or less two bodies touch [m].
+            touches: Whether a pair touches at a place, asked where the distance says so: ``touches(place, pair)``.
 
-        Returns
-        -------
-        place : float
-        pair : int
-            No contact is earlier, except one during which no point of a pair moves further than `RESOLUTION`: two bodies then come
-            closer than the margin by no more than half of that.
+        Returns:
+            place
+            pair: No contact is earlier, except one during which no point of a pair moves further than `RESOLUTION`: two bodies then
+                come closer than the margin by no more than half of that.
         """
         first: tuple[float, int] | None = None
         heap = self._gaps(margins + TOLERANCE)

@@ -51,13 +51,9 @@ class _File(pydantic.BaseModel):
 class SceneFile:
     """The file of one run's edits.
 
-    Attributes
-    ----------
-    path : Path
-    run : str
-        Id of the run; the file of another run is ignored.
-    start : Scene
-        The scene that the run began with.
+    Attributes:
+        run: Id of the run; the file of another run is ignored.
+        start: The scene that the run began with.
     """
 
     path: Path
@@ -67,11 +63,9 @@ class SceneFile:
     def load(self) -> Scene:
         """Return the scene after the last edit of this run; the start if there was none.
 
-        Raises
-        ------
-        SceneError
-            If the file cannot be read, is of this run but of another start, or its contents (meshes included) do not have
-            the hash that it names: the surroundings of the arm are then unknown.
+        Raises:
+            SceneError: If the file cannot be read, is of this run but of another start, or its contents (meshes included) do not
+                have the hash that it names: the surroundings of the arm are then unknown.
         """
         try:
             contents = read_file(self.path, _LARGEST)
@@ -103,10 +97,8 @@ class SceneFile:
     def save(self, scene: Scene) -> None:
         """Write the scene, as a whole or not at all.
 
-        Raises
-        ------
-        SceneError
-            If the file cannot be written.
+        Raises:
+            SceneError: If the file cannot be written.
         """
         names = list(_Object.model_fields)
         objects = [{name: getattr(item, name) for name in names} for item in scene.objects]

@@ -20,12 +20,9 @@ _ROUNDING = 1e-4
 class Copies:
     """Copies of one shape, as arrays.
 
-    Parameters
-    ----------
-    places : sequence of int
-        Index of each in the list that it was taken from, ascending.
-    items : sequence of Obstacle
-        All of the same geometry.
+    Args:
+        places: Index of each in the list that it was taken from, ascending.
+        items: All of the same geometry.
     """
 
     def __init__(self, places: Sequence[int], items: Sequence[Obstacle]):
@@ -97,18 +94,13 @@ def joined(shapes: Sequence[Copies], more: Sequence[Copies]) -> list[Copies]:
 def first_contact(own: Sequence[Copies], others: Sequence[Copies], padding: float) -> tuple[int, Obstacle] | None:
     """Return the first of our obstacles that comes too close to one of the others, and that one; None if none does.
 
-    Parameters
-    ----------
-    own, others : sequence of Copies
-        See `copies`.
-    padding : float
-        Distance to keep, on top of what both obstacles have [m].
+    Args:
+        own, others: See `copies`.
+        padding: Distance to keep, on top of what both obstacles have [m].
 
-    Returns
-    -------
-    place : int
-        In the list that `own` was made from.
-    other : Obstacle
+    Returns:
+        place: In the list that `own` was made from.
+        other
     """
     request = coal.DistanceRequest()
     # how deep a contact is does not matter

@@ -28,14 +28,10 @@ _ENOUGH = 0.04
 class Home:
     """A home pose.
 
-    Attributes
-    ----------
-    q : tuple of float
-        [rad] or [m]
-    clearance : float
-        Smallest distance of a checked pair there [m].
-    between : tuple of str
-        The closest pair; empty when no pair is checked.
+    Attributes:
+        q: [rad] or [m]
+        clearance: Smallest distance of a checked pair there [m].
+        between: The closest pair; empty when no pair is checked.
     """
 
     q: tuple[float, ...]
@@ -49,16 +45,11 @@ def find_home(world: CollisionWorld, rng: np.random.Generator) -> Home:
     Preferred are poses far from singularities and from the ends of the ranges, with the tool in front of the base and looking
     down, in which most joints stand at zero. The best of these that has enough clearance is taken.
 
-    Parameters
-    ----------
-    world : CollisionWorld
-        The robot, its own home is not used, and what it must not touch.
-    rng : numpy Generator
+    Args:
+        world: The robot, its own home is not used, and what it must not touch.
 
-    Raises
-    ------
-    ConfigurationError
-        If all poses that were looked at are in contact.
+    Raises:
+        ConfigurationError: If all poses that were looked at are in contact.
     """
     robot = world.robot
     chain = Chain(robot)

@@ -27,28 +27,18 @@ def parse_mesh(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Read the triangles of a mesh file.
 
-    Parameters
-    ----------
-    where : str
-        What the mesh is, for messages.
-    path : str
-        The file's name; its ending says which format it is.
-    contents : bytes
-    scale : tuple of float
-        Factors for x, y and z that make metres.
+    Args:
+        where: What the mesh is, for messages.
+        path: The file's name; its ending says which format it is.
+        scale: Factors for x, y and z that make metres.
 
-    Returns
-    -------
-    vertices : array, shape (v, 3)
-        [m], all finite.
-    triangles : array of int, shape (t, 3)
-        At least one with an area.
+    Returns:
+        vertices: Shape (v, 3). [m], all finite.
+        triangles: Shape (t, 3), integers. At least one with an area.
 
-    Raises
-    ------
-    SceneError
-        If the file is not what its ending says, has a number that is not finite, no triangles or too many, or a size
-        that makes no sense.
+    Raises:
+        SceneError: If the file is not what its ending says, has a number that is not finite, no triangles or too many, or a size
+            that makes no sense.
     """
     try:
         vertices, triangles = _obj(contents) if path.lower().endswith(".obj") else _stl(contents)
@@ -64,10 +54,8 @@ def parse_mesh(
 def binary_stl(corners: np.ndarray) -> bytes:
     """Return the contents of a binary STL file.
 
-    Parameters
-    ----------
-    corners : array, shape (t, 3, 3)
-        Of each triangle [m], counterclockwise seen from outside.
+    Args:
+        corners: Shape (t, 3, 3). Of each triangle [m], counterclockwise seen from outside.
     """
     triangles = np.zeros(len(corners), _STL_TRIANGLE)
     triangles["corners"] = corners

@@ -18,13 +18,7 @@ _GROUP = 8
 
 
 class NearBodies:
-    """Finds the standing bodies that moving ones come near.
-
-    Parameters
-    ----------
-    robot : RobotBodies
-    bodies : sequence of Body
-    """
+    """Finds the standing bodies that moving ones come near."""
 
     def __init__(self, robot: RobotBodies, bodies: Sequence[Body]):
         self._robot = robot
@@ -38,16 +32,11 @@ class NearBodies:
     def near(self, rows: np.ndarray, gap: float) -> list[int]:
         """Return the bodies that move, and the standing ones that a moving one may come near.
 
-        Parameters
-        ----------
-        rows : array, shape (m, n)
-            Joint values, Pinocchio's order; m >= 1.
-        gap : float
-            Of every body that is left out, the distance from every moving one is larger in each row and between them [m].
+        Args:
+            rows: Shape (m, n). Joint values, Pinocchio's order; m >= 1.
+            gap: Of every body that is left out, the distance from every moving one is larger in each row and between them [m].
 
-        Returns
-        -------
-        indices : list of int
+        Returns:
             Into `bodies`, ascending.
         """
         near = np.zeros(len(self._standing), dtype=bool)

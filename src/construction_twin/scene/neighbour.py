@@ -37,15 +37,10 @@ _ROWS = 256
 class Obstacle:
     """A copy of a body of the other arm. Compared by identity, not by value.
 
-    Attributes
-    ----------
-    owner : str
-        ``<robot>/<link or carried object>``.
-    placement : pinocchio.SE3
-        In the root of the URDF of the robot that must not touch it.
-    geometry : coal.CollisionGeometry
-    padding : float
-        Distance to keep from it [m].
+    Attributes:
+        owner: ``<robot>/<link or carried object>``.
+        placement: In the root of the URDF of the robot that must not touch it.
+        padding: Distance to keep from it [m].
     """
 
     owner: str
@@ -73,11 +68,8 @@ class Obstacle:
 class PathCopy(NamedTuple):
     """A copy of a body along a path. A NamedTuple, because a path of an hour has a million of them.
 
-    Attributes
-    ----------
-    first, last : int
-        The rows of the path for which it is needed.
-    obstacle : Obstacle
+    Attributes:
+        first, last: The rows of the path for which it is needed.
     """
 
     first: int
@@ -89,10 +81,8 @@ class PathCopy(NamedTuple):
 class SweptPath:
     """A path of the other arm as obstacles.
 
-    Attributes
-    ----------
-    copies : tuple of PathCopy
-        In the order of their first rows.
+    Attributes:
+        copies: In the order of their first rows.
     """
 
     copies: tuple[PathCopy, ...]
@@ -105,11 +95,9 @@ class SweptPath:
 def row_of(rows: np.ndarray, q: Iterable[float], start: int = 0) -> int | None:
     """Return the first row of a path, from `start` on, that is within `ON_PATH` of a pose; None for a pose off the path.
 
-    Parameters
-    ----------
-    rows : array, shape (m, n)
-    q : iterable of float, length n
-    start : int, optional
+    Args:
+        rows: Shape (m, n)
+        q: Length n
     """
     q = np.asarray(q)
     for begin in range(start, len(rows), _ROWS):
@@ -131,19 +119,12 @@ class _Standing:
 class Neighbour:
     """Another robot, in the frame of ours. The watch (`coordination`) also makes one of our own robot, in its own root.
 
-    Parameters
-    ----------
-    name : str
-    robot : RobotModel
-    root_T_root : Pose
-        Of the root of the other robot's URDF in the root of ours; see `cell.Cell`.
-    step : float
-        Longest path of any point of a body between two copies of it [m].
+    Args:
+        root_T_root: Of the root of the other robot's URDF in the root of ours; see `cell.Cell`.
+        step: Longest path of any point of a body between two copies of it [m].
 
-    Raises
-    ------
-    ConfigurationError
-        If its shapes cannot be read.
+    Raises:
+        ConfigurationError: If its shapes cannot be read.
     """
 
     def __init__(self, name: str, robot: RobotModel, root_T_root: Pose, step: float):
@@ -157,10 +138,8 @@ class Neighbour:
     def carrying(self, items: Iterable[SceneObject]) -> Neighbour:
         """Return the same robot with what its links carry; objects that stand in the world are left out.
 
-        Raises
-        ------
-        SceneError
-            If it has no such link, or a mesh cannot be used.
+        Raises:
+            SceneError: If it has no such link, or a mesh cannot be used.
         """
         items = tuple(items)
         names = [item.name for item in items]
@@ -190,12 +169,9 @@ class Neighbour:
     def along(self, path: np.ndarray, standing: bool = True) -> SweptPath:
         """Return the space that the arm occupies on a path.
 
-        Parameters
-        ----------
-        path : array, shape (m, n)
-            Joint values, dense enough that the motion between two rows is covered by `ROUNDING` (every 4 ms).
-        standing : bool, optional
-            Include the bodies that no joint moves: the pedestal.
+        Args:
+            path: Shape (m, n). Joint values, dense enough that the motion between two rows is covered by `ROUNDING` (every 4 ms).
+            standing: Include the bodies that no joint moves: the pedestal.
         """
         path = np.atleast_2d(np.asarray(path, dtype=float))
         rows = self._robot_bodies.rows(path)
@@ -279,15 +255,10 @@ def _carried_padding(body: Body) -> float:
 def key_rows(travel: np.ndarray, step: float) -> list[int]:
     """Return rows of a path that are about a step apart, the first and the last among them.
 
-    Parameters
-    ----------
-    travel : array, shape (m,)
-        Distance travelled from the first row to each; never decreases [m].
-    step : float
+    Args:
+        travel: Shape (m,). Distance travelled from the first row to each; never decreases [m].
 
-    Returns
-    -------
-    rows : list of int
+    Returns:
         Ascending. Only the first row if the whole distance is at most `ROUNDING`.
     """
     total = float(travel[-1])

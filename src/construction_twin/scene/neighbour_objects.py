@@ -24,24 +24,16 @@ from construction_twin.scene.planner_scene import PlannerObject
 def neighbour_objects(obstacles: Iterable[Obstacle], root: str, margin: float) -> tuple[PlannerObject, ...]:
     """Return obstacles as another planner's objects, whose names are the same for the same arm at another pose.
 
-    Parameters
-    ----------
-    obstacles : iterable of Obstacle
-        In the root of our robot's URDF.
-    root : str
-        That link.
-    margin : float
-        Distance to keep from them, besides their own padding [m].
+    Args:
+        obstacles: In the root of our robot's URDF.
+        root: That link.
+        margin: Distance to keep from them, besides their own padding [m].
 
-    Returns
-    -------
-    objects : tuple of PlannerObject
+    Returns:
         Called as their owners; a second part of one is called ``<owner> 2``.
 
-    Raises
-    ------
-    ConfigurationError
-        If a shape is of a kind that no URDF can hold.
+    Raises:
+        ConfigurationError: If a shape is of a kind that no URDF can hold.
     """
     parts: Counter[str] = Counter()
     objects = []

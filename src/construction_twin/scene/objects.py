@@ -54,10 +54,8 @@ def one_of(whose: str, names: Iterable[str]) -> str:
 def read_mesh_file(name: str, mesh: str) -> bytes:
     """Return the contents of an object's mesh file, which `mesh_file` parses.
 
-    Raises
-    ------
-    SceneError
-        If the path is not absolute, the format not STL or OBJ, or the file not readable, regular and of limited size.
+    Raises:
+        SceneError: If the path is not absolute, the format not STL or OBJ, or the file not readable, regular and of limited size.
     """
     path = Path(mesh)
     where = f"object {name!r} mesh"
@@ -73,37 +71,23 @@ def read_mesh_file(name: str, mesh: str) -> bytes:
 class SceneObject:
     """One body. The fields are those of ``msg/SceneObject``, checked.
 
-    Attributes
-    ----------
-    name : str
-        Unique in the scene.
-    shape : str
-        ``box``, ``cylinder``, ``sphere`` or ``mesh``.
-    size : tuple of float
-        [m] box: x, y, z; cylinder (about its z axis, centred): radius, length; sphere: radius; mesh: scale x, y, z
-        (empty: 1, 1, 1).
-    position : tuple of float, length 3
-        Of the object's frame in the base_link, or in `link` [m].
-    quaternion : tuple of float, length 4
-        x, y, z, w, of unit length.
-    padding : float
-        Distance to keep from it [m], added to the scene's own.
-    mesh : str
-        Absolute path of an STL or OBJ file; empty for other shapes.
-    link : str
-        Link that carries it; empty: it stands in the world.
-    touch : tuple of str
-        Links and other objects of the scene that may touch it, besides the link that carries it; sorted. A link's name
-        also stands for what that link carries. Enough if one of two objects names the other.
-    fixed : bool
-        It stays when the scene is cleared. No part of the hash.
-    mesh_digest : str
-        SHA-256 of the mesh file, read when the object is made.
+    Attributes:
+        name: Unique in the scene.
+        shape: ``box``, ``cylinder``, ``sphere`` or ``mesh``.
+        size: [m] box: x, y, z; cylinder (about its z axis, centred): radius, length; sphere: radius; mesh: scale x, y, z (empty: 1,
+            1, 1).
+        position: Length 3. Of the object's frame in the base_link, or in `link` [m].
+        quaternion: Length 4. x, y, z, w, of unit length.
+        padding: Distance to keep from it [m], added to the scene's own.
+        mesh: Absolute path of an STL or OBJ file; empty for other shapes.
+        link: Link that carries it; empty: it stands in the world.
+        touch: Links and other objects of the scene that may touch it, besides the link that carries it; sorted. A link's name also
+            stands for what that link carries. Enough if one of two objects names the other.
+        fixed: It stays when the scene is cleared. No part of the hash.
+        mesh_digest: SHA-256 of the mesh file, read when the object is made.
 
-    Raises
-    ------
-    SceneError
-        Naming the object, the property, its value and what was expected.
+    Raises:
+        SceneError: Naming the object, the property, its value and what was expected.
     """
 
     name: str
@@ -197,17 +181,12 @@ class SceneObject:
 class Scene:
     """Everything the arm must not touch, besides itself.
 
-    Attributes
-    ----------
-    objects : tuple of SceneObject
-        With different names; the order carries no meaning.
-    padding : float
-        Distance kept from every object [m].
+    Attributes:
+        objects: With different names; the order carries no meaning.
+        padding: Distance kept from every object [m].
 
-    Raises
-    ------
-    SceneError
-        If two objects have one name, or the padding is negative.
+    Raises:
+        SceneError: If two objects have one name, or the padding is negative.
     """
 
     objects: tuple[SceneObject, ...] = ()
@@ -239,10 +218,8 @@ class Scene:
     def get(self, name: str) -> SceneObject:
         """Return the object of that name.
 
-        Raises
-        ------
-        SceneError
-            If there is none.
+        Raises:
+            SceneError: If there is none.
         """
         for item in self.objects:
             if item.name == name:
@@ -254,10 +231,8 @@ class Scene:
 
         An object that takes the place of a fixed one is fixed, too.
 
-        Raises
-        ------
-        SceneError
-            If the name is taken and `replace_existing` is false.
+        Raises:
+            SceneError: If the name is taken and `replace_existing` is false.
         """
         if item.name not in self.names:
             return replace(self, objects=(*self.objects, item))
@@ -278,20 +253,13 @@ class Scene:
     def attach(self, name: str, link: str, pose: Pose, touch: Iterable[str] = ()) -> Scene:
         """Return the scene with the object carried by a link.
 
-        Parameters
-        ----------
-        name : str
-        link : str
-            The link that carries it from now on.
-        pose : Pose
-            Of the object in `link`.
-        touch : iterable of str, optional
-            Links and objects it may touch besides `link`; replaces the present ones.
+        Args:
+            link: The link that carries it from now on.
+            pose: Of the object in `link`.
+            touch: Links and objects it may touch besides `link`; replaces the present ones.
 
-        Raises
-        ------
-        SceneError
-            If there is no such object, or `link` is empty.
+        Raises:
+            SceneError: If there is no such object, or `link` is empty.
         """
         if not link:
             raise SceneError(f"object {name!r} link", link, "the link that shall carry it")
@@ -300,10 +268,8 @@ class Scene:
     def detach(self, name: str, pose: Pose) -> Scene:
         """Return the scene with a carried object standing at `pose` in the base_link.
 
-        Raises
-        ------
-        SceneError
-            If there is no such object, or nothing carries it.
+        Raises:
+            SceneError: If there is no such object, or nothing carries it.
         """
         item = self.get(name)
         if not item.link:

@@ -35,12 +35,9 @@ Pair = tuple[str, str]
 class OpenPairs:
     """The pairs whose answers may still change.
 
-    Attributes
-    ----------
-    always : frozenset of (str, str)
-        Pairs that were in contact in every pose so far.
-    never : frozenset of (str, str)
-        Pairs that were close in no pose so far.
+    Attributes:
+        always: Pairs that were in contact in every pose so far.
+        never: Pairs that were close in no pose so far.
     """
 
     always: frozenset[Pair]
@@ -62,21 +59,13 @@ class OpenPairs:
 class PairSampler:
     """Asks pairs of links in poses that follow from a seed.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    pairs : sequence of (str, str)
-        Links that can move against each other.
-    near : float
-        A pair is close when its distance is at most this [m].
-    samples : int
-        Poses: the home pose and random ones within the ranges.
-    seed : int
+    Args:
+        pairs: Links that can move against each other.
+        near: A pair is close when its distance is at most this [m].
+        samples: Poses: the home pose and random ones within the ranges.
 
-    Raises
-    ------
-    ConfigurationError
-        If the robot's shapes cannot be read.
+    Raises:
+        ConfigurationError: If the robot's shapes cannot be read.
     """
 
     def __init__(self, robot: RobotModel, pairs: Sequence[Pair], near: float, samples: int, seed: int):
@@ -148,31 +137,20 @@ def sample_pairs(
 ) -> OpenPairs:
     """Ask all pairs in all poses.
 
-    Parameters
-    ----------
-    robot, pairs, near, samples, seed
-        As of `PairSampler`.
-    processes : int, optional
-        At most so many processes work at the same time. Started by `spawn`, so a program that calls this must not do so while it
-        is imported.
-    report : callable, optional
-        Called with the number of poses done and of pairs still open, after every piece of work.
-    worth : float, optional
-        Other processes are started when this one would need longer than this for the rest [s].
-    clock : callable, optional
-        Returns seconds; only decides whether other processes are started.
+    Args:
+        robot, pairs, near, samples, seed: As of `PairSampler`.
+        processes: At most so many processes work at the same time. Started by `spawn`, so a program that calls this must not do so
+            while it is imported.
+        report: Called with the number of poses done and of pairs still open, after every piece of work.
+        worth: Other processes are started when this one would need longer than this for the rest [s].
+        clock: Returns seconds; only decides whether other processes are started.
 
-    Returns
-    -------
-    found : OpenPairs
+    Returns:
         `always`: in contact in every pose; `never`: close in none.
 
-    Raises
-    ------
-    ConfigurationError
-        If the robot's shapes cannot be read.
-    concurrent.futures.process.BrokenProcessPool
-        If one of the processes was ended from outside.
+    Raises:
+        ConfigurationError: If the robot's shapes cannot be read.
+        concurrent.futures.process.BrokenProcessPool: If one of the processes was ended from outside.
     """
     sampler = PairSampler(robot, pairs, near, samples, seed)
     found = OpenPairs(frozenset(pairs), frozenset(pairs))

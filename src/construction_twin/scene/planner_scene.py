@@ -27,21 +27,13 @@ from construction_twin.scene.self_collision import SelfCollision
 class PlannerObject:
     """One object of the scene, grown by its padding.
 
-    Attributes
-    ----------
-    name, shape : str
-        As in `SceneObject`.
-    dimensions : tuple of float
-        [m] box: x, y, z; cylinder: radius, length; sphere: radius; mesh: empty.
-    vertices, triangles : array, shape (v, 3) and (t, 3)
-        Of a mesh [m]; otherwise empty.
-    frame : str
-        The link that it stands in: the one that carries it, or the robot's base_link.
-    pose : Pose
-        In that link.
-    carried : bool
-    touch_links : tuple of str
-        Links that a carried object may touch: those that move with it, and those it names.
+    Attributes:
+        name, shape: As in `SceneObject`.
+        dimensions: [m] box: x, y, z; cylinder: radius, length; sphere: radius; mesh: empty.
+        vertices, triangles: Shape (v, 3) and (t, 3). Of a mesh [m]; otherwise empty.
+        frame: The link that it stands in: the one that carries it, or the robot's base_link.
+        pose: In that link.
+        touch_links: Links that a carried object may touch: those that move with it, and those it names.
     """
 
     name: str
@@ -59,19 +51,12 @@ class PlannerObject:
 class PlannerScene:
     """What another planner is told of a scene.
 
-    Attributes
-    ----------
-    objects : tuple of PlannerObject
-    names : tuple of str
-        Links with a shape, then objects.
-    allowed : array of bool, shape (n, n)
-        For each two of the names: they are not checked against each other.
-    fixed_links : tuple of str
-        Links with a shape that nothing moves: objects that only the other planner knows are not checked against them.
-    root_T_base : Pose
-        The robot's base_link in the root of its URDF.
-    remarks : tuple of str
-        What could not be expressed, one sentence each.
+    Attributes:
+        names: Links with a shape, then objects.
+        allowed: Shape (n, n), true or false. For each two of the names: they are not checked against each other.
+        fixed_links: Links with a shape that nothing moves: objects that only the other planner knows are not checked against them.
+        root_T_base: The robot's base_link in the root of its URDF.
+        remarks: What could not be expressed, one sentence each.
     """
 
     objects: tuple[PlannerObject, ...]
@@ -85,10 +70,8 @@ class PlannerScene:
 def planner_scene(bodies: RobotBodies, scene: Scene, self_collision: SelfCollision) -> PlannerScene:
     """Return a scene as other planners know it.
 
-    Raises
-    ------
-    SceneError
-        If the scene names links or objects that do not exist, or a mesh cannot be read.
+    Raises:
+        SceneError: If the scene names links or objects that do not exist, or a mesh cannot be read.
     """
     own = (*bodies.bodies, *(bodies.place(item, scene.names) for item in scene.objects))
     names = tuple(dict.fromkeys(body.owner for body in own))
@@ -116,18 +99,13 @@ def scene_text(told: PlannerScene, name: str, beside: Iterable[PlannerObject] = 
     The format is MoveIt 1.1's, with the object's pose and subframes; poses are in the root of the URDF. It knows neither carried
     objects nor pairs that may touch.
 
-    Parameters
-    ----------
-    told : PlannerScene
-    name : str
-        Of the scene.
-    beside : iterable of PlannerObject, optional
-        Of the other arm, in the root of the URDF.
+    Args:
+        name: Of the scene.
+        beside: Of the other arm, in the root of the URDF.
 
-    Returns
-    -------
-    text : str
-    remarks : tuple of str
+    Returns:
+        text
+        remarks
     """
     out = io.StringIO()
     print(name, file=out)

@@ -17,18 +17,12 @@ def fills_same_space(
 ) -> bool:
     """Return whether two convex objects fill the same space.
 
-    Parameters
-    ----------
-    one, other : SceneObject
-        Meshes count as the hulls of their corners: two hollow ones are told apart no better than that.
-    world_T_one, world_T_other : Pose
-    slack : float
-        Every corner of each has one of the other within this distance [m]; of round bodies the ends of the axis.
+    Args:
+        one, other: Meshes count as the hulls of their corners: two hollow ones are told apart no better than that.
+        slack: Every corner of each has one of the other within this distance [m]; of round bodies the ends of the axis.
 
-    Raises
-    ------
-    SceneError
-        If a mesh cannot be read.
+    Raises:
+        SceneError: If a mesh cannot be read.
     """
     if _kind(one) != _kind(other):
         return False

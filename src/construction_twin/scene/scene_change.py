@@ -16,18 +16,14 @@ from construction_twin.scene.objects import Scene, SceneObject, one_of
 class SceneChange:
     """What goes and what comes.
 
-    Attributes
-    ----------
-    put : tuple of SceneObject
-        Added, or put in the place of the object of that name, as a whole: link and touch included. In the place of a fixed object
-        it is fixed, too.
-    remove : tuple of str
-        Names of what goes first. One of them may come again in `put`: it is then another object, which nothing may touch yet.
+    Attributes:
+        put: Added, or put in the place of the object of that name, as a whole: link and touch included. In the place of a fixed
+            object it is fixed, too.
+        remove: Names of what goes first. One of them may come again in `put`: it is then another object, which nothing may touch
+            yet.
 
-    Raises
-    ------
-    SceneError
-        If a name is put or removed twice.
+    Raises:
+        SceneError: If a name is put or removed twice.
     """
 
     put: tuple[SceneObject, ...] = ()
@@ -45,10 +41,8 @@ class SceneChange:
         What stays forgets the names that are removed in `touch`, as in `Scene.remove`. Whether the names in `touch` and `link` of
         what comes exist is checked where the scene meets a robot.
 
-        Raises
-        ------
-        SceneError
-            If an object to remove is not in the scene.
+        Raises:
+            SceneError: If an object to remove is not in the scene.
         """
         objects = {item.name: item for item in scene.objects}
         for name in self.remove:
@@ -66,16 +60,11 @@ class SceneChange:
     def between(self, scene: Scene, before: str = "", after: str = "") -> Scene:
         """Return the scene after the change, if it leads from one expected scene to another.
 
-        Parameters
-        ----------
-        scene : Scene
-        before, after : str, optional
-            Hashes; empty: any.
+        Args:
+            before, after: Hashes; empty: any.
 
-        Raises
-        ------
-        SceneError
-            If the scene, or what it becomes, is another one; and as in `apply`.
+        Raises:
+            SceneError: If the scene, or what it becomes, is another one; and as in `apply`.
         """
         if before and scene.hash != before:
             raise SceneError(

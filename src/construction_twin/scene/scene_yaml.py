@@ -46,22 +46,13 @@ class _SceneDescription(pydantic.BaseModel):
 def load_scene(description: Mapping, base_dir: str | Path) -> Scene:
     """Build a scene from a parsed YAML file.
 
-    Parameters
-    ----------
-    description : Mapping
-        Keys ``padding`` [m] and ``objects``: a mapping of names to their properties. Rotations are ``rpy_deg``: about the
-        fixed x, y and z axes, in this order [deg].
-    base_dir : str or Path
-        Directory that mesh files are relative to.
+    Args:
+        description: Keys ``padding`` [m] and ``objects``: a mapping of names to their properties. Rotations are ``rpy_deg``: about
+            the fixed x, y and z axes, in this order [deg].
+        base_dir: Directory that mesh files are relative to.
 
-    Returns
-    -------
-    scene : Scene
-
-    Raises
-    ------
-    SceneError
-        Naming the key (``objects/wall/size``) or the object, its value and what was expected.
+    Raises:
+        SceneError: Naming the key (``objects/wall/size``) or the object, its value and what was expected.
     """
     try:
         parsed = _SceneDescription.model_validate(dict(description))
@@ -75,15 +66,11 @@ def load_scene(description: Mapping, base_dir: str | Path) -> Scene:
 def read_scene(path: str | Path) -> Scene:
     """Read a scene from a YAML file; see `load_scene`, also for what it raises.
 
-    Parameters
-    ----------
-    path : str or Path
-        `NONE` or empty: a scene of nothing.
+    Args:
+        path: `NONE` or empty: a scene of nothing.
 
-    Raises
-    ------
-    SceneError
-        Also if the file cannot be read.
+    Raises:
+        SceneError: Also if the file cannot be read.
     """
     if str(path) in ("", NONE):
         return Scene()

@@ -43,12 +43,9 @@ _HEADER = """\
 class SelfCollision:
     """The pairs of links that are not checked.
 
-    Attributes
-    ----------
-    ignored : mapping of frozenset of two str to str
-        Reason for each pair: ``adjacent``, ``always`` or ``never``.
-    geometry_hash : str
-        Of the robot they were found with, see `geometry_hash`.
+    Attributes:
+        ignored: Reason for each pair: ``adjacent``, ``always`` or ``never``.
+        geometry_hash: Of the robot they were found with, see `geometry_hash`.
     """
 
     ignored: Mapping[frozenset[str], str]
@@ -95,23 +92,12 @@ def sample_self_collision(
 ) -> SelfCollision:
     """Find the pairs of links that need no check.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    samples : int, optional
-        Poses: the home pose and random ones within the ranges.
-    seed : int, optional
-    processes, report : optional
-        As of `sample_pairs`; the result does not depend on them.
+    Args:
+        samples: Poses: the home pose and random ones within the ranges.
+        processes, report: As of `sample_pairs`; the result does not depend on them.
 
-    Returns
-    -------
-    self_collision : SelfCollision
-
-    Raises
-    ------
-    ConfigurationError
-        If the robot's shapes cannot be read.
+    Raises:
+        ConfigurationError: If the robot's shapes cannot be read.
     """
     bodies = RobotBodies(robot)
     pairs, adjacent = _link_pairs(bodies)
@@ -167,18 +153,12 @@ def _has_followers(robot: RobotModel) -> bool:
 def load_self_collision(description: Mapping, bodies: RobotBodies, where: str) -> SelfCollision:
     """Return what a parsed file says, if it was made for this robot.
 
-    Parameters
-    ----------
-    description : Mapping
-    bodies : RobotBodies
-        The robot's.
-    where : str
-        Name of the file, for errors.
+    Args:
+        bodies: The robot's.
+        where: Name of the file, for errors.
 
-    Raises
-    ------
-    ConfigurationError
-        If a key is wrong, or the robot's geometry is not the one the file was made from.
+    Raises:
+        ConfigurationError: If a key is wrong, or the robot's geometry is not the one the file was made from.
     """
     parsed = parse_pairs(description, where)
     found = geometry_hash(bodies)

@@ -104,12 +104,9 @@ def hull_folder(output: Path) -> Path:
 def propose_hulls(robot: RobotModel, folder: Path) -> list[str]:
     """Write the proposal of a robot's hulls, if it has meshes that are not convex; return what to tell about it.
 
-    Raises
-    ------
-    ConfigurationError
-        If a mesh has no hull.
-    OSError
-        If the folder cannot be written.
+    Raises:
+        ConfigurationError: If a mesh has no hull.
+        OSError: If the folder cannot be written.
     """
     hulls = mesh_hulls(RobotBodies(robot))
     if not hulls:
@@ -125,10 +122,8 @@ def propose_hulls(robot: RobotModel, folder: Path) -> list[str]:
 def progress(samples: int) -> Iterator[Callable[[int, int], None]]:
     """Give a function that shows how far the sampling is: a bar on a terminal, single lines otherwise. On standard error.
 
-    Parameters
-    ----------
-    samples : int
-        Poses in all.
+    Args:
+        samples: Poses in all.
     """
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
@@ -160,9 +155,7 @@ def _lines(samples: int) -> Callable[[int, int], None]:
 def _check_folder(output: Path | None) -> None:
     """Refuse an output that cannot be written, before anything is computed.
 
-    Raises
-    ------
-    ConfigurationError
+    Raises ConfigurationError.
     """
     if output is None:
         return

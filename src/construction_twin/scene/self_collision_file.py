@@ -36,16 +36,11 @@ class PairFile(pydantic.BaseModel):
 def parse_pairs(description: Mapping, where: str) -> PairFile:
     """Return what a parsed file says, without asking which robot it is for.
 
-    Parameters
-    ----------
-    description : Mapping
-    where : str
-        Name of the file, for errors.
+    Args:
+        where: Name of the file, for errors.
 
-    Raises
-    ------
-    ConfigurationError
-        If a key is wrong.
+    Raises:
+        ConfigurationError: If a key is wrong.
     """
     try:
         return PairFile.model_validate(dict(description))
@@ -57,10 +52,8 @@ def parse_pairs(description: Mapping, where: str) -> PairFile:
 def read_pairs_yaml(path: str | Path) -> dict:
     """Return the contents of a file, not yet checked.
 
-    Raises
-    ------
-    ConfigurationError
-        If it cannot be read, or is no mapping.
+    Raises:
+        ConfigurationError: If it cannot be read, or is no mapping.
     """
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))

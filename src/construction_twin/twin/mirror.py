@@ -21,11 +21,8 @@ class MirrorTwin:
     A pose that the limits allow is met exactly. Another one is approached inside the limits, cycle by cycle, as the gateway
     follows its targets: the twin may stand elsewhere when mirroring begins, and poses may be lost.
 
-    Parameters
-    ----------
-    limits : MotionLimits
-    pose : tuple, shape (n,)
-        Where the twin stands [rad], [m].
+    Args:
+        pose: Shape (n,). Where the twin stands [rad], [m].
     """
 
     def __init__(self, limits: MotionLimits, pose: tuple[float, ...]):
@@ -41,17 +38,12 @@ class MirrorTwin:
     def follow(self, stamp: int, q: tuple[float, ...]) -> tuple[float, ...] | None:
         """Follow a measured pose.
 
-        Parameters
-        ----------
-        stamp : int
-            Of the measurement [ns]. How many cycles have gone by since the last one says how far the twin may move.
-        q : tuple, shape (n,)
-            [rad], [m]
+        Args:
+            stamp: Of the measurement [ns]. How many cycles have gone by since the last one says how far the twin may move.
+            q: Shape (n,). [rad], [m]
 
-        Returns
-        -------
-        pose : tuple, shape (n,) or None
-            The twin's pose [rad], [m]; None when the measurement is not newer than the last one.
+        Returns:
+            Shape (n,). The twin's pose [rad], [m]; None when the measurement is not newer than the last one.
         """
         if stamp <= self._stamp:
             return None

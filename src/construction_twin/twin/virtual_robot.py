@@ -22,12 +22,10 @@ SILENCE = NANOSECONDS // 4
 class VirtualRobot:
     """A robot that is where it was told to be.
 
-    Parameters
-    ----------
-    home : tuple, shape (n,) or None
-        Pose to start at [rad], [m]; None waits for `take_over`, so that a twin of a physical arm never shows a pose it made up.
-    linear : sequence of bool, shape (n,), optional
-        Which joints are linear; default: none.
+    Args:
+        home: Shape (n,). Pose to start at [rad], [m]; None waits for `take_over`, so that a twin of a physical arm never shows a
+            pose it made up.
+        linear: Shape (n,). Which joints are linear; default: none.
     """
 
     def __init__(self, home: tuple[float, ...] | None, linear: Sequence[bool] = ()):

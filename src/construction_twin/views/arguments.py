@@ -61,10 +61,8 @@ class Exit(enum.IntEnum):
 def parser(robot: str) -> argparse.ArgumentParser:
     """Return the parser of the whole command line.
 
-    Parameters
-    ----------
-    robot : str
-        Namespace of the robot when none is given.
+    Args:
+        robot: Namespace of the robot when none is given.
     """
     root = argparse.ArgumentParser(
         prog="twin",

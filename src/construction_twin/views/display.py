@@ -15,12 +15,9 @@ _X11_PORT, _TIMEOUT = 6000, 3.0
 def display_problem(display: str, connect: Callable[[str, int], None]) -> str:
     """Return in one sentence why no window can be shown; empty when one can.
 
-    Parameters
-    ----------
-    display : str
-        Environment variable DISPLAY.
-    connect : callable
-        ``connect(host, number)`` reaches display `number`; host "" is this machine. Raises OSError when it cannot.
+    Args:
+        display: Environment variable DISPLAY.
+        connect: ``connect(host, number)`` reaches display `number`; host "" is this machine. Raises OSError when it cannot.
     """
     advice = "rviz is not started, everything else goes on without it"
     if not display:
@@ -38,10 +35,8 @@ def display_problem(display: str, connect: Callable[[str, int], None]) -> str:
 def connect_display(host: str, number: int) -> None:
     """Open a connection to an X11 display and close it again.
 
-    Raises
-    ------
-    OSError
-        If nothing answers.
+    Raises:
+        OSError: If nothing answers.
     """
     if host:
         socket.create_connection((host, _X11_PORT + number), _TIMEOUT).close()

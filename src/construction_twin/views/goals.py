@@ -21,21 +21,14 @@ _STANDING = ("", "base_link", "base", "world")
 def joint_goal(values: Sequence[float], robot: RobotModel) -> tuple[float, ...]:
     """Return joint values.
 
-    Parameters
-    ----------
-    values : sequence of float, length n
-        [deg], or [mm] for a prismatic joint, in the order of ``robot.joint_names``.
-    robot : RobotModel
+    Args:
+        values: Length n. [deg], or [mm] for a prismatic joint, in the order of ``robot.joint_names``.
 
-    Returns
-    -------
-    q : tuple of float, length n
-        [rad] or [m]; not checked against the ranges, which the planner does.
+    Returns:
+        Length n. [rad] or [m]; not checked against the ranges, which the planner does.
 
-    Raises
-    ------
-    ConfigurationError
-        If their number is not the number of joints.
+    Raises:
+        ConfigurationError: If their number is not the number of joints.
     """
     if len(values) != len(robot.joint_names):
         expected = f"{len(robot.joint_names)} values, one for each of {', '.join(robot.joint_names)}"
@@ -46,21 +39,13 @@ def joint_goal(values: Sequence[float], robot: RobotModel) -> tuple[float, ...]:
 def pose_goal(values: Sequence[float], frame: str = "") -> Pose:
     """Return a pose.
 
-    Parameters
-    ----------
-    values : sequence of float, length 6
-        X, Y, Z [mm], A, B, C [deg]: KUKA's angles, about Z, the new Y, the new X.
-    frame : str, optional
-        What the values are given in; empty: the robot's base.
+    Args:
+        values: Length 6. X, Y, Z [mm], A, B, C [deg]: KUKA's angles, about Z, the new Y, the new X.
+        frame: What the values are given in; empty: the robot's base.
 
-    Returns
-    -------
-    frame_T_tool : Pose
-
-    Raises
-    ------
-    ConfigurationError
-        If the place is so near to the robot's base or the world's origin that metres were probably meant. Never converted.
+    Raises:
+        ConfigurationError: If the place is so near to the robot's base or the world's origin that metres were probably meant. Never
+            converted.
     """
     x, y, z, *angles = values
     # in a frame on the tool or on an element a few mm are a goal like any other

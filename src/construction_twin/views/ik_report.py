@@ -33,21 +33,11 @@ _MEANS = {
 def report(robot: RobotModel, poses: int, compared: int, seed: int, clock: Callable[[], float]) -> list[str]:
     """Return the lines of the report.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    poses : int
-        Random reachable poses to solve.
-    compared : int
-        How many of them are compared with a brute force, at most `poses`; takes about a second each for a redundant arm.
-    seed : int
-        Of the random numbers.
-    clock : callable
-        Returns the present time [s], e.g. ``time.perf_counter``.
-
-    Returns
-    -------
-    lines : list of str
+    Args:
+        poses: Random reachable poses to solve.
+        compared: How many of them are compared with a brute force, at most `poses`; takes about a second each for a redundant arm.
+        seed: Of the random numbers.
+        clock: Returns the present time [s], e.g. ``time.perf_counter``.
     """
     chain = Chain(robot)
     inverse = inverse_kinematics(chain, IkSettings(budget_s=_BUDGET_S), np.random.default_rng(seed), clock)

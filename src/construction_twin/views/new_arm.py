@@ -27,10 +27,8 @@ ARGUMENTS = {
 def launch_text(values: Mapping[str, str]) -> str:
     """Return a launch file that starts everything for one arm; every other argument of bringup.launch can be given to it.
 
-    Parameters
-    ----------
-    values : Mapping of str to str
-        Of each of `ARGUMENTS`.
+    Args:
+        values: Of each of `ARGUMENTS`.
     """
     lines = [
         "<launch>",
@@ -64,13 +62,9 @@ def summary(robot: RobotModel, home: Home) -> list[str]:
 def to_do(robot: RobotModel, files: Mapping[str, Path], scene_left_out: str) -> list[str]:
     """Return what a person must still fill in, one line each.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    files : Mapping of str to Path
-        ``robot_config`` and ``ethernet_xml``.
-    scene_left_out : str
-        Why the launch file starts without a scene; empty: it has one.
+    Args:
+        files: ``robot_config`` and ``ethernet_xml``.
+        scene_left_out: Why the launch file starts without a scene; empty: it has one.
     """
     reasons = {
         "accelerations": "from the maker's data sheet or controller, with your load",

@@ -66,14 +66,10 @@ Question = Callable[[str], bool]
 def problem(given: Mapping[str, str], is_file: Question, is_anonymous: Question = lambda path: False) -> str:
     """Return a sentence about the first argument that cannot work, or must be meant; empty when there is none.
 
-    Parameters
-    ----------
-    given : Mapping of str to str
-        Launch arguments; those that are missing are not checked.
-    is_file : callable
-        Returns whether a path is a file that can be read.
-    is_anonymous : callable, optional
-        Returns whether the mosquitto configuration at a path lets in everybody.
+    Args:
+        given: Launch arguments; those that are missing are not checked.
+        is_file: Returns whether a path is a file that can be read.
+        is_anonymous: Returns whether the mosquitto configuration at a path lets in everybody.
     """
     return next(filter(None, (check(given, is_file, is_anonymous) for check in CHECKS)), "")
 

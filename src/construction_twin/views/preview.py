@@ -34,15 +34,10 @@ HEADLINE_ROOM = 0.3
 class Playing:
     """A ghost that plays a plan.
 
-    Attributes
-    ----------
-    plan : Plan
-    began : float
-        [s]
-    speed : float
-        1: as fast as the plan.
-    loop : bool
-        Play again and again.
+    Attributes:
+        began: [s]
+        speed: 1: as fast as the plan.
+        loop: Play again and again.
     """
 
     plan: Plan
@@ -68,10 +63,8 @@ class Preview:
     The ghost stands at the goal of the plan under review, and plays it when asked to, from its start. Without a plan under review
     it has the twin's pose and is hidden by it.
 
-    Attributes
-    ----------
-    plan : Plan or None
-        The plan that is shown: under review, or approved and not at its end.
+    Attributes:
+        plan: The plan that is shown: under review, or approved and not at its end.
     """
 
     def __init__(self):
@@ -113,19 +106,13 @@ class Preview:
     def play(self, speed: float, loop: bool, now: float) -> str:
         """Let the ghost play the plan under review from its start; return one sentence.
 
-        Parameters
-        ----------
-        speed : float
-            1: as fast as the plan; 0 ends the preview.
-        loop : bool
-            Play it again and again.
-        now : float
-            [s]
+        Args:
+            speed: 1: as fast as the plan; 0 ends the preview.
+            loop: Play it again and again.
+            now: [s]
 
-        Raises
-        ------
-        ReviewError
-            If the speed is negative or not finite, or no plan is under review.
+        Raises:
+            ReviewError: If the speed is negative or not finite, or no plan is under review.
         """
         if not 0.0 <= speed < math.inf:
             raise ReviewError(f"a preview at speed {speed} was asked for; expected a positive number, or 0 to end it")
@@ -162,14 +149,9 @@ class Preview:
 class ToldWork:
     """What is known of a work plan's objects.
 
-    Attributes
-    ----------
-    changes : sequence of SceneChange
-    states : WorkStates
-    forward : callable
-        Returns the tip's pose in the base, for joint values of shape (n,).
-    tip : str
-        Name of the tip link.
+    Attributes:
+        forward: Returns the tip's pose in the base, for joint values of shape (n,).
+        tip: Name of the tip link.
     """
 
     changes: Sequence[SceneChange]
@@ -182,17 +164,12 @@ class ToldWork:
 class PlanPicture:
     """What is drawn of a plan.
 
-    Attributes
-    ----------
-    path : array, shape (m, 3)
-        Positions of the tool.
-    closest : tuple of float, length 3, or None
-        Where the arm comes closest to anything; None when there is nothing to touch.
-    text : str
-        Some lines for the reviewer.
-    text_at : tuple of float, length 3
-    work : WorkPath, optional
-        Of a work plan.
+    Attributes:
+        path: Shape (m, 3). Positions of the tool.
+        closest: Length 3. Where the arm comes closest to anything; None when there is nothing to touch.
+        text: Some lines for the reviewer.
+        text_at: Length 3
+        work: Of a work plan.
     """
 
     path: np.ndarray
@@ -212,19 +189,10 @@ def picture(
 
     The text hangs above all that moves, so that the arm does not hide it.
 
-    Parameters
-    ----------
-    plan : Plan
-    skeleton : callable
-        Returns the points from the base through all joints to the tool, shape (m, 3), for joint values, shape (n,).
-    headline : float
-        Height of the text of the sync state, which this one keeps clear of [m].
-    told : ToldWork, optional
-        What is known of a work plan's objects; without it, only its tool path is drawn.
-
-    Returns
-    -------
-    picture : PlanPicture
+    Args:
+        skeleton: Returns the points from the base through all joints to the tool, shape (m, 3), for joint values, shape (n,).
+        headline: Height of the text of the sync state, which this one keeps clear of [m].
+        told: What is known of a work plan's objects; without it, only its tool path is drawn.
     """
     trajectory = plan.trajectory
     points = min(max(math.ceil(trajectory.duration / PATH_SPACING) + 1, 2), PATH_POINTS)

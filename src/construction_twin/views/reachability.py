@@ -37,15 +37,10 @@ class Reach(enum.Enum):
 class PoseVerdict:
     """The answer.
 
-    Attributes
-    ----------
-    reach : Reach
-    sentence : str
-        Why, for people.
-    q : array, shape (n,), or None
-        The joint solution that was judged [rad], [m] for prismatic joints.
-    between : tuple of str, length 0 or 2
-        The two bodies that touch.
+    Attributes:
+        sentence: Why, for people.
+        q: Shape (n,). The joint solution that was judged [rad], [m] for prismatic joints.
+        between: Length 0 or 2. The two bodies that touch.
     """
 
     reach: Reach
@@ -57,17 +52,10 @@ class PoseVerdict:
 def judge_pose(pose: Pose, seed: Sequence[float], solver: InverseKinematics, world: CollisionWorld) -> PoseVerdict:
     """Judge a pose.
 
-    Parameters
-    ----------
-    pose : Pose
-    seed : sequence of float, length n
-        The arm's present joint values [rad], [m] for prismatic joints, within their ranges.
-    solver : InverseKinematics
-    world : CollisionWorld
+    Args:
+        seed: Length n. The arm's present joint values [rad], [m] for prismatic joints, within their ranges.
 
-    Returns
-    -------
-    verdict : PoseVerdict
+    Returns:
         Of the nearest joint solution that is free; if none is, of the nearest one.
     """
     try:

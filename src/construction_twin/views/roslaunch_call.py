@@ -30,14 +30,10 @@ NONE = {"scene", "scene_1", "scene_2"}
 class RoslaunchCall:
     """A command line of roslaunch.
 
-    Attributes
-    ----------
-    files : tuple of str
-        A package and the name of a file in it, or paths.
-    given : Mapping of str to str
-        Arguments; of several for one name the last.
-    options : Mapping of str to str
-        With their values; empty for those without one.
+    Attributes:
+        files: A package and the name of a file in it, or paths.
+        given: Arguments; of several for one name the last.
+        options: With their values; empty for those without one.
     """
 
     files: tuple[str, ...]
@@ -58,10 +54,8 @@ class RoslaunchCall:
 def roslaunch_call(command: Sequence[str]) -> RoslaunchCall | None:
     """Return what roslaunch was called with; None for the command line of another program.
 
-    Parameters
-    ----------
-    command : sequence of str
-        The whole command line of a process, with or without the interpreter before the program.
+    Args:
+        command: The whole command line of a process, with or without the interpreter before the program.
     """
     start = next((i for i, word in enumerate(command[:2]) if Path(word).name == "roslaunch"), None)
     if start is None:
@@ -88,15 +82,10 @@ def roslaunch_call(command: Sequence[str]) -> RoslaunchCall | None:
 def known_arguments(path: str | Path, find_package: Callable[[str], str | None]) -> dict[str, str] | None:
     """Return the arguments that a call of roslaunch can set in a launch file, and in those that it passes all of them to.
 
-    Parameters
-    ----------
-    path : str or Path
-    find_package : callable
-        Returns the folder of a ROS package, None if there is none of this name.
+    Args:
+        find_package: Returns the folder of a ROS package, None if there is none of this name.
 
-    Returns
-    -------
-    known : dict of str to str, or None
+    Returns:
         The default of each, as the file writes it; empty when it has none. None if an included file cannot be told in advance.
     """
     try:
@@ -120,12 +109,9 @@ def known_arguments(path: str | Path, find_package: Callable[[str], str | None])
 def argument_problem(given: Mapping[str, str], known: Mapping[str, str], file: str) -> str:
     """Return a sentence about the first argument that would have no effect; empty when there is none.
 
-    Parameters
-    ----------
-    given, known : Mapping of str to str
-        Of the call, and of its launch file.
-    file : str
-        Name of the launch file.
+    Args:
+        given, known: Of the call, and of its launch file.
+        file: Name of the launch file.
     """
     for name, value in given.items():
         if name not in known:

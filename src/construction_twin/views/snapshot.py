@@ -18,16 +18,10 @@ READY = {"link": "ARMED", "sync": "IN_SYNC", "execution": "IDLE"}
 class LinkFacts:
     """The bridge's report; see Link.msg.
 
-    Attributes
-    ----------
-    text, reason, gateway_state : str
-    counters : Mapping of str to str
-        The gateway's, and what it says of its playout.
-    commands_refused, states_refused : int
-    responsible : str
-        Who has armed a bare PLC; empty otherwise.
-    not_checked : tuple of str
-        What is not checked with a bare PLC.
+    Attributes:
+        counters: The gateway's, and what it says of its playout.
+        responsible: Who has armed a bare PLC; empty otherwise.
+        not_checked: What is not checked with a bare PLC.
     """
 
     text: str
@@ -44,14 +38,9 @@ class LinkFacts:
 class SyncFacts:
     """The gate's report; see Sync.msg.
 
-    Attributes
-    ----------
-    text, reason, policy, comparison : str
-    errors, thresholds : tuple of float, length n
-        [rad], [m] for prismatic joints; empty while nothing is compared.
-    round_trip, servo_lag : float
-        [s]; nan when unknown.
-    violations : int
+    Attributes:
+        errors, thresholds: Length n. [rad], [m] for prismatic joints; empty while nothing is compared.
+        round_trip, servo_lag: [s]; nan when unknown.
     """
 
     text: str
@@ -69,19 +58,12 @@ class SyncFacts:
 class ExecutionFacts:
     """The executor's report; see Execution.msg.
 
-    Attributes
-    ----------
-    text, reason, plan_id, outcome : str
-    start, duration : float
-        Nominal time of the plan's first setpoint, 0 for none; its length [s].
-    rate, speed_limit : float
-        Fraction of the planned speed now, and the fraction that is allowed.
-    segment, segment_name : int, str
-        Of a work plan: where it is, from 0; -1 without.
-    at_boundary, wants_scene : bool
-        It stands at the end of that segment; and waits for the scene to change.
-    engaged : bool
-        Only the way back along the executed path can be planned.
+    Attributes:
+        start, duration: Nominal time of the plan's first setpoint, 0 for none; its length [s].
+        rate, speed_limit: Fraction of the planned speed now, and the fraction that is allowed.
+        segment, segment_name: Of a work plan: where it is, from 0; -1 without.
+        at_boundary, wants_scene: It stands at the end of that segment; and waits for the scene to change.
+        engaged: Only the way back along the executed path can be planned.
     """
 
     text: str
@@ -118,22 +100,14 @@ class NodeFacts:
 class Snapshot:
     """One robot at one moment.
 
-    Attributes
-    ----------
-    robot : str
-        Namespace, without slashes.
-    now : float
-        ROS time [s].
-    joints : tuple of str, length n
-    linear : tuple of bool, length n
-    link, sync, execution : facts or None
-    plan : Plan or None
-        Under review.
-    rates : Mapping of str to float or None
-        Messages per second on the 250 Hz topics.
-    nodes : tuple of NodeFacts
-    silent : Mapping of str to float
-        How long ``link``, ``sync``, ``execution`` have been silent [s], if too long.
+    Attributes:
+        robot: Namespace, without slashes.
+        now: ROS time [s].
+        joints: Length n
+        linear: Length n
+        plan: Under review.
+        rates: Messages per second on the 250 Hz topics.
+        silent: How long ``link``, ``sync``, ``execution`` have been silent [s], if too long.
     """
 
     robot: str

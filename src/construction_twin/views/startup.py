@@ -15,20 +15,13 @@ PATIENCE = 1.0
 class Deployment:
     """What was started, and where the rest should be.
 
-    Attributes
-    ----------
-    namespace : str
-        Of the robot, absolute.
-    arm : str
-        ``mock``, ``real`` or ``none``.
-    broker : str
-        HOST:PORT
-    rsi : str
-        HOST:PORT on which the gateway should listen; port 0: that of the Ethernet XML.
-    gateway : bool
-        The gateway is started on this machine.
-    gateway_kind : str
-        ``rsi``: rsi_gateway takes the commands; ``plc``: a bare PLC.
+    Attributes:
+        namespace: Of the robot, absolute.
+        arm: ``mock``, ``real`` or ``none``.
+        broker: HOST:PORT
+        rsi: HOST:PORT on which the gateway should listen; port 0: that of the Ethernet XML.
+        gateway: The gateway is started on this machine.
+        gateway_kind: ``rsi``: rsi_gateway takes the commands; ``plc``: a bare PLC.
     """
 
     namespace: str
@@ -56,11 +49,8 @@ class Deployment:
 class Word:
     """State word and reason of a report.
 
-    Attributes
-    ----------
-    state, reason : str
-    gateway : str
-        State of the gateway, in the bridge's report.
+    Attributes:
+        gateway: State of the gateway, in the bridge's report.
     """
 
     state: str
@@ -72,16 +62,11 @@ class Word:
 class Seen:
     """What was heard so far.
 
-    Attributes
-    ----------
-    link, sync, execution : Word or None
-        Of the three reports.
-    feedback, twin, scene : bool
-        Whether a pose of the arm, a pose of the twin, a scene has come.
-    controller : str
-        Why the arm may not move, as the controller says itself; "" for no reason.
-    clock : str
-        By how much the controller's clock is off, as the gateway has measured it; "" when it is not known to be.
+    Attributes:
+        link, sync, execution: Of the three reports.
+        feedback, twin, scene: Whether a pose of the arm, a pose of the twin, a scene has come.
+        controller: Why the arm may not move, as the controller says itself; "" for no reason.
+        clock: By how much the controller's clock is off, as the gateway has measured it; "" when it is not known to be.
     """
 
     link: Word | None = None
@@ -146,14 +131,10 @@ KINDS: dict[str, Words] = {
 class Missing:
     """What is waited for.
 
-    Attributes
-    ----------
-    kind : str
-        One of `KINDS`.
-    reason : str
-        What the system says about it; may be empty.
-    deployment : Deployment
-        Where.
+    Attributes:
+        kind: One of `KINDS`.
+        reason: What the system says about it; may be empty.
+        deployment: Where.
     """
 
     kind: str
@@ -201,14 +182,8 @@ _REPEATED = tuple(
 class StartUp:
     """Turns what is seen into lines for the operator, each once.
 
-    Parameters
-    ----------
-    deployment : Deployment
-
-    Attributes
-    ----------
-    missing : Missing or None
-        What is waited for now.
+    Attributes:
+        missing: What is waited for now.
     """
 
     def __init__(self, deployment: Deployment):
@@ -224,11 +199,8 @@ class StartUp:
     def update(self, seen: Seen, now: float) -> list[str]:
         """Take what is seen; return the lines that are news.
 
-        Parameters
-        ----------
-        seen : Seen
-        now : float
-            On a clock that never runs back [s].
+        Args:
+            now: On a clock that never runs back [s].
         """
         beside = self._controller.update(seen.controller, now) + self._clock.update(seen.clock, now)
         return self._progress(seen, now) + beside

@@ -32,19 +32,12 @@ WHO = ("", SYSTEM, OPERATOR, REVIEWER, TECHNICIAN)
 class Words:
     """What is said of a state.
 
-    Attributes
-    ----------
-    level : Level
-    sentence : str
-        What the arm does, without the node's own reason.
-    waits_for : str
-        Empty: nothing.
-    who : str
-        One of `WHO`.
-    todo : str
-        Empty: nothing to do.
-    page : str
-        Below docs/, with its anchor.
+    Attributes:
+        sentence: What the arm does, without the node's own reason.
+        waits_for: Empty: nothing.
+        who: One of `WHO`.
+        todo: Empty: nothing to do.
+        page: Below docs/, with its anchor.
     """
 
     level: Level
@@ -238,16 +231,11 @@ _OVER = frozenset(("done", "skipped"))
 class WorkFacts:
     """What the status line needs of the building model's tasks.
 
-    Attributes
-    ----------
-    states : tuple of str
-        Of the tasks; empty: the model cannot be used.
-    engaged, proposed : bool
-        Only the way back can be planned; the schedule was not accepted yet.
-    next : str
-        The task that comes next; empty: none can.
-    reason : str
-        What the work waits for.
+    Attributes:
+        states: Of the tasks; empty: the model cannot be used.
+        engaged, proposed: Only the way back can be planned; the schedule was not accepted yet.
+        next: The task that comes next; empty: none can.
+        reason: What the work waits for.
     """
 
     states: tuple[str, ...]
@@ -261,23 +249,14 @@ class WorkFacts:
 class Heard:
     """What the nodes say now; a report that is None is silent.
 
-    Attributes
-    ----------
-    link, sync, execution : Word or None
-    arm : bool
-        There is a physical arm, so that there is a link.
-    bare : bool
-        A bare PLC takes the commands.
-    plan : str
-        Id of the plan under review; empty: none.
-    engaged : bool
-        The executor reviews the way back only.
-    work : WorkFacts or None
-        None: there is no building model.
-    started : bool
-        It is known what the start waits for.
-    missing : Missing or None
-        What that is; None: everything is there.
+    Attributes:
+        arm: There is a physical arm, so that there is a link.
+        bare: A bare PLC takes the commands.
+        plan: Id of the plan under review; empty: none.
+        engaged: The executor reviews the way back only.
+        work: None: there is no building model.
+        started: It is known what the start waits for.
+        missing: What that is; None: everything is there.
     """
 
     link: Word | None = None
@@ -296,22 +275,14 @@ class Heard:
 class Line:
     """One line, as it is sent on `screen`.
 
-    Attributes
-    ----------
-    topic, state : str
-    words : str
-        Key of what is said: ``<topic>.<state>`` of `TABLE`, ``startup.<kind>`` of what a start waits for. A page in another
-        language has its own words for it.
-    values : dict of str
-        What these words name.
-    level : int
-        Number of a `Level`.
-    sentence : str
-        With the reason.
-    reason : str
-        The node's own, where the sentence has it; else empty.
-    waits_for, who, todo, page : str
-        As in `Words`.
+    Attributes:
+        words: Key of what is said: ``<topic>.<state>`` of `TABLE`, ``startup.<kind>`` of what a start waits for. A page in another
+            language has its own words for it.
+        values: What these words name.
+        level: Number of a `Level`.
+        sentence: With the reason.
+        reason: The node's own, where the sentence has it; else empty.
+        waits_for, who, todo, page: As in `Words`.
     """
 
     topic: str

@@ -35,20 +35,13 @@ LINE_LENGTH = 70
 class Shape:
     """One visual shape of a link.
 
-    Attributes
-    ----------
-    link : str
-        Its pose is in this link's frame.
-    kind : str
-        ``mesh``, ``box``, ``cylinder`` or ``sphere``.
-    mesh : str
-        URI, for a mesh.
-    scale : tuple of float, length 3
-        Of the mesh, or the shape's extent along its axes [m].
-    position : tuple of float, length 3
-        [m]
-    quaternion : tuple of float, length 4
-        x, y, z, w
+    Attributes:
+        link: Its pose is in this link's frame.
+        kind: ``mesh``, ``box``, ``cylinder`` or ``sphere``.
+        mesh: URI, for a mesh.
+        scale: Length 3. Of the mesh, or the shape's extent along its axes [m].
+        position: Length 3. [m]
+        quaternion: Length 4. x, y, z, w
     """
 
     link: str
@@ -62,10 +55,8 @@ class Shape:
 def visual_shapes(urdf: str) -> tuple[Shape, ...]:
     """Return a robot's visual shapes, in the order of the URDF.
 
-    Raises
-    ------
-    ConfigurationError
-        If the text is not a URDF.
+    Raises:
+        ConfigurationError: If the text is not a URDF.
     """
     return tuple(_shape(link.name, visual) for link in parse_urdf(urdf).links for visual in link.visuals)
 
@@ -92,12 +83,9 @@ def _extent(geometry: Mesh | Box | Cylinder | Sphere) -> tuple[float, float, flo
 def headline_height(shoulder: float, arm_length: float) -> float:
     """Return how high the text stands over the base [m]: above everything the arm can reach, so that it never hides it.
 
-    Parameters
-    ----------
-    shoulder : float
-        Height of the first revolute joint [m].
-    arm_length : float
-        Of all links behind it [m].
+    Args:
+        shoulder: Height of the first revolute joint [m].
+        arm_length: Of all links behind it [m].
     """
     return shoulder + arm_length + TEXT_ROOM
 
@@ -105,13 +93,9 @@ def headline_height(shoulder: float, arm_length: float) -> float:
 def headline(state: SyncState, reason: str, worst: str) -> str:
     """Return the text above the arm; empty while twin and arm are in sync.
 
-    Parameters
-    ----------
-    state : SyncState
-    reason : str
-        `Sync.reason`.
-    worst : str
-        Of `worst_joint`; may be empty.
+    Args:
+        reason: `Sync.reason`.
+        worst: Of `worst_joint`; may be empty.
     """
     if state is SyncState.IN_SYNC:
         return ""
@@ -123,12 +107,10 @@ def worst_joint(
 ) -> str:
     """Return which joint is closest to its threshold, and its difference; empty if nothing was measured.
 
-    Parameters
-    ----------
-    names : sequence of str, length n
-    errors, thresholds : sequence of float, length n
-        Of `Sync` [rad], [m] for prismatic joints.
-    linear : sequence of bool, length n
+    Args:
+        names: Length n
+        errors, thresholds: Length n. Of `Sync` [rad], [m] for prismatic joints.
+        linear: Length n
     """
     rows = [
         (error / threshold, name, error, threshold, straight)

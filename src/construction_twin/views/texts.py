@@ -21,13 +21,9 @@ def joint_value(value: float, linear: bool, decimals: int = 3) -> str:
 def plan_lines(plan: Plan, linear: Sequence[bool], changes: Sequence[SceneChange] = ()) -> list[str]:
     """Return the lines about a plan that a reviewer needs.
 
-    Parameters
-    ----------
-    plan : Plan
-    linear : sequence of bool, length n
-        Which joints are linear, in the plan's order.
-    changes : sequence of SceneChange, optional
-        What the segments of a work plan do to the scene, as told with it.
+    Args:
+        linear: Length n. Which joints are linear, in the plan's order.
+        changes: What the segments of a work plan do to the scene, as told with it.
     """
     trajectory, clearance = plan.trajectory, plan.report.clearance
     names = trajectory.joint_names
@@ -145,10 +141,8 @@ def work_lines(execution: ExecutionFacts | None) -> list[str]:
 def controller_words(told: Mapping[str, str]) -> str:
     """Return what the controller says on its optional channels, e.g. ``T1, program ACTIVE, override 100 %``; "" for nothing.
 
-    Parameters
-    ----------
-    told : mapping of str to str
-        `LinkFacts.counters`.
+    Args:
+        told: `LinkFacts.counters`.
     """
     words = {"mode": "{}", "program": "program {}", "override_percent": "override {} %"}
     values = {name: told.get(f"controller_{name}", "") for name in words}
@@ -178,12 +172,8 @@ def because(reason: str) -> str:
 def range_sentence(joint: str, value: float, robot: RobotModel) -> str:
     """Return how far a joint would have to go beyond its range, for people.
 
-    Parameters
-    ----------
-    joint : str
-    value : float
-        What it would have to be [rad, or m].
-    robot : RobotModel
+    Args:
+        value: What it would have to be [rad, or m].
     """
     number = robot.joint_names.index(joint)
     linear = robot.linear[number]

@@ -34,20 +34,13 @@ TEXT = "work next"
 class DrawnElement:
     """One element, drawn once: an element that lies in stock and is to be placed elsewhere is given twice, with two keys.
 
-    Attributes
-    ----------
-    key : str
-        Names the marker: the GlobalId, or that with a word behind it.
-    name : str
-        For a person.
-    triangles : array, shape (t, 3, 3)
-        Corners in the element's frame [m]; see `work.element_bodies.element_triangles`.
-    pose : Pose
-        Of the element in the base_link, or in `link`.
-    state : str
-        One of `COLOURS`.
-    link : str
-        Link that carries it; empty: it stands in the world.
+    Attributes:
+        key: Names the marker: the GlobalId, or that with a word behind it.
+        name: For a person.
+        triangles: Shape (t, 3, 3). Corners in the element's frame [m]; see `work.element_bodies.element_triangles`.
+        pose: Of the element in the base_link, or in `link`.
+        state: One of `COLOURS`.
+        link: Link that carries it; empty: it stands in the world.
     """
 
     key: str
@@ -66,15 +59,10 @@ class DrawnElement:
 class WorkPicture:
     """What is drawn of a building model, and what no more.
 
-    Attributes
-    ----------
-    elements : tuple of DrawnElement
-    text : str
-        Empty: nothing is next.
-    text_at : tuple of float, length 3
-        In the base_link.
-    gone : tuple of str
-        Keys of markers to delete.
+    Attributes:
+        text: Empty: nothing is next.
+        text_at: Length 3. In the base_link.
+        gone: Keys of markers to delete.
     """
 
     elements: tuple[DrawnElement, ...]
@@ -93,11 +81,8 @@ def work_picture(elements: Iterable[DrawnElement], shown: Iterable[str] = ()) ->
 
     All of it each time: who begins to listen to a latched topic hears the last message only.
 
-    Parameters
-    ----------
-    elements : iterable of DrawnElement
-    shown : iterable of str, optional
-        `WorkPicture.keys` of the picture before.
+    Args:
+        shown: `WorkPicture.keys` of the picture before.
     """
     drawn = tuple(item for item in elements if len(item.triangles))
     following = next((item for item in drawn if item.state == "next"), None)

@@ -30,14 +30,11 @@ LONGEST_WORD = 28
 class WorkStates:
     """The objects that a work plan moves.
 
-    Attributes
-    ----------
-    carried : tuple of tuple of SceneObject
-        Of each segment: what the arm carries during it, in the link that carries it; and, as one more, what it carries in the end.
-    placed : tuple of SceneObject
-        What stands elsewhere in the end than before, or is new.
-    problem : str
-        Why what is drawn may not be what is approved, as a sentence; empty: it is.
+    Attributes:
+        carried: Of each segment: what the arm carries during it, in the link that carries it; and, as one more, what it carries in
+            the end.
+        placed: What stands elsewhere in the end than before, or is new.
+        problem: Why what is drawn may not be what is approved, as a sentence; empty: it is.
     """
 
     carried: tuple[tuple[SceneObject, ...], ...]
@@ -53,13 +50,9 @@ class WorkStates:
 def work_states(plan: Plan, changes: Sequence[SceneChange], scene: Scene | None) -> WorkStates:
     """Return what a work plan does to the objects.
 
-    Parameters
-    ----------
-    plan : Plan
-    changes : sequence of SceneChange
-        As told with its segments; fewer: not told.
-    scene : Scene or None
-        The present scene. Unless it is the one that the plan begins in, only what the changes say is known.
+    Args:
+        changes: As told with its segments; fewer: not told.
+        scene: The present scene. Unless it is the one that the plan begins in, only what the changes say is known.
     """
     known = scene is not None and scene.hash == plan.scene
     present = scene if scene is not None and known else Scene()
@@ -88,17 +81,11 @@ def _after(scene: Scene, change: SceneChange) -> Scene:
 class WorkPath:
     """What is drawn of a work plan.
 
-    Attributes
-    ----------
-    parts : tuple of array, shape (m, 3)
-        The tool's positions in each segment.
-    engaged : tuple of bool
-        Which of them are engaged.
-    marks : tuple of (str, array of shape (3,))
-        Where segments end, with their numbers and names.
-    on_the_way : tuple of (SceneObject, Pose)
-        What is carried, where the arm carries it from one segment into the next.
-    placed : tuple of SceneObject
+    Attributes:
+        parts: Each of shape (m, 3). The tool's positions in each segment.
+        engaged: Which of them are engaged.
+        marks: Shape (3,). Where segments end, with their numbers and names.
+        on_the_way: What is carried, where the arm carries it from one segment into the next.
     """
 
     parts: tuple[np.ndarray, ...]
@@ -113,16 +100,10 @@ def work_path(
 ) -> WorkPath:
     """Return what is drawn of a work plan.
 
-    Parameters
-    ----------
-    plan : Plan
-    states : WorkStates
-    forward : callable
-        Returns the tip's pose in the base, for joint values of shape (n,).
-    tip : str
-        Name of the tip link: what other links carry is not drawn on the way.
-    spacing, most : float, int
-        Of the points of a path [s], and their number at most.
+    Args:
+        forward: Returns the tip's pose in the base, for joint values of shape (n,).
+        tip: Name of the tip link: what other links carry is not drawn on the way.
+        spacing, most: Of the points of a path [s], and their number at most.
     """
     trajectory = plan.trajectory
     ends = [segment.end for segment in plan.segments]

@@ -44,10 +44,8 @@ class WorkFacts:
 def chosen(tasks: Sequence[TaskFacts], text: str) -> TaskFacts:
     """Return the task that a person means by its id, its name, or the beginning of one of them.
 
-    Raises
-    ------
-    RequestRefused
-        When none fits, or several do.
+    Raises:
+        RequestRefused: When none fits, or several do.
     """
     for exact in (lambda task: task.id == text, lambda task: task.name.lower() == text.lower()):
         found = [task for task in tasks if exact(task)]

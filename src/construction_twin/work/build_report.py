@@ -36,13 +36,9 @@ _STYLE = (
 class Decision:
     """What a person, or a command in a person's place, decided.
 
-    Attributes
-    ----------
-    time : float
-        Since 1970 [s].
-    person : str
-    what : str
-        A sentence: which plan was approved, with its hash; which question was answered, and how.
+    Attributes:
+        time: Since 1970 [s].
+        what: A sentence: which plan was approved, with its hash; which question was answered, and how.
     """
 
     time: float
@@ -54,29 +50,17 @@ class Decision:
 class TaskResult:
     """One task of the session.
 
-    Attributes
-    ----------
-    name, element, state : str
-    planning, motion : float
-        Times [s], of the plan that was carried out.
-    plans : int
-        How many plans it took.
-    deviation_mm, deviation_deg : float
-        NaN: not placed.
-    tolerance_mm, tolerance_deg : float
-        A deviation beyond one of them is not within tolerance.
-    mass : float
-        [kg]; NaN: nobody says.
-    grip : str
-        How it is or was held; empty: not gripped.
-    approved_by : tuple of str
-        Who approved its plans, each once.
-    scheduled_start : str
-        ISO 8601; empty: the schedule says nothing.
-    scheduled_duration : float
-        [s]; NaN: the schedule says nothing.
-    begun, settled : float
-        When it was begun, and done or skipped, since 1970 [s]; 0: not yet.
+    Attributes:
+        planning, motion: Times [s], of the plan that was carried out.
+        plans: How many plans it took.
+        deviation_mm, deviation_deg: NaN: not placed.
+        tolerance_mm, tolerance_deg: A deviation beyond one of them is not within tolerance.
+        mass: [kg]; NaN: nobody says.
+        grip: How it is or was held; empty: not gripped.
+        approved_by: Who approved its plans, each once.
+        scheduled_start: ISO 8601; empty: the schedule says nothing.
+        scheduled_duration: [s]; NaN: the schedule says nothing.
+        begun, settled: When it was begun, and done or skipped, since 1970 [s]; 0: not yet.
     """
 
     name: str
@@ -108,14 +92,10 @@ class TaskResult:
 def summary(results: Sequence[TaskResult], held: int, decisions: Sequence[Decision] = ()) -> dict:
     """Return the figures of ``work.json``.
 
-    Parameters
-    ----------
-    results : sequence of TaskResult
-        In the order of the schedule.
-    held : int
-        Plans that were stopped, held or dropped under way.
-    decisions : sequence of Decision
-        In the order of time.
+    Args:
+        results: In the order of the schedule.
+        held: Plans that were stopped, held or dropped under way.
+        decisions: In the order of time.
     """
     placed = [one for one in results if math.isfinite(one.deviation_mm)]
     times = [one.planning for one in results if one.plans]
@@ -195,20 +175,11 @@ def write_report(
 ) -> tuple[Path, ...]:
     """Write ``work.json``, ``as_built.png`` and ``report.html``; return their paths.
 
-    Parameters
-    ----------
-    folder : Path
-    title : str
-    results : sequence of TaskResult
-        In the order of the schedule.
-    held : int
-    scene : Scene
-        What stands now.
-    decisions : sequence of Decision
+    Args:
+        results: In the order of the schedule.
+        scene: What stands now.
 
-    Raises
-    ------
-    OSError
+    Raises OSError.
     """
     figures = folder / "work.json"
     contents = summary(results, held, decisions)
@@ -224,12 +195,8 @@ def write_report(
 def draw(scene: Scene, built: Mapping[str, str], title: str) -> Figure:
     """Return a picture of the elements, from above and from the side; those that were built in green, those in stock in yellow.
 
-    Parameters
-    ----------
-    scene : Scene
-    built : mapping of str to str
-        Names of the elements that stand at their places, by GlobalId.
-    title : str
+    Args:
+        built: Names of the elements that stand at their places, by GlobalId.
     """
     figure = Figure(figsize=(13.0, 6.5))
     corners = []

@@ -23,18 +23,12 @@ Value = str | float | int | bool | None
 class Extrusion:
     """A body that is a profile moved along a straight line.
 
-    Attributes
-    ----------
-    outline : array, shape (k, 2)
-        Corners of the profile, counter-clockwise, not repeated at the end [m].
-    holes : tuple of array, shape (k, 2)
-        Corners of its holes, clockwise [m].
-    element_T_profile : Pose
-        Where the profile's plane is.
-    direction : array, shape (3,)
-        Unit vector in the profile's frame along which it is moved; need not be its normal.
-    depth : float
-        [m], above 0.
+    Attributes:
+        outline: Shape (k, 2). Corners of the profile, counter-clockwise, not repeated at the end [m].
+        holes: Each of shape (k, 2). Corners of its holes, clockwise [m].
+        element_T_profile: Where the profile's plane is.
+        direction: Shape (3,). Unit vector in the profile's frame along which it is moved; need not be its normal.
+        depth: [m], above 0.
     """
 
     outline: np.ndarray
@@ -48,14 +42,10 @@ class Extrusion:
 class Body:
     """One closed body of an element.
 
-    Attributes
-    ----------
-    vertices : array, shape (n, 3)
-        In the element's frame [m].
-    triangles : array, shape (m, 3)
-        Indices of vertices; outward normals by the right hand.
-    extrusion : Extrusion or None
-        What the body is exactly; None: anything else, or an extrusion that something was cut from.
+    Attributes:
+        vertices: Shape (n, 3). In the element's frame [m].
+        triangles: Shape (m, 3). Indices of vertices; outward normals by the right hand.
+        extrusion: What the body is exactly; None: anything else, or an extrusion that something was cut from.
     """
 
     vertices: np.ndarray
@@ -67,27 +57,16 @@ class Body:
 class Element:
     """One product of the model.
 
-    Attributes
-    ----------
-    id : str
-        GlobalId; ``#123``, its number in the file, where that is missing, wrong or another one's.
-    ifc_class : str
-        ``IfcMember``.
-    name, type_name, tag, storey, material : str
-        Empty: the model has none.
-    assembly : str
-        GlobalId of the element it is a part of: an IfcElementAssembly, or another (a wall of layers); empty: none.
-    model_T_element : Pose
-    bodies : tuple of Body
-        Empty: the element has no geometry.
-    properties : mapping of str to mapping
-        Values by property set (or quantity set) and name, the type's own included; the element's win. Measures in SI.
-    mass : float or None
-        [kg], from quantities, or density times volume; None: not known.
-    status : str
-        ``existing``: it stands already; ``demolish``: it stands and is to be taken down; empty: neither is said.
-    doubt : str
-        Why its bodies are not what the model says, so that they are an obstacle at most; empty: they are.
+    Attributes:
+        id: GlobalId; ``#123``, its number in the file, where that is missing, wrong or another one's.
+        ifc_class: ``IfcMember``.
+        name, type_name, tag, storey, material: Empty: the model has none.
+        assembly: GlobalId of the element it is a part of: an IfcElementAssembly, or another (a wall of layers); empty: none.
+        bodies: Empty: the element has no geometry.
+        properties: Values by property set (or quantity set) and name, the type's own included; the element's win. Measures in SI.
+        mass: [kg], from quantities, or density times volume; None: not known.
+        status: ``existing``: it stands already; ``demolish``: it stands and is to be taken down; empty: neither is said.
+        doubt: Why its bodies are not what the model says, so that they are an obstacle at most; empty: they are.
     """
 
     id: str
@@ -110,28 +89,16 @@ class Element:
 class Task:
     """One task of the schedule.
 
-    Attributes
-    ----------
-    id : str
-        GlobalId.
-    name, description : str
-    parent : str
-        GlobalId of the task it nests in; empty: none.
-    products : tuple of str
-        GlobalIds of the elements it makes (outputs), in the file's order.
-    inputs : tuple of str
-        GlobalIds of what it works on.
-    robots : tuple of str
-        Names of the resources assigned to it; empty: any robot.
-    milestone : bool
-    start, finish : str
-        Scheduled, ISO 8601; empty: not said.
-    duration : float or None
-        [s]
-    kind : str
-        ``makes``; ``takes_down``: removes its products and inputs; ``other``: neither (maintenance, moving).
-    completed : bool
-        It was done before this work.
+    Attributes:
+        id: GlobalId.
+        parent: GlobalId of the task it nests in; empty: none.
+        products: GlobalIds of the elements it makes (outputs), in the file's order.
+        inputs: GlobalIds of what it works on.
+        robots: Names of the resources assigned to it; empty: any robot.
+        start, finish: Scheduled, ISO 8601; empty: not said.
+        duration: [s]
+        kind: ``makes``; ``takes_down``: removes its products and inputs; ``other``: neither (maintenance, moving).
+        completed: It was done before this work.
     """
 
     id: str
@@ -153,14 +120,10 @@ class Task:
 class Sequence:
     """One task waits for another.
 
-    Attributes
-    ----------
-    before, after : str
-        GlobalIds of tasks; of nesting tasks it holds for all that they nest.
-    kind : str
-        ``FINISH_START``, ``START_START``, ``FINISH_FINISH`` or ``START_FINISH``: what of `before`, then what of `after`.
-    lag : float
-        [s]; negative: a lead.
+    Attributes:
+        before, after: GlobalIds of tasks; of nesting tasks it holds for all that they nest.
+        kind: ``FINISH_START``, ``START_START``, ``FINISH_FINISH`` or ``START_FINISH``: what of `before`, then what of `after`.
+        lag: [s]; negative: a lead.
     """
 
     before: str
@@ -177,26 +140,15 @@ _BODY = re.compile(r"(?<![\w$#/])([\w$#]{1,64})/\d+(?![\w/])")
 class BuildingModel:
     """One IFC file.
 
-    Attributes
-    ----------
-    file : str
-        Its name.
-    digest : str
-        SHA-256 of its contents.
-    schema : str
-        ``IFC2X3``, ``IFC4``, ``IFC4X3``.
-    project : str
-    unit : float
-        Metres per length unit of the file.
-    elements : mapping of str to Element
-        By GlobalId, in the file's order.
-    tasks : mapping of str to Task
-        By GlobalId, in the file's order; empty: it has no schedule.
-    sequences : tuple of Sequence
-    notes : tuple of str
-        One sentence for each thing that was left out or understood in a way that the user should know.
-    remarks : mapping of str to tuple of str
-        The same by the id of the element or task that they are about, of those that there are any of.
+    Attributes:
+        file: Its name.
+        digest: SHA-256 of its contents.
+        schema: ``IFC2X3``, ``IFC4``, ``IFC4X3``.
+        unit: Metres per length unit of the file.
+        elements: By GlobalId, in the file's order.
+        tasks: By GlobalId, in the file's order; empty: it has no schedule.
+        notes: One sentence for each thing that was left out or understood in a way that the user should know.
+        remarks: The same by the id of the element or task that they are about, of those that there are any of.
     """
 
     file: str
@@ -213,10 +165,8 @@ class BuildingModel:
     def element(self, global_id: str) -> Element:
         """Return the element of that GlobalId.
 
-        Raises
-        ------
-        BuildingError
-            If there is none.
+        Raises:
+            BuildingError: If there is none.
         """
         if global_id not in self.elements:
             raise BuildingError(
@@ -227,11 +177,8 @@ class BuildingModel:
     def called(self, sentence: str, own: str = "") -> str:
         """Return a sentence with elements by their names where it has bodies of theirs, ``<GlobalId>/<number>``.
 
-        Parameters
-        ----------
-        sentence : str
-        own : str
-            GlobalId of the element that the sentence is about, which is called "the element".
+        Args:
+            own: GlobalId of the element that the sentence is about, which is called "the element".
         """
 
         def name(found: re.Match[str]) -> str:

@@ -59,13 +59,9 @@ def as_built(base_T_tool0: Pose, base_T_tool0_planned: Pose, tool0_T_element: Po
 
     An element that was planned to be set down turned by a symmetry of its shape is one that is not turned: its frame is told as if.
 
-    Parameters
-    ----------
-    base_T_tool0, base_T_tool0_planned : Pose
-        Of the flange when it let go: measured, and planned.
-    tool0_T_element : Pose
-    base_T_goal : Pose
-        Where the model has it.
+    Args:
+        base_T_tool0, base_T_tool0_planned: Of the flange when it let go: measured, and planned.
+        base_T_goal: Where the model has it.
     """
     planned = product(base_T_tool0_planned, tool0_T_element)
     built = product(base_T_tool0, tool0_T_element)
@@ -79,13 +75,9 @@ def as_built(base_T_tool0: Pose, base_T_tool0_planned: Pose, tool0_T_element: Po
 class Piece:
     """An element as the scene has it.
 
-    Attributes
-    ----------
-    bodies : tuple of SceneObject
-        Convex pieces ``<GlobalId>/0``, ..., in the element's frame.
-    base_T_stock : Pose or None
-        None: it is in no rack.
-    base_T_goal : Pose
+    Attributes:
+        bodies: Convex pieces ``<GlobalId>/0``, ..., in the element's frame.
+        base_T_stock: None: it is in no rack.
     """
 
     bodies: tuple[SceneObject, ...]
@@ -96,15 +88,10 @@ class Piece:
 def objects_of(element: Piece, memory: TaskMemory, in_stock: bool, tip_link: str) -> tuple[SceneObject, ...] | None:
     """Return the scene's objects of one element as the ledger has it; None: what is there is left as it is.
 
-    Parameters
-    ----------
-    element : Piece
-    memory : TaskMemory
-        Of its task.
-    in_stock : bool
-        It has been delivered, if it was not taken.
-    tip_link : str
-        What carries the tool.
+    Args:
+        memory: Of its task.
+        in_stock: It has been delivered, if it was not taken.
+        tip_link: What carries the tool.
     """
     if memory.state is TaskState.ASKS:
         return None
@@ -137,13 +124,9 @@ class Change:
 def change(scene: Scene, wanted: Mapping[str, SceneObject], left_alone: Collection[str]) -> Change:
     """Return what has to change so that the work's objects are the wanted ones; others are not touched.
 
-    Parameters
-    ----------
-    scene : Scene
-    wanted : mapping of str to SceneObject
-        By name.
-    left_alone : collection of str
-        GlobalIds of elements whose objects stay as they are.
+    Args:
+        wanted: By name.
+        left_alone: GlobalIds of elements whose objects stay as they are.
     """
     there = {item.name: item for item in scene.objects}
     put = tuple(item for name, item in wanted.items() if name not in there or not _same(there[name], item))

@@ -41,34 +41,19 @@ _FIGURES = re.compile(r"-?\d+(\.\d+)?")
 class CheckedTask:
     """What was found for one job.
 
-    Attributes
-    ----------
-    number : int
-        In the order of the schedule, from 0.
-    job, name : str
-        Id of the job, name of its task.
-    element, element_name, ifc_class : str
-    possible : bool
-    grip : str
-        Of the plan, or the one that came furthest; empty: none.
-    track : float or None
-        Value of the first linear joint where the element is set down [m]; None: the robot has none, or there is no plan.
-    clearance : float or None
-        [m], see `WorkPlan`.
-    duration : float or None
-        Of all motions [s], without the waiting for the tool.
-    planning : float
-        Time it took to find out [s].
-    stage, reason : str
-        What was not possible, and why; empty if it is possible.
-    change : str
-        What would help: it was tried, and a plan found; empty: nothing was found.
-    tried : bool
-        Whether changes were looked for.
-    remarks : tuple of str
-        What a person should know of the task or its element, as the model was read.
-    path : tuple of tuple of float, length 3
-        The tool's centre point in the base [m].
+    Attributes:
+        number: In the order of the schedule, from 0.
+        job, name: Id of the job, name of its task.
+        grip: Of the plan, or the one that came furthest; empty: none.
+        track: Value of the first linear joint where the element is set down [m]; None: the robot has none, or there is no plan.
+        clearance: [m], see `WorkPlan`.
+        duration: Of all motions [s], without the waiting for the tool.
+        planning: Time it took to find out [s].
+        stage, reason: What was not possible, and why; empty if it is possible.
+        change: What would help: it was tried, and a plan found; empty: nothing was found.
+        tried: Whether changes were looked for.
+        remarks: What a person should know of the task or its element, as the model was read.
+        path: Length 3. The tool's centre point in the base [m].
     """
 
     number: int
@@ -94,23 +79,13 @@ class CheckedTask:
 class Checker:
     """Plans every job of a schedule on its own. Not for use from several threads at once.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    self_collision : SelfCollision
-    settings : PlannerSettings
-        Of the free ways.
-    layout : Layout
-        With the elements of `jobs`, in their order.
-    jobs : sequence of Job
-        In the order of the schedule; those whose element has no geometry are not possible.
-    clock : callable
-        Returns seconds from any fixed origin.
-    rng : numpy Generator
-    limits : TaskLimits, optional
-        For each task; by default those of the work node.
-    removals : sequence of Job
-        What people take down: gone for the jobs that wait for it, an obstacle for all others.
+    Args:
+        settings: Of the free ways.
+        layout: With the elements of `jobs`, in their order.
+        jobs: In the order of the schedule; those whose element has no geometry are not possible.
+        clock: Returns seconds from any fixed origin.
+        limits: For each task; by default those of the work node.
+        removals: What people take down: gone for the jobs that wait for it, an obstacle for all others.
     """
 
     def __init__(
@@ -171,12 +146,9 @@ class Checker:
     def changed(self, found: CheckedTask, until: float) -> CheckedTask:
         """Return a task that is not possible with what would help, as far as it was found in time.
 
-        Parameters
-        ----------
-        found : CheckedTask
-            From `check`.
-        until : float
-            By the clock [s].
+        Args:
+            found: From `check`.
+            until: By the clock [s].
         """
         if found.possible or not found.stage or self._clock() >= until:
             return found

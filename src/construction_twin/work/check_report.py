@@ -47,16 +47,11 @@ _COLUMNS = (
 class Header:
     """What the findings are about.
 
-    Attributes
-    ----------
-    model, digest, cell, robot : str
-        File names, the model's SHA-256, the robot's name.
-    proposed : bool
-        The order is a proposal.
-    seconds, rss_mb : float
-        How long the check took, and its memory.
-    notes : tuple of str
-        Of reading, order and placement.
+    Attributes:
+        model, digest, cell, robot: File names, the model's SHA-256, the robot's name.
+        proposed: The order is a proposal.
+        seconds, rss_mb: How long the check took, and its memory.
+        notes: Of reading, order and placement.
     """
 
     model: str
@@ -107,14 +102,7 @@ def as_json(header: Header, tasks: Sequence[CheckedTask]) -> str:
 
 
 def page(header: Header, tasks: Sequence[CheckedTask], layout: Layout) -> str:
-    """Return the page.
-
-    Parameters
-    ----------
-    header : Header
-    tasks : sequence of CheckedTask
-    layout : Layout
-    """
+    """Return the page."""
     possible = sum(task.possible for task in tasks)
     title = f"Check of {header.model}: {possible} of {len(tasks)} tasks are possible"
     motions = sum(task.duration or 0.0 for task in tasks)

@@ -37,16 +37,11 @@ TOOL = "tool/"
 def tool_objects(tool: ToolFile, link: str) -> tuple[SceneObject, ...]:
     """Return a tool's shapes as objects of the scene that a link carries, ``tool/<shape>``.
 
-    Parameters
-    ----------
-    tool : ToolFile
-    link : str
-        The robot's tip link.
+    Args:
+        link: The robot's tip link.
 
-    Raises
-    ------
-    SceneError
-        If a shape's size or mesh cannot be used.
+    Raises:
+        SceneError: If a shape's size or mesh cannot be used.
     """
     return tuple(_tool_object(tool, name, shape, link) for name, shape in tool.tool.shapes.items())
 
@@ -72,16 +67,11 @@ class Shapes:
     ) -> tuple[str, ...]:
         """Return the names of standing objects that come within the padding of objects that move together.
 
-        Parameters
-        ----------
-        moving : sequence of SceneObject
-            In a frame of their own.
-        way : sequence of Pose
-            Of that frame, at most `STEP` apart and without a turn.
-        others : iterable of SceneObject
-            Those that stand.
-        padding : float
-            Of the scene [m].
+        Args:
+            moving: In a frame of their own.
+            way: Of that frame, at most `STEP` apart and without a turn.
+            others: Those that stand.
+            padding: Of the scene [m].
         """
         found = []
         for other in self._around(moving, way, list(others), padding):
@@ -94,11 +84,8 @@ class Shapes:
 
         As `CollisionWorld` checks them, without the arm: what is too close here is so with every joint solution.
 
-        Parameters
-        ----------
-        scene : Scene
-            Everything that is carried, is carried by the tip.
-        base_T_link : Pose
+        Args:
+            scene: Everything that is carried, is carried by the tip.
         """
         carried = [item for item in scene.objects if item.link]
         standing = [item for item in scene.objects if not item.link]
@@ -118,15 +105,10 @@ class Shapes:
 
         That is one into which it would come, or deeper, if it sank by `FALL`. What it only touches at its side does not hold it.
 
-        Parameters
-        ----------
-        items : sequence of SceneObject
-            What would fall, in a frame.
-        base_T_frame : Pose
-        others : iterable of SceneObject
-            Those that stand.
-        up : array, shape (3,)
-            Against gravity, a unit vector in the base.
+        Args:
+            items: What would fall, in a frame.
+            others: Those that stand.
+            up: Shape (3,). Against gravity, a unit vector in the base.
         """
         sunk = Pose(base_T_frame.position - FALL * up, base_T_frame.rotation)
         for other in self._around(items, [base_T_frame, sunk], list(others), FALL):
@@ -224,18 +206,12 @@ def difference(before: Scene, after: Scene) -> tuple[SceneObject, ...]:
 def deepest(world: CollisionWorld, qs: np.ndarray) -> tuple[Clearance, float] | None:
     """Return how deep bodies that may touch are in each other on a motion, and where; None: nothing may touch.
 
-    Parameters
-    ----------
-    world : CollisionWorld
-    qs : array, shape (m, n)
-        Successive joint values.
+    Args:
+        qs: Shape (m, n). Successive joint values.
 
-    Returns
-    -------
-    clearance : Clearance
-        Negative distance: so deep [m].
-    place : float
-        In rows: 3.5 is half way from row 3 to row 4.
+    Returns:
+        clearance: Negative distance: so deep [m].
+        place: In rows: 3.5 is half way from row 3 to row 4.
     """
     pairs = world.of_touching()
     return None if pairs is None else pairs.clearance_of(qs)

@@ -30,15 +30,11 @@ def lost(
 ) -> float:
     """Return how far a body reaches beyond the pieces [m]; 0: they hold it within 1e-6 m.
 
-    Parameters
-    ----------
-    vertices : array, shape (v, 3)
-        [m]
-    triangles : array of int, shape (t, 3)
-    body : Manifold or None
-        The same as a closed body, if it is one.
-    pieces : sequence of array, shape (k, 3)
-        Corners of each.
+    Args:
+        vertices: Shape (v, 3). [m]
+        triangles: Shape (t, 3), integers
+        body: The same as a closed body, if it is one.
+        pieces: Each of shape (k, 3). Corners of each.
     """
     planes = [ConvexHull(points).equations for points in pieces]
     outside = float(_outside(points_on(vertices, triangles), planes).max(initial=0.0))
@@ -70,10 +66,8 @@ def _outside(points: np.ndarray, planes: Sequence[np.ndarray]) -> np.ndarray:
 def excess(body: manifold3d.Manifold, pieces: Sequence[np.ndarray]) -> float:
     """Return the largest distance from a closed body of what its pieces have more [m]; a cavity that they fill counts.
 
-    Parameters
-    ----------
-    body : Manifold
-    pieces : sequence of array, shape (k, 3)
+    Args:
+        pieces: Each of shape (k, 3)
     """
     vertices, triangles = mesh_of(body)
     rounding = HELD * triangle_area(vertices, triangles)

@@ -21,19 +21,13 @@ _SAME = 1e-9
 def convex_cells(vertices: np.ndarray, triangles: np.ndarray, most: int) -> list[np.ndarray] | None:
     """Return the corners of convex bodies that fill a closed body without overlaps.
 
-    Parameters
-    ----------
-    vertices : array, shape (v, 3)
-        [m]
-    triangles : array of int, shape (t, 3)
-        Of a closed surface.
-    most : int
-        Bodies.
+    Args:
+        vertices: Shape (v, 3). [m]
+        triangles: Shape (t, 3), integers. Of a closed surface.
+        most: Bodies.
 
-    Returns
-    -------
-    cells : list of array, shape (k, 3), or None
-        None: there would be more than `most`.
+    Returns:
+        Each of shape (k, 3). None: there would be more than `most`.
     """
     corners = vertices[triangles]
     planes = _planes(corners)

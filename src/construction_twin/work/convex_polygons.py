@@ -20,21 +20,16 @@ def convex_polygons(outline: np.ndarray, holes: tuple[np.ndarray, ...] = ()) -> 
 
     Of several ways to divide it the one with the fewest polygons is taken, with most rectangles among those.
 
-    Parameters
-    ----------
-    outline : array, shape (k, 2)
-    holes : tuple of array, shape (k, 2)
+    Args:
+        outline: Shape (k, 2)
+        holes: Each of shape (k, 2)
 
-    Returns
-    -------
-    polygons : list of array, shape (k, 2)
-        Counterclockwise, the first corner not repeated. Their corners are those of the outline and, where it was cut in strips,
-        points on its edges.
+    Returns:
+        Each of shape (k, 2). Counterclockwise, the first corner not repeated. Their corners are those of the outline and, where it
+        was cut in strips, points on its edges.
 
-    Raises
-    ------
-    WorkError
-        If the outline crosses itself, has no area, or a hole leaves it.
+    Raises:
+        WorkError: If the outline crosses itself, has no area, or a hole leaves it.
     """
     whole = shapely.Polygon(outline, holes)
     if not whole.is_valid or not whole.area > 0:

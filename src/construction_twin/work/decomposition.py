@@ -24,17 +24,12 @@ def decomposed(
 ) -> list[np.ndarray] | None:
     """Return the corners of convex pieces, or None if coacd found none within the time; the same input gives the same pieces.
 
-    Parameters
-    ----------
-    vertices : array, shape (v, 3)
-        [m]
-    triangles : array of int, shape (t, 3)
-    concavity : float
-        How concave a piece may be [m].
-    most : int
-        Pieces.
-    seconds : float
-        Longest time of the process [s].
+    Args:
+        vertices: Shape (v, 3). [m]
+        triangles: Shape (t, 3), integers
+        concavity: How concave a piece may be [m].
+        most: Pieces.
+        seconds: Longest time of the process [s].
     """
     size = float(np.ptp(vertices, axis=0).max())
     threshold = min(max(2.0 * concavity / size, _FINEST), _COARSEST)

@@ -34,16 +34,10 @@ class WorkRefused(WorkError):
 class ElementFacts:
     """What is known of an element that is to be placed.
 
-    Attributes
-    ----------
-    name, ifc_class, type_name : str
-    bodies : tuple of SceneObject
-        Convex pieces in the element's frame.
-    base_T_goal : Pose
-    triangles : array, shape (t, 3, 3)
-        For pictures, in the element's frame [m].
-    mass : float or None
-        That is planned with [kg]; None: nobody says.
+    Attributes:
+        bodies: Convex pieces in the element's frame.
+        triangles: Shape (t, 3, 3). For pictures, in the element's frame [m].
+        mass: That is planned with [kg]; None: nobody says.
     """
 
     name: str
@@ -59,12 +53,9 @@ class ElementFacts:
 class Scheduled:
     """When a schedule has a job.
 
-    Attributes
-    ----------
-    start : str
-        ISO 8601; empty: not said.
-    duration : float or None
-        [s]; None: not said.
+    Attributes:
+        start: ISO 8601; empty: not said.
+        duration: [s]; None: not said.
     """
 
     start: str = ""
@@ -75,31 +66,17 @@ class Scheduled:
 class Prepared:
     """A model in its cell, read.
 
-    Attributes
-    ----------
-    model, digest : str
-        Name of the file, SHA-256 of its contents.
-    cell : str
-        Path of the cell file.
-    schedule : Schedule
-    schedule_digest : str
-        SHA-256 of what a person accepts.
-    elements : mapping of str to ElementFacts
-        By GlobalId, those that are to be placed.
-    stock : StockPlan
-    tool : Tool
-    tool_objects : tuple of SceneObject
-        The tool's shapes, carried by the arm's tip link.
-    notes : tuple of str
-        Sentences for the user.
-    unplannable : mapping of str to str
-        Why an element can never be planned, by GlobalId; it has no slot.
-    standing : tuple of SceneObject
-        What stands where the model has it, and no task makes.
-    scheduled : mapping of str to Scheduled
-        By id of the job.
-    standing_at : mapping of str to Pose
-        Where the model has each element of those, by GlobalId.
+    Attributes:
+        model, digest: Name of the file, SHA-256 of its contents.
+        cell: Path of the cell file.
+        schedule_digest: SHA-256 of what a person accepts.
+        elements: By GlobalId, those that are to be placed.
+        tool_objects: The tool's shapes, carried by the arm's tip link.
+        notes: Sentences for the user.
+        unplannable: Why an element can never be planned, by GlobalId; it has no slot.
+        standing: What stands where the model has it, and no task makes.
+        scheduled: By id of the job.
+        standing_at: Where the model has each element of those, by GlobalId.
     """
 
     model: str
@@ -140,13 +117,9 @@ class Prepared:
 class Appearance:
     """An element as people see it.
 
-    Attributes
-    ----------
-    element, name : str
-    word : str
-        ``todo``, ``next``, ``stock``, ``carried``, ``placed``, ``off`` or ``skipped``, as in `views.work_markers`.
-    pose : Pose
-        In the base_link, or in the tip link where it is carried.
+    Attributes:
+        word: ``todo``, ``next``, ``stock``, ``carried``, ``placed``, ``off`` or ``skipped``, as in `views.work_markers`.
+        pose: In the base_link, or in the tip link where it is carried.
     """
 
     element: str
@@ -186,20 +159,13 @@ def removed_command(task: str) -> str:
 class Desk:
     """Answers what can be done, and takes what people say. Not for several threads at once.
 
-    Parameters
-    ----------
-    prepared : Prepared
-    ledger : Ledger
-        Of this model and robot.
-    robot : str
-        Name of the robot.
-    tip_link : str
-        Link that carries the tool.
+    Args:
+        ledger: Of this model and robot.
+        robot: Name of the robot.
+        tip_link: Link that carries the tool.
 
-    Attributes
-    ----------
-    failures : dict of str to str
-        Why a task could not be planned when it was tried last, by id; not on the disk.
+    Attributes:
+        failures: Why a task could not be planned when it was tried last, by id; not on the disk.
     """
 
     def __init__(self, prepared: Prepared, ledger: Ledger, robot: str, tip_link: str):
@@ -224,9 +190,7 @@ class Desk:
     def accept(self, person: str, reason: str) -> str:
         """Take a person's word that the proposed schedule is right; return a sentence.
 
-        Raises
-        ------
-        WorkRefused
+        Raises WorkRefused.
         """
         if self.schedule_word != PROPOSED:
             raise WorkRefused(f"the schedule is {_SCHEDULES[self.schedule_word]}: there is nothing to accept")
@@ -248,11 +212,8 @@ class Desk:
     def obstacle(self, task: str, now: int) -> str:
         """Return why a task cannot be planned now, as a sentence; empty: it can.
 
-        Parameters
-        ----------
-        task : str
-        now : int
-            Since 1970 [ns].
+        Args:
+            now: Since 1970 [ns].
         """
         book = self.ledger.book
         if task not in book.tasks:
@@ -324,9 +285,7 @@ class Desk:
     def skip(self, task: str, person: str, reason: str) -> str:
         """Take a task out: others no longer wait for it; return a sentence.
 
-        Raises
-        ------
-        WorkRefused
+        Raises WorkRefused.
         """
         self._known(task)
         self._named(person)
@@ -345,9 +304,7 @@ class Desk:
     def removed(self, task: str, person: str, reason: str) -> str:
         """Take a person's word that what a removal takes down is gone: it is no obstacle from now on; return a sentence.
 
-        Raises
-        ------
-        WorkRefused
+        Raises WorkRefused.
         """
         self._known(task)
         self._named(person)
@@ -362,9 +319,7 @@ class Desk:
     def redo(self, task: str, person: str, reason: str) -> str:
         """Have a task done again, its element back in stock; of one that counts as carried, have it asked about; return a sentence.
 
-        Raises
-        ------
-        WorkRefused
+        Raises WorkRefused.
         """
         self._known(task)
         self._named(person)
@@ -399,9 +354,7 @@ class Desk:
     def answer(self, task: str, answer: str, person: str, reason: str) -> str:
         """Take the answer to a task's question; return a sentence.
 
-        Raises
-        ------
-        WorkRefused
+        Raises WorkRefused.
         """
         self._known(task)
         self._named(person)
@@ -421,9 +374,7 @@ class Desk:
     def measured(self, element: str, pose: Pose, person: str, reason: str) -> Deviation:
         """Take where an element really is.
 
-        Raises
-        ------
-        WorkRefused
+        Raises WorkRefused.
         """
         self._named(person)
         task = next((job.id for job in self.prepared.schedule.jobs if job.element == element), "")
@@ -509,10 +460,8 @@ class Desk:
     def appearances(self, now: int) -> tuple[Appearance, ...]:
         """Return what each element looks like: in stock and where it is to come, or where it is.
 
-        Parameters
-        ----------
-        now : int
-            Since 1970 [ns].
+        Args:
+            now: Since 1970 [ns].
         """
         found = []
         present, following = self._present(), self.next(now)

@@ -59,16 +59,11 @@ _IS_BOX = 1e-9
 class BodySettings:
     """What the pieces of an element must keep.
 
-    Attributes
-    ----------
-    bound : float
-        How far a piece may reach beyond the body [m].
-    pieces : int
-        Most pieces of one body that is no prism; a prism may have four times as many.
-    seconds : float
-        Longest time of one decomposition of a curved body [s].
-    margin : float
-        Padding of a body that remains a surface [m].
+    Attributes:
+        bound: How far a piece may reach beyond the body [m].
+        pieces: Most pieces of one body that is no prism; a prism may have four times as many.
+        seconds: Longest time of one decomposition of a curved body [s].
+        margin: Padding of a body that remains a surface [m].
     """
 
     bound: float = 0.005
@@ -81,16 +76,11 @@ class BodySettings:
 class ElementShape:
     """One element as objects of the scene.
 
-    Attributes
-    ----------
-    element : str
-        GlobalId.
-    objects : tuple of SceneObject
-        ``<GlobalId>/0``, ``<GlobalId>/1``, ...; poses in the element's frame, `link` empty.
-    excess : float
-        How far they reach beyond the element, at most, where measured [m]; of a surface its margin.
-    ways : tuple of str
-        How each body was made: ``profile``, ``hull``, ``cut``, ``coacd``, ``surface``.
+    Attributes:
+        element: GlobalId.
+        objects: ``<GlobalId>/0``, ``<GlobalId>/1``, ...; poses in the element's frame, `link` empty.
+        excess: How far they reach beyond the element, at most, where measured [m]; of a surface its margin.
+        ways: How each body was made: ``profile``, ``hull``, ``cut``, ``coacd``, ``surface``.
     """
 
     element: str
@@ -104,13 +94,8 @@ def element_shapes(
 ) -> tuple[dict[str, ElementShape], dict[str, BodyError]]:
     """Return many elements as objects of the scene, and those for which that is not possible; both by GlobalId.
 
-    Parameters
-    ----------
-    elements : iterable of Element
-    folder : Path
-    settings : BodySettings, optional
-    pool : Executor, optional
-        Where they are made; None: here, one after the other.
+    Args:
+        pool: Where they are made; None: here, one after the other.
     """
     tasks = [(element.id, element.bodies, folder, settings or BodySettings()) for element in elements]
     found = map(_shape_or_error, tasks) if pool is None else pool.map(_shape_or_error, tasks, chunksize=4)

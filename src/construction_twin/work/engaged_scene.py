@@ -20,11 +20,8 @@ _FREE = "or free the arm by hand and call release_engagement"
 class Left:
     """Where an arm was left engaged, as the topic `engagement` tells.
 
-    Attributes
-    ----------
-    plan, segment : str
-    scenes : tuple of str
-        Hashes of the scenes in which it may go back; they change with the tool's inputs.
+    Attributes:
+        scenes: Hashes of the scenes in which it may go back; they change with the tool's inputs.
     """
 
     plan: str
@@ -36,11 +33,8 @@ class Left:
 class Step:
     """What a segment of a work plan changes in the scene.
 
-    Attributes
-    ----------
-    before, after : str
-        Hashes of the scenes.
-    change : SceneChange
+    Attributes:
+        before, after: Hashes of the scenes.
     """
 
     before: str
@@ -52,12 +46,8 @@ class Step:
 class Due:
     """What is to be done about the scene: a change, or a sentence that says why none is known; neither: the scene is right.
 
-    Attributes
-    ----------
-    change : SceneChange or None
-    after : str
-        Hash of the scene that it leads to.
-    sentence : str
+    Attributes:
+        after: Hash of the scene that it leads to.
     """
 
     change: SceneChange | None = None
@@ -75,19 +65,12 @@ def due(
 ) -> Due:
     """Return what is to be done so that an engaged arm can go back.
 
-    Parameters
-    ----------
-    left : Left
-    scene : Scene
-        The present one.
-    steps : sequence of Step
-        Of the plan that ended inside; empty: it is not known any more.
-    earlier : iterable of Scene
-        Those seen before, the newest first.
-    element : str
-        GlobalId of the element that the task places; empty: not known.
-    forms : iterable of sequence of SceneObject
-        Its objects as the ledger can have them: in its stock, in the grip, at its place.
+    Args:
+        scene: The present one.
+        steps: Of the plan that ended inside; empty: it is not known any more.
+        earlier: Those seen before, the newest first.
+        element: GlobalId of the element that the task places; empty: not known.
+        forms: Its objects as the ledger can have them: in its stock, in the grip, at its place.
     """
     if scene.hash in left.scenes:
         return Due()

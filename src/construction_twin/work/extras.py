@@ -13,10 +13,8 @@ PACKAGES = ("coacd", "ifcopenshell", "isodate", "shapely")
 def check_extras() -> None:
     """Check that the packages are there. To be called before `element_bodies` or `ifc` are imported.
 
-    Raises
-    ------
-    ConfigurationError
-        Naming those that are missing, and what installs them.
+    Raises:
+        ConfigurationError: Naming those that are missing, and what installs them.
     """
     missing = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
     if missing:

@@ -23,11 +23,9 @@ FINISHED = "finished"
 class Followed:
     """A plan, as far as it is followed.
 
-    Attributes
-    ----------
-    id, task, source : str
-    grips, releases : int
-        Numbers of the segments at whose ends the element is gripped and let go; negative: it does not, or that is not known.
+    Attributes:
+        grips, releases: Numbers of the segments at whose ends the element is gripped and let go; negative: it does not, or that is
+            not known.
     """
 
     id: str
@@ -41,20 +39,12 @@ class Followed:
 class Report:
     """What the executor says.
 
-    Attributes
-    ----------
-    plan : str
-        Id of the plan that is played, or was last; empty: none since it started.
-    playing : bool
-        The plan is under way, paused or held included.
-    outcome : str
-        Of the last plan; empty while it is under way.
-    segment : int
-        Of the plan under way; -1: not known.
-    at_boundary, wants_scene : bool
-    reason : str
-    confirmed : bool
-        It has ended at the end of that segment, and the tool did there what was asked of it.
+    Attributes:
+        plan: Id of the plan that is played, or was last; empty: none since it started.
+        playing: The plan is under way, paused or held included.
+        outcome: Of the last plan; empty while it is under way.
+        segment: Of the plan under way; -1: not known.
+        confirmed: It has ended at the end of that segment, and the tool did there what was asked of it.
     """
 
     plan: str
@@ -71,14 +61,10 @@ class Report:
 class Grip:
     """What the tool says of its grip.
 
-    Attributes
-    ----------
-    known : bool
-        The outputs have been read back.
-    closed : bool
-        An output commands it to hold, or an input says that it does; meaningless where it is not known.
-    commanded : tuple of str
-        The outputs that command it to hold, as they read back; empty where it is not known.
+    Attributes:
+        known: The outputs have been read back.
+        closed: An output commands it to hold, or an input says that it does; meaningless where it is not known.
+        commanded: The outputs that command it to hold, as they read back; empty where it is not known.
     """
 
     known: bool
@@ -95,15 +81,10 @@ class Grip:
 class Verdict:
     """What became of a plan that was offered, as records and topics tell it.
 
-    Attributes
-    ----------
-    plan : str
-        Its id; empty: no plan of that offer was ever seen.
-    under_review : bool
-    started : bool or None
-        Somebody approved it; None: not known.
-    outcome : str
-        Of its execution, as the record has it; empty: it has none.
+    Attributes:
+        plan: Its id; empty: no plan of that offer was ever seen.
+        started: Somebody approved it; None: not known.
+        outcome: Of its execution, as the record has it; empty: it has none.
     """
 
     plan: str
@@ -116,11 +97,8 @@ class Verdict:
 class SegmentEnd:
     """What a segment's end does to the grip.
 
-    Attributes
-    ----------
-    switches : tuple of Switch
-    carries : bool
-        The scene then has an object that a link carries and that was put there.
+    Attributes:
+        carries: The scene then has an object that a link carries and that was put there.
     """
 
     switches: tuple[Switch, ...]
@@ -130,16 +108,10 @@ class SegmentEnd:
 def followed(plan_id: str, memory: TaskMemory, source: str, ends: Sequence[SegmentEnd], tool: Tool) -> Followed:
     """Return a plan of a task as it is followed: where it grips the element, and where it lets go of it.
 
-    Parameters
-    ----------
-    plan_id : str
-    memory : TaskMemory
-        Of the plan's task.
-    source : str
-        Of the plan.
-    ends : sequence of SegmentEnd
-        Of its segments.
-    tool : Tool
+    Args:
+        memory: Of the plan's task.
+        source: Of the plan.
+        ends: Of its segments.
     """
     grips, releases = -1, -1
     for number, end in enumerate(ends):
@@ -193,17 +165,9 @@ def follow(
 ) -> list[Entry]:
     """Return the lines that a report adds to the task of a plan; none when it says nothing new of it.
 
-    Parameters
-    ----------
-    memory : TaskMemory
-    element : str
-    plan : Followed
-    report : Report
-    grip : Grip
-    as_built : tuple of float, length 7 or 0
-        Where the element stands if it is let go now; empty: not known.
-    source : str
-        Where that comes from, `ledger.MEASURED` or `ledger.PLANNED`.
+    Args:
+        as_built: Length 7 or 0. Where the element stands if it is let go now; empty: not known.
+        source: Where that comes from, `ledger.MEASURED` or `ledger.PLANNED`.
     """
     if report.plan != plan.id or memory.state not in (TaskState.PLANNED, *UNDER_WAY):
         return []
@@ -277,13 +241,8 @@ def _end(lines: _Line, state: TaskState, plan: Followed, report: Report, grip: G
 def after_restart(memory: TaskMemory, element: str, verdict: Verdict, grip: Grip) -> list[Entry]:
     """Return the lines for a task whose plan the executor does not report any more, or never did.
 
-    Parameters
-    ----------
-    memory : TaskMemory
-    element : str
-    verdict : Verdict
-        Of the plan that the ledger names.
-    grip : Grip
+    Args:
+        verdict: Of the plan that the ledger names.
     """
     lines = _Line(memory, element, verdict.plan or memory.plan)
     if memory.state is TaskState.PLANNED:

@@ -26,16 +26,11 @@ _UPRIGHT = [-0.7071067811865476, 0.0, 0.0, 0.7071067811865476]
 class ShownElement:
     """An element of the file.
 
-    Attributes
-    ----------
-    id : str
-        Its GlobalId; the node's name.
-    name : str
-        For a person.
-    triangles : array, shape (t, 3, 3)
-        Corners in the element's frame [m].
-    base_T_element : Pose
-        Where the model has it.
+    Attributes:
+        id: Its GlobalId; the node's name.
+        name: For a person.
+        triangles: Shape (t, 3, 3). Corners in the element's frame [m].
+        base_T_element: Where the model has it.
     """
 
     id: str
@@ -47,11 +42,8 @@ class ShownElement:
 def glb(elements: Iterable[ShownElement], model_hash: str) -> bytes:
     """Return the file; elements without triangles are left out.
 
-    Parameters
-    ----------
-    elements : iterable of ShownElement
-    model_hash : str
-        SHA-256 of the model's own file, as in `work/tasks`: who shows the tasks in this file compares the two.
+    Args:
+        model_hash: SHA-256 of the model's own file, as in `work/tasks`: who shows the tasks in this file compares the two.
     """
     nodes: list[dict] = []
     meshes: list[dict] = []

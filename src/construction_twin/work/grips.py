@@ -36,17 +36,12 @@ _AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "
 class Grip:
     """One way to hold an element.
 
-    Attributes
-    ----------
-    name : str
-        ``+z along 0 mm, turned 90 deg, element turned 180 deg, 6 cups``.
-    element_T_tcp : Pose
-        Where the tool's centre point is at the element in its stock; z into the face.
-    element_T_turned : Pose
-        The frame in the element that takes the place of its own from the grip on: another one only for an element that is the
-        same body when it is turned.
-    cups : int
-        That hold.
+    Attributes:
+        name: ``+z along 0 mm, turned 90 deg, element turned 180 deg, 6 cups``.
+        element_T_tcp: Where the tool's centre point is at the element in its stock; z into the face.
+        element_T_turned: The frame in the element that takes the place of its own from the grip on: another one only for an element
+            that is the same body when it is turned.
+        cups: That hold.
     """
 
     name: str
@@ -59,12 +54,9 @@ class Grip:
 class GripSearch:
     """What was found, and why not more.
 
-    Attributes
-    ----------
-    grips : tuple of Grip
-        The best first.
-    reason : str
-        Why the candidate that came furthest was left out, as a part of a sentence; for when there is no grip.
+    Attributes:
+        grips: The best first.
+        reason: Why the candidate that came furthest was left out, as a part of a sentence; for when there is no grip.
     """
 
     grips: tuple[Grip, ...]
@@ -74,19 +66,11 @@ class GripSearch:
 def find_grips(pieces: Pieces, up: np.ndarray, mass: float, recipe: Recipe, tool: Tool) -> GripSearch:
     """Return the grips of an element.
 
-    Parameters
-    ----------
-    pieces : Pieces
-    up : array, shape (3,)
-        What is up in the stock, in the element's frame.
-    mass : float
-        [kg]
-    recipe : Recipe
-    tool : Tool
+    Args:
+        up: Shape (3,). What is up in the stock, in the element's frame.
+        mass: [kg]
 
-    Returns
-    -------
-    found : GripSearch
+    Returns:
         In the recipe's order: faces, then turns of the element, then turns of the tool, then places along and across.
     """
     wanted = recipe.grips

@@ -17,25 +17,15 @@ from construction_twin.scene.objects import Scene, SceneObject
 class PlaceJob:
     """One element from its stock to its place.
 
-    Attributes
-    ----------
-    task : str
-        Id of the task.
-    element : str
-        GlobalId of the element; its scene objects are called ``<element>/0``, ``<element>/1``, ...
-    element_name, ifc_class, type_name : str
-    properties : mapping of str to mapping
-        The element's property sets, for recipes and ``CTwin_RobotTask``.
-    bodies : tuple of SceneObject
-        The element's convex pieces, named as above, their poses in the element's frame, `link` empty.
-    mass : float or None
-        [kg]
-    base_T_stock, base_T_goal : Pose
-        ``base_T_element`` before and after.
-    supports : tuple of str
-        Names of scene objects that the element may touch where it is put down, and of those that it lies on in the stock.
-    up : tuple of float, length 3
-        Against gravity, a unit vector: the model's z axis.
+    Attributes:
+        task: Id of the task.
+        element: GlobalId of the element; its scene objects are called ``<element>/0``, ``<element>/1``, ...
+        properties: The element's property sets, for recipes and ``CTwin_RobotTask``.
+        bodies: The element's convex pieces, named as above, their poses in the element's frame, `link` empty.
+        mass: [kg]
+        base_T_stock, base_T_goal: ``base_T_element`` before and after.
+        supports: Names of scene objects that the element may touch where it is put down, and of those that it lies on in the stock.
+        up: Length 3. Against gravity, a unit vector: the model's z axis.
     """
 
     task: str
@@ -56,17 +46,8 @@ class PlaceJob:
 class WorkSegment:
     """One motion from rest to rest, and what happens at its end.
 
-    Attributes
-    ----------
-    name : str
-    trajectory : Trajectory
-    engaged : bool
-    requires : tuple of Signal
-    switches : tuple of Switch
-    put : tuple of SceneObject
-        Added or replaced after the switches.
-    remove : tuple of str
-    scene, scene_after : Scene
+    Attributes:
+        put: Added or replaced after the switches.
     """
 
     name: str
@@ -84,18 +65,11 @@ class WorkSegment:
 class WorkPlan:
     """A whole task, planned.
 
-    Attributes
-    ----------
-    job : PlaceJob
-    grip : str
-        Name of the grip candidate that is used.
-    segments : tuple of WorkSegment
-    planning_time : float
-        [s]
-    clearance : float
-        Smallest over all segments, without what they approach on purpose [m].
-    tool0_T_element : Pose
-        How the element is held.
+    Attributes:
+        grip: Name of the grip candidate that is used.
+        planning_time: [s]
+        clearance: Smallest over all segments, without what they approach on purpose [m].
+        tool0_T_element: How the element is held.
     """
 
     job: PlaceJob

@@ -40,22 +40,14 @@ LARGEST = 256 * 2**20
 class Entry:
     """One line of the ledger.
 
-    Attributes
-    ----------
-    event : str
-        A `TaskEvent`'s word, or `OPENED`, `ACCEPTED`, `MENDED`, `CHANGED`.
-    task, element : str
-        GlobalIds; empty where it is about neither.
-    source : str
-        Of the pose of `released`: `MEASURED` by the arm's own feedback, or `PLANNED`: as planned, not measured.
-    plan, offer, grip : str
-        `offer` is named in the plan's `source`, so that a plan whose id was never learnt is known again.
-    pose : tuple of float, length 7 or 0
-    answer, person, reason : str
-    model, cell, schedule : str
-        SHA-256 of the model's file; path of the cell file; SHA-256 of the schedule that was accepted.
-    time_ns : int
-        When it was written, since 1970 [ns].
+    Attributes:
+        event: A `TaskEvent`'s word, or `OPENED`, `ACCEPTED`, `MENDED`, `CHANGED`.
+        task, element: GlobalIds; empty where it is about neither.
+        source: Of the pose of `released`: `MEASURED` by the arm's own feedback, or `PLANNED`: as planned, not measured.
+        plan, offer, grip: `offer` is named in the plan's `source`, so that a plan whose id was never learnt is known again.
+        pose: Length 7 or 0
+        model, cell, schedule: SHA-256 of the model's file; path of the cell file; SHA-256 of the schedule that was accepted.
+        time_ns: When it was written, since 1970 [ns].
     """
 
     event: str
@@ -97,20 +89,13 @@ class Entry:
 class Book:
     """The state of every task, as the lines read so far tell it.
 
-    Parameters
-    ----------
-    after : mapping of str to tuple of str
-        Ids of the tasks that must be settled before each task, in the order in which they can be done.
+    Args:
+        after: Ids of the tasks that must be settled before each task, in the order in which they can be done.
 
-    Attributes
-    ----------
-    tasks : dict of str to TaskMemory
-    accepted : str
-        Digest of the schedule that a person has accepted; empty: none.
-    model, cell : str
-        SHA-256 of the model and path of the cell that were worked with last; empty: none yet.
-    former : dict of str to TaskMemory
-        What is known of tasks that the schedule does not have any more.
+    Attributes:
+        accepted: Digest of the schedule that a person has accepted; empty: none.
+        model, cell: SHA-256 of the model and path of the cell that were worked with last; empty: none yet.
+        former: What is known of tasks that the schedule does not have any more.
     """
 
     def __init__(self, after: Mapping[str, tuple[str, ...]]):
@@ -138,10 +123,8 @@ class Book:
     def doubts(self, elements: Mapping[str, str]) -> list[Entry]:
         """Return the lines by which a person is asked about all that was touched for another version of the model.
 
-        Parameters
-        ----------
-        elements : mapping of str to str
-            GlobalId of the element that each task of the present schedule places.
+        Args:
+            elements: GlobalId of the element that each task of the present schedule places.
         """
         left, found = self.left_behind, []
         for task, memory in self.tasks.items():
@@ -171,11 +154,9 @@ class Book:
     def check(self, entry: Entry) -> None:
         """Refuse what does not fit the present states, before it is written.
 
-        Raises
-        ------
-        NotNow
-        LedgerError
-            If there is no such task.
+        Raises:
+            LedgerError: If there is no such task.
+            NotNow: If it does not fit the states.
         """
         if entry.event in _OF_NO_TASK:
             return
@@ -189,10 +170,8 @@ class Book:
     def take(self, entry: Entry) -> None:
         """Take one line.
 
-        Raises
-        ------
-        NotNow
-            If it does not fit the states that the lines before it left.
+        Raises:
+            NotNow: If it does not fit the states that the lines before it left.
         """
         if entry.event == ACCEPTED:
             self.accepted = entry.schedule
@@ -234,28 +213,15 @@ class Book:
 class Ledger:
     """The file and the book that follows from it. Not for several threads at once.
 
-    Parameters
-    ----------
-    path : str or Path
-    after : mapping of str to tuple of str
-        See `Book`.
-    model : str
-        SHA-256 of the model's file.
-    clock : callable
-        Returns the time since 1970 in UTC [ns].
-    cell : str, optional
-        Path of the cell file, for the record.
-    elements : mapping of str to str, optional
-        GlobalId of the element that each task places.
+    Args:
+        after: See `Book`.
+        model: SHA-256 of the model's file.
+        clock: Returns the time since 1970 in UTC [ns].
+        cell: Path of the cell file, for the record.
+        elements: GlobalId of the element that each task places.
 
-    Attributes
-    ----------
-    book : Book
-
-    Raises
-    ------
-    LedgerError
-        If the file cannot be read or written, or a line of it cannot be true.
+    Raises:
+        LedgerError: If the file cannot be read or written, or a line of it cannot be true.
     """
 
     def __init__(
@@ -305,12 +271,9 @@ class Ledger:
     def add(self, entry: Entry) -> None:
         """Write a line, then take it; when this returns it is on the disk.
 
-        Raises
-        ------
-        NotNow
-            If it does not fit; nothing is written.
-        LedgerError
-            If it cannot be written; nothing is taken.
+        Raises:
+            NotNow: If it does not fit; nothing is written.
+            LedgerError: If it cannot be written; nothing is taken.
         """
         self.book.check(entry)
         now = self._clock()
@@ -334,10 +297,8 @@ def _touched(memory: TaskMemory) -> bool:
 def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> Book:
     """Return the book that the lines of a ledger leave.
 
-    Raises
-    ------
-    LedgerError
-        Naming the line.
+    Raises:
+        LedgerError: Naming the line.
     """
     book = Book(after)
     for number, entry in enumerate(read_entries(path), start=1):
@@ -353,10 +314,8 @@ def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> Book:
 def read_entries(path: Path) -> Iterator[Entry]:
     """Read the lines of a ledger; the chain is checked elsewhere.
 
-    Raises
-    ------
-    LedgerError
-        Naming the line that is none of a ledger.
+    Raises:
+        LedgerError: Naming the line that is none of a ledger.
     """
     try:
         content = read_whole(path)

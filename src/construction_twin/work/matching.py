@@ -41,16 +41,11 @@ class Described(Protocol):
 class Match(pydantic.BaseModel):
     """What an element must be; everything that is given must hold. Nothing given: every element.
 
-    Attributes
-    ----------
-    ifc_class : tuple of str
-        One of these: ``IfcMember``.
-    type_name, name : str
-        Patterns with ``*`` and ``?``, upper and lower case alike; empty: any.
-    elements : tuple of str
-        GlobalIds or whole names, one of these.
-    properties : mapping of str to value
-        ``Pset_MemberCommon.Reference: S1``: the property must have exactly this value.
+    Attributes:
+        ifc_class: One of these: ``IfcMember``.
+        type_name, name: Patterns with ``*`` and ``?``, upper and lower case alike; empty: any.
+        elements: GlobalIds or whole names, one of these.
+        properties: ``Pset_MemberCommon.Reference: S1``: the property must have exactly this value.
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)

@@ -8,10 +8,8 @@ import numpy as np
 def is_closed(triangles: np.ndarray) -> bool:
     """Return whether each edge of each triangle is met exactly once in the other direction.
 
-    Parameters
-    ----------
-    triangles : array, shape (m, 3)
-        Indices of vertices; vertices at the same place have the same index.
+    Args:
+        triangles: Shape (m, 3). Indices of vertices; vertices at the same place have the same index.
     """
     if len(triangles) == 0:
         return False

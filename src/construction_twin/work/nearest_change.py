@@ -47,12 +47,9 @@ _YAWS_DEG = (0.0, 90.0, 180.0, 270.0)
 class Change:
     """A change that helps.
 
-    Attributes
-    ----------
-    kind : str
-        ``grip``, ``direction``, ``order``, ``base`` or ``track``.
-    sentence : str
-        What to do.
+    Attributes:
+        kind: ``grip``, ``direction``, ``order``, ``base`` or ``track``.
+        sentence: What to do.
     """
 
     kind: Literal["grip", "direction", "order", "base", "track"]
@@ -72,25 +69,17 @@ def nearest_change(
 ) -> Change | None:
     """Return the first change with which a task that failed can be planned; None: none of those tried helps.
 
-    Parameters
-    ----------
-    job : PlaceJob
-    start : sequence of float, length n
-    scene : Scene
-        Those with which it failed.
-    planner : TaskPlanner
-        With which it failed.
-    placed : mapping of str to str
-        GlobalIds of the elements that stand in the scene, and their names.
-    longer : iterable of (float, callable), optional
-        By how much a track is longer at both ends [m], and what makes the planner of the robot on it (see `longer_track`).
-    going_on : callable, optional
-        Asked before each attempt; when it returns false, None is returned.
-    failure : TaskPlanningError, optional
-        Why it failed: where the arm does not reach, place and track are tried first, and other elements not at all; where it failed
-        on the way from the stock or to the place, other directions of that way are tried first.
-    before : collection of str, optional
-        GlobalIds of the elements that it waits for. It is never advised to be placed before these, nor before what it rests on.
+    Args:
+        start: Length n
+        scene: Those with which it failed.
+        planner: With which it failed.
+        placed: GlobalIds of the elements that stand in the scene, and their names.
+        longer: By how much a track is longer at both ends [m], and what makes the planner of the robot on it (see `longer_track`).
+        going_on: Asked before each attempt; when it returns false, None is returned.
+        failure: Why it failed: where the arm does not reach, place and track are tried first, and other elements not at all; where
+            it failed on the way from the stock or to the place, other directions of that way are tried first.
+        before: GlobalIds of the elements that it waits for. It is never advised to be placed before these, nor before what it rests
+            on.
     """
 
     def works(candidate: _Candidate) -> bool:
@@ -116,11 +105,8 @@ def nearest_change(
 def longer_track(robot: RobotModel, by: float) -> RobotModel | None:
     """Return a robot whose linear joints reach further to both ends; None: it has none.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    by : float
-        [m]
+    Args:
+        by: [m]
     """
     if not any(robot.linear):
         return None
@@ -207,11 +193,8 @@ def _other_directions(job: PlaceJob, scene: Scene, planner: TaskPlanner, stage: 
 def other_directions(given: Sequence[Direction], base_T_element: Pose) -> Iterator[Direction]:
     """Yield directions that are near to those of a recipe, then the others: each raised, from above, along the element's axes.
 
-    Parameters
-    ----------
-    given : sequence of Direction
-        The recipe's.
-    base_T_element : Pose
+    Args:
+        given: The recipe's.
     """
     seen = [direction(one, base_T_element) for one in given]
     others: list[Direction] = [

@@ -27,20 +27,13 @@ _AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "
 class Ways:
     """Where the flange is, ``base_T_tool0``, at the ends of the straight ways of one task.
 
-    Attributes
-    ----------
-    before : Pose
-        Before the tool goes to the element in the stock.
-    stock : Pose
-        Where it grips.
-    lifted, above : Pose
-        Where the free way with the element begins and ends.
-    goal : Pose
-        Where it lets go.
-    after : Pose
-        Where the tool has gone away from the element.
-    tool0_T_element : Pose
-        How the element is held.
+    Attributes:
+        before: Before the tool goes to the element in the stock.
+        stock: Where it grips.
+        lifted, above: Where the free way with the element begins and ends.
+        goal: Where it lets go.
+        after: Where the tool has gone away from the element.
+        tool0_T_element: How the element is held.
     """
 
     before: Pose
@@ -56,10 +49,8 @@ class Ways:
 class Scenes:
     """The scene of each part of a task.
 
-    Attributes
-    ----------
-    fetch, approach, lift, carry, set_down, retreat, done : Scene
-        In this order.
+    Attributes:
+        fetch, approach, lift, carry, set_down, retreat, done: In this order.
     """
 
     fetch: Scene
@@ -74,14 +65,8 @@ class Scenes:
 def ways(job: PlaceJob, grip: Grip, recipe: Recipe, tool: ToolFile, leave: np.ndarray, arrive: np.ndarray) -> Ways:
     """Return where the flange goes.
 
-    Parameters
-    ----------
-    job : PlaceJob
-    grip : Grip
-    recipe : Recipe
-    tool : ToolFile
-    leave, arrive : array, shape (3,)
-        The straight ways of the element from the stock, and back from its place [m].
+    Args:
+        leave, arrive: Shape (3,). The straight ways of the element from the stock, and back from its place [m].
     """
     tcp_T_tool0 = inverse(pose_of(tool.tool.tool0_T_tcp))
     turned_T_tcp = product(inverse(grip.element_T_turned), grip.element_T_tcp)
@@ -104,10 +89,8 @@ def ways(job: PlaceJob, grip: Grip, recipe: Recipe, tool: ToolFile, leave: np.nd
 def direction(asked: Direction, base_T_element: Pose) -> np.ndarray:
     """Return a direction of a recipe as a unit vector in the base_link, shape (3,).
 
-    Raises
-    ------
-    ConfigurationError
-        Of a vector without a length.
+    Raises:
+        ConfigurationError: Of a vector without a length.
     """
     if asked == "up":
         return np.array([0.0, 0.0, 1.0])
@@ -123,17 +106,9 @@ def direction(asked: Direction, base_T_element: Pose) -> np.ndarray:
 def scenes(scene: Scene, job: PlaceJob, recipe: Recipe, tool: ToolFile, link: str, at: Ways, shapes: Shapes) -> Scenes:
     """Return the scene of each part of a task.
 
-    Parameters
-    ----------
-    scene : Scene
-        The present one: with the tool's shapes and the element in stock.
-    job : PlaceJob
-    recipe : Recipe
-    tool : ToolFile
-    link : str
-        The robot's tip link.
-    at : Ways
-    shapes : Shapes
+    Args:
+        scene: The present one: with the tool's shapes and the element in stock.
+        link: The robot's tip link.
     """
     bare = tool_objects(tool, link)
     own = {item.name for item in job.bodies}

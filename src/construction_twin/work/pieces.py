@@ -31,16 +31,11 @@ _ROUND = 32
 class Hull:
     """A convex body.
 
-    Attributes
-    ----------
-    points : array, shape (v, 3)
-        Its corners.
-    planes : array, shape (f, 4)
-        Outward normal and offset of each facet: inside where ``normal . x + offset <= 0``.
-    volume : float
-        [m^3]
-    centre : array, shape (3,)
-        Of gravity.
+    Attributes:
+        points: Shape (v, 3). Its corners.
+        planes: Shape (f, 4). Outward normal and offset of each facet: inside where ``normal . x + offset <= 0``.
+        volume: [m^3]
+        centre: Shape (3,). Of gravity.
     """
 
     points: np.ndarray
@@ -52,10 +47,8 @@ class Hull:
 class Pieces:
     """The pieces of one element, in the element's frame.
 
-    Parameters
-    ----------
-    objects : sequence of SceneObject
-        Not empty; `link` empty.
+    Args:
+        objects: Not empty; `link` empty.
     """
 
     def __init__(self, objects: Sequence[SceneObject]):
@@ -106,11 +99,8 @@ class Pieces:
     def same_turned(self, turn: Pose, tolerance: float = 1e-4) -> bool:
         """Return whether a motion maps the pieces onto themselves: every piece's corners onto those of one of them.
 
-        Parameters
-        ----------
-        turn : Pose
-        tolerance : float, optional
-            [m]
+        Args:
+            tolerance: [m]
         """
         left = list(self.hulls)
         for hull in self.hulls:

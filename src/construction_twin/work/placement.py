@@ -42,11 +42,8 @@ _LISTED = 10
 class Remark:
     """One thing to know about the placement.
 
-    Attributes
-    ----------
-    text : str
-    ids : tuple of str
-        GlobalIds of the elements concerned.
+    Attributes:
+        ids: GlobalIds of the elements concerned.
     """
 
     text: str
@@ -57,12 +54,8 @@ class Remark:
 class Placement:
     """A placement that may be true.
 
-    Attributes
-    ----------
-    model_T_base : Pose
-    remarks : tuple of Remark
-    far : tuple of str
-        GlobalIds of elements that are out of reach whatever the arm does.
+    Attributes:
+        far: GlobalIds of elements that are out of reach whatever the arm does.
     """
 
     model_T_base: Pose
@@ -73,16 +66,11 @@ class Placement:
 def base_element(model: BuildingModel, name: str) -> Element:
     """Return the element that stands for the robot's base; its placement is ``model_T_base``.
 
-    Parameters
-    ----------
-    model : BuildingModel
-    name : str
-        Its GlobalId, or its name if only one element has that.
+    Args:
+        name: Its GlobalId, or its name if only one element has that.
 
-    Raises
-    ------
-    PlacementError
-        If there is none, or several have the name.
+    Raises:
+        PlacementError: If there is none, or several have the name.
     """
     if name in model.elements:
         return model.elements[name]
@@ -103,20 +91,13 @@ def base_element(model: BuildingModel, name: str) -> Element:
 def check_placement(model: BuildingModel, model_T_base: Pose, reach: float, base: str = "") -> Placement:
     """Check where a model stands.
 
-    Parameters
-    ----------
-    model : BuildingModel
-    model_T_base : Pose
-    reach : float
-        Largest distance of the tool's centre point from the base's origin, along a track and with the tool [m], above 0.
-    base : str
-        GlobalId of the element that stands for the robot's base, which is not compared; empty: none.
+    Args:
+        reach: Largest distance of the tool's centre point from the base's origin, along a track and with the tool [m], above 0.
+        base: GlobalId of the element that stands for the robot's base, which is not compared; empty: none.
 
-    Raises
-    ------
-    PlacementError
-        If the pose is no pose, no element has geometry, all of them are out of reach (with what would bring them there, where
-        trying found something), or the base stands inside of elements.
+    Raises:
+        PlacementError: If the pose is no pose, no element has geometry, all of them are out of reach (with what would bring them
+            there, where trying found something), or the base stands inside of elements.
     """
     _check_pose(model_T_base)
     boxes = {one.id: _box(one) for one in model.elements.values() if one.bodies and one.id != base}

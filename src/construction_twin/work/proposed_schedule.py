@@ -35,14 +35,10 @@ _LISTED = 10
 class ProposedSchedule:
     """An order for a model's elements that a person must accept.
 
-    Attributes
-    ----------
-    tasks : tuple of Task
-        One that nests all, and one per element, in an order in which they can be built.
-    sequences : tuple of Sequence
-        ``FINISH_START``; the fewest that say all.
-    notes : tuple of str
-        What was not certain, with ids.
+    Attributes:
+        tasks: One that nests all, and one per element, in an order in which they can be built.
+        sequences: ``FINISH_START``; the fewest that say all.
+        notes: What was not certain, with ids.
     """
 
     tasks: tuple[Task, ...]
@@ -58,17 +54,12 @@ class ProposedSchedule:
 def propose(model: BuildingModel, robots: tuple[str, ...] = ()) -> ProposedSchedule:
     """Return an order in which a model's elements can be built.
 
-    Parameters
-    ----------
-    model : BuildingModel
-        Its workpieces (`workpieces.workpieces`) get a place in the order; what else is there is taken as there before.
-    robots : tuple of str
-        Who may do it; empty: any.
+    Args:
+        model: Its workpieces (`workpieces.workpieces`) get a place in the order; what else is there is taken as there before.
+        robots: Who may do it; empty: any.
 
-    Raises
-    ------
-    ScheduleError
-        If it has no workpiece.
+    Raises:
+        ScheduleError: If it has no workpiece.
     """
     solids = [_Solid(model.elements[identifier]) for identifier in workpieces(model)]
     if not solids:

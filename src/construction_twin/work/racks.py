@@ -23,17 +23,10 @@ from construction_twin.work.site import DeliveredRack, GridRack, ListRack, Site,
 class Slot:
     """Where one element lies in stock.
 
-    Attributes
-    ----------
-    element : str
-    rack : str
-    number : int
-        Of the slot in the rack, from 0.
-    load : int
-        How often the slot was filled before.
-    base_T_element : Pose
-    surface : str
-        The scene's object that it lies on; empty: none.
+    Attributes:
+        number: Of the slot in the rack, from 0.
+        load: How often the slot was filled before.
+        surface: The scene's object that it lies on; empty: none.
     """
 
     element: str
@@ -48,12 +41,9 @@ class Slot:
 class StockPlan:
     """All elements in their slots.
 
-    Attributes
-    ----------
-    slots : mapping of str to Slot
-        By element, in the order in which they are needed.
-    stacks : frozenset of str
-        Names of the racks that are filled as a whole.
+    Attributes:
+        slots: By element, in the order in which they are needed.
+        stacks: Names of the racks that are filled as a whole.
     """
 
     slots: Mapping[str, Slot]
@@ -63,10 +53,6 @@ class StockPlan:
         """Return the elements that lie in their slots when some have been taken.
 
         An element of a later load is delivered when its slot is empty; that of a stack when the whole stack is.
-
-        Parameters
-        ----------
-        taken : collection of str
         """
         gone = set(taken)
         left: dict[tuple[str, int], int] = {}
@@ -83,11 +69,8 @@ class StockPlan:
     def instead_of(self, element: str, taken: Collection[str]) -> str:
         """Return the element of a later load that counts as delivered where this one is to lie again; empty: there is none.
 
-        Parameters
-        ----------
-        element : str
-        taken : collection of str
-            As of `present`; this one may be among them.
+        Args:
+            taken: As of `present`; this one may be among them.
         """
         slot = self.slots.get(element)
         if slot is None:
@@ -108,25 +91,13 @@ def plan_stock(
 ) -> StockPlan:
     """Give every element a slot.
 
-    Parameters
-    ----------
-    site : Site
-    building : BuildingModel
-    order : sequence of str
-        GlobalIds of the elements to be placed, in the order in which they are needed.
-    corners : mapping of str to array, shape (n, 3)
-        Points of each element that enclose it, in its own frame [m].
+    Args:
+        order: GlobalIds of the elements to be placed, in the order in which they are needed.
+        corners: Mapping of str to array, shape (n, 3). Points of each element that enclose it, in its own frame [m].
 
-    Returns
-    -------
-    stock : StockPlan
-
-    Raises
-    ------
-    ConfigurationError
-        If an element has no rack, or a rack more elements than slots.
-    BuildingError
-        If the model does not say where an element is delivered.
+    Raises:
+        ConfigurationError: If an element has no rack, or a rack more elements than slots.
+        BuildingError: If the model does not say where an element is delivered.
     """
     if len(set(order)) != len(order):
         twice = next(element for element in order if list(order).count(element) > 1)

@@ -52,28 +52,19 @@ class _Strict(pydantic.BaseModel):
 class Grips(_Strict):
     """Where an element may be gripped, the best first.
 
-    Attributes
-    ----------
-    faces : tuple of str
-        ``up``: flat faces that look up in the stock; ``+x`` to ``-z``: along the element's own axes; ``any``: all, the largest
-        first.
-    along, across : tuple of float
-        Where the tool's centre point goes, from the middle of gravity along the face's longer and shorter side [m].
-    yaws_deg : tuple of float
-        How the tool's x axis is turned from the face's longer side [deg].
-    turns_deg : tuple of float
-        By how much the element may be turned about the face's normal between stock and place, in turns that map its shape onto
-        itself [deg].
-    min_cups : int
-        So many cups must lie on the face whole, besides those that the mass needs.
-    margin : float
-        Distance of a cup's rim from the face's edge [m].
-    lever : float
-        Largest distance of the centre of gravity, seen along the face's normal, from the hull of the cups that hold [m].
-    touching : tuple of str
-        Shapes of the tool that touch the element.
-    beside : tuple of str
-        Shapes of the tool that may come closer than the scene's padding to what lies beside the element in stock and at its place.
+    Attributes:
+        faces: ``up``: flat faces that look up in the stock; ``+x`` to ``-z``: along the element's own axes; ``any``: all, the
+            largest first.
+        along, across: Where the tool's centre point goes, from the middle of gravity along the face's longer and shorter side [m].
+        yaws_deg: How the tool's x axis is turned from the face's longer side [deg].
+        turns_deg: By how much the element may be turned about the face's normal between stock and place, in turns that map its
+            shape onto itself [deg].
+        min_cups: So many cups must lie on the face whole, besides those that the mass needs.
+        margin: Distance of a cup's rim from the face's edge [m].
+        lever: Largest distance of the centre of gravity, seen along the face's normal, from the hull of the cups that hold [m].
+        touching: Shapes of the tool that touch the element.
+        beside: Shapes of the tool that may come closer than the scene's padding to what lies beside the element in stock and at its
+            place.
     """
 
     faces: Annotated[tuple[_Face, ...], pydantic.Field(min_length=1)] = ("up",)
@@ -91,14 +82,10 @@ class Grips(_Strict):
 class Stock(_Strict):
     """How the element is fetched.
 
-    Attributes
-    ----------
-    approach : float
-        Length of the straight way of the tool to the face, against its normal [m].
-    leave : tuple of direction
-        Which way the element leaves, the best first.
-    lengths : tuple of float
-        Lengths of that straight way [m], tried one after the other.
+    Attributes:
+        approach: Length of the straight way of the tool to the face, against its normal [m].
+        leave: Which way the element leaves, the best first.
+        lengths: Lengths of that straight way [m], tried one after the other.
     """
 
     approach: _Length = 0.1
@@ -109,17 +96,12 @@ class Stock(_Strict):
 class Place(_Strict):
     """How the element is set down.
 
-    Attributes
-    ----------
-    arrive : tuple of direction
-        From which side the element comes, the best first.
-    lengths : tuple of float
-        Lengths of that straight way [m], tried one after the other.
-    retreat : float
-        Length of the straight way of the tool from the face, along its normal [m].
-    fastened : bool
-        Something that the model does not show holds the element before the tool lets go: screws, glue, a clamp. Else an element
-        that nothing is under is refused: it would fall.
+    Attributes:
+        arrive: From which side the element comes, the best first.
+        lengths: Lengths of that straight way [m], tried one after the other.
+        retreat: Length of the straight way of the tool from the face, along its normal [m].
+        fastened: Something that the model does not show holds the element before the tool lets go: screws, glue, a clamp. Else an
+            element that nothing is under is refused: it would fall.
     """
 
     arrive: Annotated[tuple[Direction, ...], pydantic.Field(min_length=1)] = ("up",)
@@ -131,22 +113,12 @@ class Place(_Strict):
 class Recipe(_Strict):
     """How elements of one kind are handled. The keys of the file, each explained in config/work/recipes.yaml.
 
-    Attributes
-    ----------
-    match : Match
-    grips : Grips
-    stock : Stock
-    place : Place
-    speed : float
-        Of the tool on the straight ways [m/s].
-    free_speed_scale, carry_speed_scale : float
-        Fraction of the joints' limits on the free ways, without and with the element.
-    carry_engaged : bool
-        After a stop while the element is carried freely, only the way back may be planned.
-    penetration : float
-        How deep bodies that may touch may be in each other, by rounding and by inexact pieces [m].
-    mass : float or None
-        Taken for elements whose mass the model does not say [kg]; None: they are refused.
+    Attributes:
+        speed: Of the tool on the straight ways [m/s].
+        free_speed_scale, carry_speed_scale: Fraction of the joints' limits on the free ways, without and with the element.
+        carry_engaged: After a stop while the element is carried freely, only the way back may be planned.
+        penetration: How deep bodies that may touch may be in each other, by rounding and by inexact pieces [m].
+        mass: Taken for elements whose mass the model does not say [kg]; None: they are refused.
     """
 
     match: Match = Match()
@@ -185,16 +157,11 @@ def _numbers(value: Value) -> tuple[float, ...] | tuple[str, ...]:
 class Override:
     """One property of `PROPERTY_SET`.
 
-    Attributes
-    ----------
-    key : tuple of str
-        The key of the recipe that it replaces.
-    ifc_type : str
-        Type of its value.
-    meaning : str
-        For documents.
-    read : callable
-        From the property's value to the key's.
+    Attributes:
+        key: The key of the recipe that it replaces.
+        ifc_type: Type of its value.
+        meaning: For documents.
+        read: From the property's value to the key's.
     """
 
     key: tuple[str, ...]
@@ -251,13 +218,9 @@ RECIPE, DELIVERED = "Recipe", "Delivered"
 class Chosen:
     """A recipe for one element.
 
-    Attributes
-    ----------
-    name : str
-    recipe : Recipe
-        With the model's own overrides.
-    mass : float
-        Of the element [kg].
+    Attributes:
+        recipe: With the model's own overrides.
+        mass: Of the element [kg].
     """
 
     name: str
@@ -278,13 +241,7 @@ class _Asked:
 
 @dataclass(frozen=True)
 class Recipes:
-    """The recipes of one file, in their order.
-
-    Attributes
-    ----------
-    file : str
-    recipes : mapping of str to Recipe
-    """
+    """The recipes of one file, in their order."""
 
     file: str
     recipes: Mapping[str, Recipe]
@@ -292,10 +249,9 @@ class Recipes:
     def choose(self, job: PlaceJob, tool: Tool) -> Chosen:
         """Return the recipe for a job, with the overrides of the model, and the mass to plan with.
 
-        Raises
-        ------
-        TaskPlanningError
-            If no recipe fits, a property of `PROPERTY_SET` is wrong, the mass is not known, or too large for tool or load.
+        Raises:
+            TaskPlanningError: If no recipe fits, a property of `PROPERTY_SET` is wrong, the mass is not known, or too large for
+                tool or load.
         """
         name, recipe = self.of(job)
         own = job.properties.get(PROPERTY_SET, {})
@@ -314,9 +270,7 @@ class Recipes:
     def check_tool(self, tool: Tool) -> None:
         """Check that every recipe names shapes that the tool has.
 
-        Raises
-        ------
-        ConfigurationError
+        Raises ConfigurationError.
         """
         for name, recipe in self.recipes.items():
             for key, shapes in (("touching", recipe.grips.touching), ("beside", recipe.grips.beside)):
@@ -373,10 +327,8 @@ class Recipes:
 def read_recipes(path: str | Path) -> Recipes:
     """Read a recipes file.
 
-    Raises
-    ------
-    ConfigurationError
-        Naming file, key, value and what was expected.
+    Raises:
+        ConfigurationError: Naming file, key, value and what was expected.
     """
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))

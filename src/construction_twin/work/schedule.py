@@ -35,14 +35,10 @@ _LISTED = 10
 class Wait:
     """What a job waits for.
 
-    Attributes
-    ----------
-    job : str
-        Id of another job.
-    finished : bool
-        It must be finished; else it must have started.
-    lag : float
-        Time that must have passed since [s], at least 0.
+    Attributes:
+        job: Id of another job.
+        finished: It must be finished; else it must have started.
+        lag: Time that must have passed since [s], at least 0.
     """
 
     job: str
@@ -54,17 +50,12 @@ class Wait:
 class Job:
     """One element to be placed.
 
-    Attributes
-    ----------
-    id : str
-        The task's GlobalId; of a task that makes several elements: with ``/1``, ``/2``, ... behind it.
-    task, name, element : str
-        GlobalId and name of the task, GlobalId of the element. Where several jobs share the name, the element's stands behind it:
-        ``Panel up: stud 3``.
-    robots : tuple of str
-        Who may do it, the task's own or else those of the tasks it nests in; empty: any.
-    after : tuple of Wait
-        Empty: it may start at once.
+    Attributes:
+        id: The task's GlobalId; of a task that makes several elements: with ``/1``, ``/2``, ... behind it.
+        task, name, element: GlobalId and name of the task, GlobalId of the element. Where several jobs share the name, the
+            element's stands behind it: ``Panel up: stud 3``.
+        robots: Who may do it, the task's own or else those of the tasks it nests in; empty: any.
+        after: Empty: it may start at once.
     """
 
     id: str
@@ -79,14 +70,10 @@ class Job:
 class Blocker:
     """Why a job may not start yet.
 
-    Attributes
-    ----------
-    job : Job
-        What it waits for.
-    finished : bool
-        That must be finished; else it must have started.
-    remaining : float or None
-        Rest of the lag [s]; None: that has not happened yet.
+    Attributes:
+        job: What it waits for.
+        finished: That must be finished; else it must have started.
+        remaining: Rest of the lag [s]; None: that has not happened yet.
     """
 
     job: Job
@@ -107,20 +94,14 @@ class Schedule:
 
     Made by `Schedule.of`.
 
-    Attributes
-    ----------
-    jobs : tuple of Job
-        In an order in which they can be done one after the other: as the tasks are scheduled if all say when, else as in the file.
-    notes : tuple of str
-        One sentence, with ids, for each thing that was understood in a way the user should know.
-    unmade : tuple of str
-        GlobalIds of the workpieces that no job makes.
-    proposed : bool
-        It is not the planner's but a proposal from the geometry, which a person must accept; or a part of it is.
-    removals : tuple of Job
-        Elements that people take down; what each waits for is in `after`.
-    remarks : mapping of str to tuple of str
-        Notes by the id of the job or removal that they are about.
+    Attributes:
+        jobs: In an order in which they can be done one after the other: as the tasks are scheduled if all say when, else as in the
+            file.
+        notes: One sentence, with ids, for each thing that was understood in a way the user should know.
+        unmade: GlobalIds of the workpieces that no job makes.
+        proposed: It is not the planner's but a proposal from the geometry, which a person must accept; or a part of it is.
+        removals: Elements that people take down; what each waits for is in `after`.
+        remarks: Notes by the id of the job or removal that they are about.
     """
 
     def __init__(
@@ -140,17 +121,12 @@ class Schedule:
     def of(cls, model: BuildingModel, proposed: bool = False) -> Schedule:
         """Return the schedule of a model.
 
-        Parameters
-        ----------
-        model : BuildingModel
-        proposed : bool
-            Its tasks come from `proposed_schedule`.
+        Args:
+            proposed: Its tasks come from `proposed_schedule`.
 
-        Raises
-        ------
-        ScheduleError
-            With the ids: no tasks at all, tasks that wait for or nest in each other in a circle, an element made twice, a sequence
-            or a nesting with a task that is not there.
+        Raises:
+            ScheduleError: With the ids: no tasks at all, tasks that wait for or nest in each other in a circle, an element made
+                twice, a sequence or a nesting with a task that is not there.
         """
         reading = _Reading(model)
         everything = reading.jobs()
@@ -172,10 +148,8 @@ class Schedule:
     def job(self, identifier: str) -> Job:
         """Return the job of that id.
 
-        Raises
-        ------
-        ScheduleError
-            If there is none.
+        Raises:
+            ScheduleError: If there is none.
         """
         if identifier not in self._by_id:
             raise ScheduleError(f"job {identifier!r}: the schedule has none of that id", (identifier,))
@@ -186,19 +160,13 @@ class Schedule:
     ) -> tuple[Blocker, ...]:
         """Return what a job still waits for; empty: it may start.
 
-        Parameters
-        ----------
-        identifier : str
-            Of the job.
-        started, finished : mapping of str to float
-            When [s], by job id; a job that is finished need not be in `started`.
-        now : float
-            [s]
+        Args:
+            identifier: Of the job.
+            started, finished: When [s], by job id; a job that is finished need not be in `started`.
+            now: [s]
 
-        Raises
-        ------
-        ScheduleError
-            If there is no such job.
+        Raises:
+            ScheduleError: If there is no such job.
         """
         found = []
         for wait in self.job(identifier).after:
@@ -216,14 +184,10 @@ class Schedule:
     ) -> tuple[Job, ...]:
         """Return the jobs that may start now, in order.
 
-        Parameters
-        ----------
-        started, finished : mapping of str to float
-            When [s], by job id; both are over.
-        now : float
-            [s]
-        robot : str
-            Only jobs that this robot may do; empty: all.
+        Args:
+            started, finished: When [s], by job id; both are over.
+            now: [s]
+            robot: Only jobs that this robot may do; empty: all.
         """
         return tuple(
             job
@@ -562,10 +526,8 @@ class _Reading:
     def _topological(self, before: dict[tuple[str, int], list[tuple[str, int]]]) -> list[tuple[str, int]]:
         """Return the nodes so that each comes after those before it.
 
-        Raises
-        ------
-        ScheduleError
-            If they form a circle.
+        Raises:
+            ScheduleError: If they form a circle.
         """
         missing = {node: len(sources) for node, sources in before.items()}
         into: dict[tuple[str, int], list[tuple[str, int]]] = {node: [] for node in before}

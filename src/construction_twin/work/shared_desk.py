@@ -10,20 +10,13 @@ from construction_twin.work.desk import Desk, WorkRefused
 class SharedDesk:
     """A desk, or why there is none.
 
-    Parameters
-    ----------
-    problem : str
-        Why there is none yet, as a sentence.
+    Args:
+        problem: Why there is none yet, as a sentence.
 
-    Attributes
-    ----------
-    lock : threading.RLock
-        Guards desk and ledger; never held while somebody else is waited for who may wait for it.
-    desk : Desk or None
-    problem : str
-        Why there is none.
-    broken : bool
-        There will be none any more.
+    Attributes:
+        lock: Guards desk and ledger; never held while somebody else is waited for who may wait for it.
+        problem: Why there is none.
+        broken: There will be none any more.
     """
 
     def __init__(self, problem: str):
@@ -45,10 +38,8 @@ class SharedDesk:
     def opened(self) -> Desk:
         """Return the desk.
 
-        Raises
-        ------
-        WorkRefused
-            If there is none.
+        Raises:
+            WorkRefused: If there is none.
         """
         if self.desk is None:
             raise WorkRefused(self.problem)

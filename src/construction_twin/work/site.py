@@ -42,16 +42,11 @@ class _Strict(pydantic.BaseModel):
 class _Rack(_Strict):
     """What every rack has.
 
-    Attributes
-    ----------
-    holds : Match
-        Which elements it holds; an element belongs to the first rack that fits.
-    frame : str
-        ``base`` or ``model``: what its poses are in.
-    order : str
-        ``schedule``: slots are filled in the order in which the elements are needed; ``file``: in the order of the model.
-    surface : str
-        Name of the scene's object that the elements lie on; empty: none.
+    Attributes:
+        holds: Which elements it holds; an element belongs to the first rack that fits.
+        frame: ``base`` or ``model``: what its poses are in.
+        order: ``schedule``: slots are filled in the order in which the elements are needed; ``file``: in the order of the model.
+        surface: Name of the scene's object that the elements lie on; empty: none.
     """
 
     holds: Match = Match()
@@ -63,17 +58,12 @@ class _Rack(_Strict):
 class _Lying(_Rack):
     """Racks with slots of their own: a slot is where the middle of the underside of an element's box stands.
 
-    Attributes
-    ----------
-    at : FilePose
-        The first slot, and the directions of the rack.
-    lies : str
-        ``as_built``: the elements lie in the rack's frame as they do in the model's; ``own_axes``: their own axes along the
-        rack's.
-    rpy_deg : tuple of float
-        Turn of the element on top of that, about the rack's x, y and z axes [deg].
-    refill : bool
-        A slot is filled again when its element has been taken; otherwise more elements than slots are refused.
+    Attributes:
+        at: The first slot, and the directions of the rack.
+        lies: ``as_built``: the elements lie in the rack's frame as they do in the model's; ``own_axes``: their own axes along the
+            rack's.
+        rpy_deg: Turn of the element on top of that, about the rack's x, y and z axes [deg].
+        refill: A slot is filled again when its element has been taken; otherwise more elements than slots are refused.
     """
 
     at: FilePose
@@ -109,12 +99,9 @@ class ListRack(_Lying):
 class DeliveredRack(_Rack):
     """The model says where the elements are delivered.
 
-    Attributes
-    ----------
-    offset : FilePose or None
-        Every element lies this far from where it will be built, in the model's frame, turned about its own origin.
-    property : str
-        ``Pset.Name`` of a text ``x y z`` or ``x y z roll pitch yaw`` [m, deg]: where the element's frame is, in `frame`.
+    Attributes:
+        offset: Every element lies this far from where it will be built, in the model's frame, turned about its own origin.
+        property: ``Pset.Name`` of a text ``x y z`` or ``x y z roll pitch yaw`` [m, deg]: where the element's frame is, in `frame`.
     """
 
     kind: Literal["delivered"]
@@ -128,17 +115,12 @@ Rack = Annotated[GridRack | StackRack | ListRack | DeliveredRack, pydantic.Field
 class CellFile(_Strict):
     """The keys of a cell file, each explained in config/work/timber_panel.yaml.
 
-    Attributes
-    ----------
-    tool, recipes, scene : str
-        Files, relative to this one.
-    model_T_base : FilePose or None
-        Where the robot's base_link is in the model.
-    base_element : str
-        GlobalId or name of the element of the model that stands for the robot's base_link; empty: `model_T_base` is given.
-    supports : tuple of str
-        Objects of the scene that elements are set down on.
-    racks : mapping of str to Rack
+    Attributes:
+        tool, recipes, scene: Files, relative to this one.
+        model_T_base: Where the robot's base_link is in the model.
+        base_element: GlobalId or name of the element of the model that stands for the robot's base_link; empty: `model_T_base` is
+            given.
+        supports: Objects of the scene that elements are set down on.
     """
 
     tool: str
@@ -171,14 +153,8 @@ class CellFile(_Strict):
 class Site:
     """A cell, read.
 
-    Attributes
-    ----------
-    path : str
-    file : CellFile
-    tool : ToolFile
-    recipes : Recipes
-    scene : Scene
-        Without tool and elements.
+    Attributes:
+        scene: Without tool and elements.
     """
 
     path: str
@@ -190,10 +166,8 @@ class Site:
     def model_T_base(self, building: BuildingModel) -> Pose:
         """Return where the robot's base_link is in a model.
 
-        Raises
-        ------
-        ConfigurationError
-            If the element that stands for the base is not in the model, or not the only one of its name.
+        Raises:
+            ConfigurationError: If the element that stands for the base is not in the model, or not the only one of its name.
         """
         if self.file.model_T_base is not None:
             return pose_of(self.file.model_T_base)
@@ -216,12 +190,9 @@ class Site:
 def read_site(path: str | Path) -> Site:
     """Read a cell file and the files that it names.
 
-    Raises
-    ------
-    ConfigurationError
-        Naming file, key, value and what was expected; also for its tool and recipes.
-    SceneError
-        If its scene cannot be used.
+    Raises:
+        ConfigurationError: Naming file, key, value and what was expected; also for its tool and recipes.
+        SceneError: If its scene cannot be used.
     """
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))

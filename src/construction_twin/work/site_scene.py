@@ -28,12 +28,9 @@ _STOOD = 5000
 class WorkState:
     """What has been done.
 
-    Attributes
-    ----------
-    placed : mapping of str to Pose
-        ``base_T_element`` of the elements that stand, as built.
-    gone : frozenset of str
-        Elements that are neither in stock nor placed: lost, in the grip, or taken down.
+    Attributes:
+        placed: ``base_T_element`` of the elements that stand, as built.
+        gone: Elements that are neither in stock nor placed: lost, in the grip, or taken down.
     """
 
     placed: Mapping[str, Pose] = field(default_factory=dict)
@@ -43,32 +40,17 @@ class WorkState:
 class Layout:
     """Where every element of a work is before and after.
 
-    Parameters
-    ----------
-    site : Site
-    building : BuildingModel
-    pieces : mapping of str to tuple of SceneObject
-        Convex pieces of each element in `order`, in its own frame, called ``<GlobalId>/<number>``.
-    order : sequence of str
-        GlobalIds of the elements that are placed, in the order in which they are needed.
-    link : str
-        The robot's tip link, which carries the tool.
-    standing : mapping of str to sequence of SceneObject, optional
-        Pieces, as above, of the elements that stand where the model has them and that no task makes, see `work.standing`.
+    Args:
+        pieces: Convex pieces of each element in `order`, in its own frame, called ``<GlobalId>/<number>``.
+        order: GlobalIds of the elements that are placed, in the order in which they are needed.
+        link: The robot's tip link, which carries the tool.
+        standing: Pieces, as above, of the elements that stand where the model has them and that no task makes, see `work.standing`.
 
-    Attributes
-    ----------
-    site : Site
-    building : BuildingModel
-    order : tuple of str
-    stock : StockPlan
-    standing : tuple of SceneObject
-        What stands from the beginning, fixed, in the robot's base_link.
+    Attributes:
+        standing: What stands from the beginning, fixed, in the robot's base_link.
 
-    Raises
-    ------
-    ConfigurationError, BuildingError
-        See `racks.plan_stock`.
+    Raises:
+        ConfigurationError, BuildingError: See `racks.plan_stock`.
     """
 
     def __init__(
@@ -115,12 +97,7 @@ class Layout:
         return self.stock.present({*state.placed, *state.gone})
 
     def scene(self, state: WorkState = WorkState()) -> Scene:
-        """Return the scene at a state: surroundings, the tool on the arm, what is in stock, what stands.
-
-        Parameters
-        ----------
-        state : WorkState
-        """
+        """Return the scene at a state: surroundings, the tool on the arm, what is in stock, what stands."""
         surroundings = self.site.scene
         standing = [item for item in self.standing if item.name.split("/", 1)[0] not in state.gone]
         objects = [*surroundings.objects, *standing, *self._tool]
@@ -134,14 +111,10 @@ class Layout:
     def job_for(self, element: str, scene: Scene, task: str = "") -> PlaceJob:
         """Return the job of placing an element.
 
-        Parameters
-        ----------
-        element : str
-            GlobalId.
-        scene : Scene
-            The present one.
-        task : str, optional
-            Id of the task; empty: the element's.
+        Args:
+            element: GlobalId.
+            scene: The present one.
+            task: Id of the task; empty: the element's.
         """
         built, slot = self.building.element(element), self.slot(element)
         goal = self.base_T_goal(element)

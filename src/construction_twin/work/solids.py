@@ -22,11 +22,9 @@ _PRISM_DIRECTIONS = 4
 def solid(vertices: np.ndarray, triangles: np.ndarray) -> manifold3d.Manifold | None:
     """Return the closed body of triangles; None if they do not enclose one.
 
-    Parameters
-    ----------
-    vertices : array, shape (v, 3)
-        [m]; corners at the same place are welded.
-    triangles : array of int, shape (t, 3)
+    Args:
+        vertices: Shape (v, 3). [m]; corners at the same place are welded.
+        triangles: Shape (t, 3), integers
     """
     vertices, triangles = welded(vertices, triangles)
     if len(triangles) < 4:
@@ -88,20 +86,14 @@ def triangle_area(vertices: np.ndarray, triangles: np.ndarray) -> float:
 def prism(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, shapely.Geometry, float] | None:
     """Return what a body is if all its sides are parallel to one direction and its two ends lie across it: a wall with its windows.
 
-    Parameters
-    ----------
-    vertices : array, shape (v, 3)
-        [m]
-    triangles : array of int, shape (t, 3)
+    Args:
+        vertices: Shape (v, 3). [m]
+        triangles: Shape (t, 3), integers
 
-    Returns
-    -------
-    element_T_profile : array, shape (4, 4)
-        Its z axis is the direction, its origin lies in the lower end.
-    profile : shapely.Polygon or MultiPolygon
-        In the x, y plane.
-    depth : float
-        [m]
+    Returns:
+        element_T_profile: Shape (4, 4). Its z axis is the direction, its origin lies in the lower end.
+        profile: In the x, y plane.
+        depth: [m]
     """
     vertices, triangles = welded(vertices, triangles)
     first, second, third = (vertices[triangles[:, corner]] for corner in range(3))

@@ -23,12 +23,9 @@ _CARRIED = 5.0
 class Standing:
     """What stands.
 
-    Attributes
-    ----------
-    pieces : dict of str to tuple of SceneObject
-        Convex pieces of each element in its own frame, ``<GlobalId>/<number>``; for `site_scene.Layout`.
-    notes : tuple of str
-        One sentence for each element that should stand but whose geometry is unusable: it is no obstacle.
+    Attributes:
+        pieces: Convex pieces of each element in its own frame, ``<GlobalId>/<number>``; for `site_scene.Layout`.
+        notes: One sentence for each element that should stand but whose geometry is unusable: it is no obstacle.
     """
 
     pieces: dict[str, tuple[SceneObject, ...]]
@@ -38,16 +35,10 @@ class Standing:
 def standing(building: BuildingModel, made: Collection[str], site: Site, robot: RobotModel, folder: Path) -> Standing:
     """Return what stands of a model within reach of the arm and what it carries.
 
-    Parameters
-    ----------
-    building : BuildingModel
-    made : collection of str
-        GlobalIds of the elements that tasks make; these, what they are parts of, and the element that stands for the base are not
-        among what stands.
-    site : Site
-    robot : RobotModel
-    folder : Path
-        For mesh files, see `element_bodies.element_shapes`.
+    Args:
+        made: GlobalIds of the elements that tasks make; these, what they are parts of, and the element that stands for the base are
+            not among what stands.
+        folder: For mesh files, see `element_bodies.element_shapes`.
     """
     chain, tool = Chain(robot), pose_of(site.tool.tool.tool0_T_tcp)
     reach = chain.reach + float(np.linalg.norm(chain.shoulder)) + float(np.linalg.norm(tool.position)) + _CARRIED

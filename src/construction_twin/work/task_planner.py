@@ -61,16 +61,11 @@ _NEAR_LIMIT = 0.01
 class TaskLimits:
     """How long and how widely is searched.
 
-    Attributes
-    ----------
-    budget : float
-        After this time no other grip or way is begun [s].
-    solutions : int
-        Most joint solutions of a pose that are tried.
-    pairs : int
-        Most combinations of a way from the stock and a way to the place that are tried with one grip.
-    free_budget : float
-        Time for the search of one free way [s].
+    Attributes:
+        budget: After this time no other grip or way is begun [s].
+        solutions: Most joint solutions of a pose that are tried.
+        pairs: Most combinations of a way from the stock and a way to the place that are tried with one grip.
+        free_budget: Time for the search of one free way [s].
     """
 
     budget: float = 20.0
@@ -84,20 +79,10 @@ class TaskPlanner:
 
     With a seed in the settings, the same job from the same pose in the same scene gives the same plan, unless a budget runs out.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    solver : InverseKinematics
-    settings : PlannerSettings
-        Of the free ways.
-    self_collision : SelfCollision
-    tool : ToolFile
-    recipes : Recipes
-    clock : callable
-        Returns seconds from any fixed origin.
-    rng : numpy Generator
-        Source of seeds if the settings give none.
-    limits : TaskLimits, optional
+    Args:
+        settings: Of the free ways.
+        clock: Returns seconds from any fixed origin.
+        rng: Source of seeds if the settings give none.
     """
 
     def __init__(
@@ -138,24 +123,13 @@ class TaskPlanner:
     def plan(self, job: PlaceJob, start: JointValues, scene: Scene, end: JointValues | None = None) -> WorkPlan:
         """Plan a task.
 
-        Parameters
-        ----------
-        job : PlaceJob
-        start : sequence of float, length n
-            Where the arm stands.
-        scene : Scene
-            The present one: with the tool (`contacts.tool_objects`) and the element in stock.
-        end : sequence of float, length n, optional
-            Where the arm goes afterwards. Default: it stays where it has let go.
+        Args:
+            start: Length n. Where the arm stands.
+            scene: The present one: with the tool (`contacts.tool_objects`) and the element in stock.
+            end: Length n. Where the arm goes afterwards. Default: it stays where it has let go.
 
-        Returns
-        -------
-        plan : WorkPlan
-
-        Raises
-        ------
-        TaskPlanningError
-            With the part that was not possible with the grip that came furthest, and why.
+        Raises:
+            TaskPlanningError: With the part that was not possible with the grip that came furthest, and why.
         """
         began = self._clock()
         chosen = self._recipes.choose(job, self._tool.tool)
@@ -190,20 +164,13 @@ class TaskPlanner:
     def plan_carried(self, job: PlaceJob, start: JointValues, scene: Scene, tool0_T_element: Pose) -> WorkPlan:
         """Plan the rest of a task whose element is in the grip: carry, set down, let go, go away.
 
-        Parameters
-        ----------
-        job : PlaceJob
-        start : sequence of float, length n
-            Where the arm stands.
-        scene : Scene
-            The present one: with the tool, and the element carried by the robot's tip link.
-        tool0_T_element : Pose
-            How it is held; as `WorkPlan.tool0_T_element` of the plan that gripped it.
+        Args:
+            start: Length n. Where the arm stands.
+            scene: The present one: with the tool, and the element carried by the robot's tip link.
+            tool0_T_element: How it is held; as `WorkPlan.tool0_T_element` of the plan that gripped it.
 
-        Raises
-        ------
-        TaskPlanningError
-            As `plan`.
+        Raises:
+            TaskPlanningError: As `plan`.
         """
         began = self._clock()
         chosen = self._recipes.choose(job, self._tool.tool)

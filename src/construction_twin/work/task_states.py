@@ -151,14 +151,7 @@ _SAYS = {"in_stock": _G.SAYS_STOCK, "in_grip": _G.SAYS_GRIP, "placed": _G.SAYS_P
 
 
 class NotNow(WorkError):
-    """An event does not fit the state of a task.
-
-    Attributes
-    ----------
-    task : str
-    state : TaskState
-    event : TaskEvent
-    """
+    """An event does not fit the state of a task."""
 
     def __init__(self, task: str, state: TaskState, event: TaskEvent):
         self.task, self.state, self.event = task, state, event
@@ -169,17 +162,12 @@ class NotNow(WorkError):
 class TaskOccasion(state_table.Occasion):
     """What a line of the ledger says with an event; `now` is when it was written [ns].
 
-    Attributes
-    ----------
-    answer : str
-        One of `ANSWERS`.
-    plan, offer, grip : str
-    pose : tuple of float, length 7 or 0
-        How it will be held (`OFFERED`), or where it stands (`RELEASED`, `MEASURED`) or is said to stand (`UNKNOWN`).
-    person : str
-        Who measured.
-    source : str
-        Where the pose of `RELEASED` comes from; ``planned``: it is as planned, not measured.
+    Attributes:
+        answer: One of `ANSWERS`.
+        pose: Length 7 or 0. How it will be held (`OFFERED`), or where it stands (`RELEASED`, `MEASURED`) or is said to stand
+            (`UNKNOWN`).
+        person: Who measured.
+        source: Where the pose of `RELEASED` comes from; ``planned``: it is as planned, not measured.
     """
 
     answer: str = ""
@@ -198,26 +186,16 @@ _NOTHING_SAID = TaskOccasion()
 class TaskMemory:
     """What the ledger says of one task.
 
-    Attributes
-    ----------
-    task : str
-    before : TaskState
-        The state that a question is about: in which its answer was lost.
-    plan, offer, grip : str
-        Of the plan under review or under way; `grip` stays with the element.
-    in_grip : bool
-        The element is held by the tool, as far as is known.
-    placed : bool
-    gone : bool
-        It is neither in its stock nor placed; of a task that is done: taken down.
-    tool0_T_element, base_T_element : tuple of float, length 7 or 0
-        How it is held, or will be, and where it stands as built: x, y, z [m], quaternion x, y, z, w. Empty: not known.
-    measured : str
-        Who measured where it stands; empty: it is the arm's own pose when it let go, or not known.
-    as_planned : bool
-        Where it stands is where the plan had it: nothing was measured.
-    begun_ns, settled_ns : int
-        When it was begun, and when it was done or skipped, last, since 1970 [ns]; 0: not yet.
+    Attributes:
+        before: The state that a question is about: in which its answer was lost.
+        plan, offer, grip: Of the plan under review or under way; `grip` stays with the element.
+        in_grip: The element is held by the tool, as far as is known.
+        gone: It is neither in its stock nor placed; of a task that is done: taken down.
+        tool0_T_element, base_T_element: Length 7 or 0. How it is held, or will be, and where it stands as built: x, y, z [m],
+            quaternion x, y, z, w. Empty: not known.
+        measured: Who measured where it stands; empty: it is the arm's own pose when it let go, or not known.
+        as_planned: Where it stands is where the plan had it: nothing was measured.
+        begun_ns, settled_ns: When it was begun, and when it was done or skipped, last, since 1970 [ns]; 0: not yet.
     """
 
     task: str
@@ -270,10 +248,8 @@ class TaskMemory:
     def apply(self, event: TaskEvent, said: TaskOccasion = _NOTHING_SAID) -> None:
         """Let an event happen.
 
-        Raises
-        ------
-        NotNow
-            If it does not fit the state; nothing is changed.
+        Raises:
+            NotNow: If it does not fit the state; nothing is changed.
         """
         if self._machine.on(event, said):
             raise NotNow(self.task, self.state, event)

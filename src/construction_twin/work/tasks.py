@@ -56,20 +56,13 @@ def prepare(
 ) -> Prepared:
     """Read a model and its cell.
 
-    Parameters
-    ----------
-    model, cell, self_collision : str
-        Paths.
-    robot : RobotModel
-    planner : mapping
-        Parameters of the planner node; those of `PlannerSettings` are used.
-    cache : str
-        Folder for what takes long to compute.
+    Args:
+        model, cell, self_collision: Paths.
+        planner: Parameters of the planner node; those of `PlannerSettings` are used.
+        cache: Folder for what takes long to compute.
 
-    Raises
-    ------
-    ConstructionTwinError
-        What is wrong with which file.
+    Raises:
+        ConstructionTwinError: What is wrong with which file.
     """
     site = read_site(cell)
     building = read_building(model, Path(cache) / "models")
@@ -164,20 +157,13 @@ def _scheduled(building: BuildingModel, schedule: Schedule) -> dict[str, Schedul
 def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: tuple[float, ...] = ()) -> WorkPlan:
     """Plan a task.
 
-    Parameters
-    ----------
-    task, element : str
-        Ids.
-    start : tuple of float, length n
-        Where the arm stands.
-    scene : Scene
-        The present one.
-    held : tuple of float, length 7 or 0
-        ``tool0_T_element`` of an element that is in the grip already; empty: it lies in its stock.
+    Args:
+        task, element: Ids.
+        start: Length n. Where the arm stands.
+        scene: The present one.
+        held: Length 7 or 0. ``tool0_T_element`` of an element that is in the grip already; empty: it lies in its stock.
 
-    Raises
-    ------
-    TaskPlanningError
+    Raises TaskPlanningError.
     """
     if not _SESSIONS:
         raise TaskPlanningError(task, "the model has not been read in this process yet")

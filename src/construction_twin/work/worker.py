@@ -34,10 +34,8 @@ _PROTOCOL = pickle.HIGHEST_PROTOCOL
 class WorkerError(WorkError):
     """What was asked of the process failed; the sentence is that of the error there.
 
-    Attributes
-    ----------
-    kind : str
-        Name of the error's class; empty: the process ended.
+    Attributes:
+        kind: Name of the error's class; empty: the process ended.
     """
 
     def __init__(self, kind: str, sentence: str):
@@ -48,10 +46,8 @@ class WorkerError(WorkError):
 class Worker:
     """The process, as its parent sees it. One question at a time; started at the first one, and again after it has ended.
 
-    Parameters
-    ----------
-    program : tuple of str, optional
-        By default this module.
+    Args:
+        program: By default this module.
     """
 
     def __init__(self, program: tuple[str, ...] = (sys.executable, "-m", "construction_twin.work.worker")):
@@ -70,9 +66,7 @@ class Worker:
     def ask(self, name: str, **arguments: Any) -> Any:
         """Have a function of `FUNCTIONS` called there; return its result.
 
-        Raises
-        ------
-        WorkerError
+        Raises WorkerError.
         """
         with self._busy:
             try:
@@ -125,11 +119,8 @@ class Worker:
 def serve(questions: BinaryIO, answers: BinaryIO, functions: Mapping[str, Callable]) -> None:
     """Answer until there are no more questions.
 
-    Parameters
-    ----------
-    questions, answers : binary file
-    functions : mapping of str to callable
-        Called with the question's arguments.
+    Args:
+        functions: Called with the question's arguments.
     """
     while True:
         try:

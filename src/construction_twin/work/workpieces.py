@@ -31,11 +31,8 @@ def plain_class(ifc_class: str) -> str:
 def is_workpiece(element: Element, has_parts: bool) -> bool:
     """Return whether an element is a workpiece by default.
 
-    Parameters
-    ----------
-    element : Element
-    has_parts : bool
-        Whether other elements are parts of it.
+    Args:
+        has_parts: Whether other elements are parts of it.
     """
     # what stands already is no workpiece
     if not element.bodies or element.status or plain_class(element.ifc_class) not in CLASSES:
@@ -47,23 +44,16 @@ def is_workpiece(element: Element, has_parts: bool) -> bool:
 def workpieces(model: BuildingModel, also: Iterable[str] = (), only: Iterable[str] = ()) -> tuple[str, ...]:
     """Return which elements the robot places.
 
-    Parameters
-    ----------
-    model : BuildingModel
-    also : iterable of str
-        GlobalIds, or IFC classes (``IfcWall`` means ``IfcWallStandardCase`` too), in addition to those by default.
-    only : iterable of str
-        The same, instead of those by default.
+    Args:
+        also: GlobalIds, or IFC classes (``IfcWall`` means ``IfcWallStandardCase`` too), in addition to those by default.
+        only: The same, instead of those by default.
 
-    Returns
-    -------
-    tuple of str
+    Returns:
         GlobalIds in the file's order.
 
-    Raises
-    ------
-    BuildingError
-        If a name is neither the id of an element nor the class of one, or an element asked for by its id has no geometry.
+    Raises:
+        BuildingError: If a name is neither the id of an element nor the class of one, or an element asked for by its id has no
+            geometry.
     """
     only = tuple(only)
     named = (*only, *also)

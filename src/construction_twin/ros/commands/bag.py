@@ -47,21 +47,12 @@ class RosBag:
 def read_recording(path: str | Path, namespace: str | None = None) -> Recording:
     """Read one robot's run from a bag.
 
-    Parameters
-    ----------
-    path : str or Path
-    namespace : str, optional
-        The robot's namespace, e.g. ``/kr120``; default: that of the only robot in the bag.
+    Args:
+        namespace: The robot's namespace, e.g. ``/kr120``; default: that of the only robot in the bag.
 
-    Returns
-    -------
-    recording : Recording
-
-    Raises
-    ------
-    ConstructionTwinError
-        If the file cannot be read as a bag, holds no or several robots, a topic of another type or of another definition of
-        its type, or too little data.
+    Raises:
+        ConstructionTwinError: If the file cannot be read as a bag, holds no or several robots, a topic of another type or of
+            another definition of its type, or too little data.
     """
     with open_bag(path, KINDS) as bag:
         return recording_of(RosBag(bag), namespace)
@@ -70,17 +61,12 @@ def read_recording(path: str | Path, namespace: str | None = None) -> Recording:
 def read_plans(path: str | Path, namespace: str | None = None) -> list[PlanValue]:
     """Return every plan of one robot in a bag, the oldest first.
 
-    Parameters
-    ----------
-    path, namespace
-        As in `read_recording`.
+    Args:
+        path, namespace: As in `read_recording`.
 
-    Raises
-    ------
-    ConstructionTwinError
-        As `read_recording`.
-    TrajectoryError
-        For a plan that is not what its hash says.
+    Raises:
+        ConstructionTwinError: As `read_recording`.
+        TrajectoryError: For a plan that is not what its hash says.
     """
     with open_bag(path, KINDS) as opened:
         bag = RosBag(opened)

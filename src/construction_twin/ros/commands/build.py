@@ -50,16 +50,10 @@ _LINE = 10.0
 class Settings(pydantic.BaseModel):
     """Private parameters, given in launch/build.launch.
 
-    Attributes
-    ----------
-    results_dir : str
-    arm : str
-    tool : str
-        Path of the tool file.
-    most : int
-        Tasks to do; 0: all.
-    timeout : float
-        Longest wait for anything but a motion [s].
+    Attributes:
+        tool: Path of the tool file.
+        most: Tasks to do; 0: all.
+        timeout: Longest wait for anything but a motion [s].
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
@@ -82,13 +76,7 @@ class _Times:
 
 
 class Builder:
-    """One building session.
-
-    Parameters
-    ----------
-    settings : Settings
-    console : rich.console.Console
-    """
+    """One building session."""
 
     def __init__(self, settings: Settings, console: Console):
         if settings.arm != "mock":
@@ -119,10 +107,8 @@ class Builder:
     def run(self) -> tuple[Path, ...]:
         """Build, and write the report; return its files.
 
-        Raises
-        ------
-        ConstructionTwinError
-            If the system does not get ready, or a task cannot be done.
+        Raises:
+            ConstructionTwinError: If the system does not get ready, or a task cannot be done.
         """
         results = Path(self._settings.results_dir).expanduser()
         check_writable(results)
@@ -353,23 +339,15 @@ def wait_for_model(
 ) -> None:
     """Wait until a model is read, as long as the work node reads it: a large model on a busy machine takes its time.
 
-    Parameters
-    ----------
-    newest : callable
-        Returns what the node said last; None: nothing yet.
-    is_there : callable
-        Returns whether the node runs.
-    pause : callable
-        Lets a moment pass.
-    tell : callable
-        Called before each pause, see `waiting`.
-    timeout : float
-        Longest time without a node that reads [s].
+    Args:
+        newest: Returns what the node said last; None: nothing yet.
+        is_there: Returns whether the node runs.
+        pause: Lets a moment pass.
+        tell: Called before each pause, see `waiting`.
+        timeout: Longest time without a node that reads [s].
 
-    Raises
-    ------
-    ConstructionTwinError
-        If the model cannot be read, or no node reads it.
+    Raises:
+        ConstructionTwinError: If the model cannot be read, or no node reads it.
     """
     heard = time.monotonic()
     while True:
@@ -390,16 +368,10 @@ def wait_for_model(
 def waiting(console: Console, what: str, began: float) -> Iterator[Callable[[], None]]:
     """Show that something is waited for: a bar on a terminal, elsewhere a line every `_LINE` seconds.
 
-    Parameters
-    ----------
-    console : rich.console.Console
-    what : str
-    began : float
-        Of the waiting, by the monotonic clock [s].
+    Args:
+        began: Of the waiting, by the monotonic clock [s].
 
-    Yields
-    ------
-    tell : callable
+    Yields:
         To be called while it is waited for, as often as one likes.
     """
     if console.is_terminal:
@@ -426,16 +398,11 @@ _UNDER_WAY = ("planned", "working", "gripping", "carrying", "releasing", "retrea
 def answer_of(inputs: Mapping[str, bool], confirm: Mapping[str, bool], last: str, answers: Collection[str]) -> str:
     """Return what became of an element, from the mock's gripper and how far its task had come; empty: not known.
 
-    Parameters
-    ----------
-    inputs : mapping of str to bool
-        Of the tool, as they are.
-    confirm : mapping of str to bool
-        What they read while the tool holds something.
-    last : str
-        Last known state of the task in which something was under way; empty: none.
-    answers : collection of str
-        What can be answered.
+    Args:
+        inputs: Of the tool, as they are.
+        confirm: What they read while the tool holds something.
+        last: Last known state of the task in which something was under way; empty: none.
+        answers: What can be answered.
     """
     if bool(confirm) and all(inputs.get(name) == value for name, value in confirm.items()):
         wanted = "in_grip"

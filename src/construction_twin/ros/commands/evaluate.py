@@ -28,14 +28,10 @@ ROBOTS = (
 def main(arguments: list[str] | None = None) -> int:
     """Evaluate the bag named on the command line.
 
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Default: the process's, without what roslaunch adds.
+    Args:
+        arguments: Default: the process's, without what roslaunch adds.
 
-    Returns
-    -------
-    status : int
+    Returns:
         0, or 1 after a sentence on standard error.
     """
     options = _parser().parse_args(rospy.myargv()[1:] if arguments is None else arguments)

@@ -39,12 +39,9 @@ _REPORT_PERIOD = 1.0
 class RestDetector:
     """Tells whether a pose has stayed within a band for some time.
 
-    Parameters
-    ----------
-    tolerance : float
-        Half width of the band around the pose at which it began [rad], [m].
-    rest_time : float
-        [s]
+    Args:
+        tolerance: Half width of the band around the pose at which it began [rad], [m].
+        rest_time: [s]
     """
 
     def __init__(self, tolerance: float, rest_time: float):
@@ -63,14 +60,7 @@ class RestDetector:
 
 
 class Experiment:
-    """One run of the task.
-
-    Parameters
-    ----------
-    settings : ExperimentSettings
-    robot : RobotModel
-    console : rich.console.Console
-    """
+    """One run of the task."""
 
     def __init__(self, settings: ExperimentSettings, robot: RobotModel, console: Console):
         self._settings = settings
@@ -87,16 +77,9 @@ class Experiment:
     def run(self) -> Report:
         """Run everything; see the module.
 
-        Returns
-        -------
-        report : Report
-
-        Raises
-        ------
-        ConstructionTwinError
-            If the system does not get ready, or the task is not finished.
-        ConstructionTwinError
-            If recording or evaluation fails.
+        Raises:
+            ConstructionTwinError: If the system does not get ready, or the task is not finished.
+            ConstructionTwinError: If recording or evaluation fails.
         """
         results = Path(self._settings.results_dir).expanduser()
         check_writable(results)

@@ -31,12 +31,9 @@ class ExperimentSettings(pydantic.BaseModel):
 def check_goals(settings: ExperimentSettings, robot: RobotModel) -> None:
     """Check that the robot could be at every goal.
 
-    Raises
-    ------
-    ConstructionTwinError
-        For a goal with another number of joints.
-    JointRangeError
-        For one outside of a joint's range.
+    Raises:
+        ConstructionTwinError: For a goal with another number of joints.
+        JointRangeError: For one outside of a joint's range.
     """
     joints = len(robot.joint_names)
     for goal in settings.goals_deg:

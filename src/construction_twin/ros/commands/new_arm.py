@@ -47,14 +47,10 @@ _ATTEMPTS = 5
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the files of a new arm.
 
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Default: the process's.
+    Args:
+        arguments: Default: the process's.
 
-    Returns
-    -------
-    status : int
+    Returns:
         0, or 1 after a sentence on standard error.
     """
     words = rospy.myargv(sys.argv)[1:] if arguments is None else list(arguments)

@@ -138,14 +138,10 @@ def _has_link(given: Given) -> bool:
 class NodeFile:
     """A YAML file of config/.
 
-    Attributes
-    ----------
-    name : str
-        Without .yaml.
-    check : callable
-        Takes its content, the launch arguments and the robot; raises a ConstructionTwinError.
-    loaded : callable
-        Returns whether bringup.launch loads it, with these arguments.
+    Attributes:
+        name: Without .yaml.
+        check: Takes its content, the launch arguments and the robot; raises a ConstructionTwinError.
+        loaded: Returns whether bringup.launch loads it, with these arguments.
     """
 
     name: str
@@ -191,13 +187,9 @@ def read_mapping(path: str, what: str) -> Values:
 def node_files_problem(given: Given, robot: RobotModel, folder: Path) -> str:
     """Return a sentence about the first file of a node that would not start with it; empty when there is none.
 
-    Parameters
-    ----------
-    given : Mapping of str to str
-        Launch arguments.
-    robot : RobotModel
-    folder : Path
-        The package's config/.
+    Args:
+        given: Launch arguments.
+        folder: The package's config/.
     """
     changes = read_mapping(given["scenario"], "a scenario") if given.get("scenario") else {}
     nodes = [file.name for file in NODE_FILES]

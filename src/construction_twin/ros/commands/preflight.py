@@ -242,10 +242,8 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
 def contents_problem(given: Given) -> str:
     """Return a sentence about the first file whose contents do not fit, the nodes' own included; empty when there is none.
 
-    Parameters
-    ----------
-    given : Mapping of str to str
-        Launch arguments. Without the robot's files nothing is checked, and a file that is not named is not either.
+    Args:
+        given: Launch arguments. Without the robot's files nothing is checked, and a file that is not named is not either.
     """
     if not {"robot", "robot_xacro", "robot_config"} <= set(given):
         return ""
@@ -275,12 +273,9 @@ def _package() -> Path:
 def running_problem(given: Given, uri: str) -> str:
     """Return a sentence when this robot, or the window on it, runs already on a master; empty when it does not.
 
-    Parameters
-    ----------
-    given : Mapping of str to str
-        Launch arguments.
-    uri : str
-        Of the master.
+    Args:
+        given: Launch arguments.
+        uri: Of the master.
     """
     robot = given.get("robot", "")
     nodes = running([f"/{robot}/{name}" for name in ROBOT_NODES], uri) if robot else []
@@ -418,14 +413,10 @@ def _find_package(name: str) -> str | None:
 def refusal(given: Given, call: RoslaunchCall | None, uri: str) -> str:
     """Return why a start would not work; empty when nothing is known against it.
 
-    Parameters
-    ----------
-    given : Mapping of str to str
-        Launch arguments, with defaults.
-    call : RoslaunchCall or None
-        How roslaunch was called, when it was.
-    uri : str
-        Of the master; empty: it is not known, and nothing that runs is looked at.
+    Args:
+        given: Launch arguments, with defaults.
+        call: How roslaunch was called, when it was.
+        uri: Of the master; empty: it is not known, and nothing that runs is looked at.
     """
     sentence = call_problem(call) if call is not None else ""
     sentence = sentence or problem(given, readable, lets_in_everybody) or contents_problem(given)

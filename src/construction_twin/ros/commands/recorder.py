@@ -20,19 +20,13 @@ class Recorder:
 
     It stays in the caller's process group, so that whatever ends the node (roslaunch, a terminal's Ctrl-C) ends it too.
 
-    Parameters
-    ----------
-    path : Path
-        The bag; ``.bag.active`` until it is closed.
-    topics : sequence of str
-        Resolved names.
-    name : str
-        Node name of the recorder, resolved.
+    Args:
+        path: The bag; ``.bag.active`` until it is closed.
+        topics: Resolved names.
+        name: Node name of the recorder, resolved.
 
-    Raises
-    ------
-    ConstructionTwinError
-        If rosbag's recorder is not installed.
+    Raises:
+        ConstructionTwinError: If rosbag's recorder is not installed.
     """
 
     def __init__(self, path: Path, topics: Sequence[str], name: str):
@@ -60,10 +54,8 @@ class Recorder:
         The publishers are asked, not the recorder: it counts a connection before the publisher has taken it up, which on a
         busy machine can cost the first second of the recording.
 
-        Raises
-        ------
-        ConstructionTwinError
-            If the recorder has ended.
+        Raises:
+            ConstructionTwinError: If the recorder has ended.
         """
         if self._process.poll() is not None:
             status = self._process.returncode
@@ -90,15 +82,11 @@ class Recorder:
     def stop(self, timeout: float) -> None:
         """End the recording and wait until the bag is closed.
 
-        Parameters
-        ----------
-        timeout : float
-            [s]
+        Args:
+            timeout: [s]
 
-        Raises
-        ------
-        ConstructionTwinError
-            If the bag is not there afterwards.
+        Raises:
+            ConstructionTwinError: If the bag is not there afterwards.
         """
         self._end(signal.SIGINT, timeout)
         if not self.path.exists():

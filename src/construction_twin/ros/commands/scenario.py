@@ -63,14 +63,7 @@ class ScenarioSettings(pydantic.BaseModel):
 
 
 class ScenarioDriver:
-    """Carries out a scenario's steps as a person would: through topics and services.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    robot : RobotModel
-    console : rich.console.Console
-    """
+    """Carries out a scenario's steps as a person would: through topics and services."""
 
     def __init__(self, scenario: Scenario, robot: RobotModel, console: Console):
         self._scenario, self._robot, self._console = scenario, robot, console
@@ -95,10 +88,8 @@ class ScenarioDriver:
     def wait_until_ready(self) -> None:
         """Wait until a plan could be started.
 
-        Raises
-        ------
-        ScenarioError
-            If that takes too long.
+        Raises:
+            ScenarioError: If that takes too long.
         """
         ready = {"link": "ARMED", "sync": "IN_SYNC", "execution": "IDLE"}
         self._wait(lambda: all(self.now(t) == s for t, s in ready.items()), f"{ready}", time.monotonic() + _READY)
@@ -252,10 +243,8 @@ class ScenarioDriver:
 def run_scenario(settings: ScenarioSettings, content: dict, console: Console) -> Verdict:
     """Run, record and judge; see the module.
 
-    Raises
-    ------
-    ConstructionTwinError
-        If the scenario makes no sense, the system does not get ready, or the recording cannot be judged.
+    Raises:
+        ConstructionTwinError: If the scenario makes no sense, the system does not get ready, or the recording cannot be judged.
     """
     scenario, robot = make_scenario(settings.name, content), robot_from_parameters()
     folder = Path(settings.results_dir).expanduser() / scenario.name
@@ -288,10 +277,8 @@ def judge_folder(
 ) -> Verdict:
     """Judge what lies in a folder, and write its verdict.json. `cycle_ms` is the controller's cycle.
 
-    Raises
-    ------
-    ConstructionTwinError
-        If it cannot be judged.
+    Raises:
+        ConstructionTwinError: If it cannot be judged.
     """
     check_writable(folder)
     run = read_run(folder, namespace)

@@ -39,17 +39,12 @@ TOPICS = (
 def read_run(folder: Path, namespace: str | None = None) -> Run:
     """Read a recorded run.
 
-    Parameters
-    ----------
-    folder : Path
-        Holds the bag and the driver's notes.
-    namespace : str, optional
-        The robot's; default: that of the only robot in the bag.
+    Args:
+        folder: Holds the bag and the driver's notes.
+        namespace: The robot's; default: that of the only robot in the bag.
 
-    Raises
-    ------
-    ConstructionTwinError
-        If something is missing.
+    Raises:
+        ConstructionTwinError: If something is missing.
     """
     path = folder / BAG
     recording = read_recording(path, namespace)

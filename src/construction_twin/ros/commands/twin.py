@@ -49,10 +49,8 @@ PAUSE = 0.05
 class Command:
     """One call of the command line.
 
-    Parameters
-    ----------
-    options : argparse.Namespace
-        As `views.arguments.parser` makes them.
+    Args:
+        options: As `views.arguments.parser` makes them.
     """
 
     def __init__(self, options: argparse.Namespace):
@@ -321,10 +319,8 @@ def connect(options: argparse.Namespace) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return an exit code of `views.arguments.Exit`.
 
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Default: the process's, without ROS's remappings.
+    Args:
+        arguments: Default: the process's, without ROS's remappings.
     """
     command_line = parser(os.environ.get("ROS_NAMESPACE", "").strip("/") or "kr120")
     options = command_line.parse_args(split_lists(rospy.myargv()[1:] if arguments is None else arguments))

@@ -23,13 +23,9 @@ _DECISIONS = {"skip": "skip", "redo": "redo", "answer": "answer", "removed": "re
 class WorkCommand:
     """One step of `twin work`.
 
-    Parameters
-    ----------
-    options : argparse.Namespace
-    namespace : str
-        Of the robot, absolute.
-    account : str
-        The user's name, for the record.
+    Args:
+        namespace: Of the robot, absolute.
+        account: The user's name, for the record.
     """
 
     def __init__(self, options: argparse.Namespace, namespace: str, account: str):
@@ -38,12 +34,9 @@ class WorkCommand:
     def run(self) -> Exit:
         """Do it.
 
-        Raises
-        ------
-        RequestRefused
-            With the work node's sentence.
-        SilenceError
-            When nobody answers.
+        Raises:
+            RequestRefused: With the work node's sentence.
+            SilenceError: When nobody answers.
         """
         step = self._options.step
         if step in _DECISIONS:

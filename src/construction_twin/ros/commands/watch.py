@@ -19,20 +19,13 @@ COUNTING = 1.0
 def watch(listener: RobotListener, rate: float, once: bool, timeout: float) -> None:
     """Show a robot until the process is interrupted, or once.
 
-    Parameters
-    ----------
-    listener : RobotListener
-    rate : float
-        Pictures per second.
-    once : bool
-        Print one picture and return.
-    timeout : float
-        How long to wait for a first report [s].
+    Args:
+        rate: Pictures per second.
+        once: Print one picture and return.
+        timeout: How long to wait for a first report [s].
 
-    Raises
-    ------
-    SilenceError
-        If no robot reports.
+    Raises:
+        SilenceError: If no robot reports.
     """
     if not listener.wait(lambda: listener.newest("sync") or listener.newest("link"), timeout):
         raise SilenceError("sync and link", f"no report (waited {timeout:g} s)", "start bringup, or give --robot")

@@ -61,14 +61,10 @@ class _Work:
 def main(arguments: list[str]) -> int:
     """Check the model named on the command line.
 
-    Parameters
-    ----------
-    arguments : list of str
-        Those after ``check``.
+    Args:
+        arguments: Those after ``check``.
 
-    Returns
-    -------
-    status : int
+    Returns:
         0, 1 or 2, see above.
     """
     options = _parser().parse_args(arguments)

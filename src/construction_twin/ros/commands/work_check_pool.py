@@ -34,13 +34,7 @@ TASK_CHANGES = 15.0
 
 @dataclass(frozen=True)
 class Arm:
-    """The files that say what the arm is.
-
-    Attributes
-    ----------
-    xacro, config, self_collision, planner : Path
-    xacro_args : str
-    """
+    """The files that say what the arm is."""
 
     xacro: Path
     config: Path
@@ -57,24 +51,13 @@ class Arm:
 class Setup:
     """All that a process needs.
 
-    Attributes
-    ----------
-    arm : Arm
-    cell : Path
-    building : BuildingModel
-    pieces : dict of str to tuple of SceneObject
-        Of the elements that have geometry.
-    jobs : tuple of Job
-        In the order of the schedule.
-    seed : int
-    changes : float
-        For all changes that are tried, of all tasks together [s]; 0: none are tried.
-    robot : str
-        Only jobs that this robot may do are checked; empty: all. The others' elements are placed in their turn as well.
-    standing : dict of str to tuple of SceneObject
-        See `Layout`.
-    removals : tuple of Job
-        What people take down before jobs that wait for it.
+    Attributes:
+        pieces: Of the elements that have geometry.
+        jobs: In the order of the schedule.
+        changes: For all changes that are tried, of all tasks together [s]; 0: none are tried.
+        robot: Only jobs that this robot may do are checked; empty: all. The others' elements are placed in their turn as well.
+        standing: See `Layout`.
+        removals: What people take down before jobs that wait for it.
     """
 
     arm: Arm
@@ -104,10 +87,8 @@ class Setup:
     def checker(self) -> Checker:
         """Return a checker.
 
-        Raises
-        ------
-        ConstructionTwinError
-            If a file cannot be used, or an element has no rack.
+        Raises:
+            ConstructionTwinError: If a file cannot be used, or an element has no rack.
         """
         robot = self.arm.robot()
         shipped = yaml.safe_load(self.arm.planner.read_text(encoding="utf-8"))
@@ -123,13 +104,9 @@ class Setup:
 class Checked:
     """What was found.
 
-    Attributes
-    ----------
-    tasks : tuple of CheckedTask
-        In the order of the schedule.
-    seconds : float
-    rss_mb : float
-        Largest resident memory of all processes together [MB]; what they share is counted in each.
+    Attributes:
+        tasks: In the order of the schedule.
+        rss_mb: Largest resident memory of all processes together [MB]; what they share is counted in each.
     """
 
     tasks: tuple[CheckedTask, ...]
@@ -140,20 +117,13 @@ class Checked:
 def check_all(setup: Setup, processes: int, done: Callable[[CheckedTask], None] = lambda _: None) -> Checked:
     """Check every job. To be called before the caller has threads: the processes are forked from it.
 
-    Parameters
-    ----------
-    setup : Setup
-    processes : int
-        At least 1.
-    done : callable
-        Called with each result as it comes, in any order.
+    Args:
+        processes: At least 1.
+        done: Called with each result as it comes, in any order.
 
-    Raises
-    ------
-    ConstructionTwinError
-        As `Setup.checker`.
-    BrokenProcessPool
-        If a process was ended, by want of memory for instance.
+    Raises:
+        ConstructionTwinError: As `Setup.checker`.
+        BrokenProcessPool: If a process was ended, by want of memory for instance.
     """
     began = time.monotonic()
     worker = _Worker(setup.checker())

@@ -50,10 +50,8 @@ def trajectory_to_msg(trajectory: Trajectory) -> JointTrajectory:
 def trajectory_from_msg(msg: JointTrajectory) -> Trajectory:
     """Return the trajectory.
 
-    Raises
-    ------
-    TrajectoryError
-        If the message is not a trajectory, or velocities or accelerations are missing.
+    Raises:
+        TrajectoryError: If the message is not a trajectory, or velocities or accelerations are missing.
     """
     return Trajectory(
         joint_names=tuple(msg.joint_names),
@@ -67,19 +65,10 @@ def trajectory_from_msg(msg: JointTrajectory) -> Trajectory:
 def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray, changes: Sequence[SceneChange] = ()) -> PlanMsg:
     """Return the message.
 
-    Parameters
-    ----------
-    plan : Plan
-    frame_id : str
-        tf frame that is the robot's base: of `tool_path` and of the clearance's point.
-    tool_path : array, shape (k, 3)
-        Position of the tool at the waypoints [m].
-    changes : sequence of SceneChange, optional
-        Of a work plan: what each of its segments does to the scene, for displays. Default: not told.
-
-    Returns
-    -------
-    msg : construction_twin/Plan
+    Args:
+        frame_id: tf frame that is the robot's base: of `tool_path` and of the clearance's point.
+        tool_path: Shape (k, 3). Position of the tool at the waypoints [m].
+        changes: Of a work plan: what each of its segments does to the scene, for displays. Default: not told.
     """
     clearance, usage = plan.report.clearance, plan.report.usage
     told = changes or [SceneChange()] * len(plan.segments)
@@ -112,10 +101,8 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray, changes: Seque
 def plan_from_msg(msg: PlanMsg) -> Plan:
     """Return the plan.
 
-    Raises
-    ------
-    TrajectoryError
-        If its trajectory or its hash is invalid, or a measurement is not a number.
+    Raises:
+        TrajectoryError: If its trajectory or its hash is invalid, or a measurement is not a number.
     """
     return Plan(
         id=msg.id,
@@ -163,10 +150,8 @@ def segment_from_msg(msg: SegmentMsg) -> Segment:
 def change_from_msg(msg: SegmentMsg | WorkSegmentMsg) -> SceneChange:
     """Return what a segment does to the scene.
 
-    Raises
-    ------
-    SceneError
-        If an object does not describe one.
+    Raises:
+        SceneError: If an object does not describe one.
     """
     return SceneChange(tuple(map(object_from_msg, msg.put)), tuple(msg.remove))
 
@@ -209,10 +194,8 @@ def _report_from_msg(msg: PlanMsg) -> PlanReport:
 def pose_from_msg(msg: PoseMsg) -> Pose:
     """Return the pose.
 
-    Raises
-    ------
-    KinematicsError
-        If the orientation is not a unit quaternion within 1e-3.
+    Raises:
+        KinematicsError: If the orientation is not a unit quaternion within 1e-3.
     """
     return Pose(_vector(msg.position), quaternion_to_rotation(_quaternion(msg.orientation)))
 

@@ -48,10 +48,8 @@ class GoalDefaults:
 def control_messages() -> ModuleType:
     """Return `control_msgs.msg`: the official one where it is installed, else the one made from setup/control_msgs.
 
-    Raises
-    ------
-    ConfigurationError
-        When there is none, or its action is another one; with what to do.
+    Raises:
+        ConfigurationError: When there is none, or its action is another one; with what to do.
     """
     to_do = (
         "the package of ROS (apt-get install ros-noetic-control-msgs), or ours: "
@@ -73,20 +71,12 @@ def control_messages() -> ModuleType:
 def trajectory_goal(goal, goal_id: str, client: str, robot: RobotModel, defaults: GoalDefaults) -> TrajectoryGoal:
     """Return a goal whose joints and tolerances were checked.
 
-    Parameters
-    ----------
-    goal : control_msgs/FollowJointTrajectoryGoal
-        The stamp of its header is not used.
-    goal_id, client : str
-    robot : RobotModel
-    defaults : GoalDefaults
+    Args:
+        goal: Control_msgs/FollowJointTrajectoryGoal. The stamp of its header is not used.
 
-    Raises
-    ------
-    GoalJointsError
-        When it does not name each joint of the robot once, or a tolerance names another one.
-    GoalError
-        When a tolerance is no number, or the time's not from 0 to `LONGEST`.
+    Raises:
+        GoalJointsError: When it does not name each joint of the robot once, or a tolerance names another one.
+        GoalError: When a tolerance is no number, or the time's not from 0 to `LONGEST`.
     """
     check_joint_names(robot, goal.trajectory.joint_names)
     seconds = goal.goal_time_tolerance.to_nsec() / NANOSECONDS
@@ -114,14 +104,10 @@ def asked_duration(trajectory: JointTrajectory) -> float:
 def fill_feedback(feedback, sample: Sample, plan_start: int, order: Sequence[int]) -> None:
     """Fill a control_msgs/FollowJointTrajectoryFeedback, whose joint names are set, with positions and velocities.
 
-    Parameters
-    ----------
-    feedback : control_msgs/FollowJointTrajectoryFeedback
-    sample : Sample
-    plan_start : int
-        Stamp of the plan's first setpoint [ns]; 0: it has not begun.
-    order : sequence of int
-        For each joint of the goal, its index in the robot's order.
+    Args:
+        feedback: Control_msgs/FollowJointTrajectoryFeedback
+        plan_start: Stamp of the plan's first setpoint [ns]; 0: it has not begun.
+        order: For each joint of the goal, its index in the robot's order.
     """
     since = max(0, sample.stamp - plan_start) if plan_start else 0
     time = genpy.Duration(*divmod(since, NANOSECONDS))

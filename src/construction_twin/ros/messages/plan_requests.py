@@ -34,15 +34,11 @@ _LARGEST_FILE = 16 * 2**20
 def plan_request(request, plan_id: str, created_ns: int, source: str = "request") -> PlanRequest:
     """Return the request behind any of the services'; zero and empty mean the default.
 
-    Parameters
-    ----------
-    request : request of PlanToJoints, PlanToPose, PlanCartesian, PlanFromCsv or PlanTrajectory
-    plan_id : str
-        Of the plan to be made.
-    created_ns : int
-        ROS time at which the request arrived [ns]; used if the request does not say when it was asked for.
-    source : str, optional
-        Name of the requester if the request does not give one.
+    Args:
+        request: Request of PlanToJoints, PlanToPose, PlanCartesian, PlanFromCsv or PlanTrajectory
+        plan_id: Of the plan to be made.
+        created_ns: ROS time at which the request arrived [ns]; used if the request does not say when it was asked for.
+        source: Name of the requester if the request does not give one.
     """
     asked = getattr(request, "asked", None)
     return PlanRequest(
@@ -59,9 +55,7 @@ def plan_request(request, plan_id: str, created_ns: int, source: str = "request"
 def check_asked(asked: PlanRequest, now: int) -> None:
     """Refuse a request with a time of asking later than `now` [ns], because a stop between the two would not void it.
 
-    Raises
-    ------
-    PlanningError
+    Raises PlanningError.
     """
     if asked.created_ns > now:
         late = (asked.created_ns - now) / NANOSECONDS
@@ -73,16 +67,11 @@ def check_asked(asked: PlanRequest, now: int) -> None:
 def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint]:
     """Return a Cartesian path in the robot's base.
 
-    Parameters
-    ----------
-    waypoints : iterable of construction_twin/CartesianWaypoint
-    base_T_frame : Pose
-        The frame that they are given in.
+    Args:
+        base_T_frame: The frame that they are given in.
 
-    Raises
-    ------
-    KinematicsError
-        If an orientation is not a unit quaternion.
+    Raises:
+        KinematicsError: If an orientation is not a unit quaternion.
     """
     path = []
     for msg in waypoints:
@@ -95,14 +84,9 @@ def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint
 def asked_segments(segments: Iterable) -> list[AskedSegment]:
     """Return the segments of a work plan that is asked for.
 
-    Parameters
-    ----------
-    segments : iterable of construction_twin/WorkSegment
-
-    Raises
-    ------
-    SegmentError
-        If one is not a trajectory with velocities and accelerations, or its objects do not make sense; names the segment.
+    Raises:
+        SegmentError: If one is not a trajectory with velocities and accelerations, or its objects do not make sense; names the
+            segment.
     """
     asked = []
     for number, msg in enumerate(segments):
@@ -123,12 +107,9 @@ def asked_segments(segments: Iterable) -> list[AskedSegment]:
 def read_waypoints(path: str, robot: RobotModel, columns: str = "") -> Waypoints:
     """Read a CSV file of joint waypoints, whose columns are told if it does not name them; see `waypoint_file`.
 
-    Raises
-    ------
-    WaypointsError
-        Naming the line, the column, what was found and what was expected.
-    PlanningError
-        If the file cannot be read.
+    Raises:
+        WaypointsError: Naming the line, the column, what was found and what was expected.
+        PlanningError: If the file cannot be read.
     """
     if not Path(path).is_absolute():
         raise PlanningError(f"the file is {path!r}; expected an absolute path on the planner's machine")

@@ -19,10 +19,8 @@ from construction_twin.scene.planner_scene import PlannerObject, PlannerScene
 class MoveitTypes:
     """The message types.
 
-    Attributes
-    ----------
-    moveit, shapes : module
-        ``moveit_msgs.msg`` and ``shape_msgs.msg``, or something with the same classes.
+    Attributes:
+        moveit, shapes: ``moveit_msgs.msg`` and ``shape_msgs.msg``, or something with the same classes.
     """
 
     moveit: ModuleType
@@ -51,21 +49,10 @@ def planning_scene_message(
 
     Poses are in links by their URDF names, which MoveIt knows without tf. The allowed collision matrix replaces the receiver's.
 
-    Parameters
-    ----------
-    types : MoveitTypes
-    told : PlannerScene
-    robot_name : str
-        The URDF's name.
-    stamp : genpy.Time
-    gone : collection of str
-        Objects of the last message that are in the scene no more. MoveIt complains of those that it does not know.
-    put_down : collection of str
-        Objects that were carried in the last message and are not now; likewise.
-
-    Returns
-    -------
-    message : moveit_msgs/PlanningScene
+    Args:
+        robot_name: The URDF's name.
+        gone: Objects of the last message that are in the scene no more. MoveIt complains of those that it does not know.
+        put_down: Objects that were carried in the last message and are not now; likewise.
     """
     moveit = types.moveit
     message = moveit.PlanningScene(is_diff=True, robot_model_name=robot_name)
@@ -96,17 +83,9 @@ def planning_scene_message(
 def beside_message(types: MoveitTypes, objects: Iterable[PlannerObject], stamp: genpy.Time, gone: Collection[str] = ()):
     """Return objects that stand as a difference that changes nothing else: neither the robot's state nor who is checked with whom.
 
-    Parameters
-    ----------
-    types, stamp
-        As of `planning_scene_message`.
-    objects : iterable of PlannerObject
-    gone : collection of str
-        Objects of earlier messages that are there no more.
-
-    Returns
-    -------
-    message : moveit_msgs/PlanningScene
+    Args:
+        types, stamp: As of `planning_scene_message`.
+        gone: Objects of earlier messages that are there no more.
     """
     message = types.moveit.PlanningScene(is_diff=True)
     message.robot_state.is_diff = True

@@ -45,10 +45,8 @@ def object_to_msg(item: SceneObject) -> ObjectMsg:
 def object_from_msg(msg: ObjectMsg) -> SceneObject:
     """Return the object; it is not a fixed one.
 
-    Raises
-    ------
-    SceneError
-        If the message does not describe one.
+    Raises:
+        SceneError: If the message does not describe one.
     """
     position, orientation = msg.pose.position, msg.pose.orientation
     return SceneObject(
@@ -75,11 +73,9 @@ def scene_to_msg(scene: Scene, stamp: genpy.Time, frame_id: str) -> SceneMsg:
 def scene_from_msg(msg: SceneMsg) -> Scene:
     """Return the scene.
 
-    Raises
-    ------
-    SceneError
-        If the message does not describe one, or its hash is another scene's: then a mesh file differs between the two
-        machines or has changed.
+    Raises:
+        SceneError: If the message does not describe one, or its hash is another scene's: then a mesh file differs between the two
+            machines or has changed.
     """
     scene = Scene(tuple(map(object_from_msg, msg.objects)), msg.padding)
     if scene.hash != msg.hash:
@@ -94,21 +90,11 @@ def scene_markers(
 ) -> MarkerArray:
     """Return the scene for rviz: one marker per object, in a namespace of its name.
 
-    Parameters
-    ----------
-    scene : Scene
-    gone : iterable of str
-        Objects that were shown before and are not in the scene any more.
-    touching : collection of str
-        Objects to show as in contact.
-    base_link : str
-        Frame of what stands in the world, without prefix.
-    tf_prefix : str
-        Of the twin's frames, without a slash at its end; may be empty.
-
-    Returns
-    -------
-    markers : visualization_msgs/MarkerArray
+    Args:
+        gone: Objects that were shown before and are not in the scene any more.
+        touching: Objects to show as in contact.
+        base_link: Frame of what stands in the world, without prefix.
+        tf_prefix: Of the twin's frames, without a slash at its end; may be empty.
     """
     markers = [_marker(item, item.name in touching, base_link, tf_prefix) for item in scene.objects]
     markers += [Marker(ns=name, action=Marker.DELETE) for name in gone]
@@ -123,15 +109,10 @@ def tf_frame(tf_prefix: str, link: str) -> str:
 def body_marker(item: SceneObject, frame_id: str, colour: tuple[float, ...], pose: Pose | None = None) -> Marker:
     """Return an object's shape for rviz, in a namespace of its name.
 
-    Parameters
-    ----------
-    item : SceneObject
-    frame_id : str
-        tf frame that it moves with.
-    colour : tuple of float, length 4
-        r, g, b, a.
-    pose : Pose, optional
-        In that frame. Default: the object's own.
+    Args:
+        frame_id: tf frame that it moves with.
+        colour: Length 4. r, g, b, a.
+        pose: In that frame. Default: the object's own.
     """
     marker = Marker(ns=item.name, type=_TYPES[item.shape], action=Marker.ADD, frame_locked=True)
     marker.header.frame_id = frame_id

@@ -36,10 +36,8 @@ def work_segment_to_msg(segment: WorkSegment) -> WorkSegmentMsg:
 def step_from_msg(segment: SegmentMsg) -> Step:
     """Return what a segment of a published plan changes.
 
-    Raises
-    ------
-    SceneError
-        When an object cannot be read.
+    Raises:
+        SceneError: When an object cannot be read.
     """
     put = tuple(map(object_from_msg, segment.put))
     return Step(segment.scene, segment.scene_after, SceneChange(put, tuple(segment.remove)))

@@ -18,17 +18,9 @@ _TEXT_COLOUR = (0.05, 0.15, 0.45, 1.0)
 def work_marker_array(picture: WorkPicture, base_link: str, tf_prefix: str) -> MarkerArray:
     """Return a picture for rviz: one triangle list per element, in a namespace of its key.
 
-    Parameters
-    ----------
-    picture : WorkPicture
-    base_link : str
-        Frame of what stands in the world, without prefix.
-    tf_prefix : str
-        Of the twin's frames, without a slash at its end; may be empty.
-
-    Returns
-    -------
-    markers : visualization_msgs/MarkerArray
+    Args:
+        base_link: Frame of what stands in the world, without prefix.
+        tf_prefix: Of the twin's frames, without a slash at its end; may be empty.
     """
     markers = [Marker(ns=key, action=Marker.DELETE) for key in picture.gone]
     markers += [_element(item, base_link, tf_prefix) for item in picture.elements]

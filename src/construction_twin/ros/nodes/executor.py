@@ -144,13 +144,7 @@ class Said(NamedTuple):
 
 @dataclass(frozen=True)
 class Outputs:
-    """Where the executor publishes.
-
-    Attributes
-    ----------
-    next : JointPublisher
-    execution, review, tool_command, engagement : Publisher
-    """
+    """Where the executor publishes."""
 
     next: Sink
     execution: Sink
@@ -180,19 +174,10 @@ def _tell(_what: str, part: Callable[..., Told], *arguments: object) -> Told:
 class ExecutorNode:
     """ROS around an Executor; `start` gives it parameters, topics and services.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    executor : Executor
-    limit : SpeedLimit
-    log : ReviewLog
-    outputs : Outputs
-    engagements : EngagementFile
-        What it says at the start holds: the executor before this one ended inside an engaged segment.
-    diagnostics : callable
-        Takes `report`; returns the node's NodeDiagnostics.
-    without_person : WithoutPerson, optional
-        Which plans are approved without a person; by default none.
+    Args:
+        engagements: What it says at the start holds: the executor before this one ended inside an engaged segment.
+        diagnostics: Takes `report`; returns the node's NodeDiagnostics.
+        without_person: Which plans are approved without a person; by default none.
     """
 
     def __init__(
@@ -552,10 +537,8 @@ class ExecutorNode:
         An error would end the timer for good: that of a record is said and tried again, no other can occur. Publishing fails only
         while the node shuts down, where `Publisher` drops the message; a verdict that is refused ends in `Approval`.
 
-        Parameters
-        ----------
-        scene_alive : bool
-            Whether there is a node that says which scene is the present one.
+        Args:
+            scene_alive: Whether there is a node that says which scene is the present one.
         """
         self.write_records()
         # where a stop leaves the arm is written down here

@@ -32,15 +32,10 @@ class Settings(pydantic.BaseModel):
 class JointVelocitiesNode:
     """ROS around JointVelocities; `start` gives it parameters and topics.
 
-    Parameters
-    ----------
-    names : sequence of str
-        The chain's joints.
-    velocities : JointVelocities
-    period : float
-        Between two messages [s].
-    publisher : Sink
-        Of `velocities/joint_states`.
+    Args:
+        names: The chain's joints.
+        period: Between two messages [s].
+        publisher: Of `velocities/joint_states`.
     """
 
     def __init__(self, names: Sequence[str], velocities: JointVelocities, period: float, publisher: Sink):
@@ -64,18 +59,12 @@ class JointVelocitiesNode:
     def on_twin(self, now: float, stamp: int, q: tuple[float, ...]) -> float:
         """Publish a pose of the twin with its own stamp.
 
-        Parameters
-        ----------
-        now : float
-            On the monotonic clock [s].
-        stamp : int
-            Of the pose [ns].
-        q : tuple, shape (n,)
-            [rad], [m]
+        Args:
+            now: On the monotonic clock [s].
+            stamp: Of the pose [ns].
+            q: Shape (n,). [rad], [m]
 
-        Returns
-        -------
-        next : float
+        Returns:
             When the next one is of interest, on the monotonic clock [s].
         """
         with self._lock:
@@ -88,14 +77,10 @@ class JointVelocitiesNode:
     def watch(self, now: float) -> float:
         """Publish once that a silent twin is at rest, or joint_state_publisher repeats its last velocity with fresh stamps.
 
-        Parameters
-        ----------
-        now : float
-            On the monotonic clock [s].
+        Args:
+            now: On the monotonic clock [s].
 
-        Returns
-        -------
-        pause : float
+        Returns:
             When to look again: after this time [s].
         """
         with self._lock:

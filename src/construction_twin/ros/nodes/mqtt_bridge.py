@@ -86,13 +86,9 @@ class Settings(MqttSettings):
 class Outputs:
     """Where the bridge publishes in ROS.
 
-    Attributes
-    ----------
-    physical, feedback : JointPublisher
-        The arm's pose for tf and people; the same with its sequence number and command stamp for the gate.
-    link : Publisher
-    tool : Publisher or None
-        None: nobody is told of the tool.
+    Attributes:
+        physical, feedback: The arm's pose for tf and people; the same with its sequence number and command stamp for the gate.
+        tool: None: nobody is told of the tool.
     """
 
     physical: Sink
@@ -107,26 +103,14 @@ class MqttBridge:
     `_lock` guards the supervisor and the counters; nothing is sent while it is held. paho has locks of its own for the connection.
     The supervisor gets monotonic times: a wall clock that is set must not make a gateway look alive, or an arm at rest.
 
-    Parameters
-    ----------
-    settings : Settings
-    robot : str
-        Name in the MQTT topics.
-    config : GatewayConfig
-        As the gateway should run it.
-    codec : JointStringCodec
-    broker : Broker
-    client : PlainClient
-        Not connected yet.
-    outputs : Outputs
-    diagnostics : callable
-        Takes `report`; returns the node's NodeDiagnostics.
-    mirrors : bool, optional
-        Whether the arm leads from the start.
-    waits : str, optional
-        Why the bridge before this one waited for a person, in a sentence; empty: it did not.
-    remember : callable, optional
-        Keeps such a sentence for the bridge after this one; it may take as long as the master does.
+    Args:
+        robot: Name in the MQTT topics.
+        config: As the gateway should run it.
+        client: Not connected yet.
+        diagnostics: Takes `report`; returns the node's NodeDiagnostics.
+        mirrors: Whether the arm leads from the start.
+        waits: Why the bridge before this one waited for a person, in a sentence; empty: it did not.
+        remember: Keeps such a sentence for the bridge after this one; it may take as long as the master does.
     """
 
     def __init__(

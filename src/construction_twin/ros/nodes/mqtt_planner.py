@@ -97,14 +97,10 @@ _Report = tuple[_Message, float] | None
 class Settings(MqttSettings):
     """Private parameters; see config/mqtt_planner.yaml.
 
-    Attributes
-    ----------
-    trajectories : bool
-        Whether motions, and wishes for plans, are taken by MQTT.
-    self_collision : str
-        YAML of the link pairs that are not checked; empty: no joint values are found for poses that are dragged.
-    private : str
-        Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
+    Attributes:
+        trajectories: Whether motions, and wishes for plans, are taken by MQTT.
+        self_collision: YAML of the link pairs that are not checked; empty: no joint values are found for poses that are dragged.
+        private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
     """
 
     trajectories: bool = True
@@ -128,20 +124,11 @@ class MqttPlanner:
 
     `_lock` guards what is heard from ROS and the counters: every topic has a thread of its own. `_writing` guards the writer.
 
-    Parameters
-    ----------
-    settings : Settings
-    robot : str
-        Name in the MQTT topics.
-    joints : Joints
-    broker : Broker
-    client : PlainClient
-        Not connected yet.
-    writer : ViewWriter
-    plan_trajectory : rospy.ServiceProxy
-        The planner's service.
-    diagnostics : callable
-        Takes `report`; returns the node's NodeDiagnostics.
+    Args:
+        robot: Name in the MQTT topics.
+        client: Not connected yet.
+        plan_trajectory: The planner's service.
+        diagnostics: Takes `report`; returns the node's NodeDiagnostics.
     """
 
     def __init__(
@@ -292,12 +279,8 @@ class MqttPlanner:
     def on_trajectory(self, sender: str, payload: bytes, retained: bool) -> None:
         """Take a motion; it is checked in the main thread.
 
-        Parameters
-        ----------
-        sender : str
-            The account in the topic's name; empty on `trajectory` itself.
-        payload : bytes
-        retained : bool
+        Args:
+            sender: The account in the topic's name; empty on `trajectory` itself.
         """
         request = ""
         try:
@@ -456,14 +439,10 @@ class MqttPlanner:
 def source_of(says: str, sender: str, proven: bool) -> str:
     """Return who asked, for the reviewer.
 
-    Parameters
-    ----------
-    says : str
-        What the sender says of itself; empty: nothing.
-    sender : str
-        The account in the topic's name; empty when there is none.
-    proven : bool
-        The broker knows accounts, and by a site's rules only this one writes on that topic.
+    Args:
+        says: What the sender says of itself; empty: nothing.
+        sender: The account in the topic's name; empty when there is none.
+        proven: The broker knows accounts, and by a site's rules only this one writes on that topic.
     """
     if not sender:
         known = "MQTT, sender not known"

@@ -76,23 +76,13 @@ class MqttReview:
 
     `_lock` guards the board and the counters: ROS serves every topic from a thread of its own.
 
-    Parameters
-    ----------
-    settings : Settings
-    robot : str
-        Name in the MQTT topics.
-    broker : Broker
-    client : PlainClient
-        Not connected yet.
-    review_plan : rospy.ServiceProxy
-        The executor's `review_from_screen`.
-    interventions : RemoteInterventions
-    diagnostics : callable
-        Takes `report`; returns the node's NodeDiagnostics.
-    reject_plan : rospy.ServiceProxy, optional
-        The same as `review_plan`, for rejections, which may come twice and ask no master.
-    connections : sequence of PersistentService, optional
-        What is to be connected before it is called.
+    Args:
+        robot: Name in the MQTT topics.
+        client: Not connected yet.
+        review_plan: The executor's `review_from_screen`.
+        diagnostics: Takes `report`; returns the node's NodeDiagnostics.
+        reject_plan: The same as `review_plan`, for rejections, which may come twice and ask no master.
+        connections: What is to be connected before it is called.
     """
 
     def __init__(
@@ -352,10 +342,8 @@ def plan_view(message: Plan) -> PlanView:
 
     Numbers cross unchanged. Every measured plan has its fractions of the velocity limits, so their absence means that none was.
 
-    Raises
-    ------
-    PlanningError
-        If a work plan is not what its hash says.
+    Raises:
+        PlanningError: If a work plan is not what its hash says.
     """
     points = message.trajectory.points
     clearance = None

@@ -40,11 +40,8 @@ DELAY = 0.1
 class Said:
     """What the log was told of a plan last.
 
-    Attributes
-    ----------
-    blocked : bool
-    clear : bool
-        No conflict was found.
+    Attributes:
+        clear: No conflict was found.
     """
 
     blocked: bool
@@ -53,12 +50,7 @@ class Said:
 
 @dataclass
 class Latest:
-    """The node's state as it was put last. The topics, which count what they refuse, are there before the node.
-
-    Attributes
-    ----------
-    report : Report
-    """
+    """The node's state as it was put last. The topics, which count what they refuse, are there before the node."""
 
     report: Report = Report(WARN, "nothing to watch yet")
 
@@ -66,19 +58,10 @@ class Latest:
 class NeighbourNode:
     """Two arms' topics in, verdicts on our plans out; `start` gives it parameters and topics.
 
-    Parameters
-    ----------
-    settings : NeighbourSettings
-    own : ArmListener
-    other : OtherArm
-    judge : PathJudge
-    horizon : float
-        How far ahead a conflict is acted upon [s].
-    conflict : Publisher
-    latest : Latest
-        Where the state is put for `/diagnostics`.
-    moveit : OtherArmPublisher, optional
-        Is told where the other arm rests, where MoveIt's message types are installed.
+    Args:
+        horizon: How far ahead a conflict is acted upon [s].
+        latest: Where the state is put for `/diagnostics`.
+        moveit: Is told where the other arm rests, where MoveIt's message types are installed.
     """
 
     def __init__(

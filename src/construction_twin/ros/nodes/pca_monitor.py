@@ -65,15 +65,9 @@ class Settings(NodeSettings, Behaviour):
 class Outputs:
     """What the monitor says, and to whom.
 
-    Attributes
-    ----------
-    command : JointPublisher
-    sync : Publisher
-    transitions : TransitionReport
-    plan_to_joints : callable
-        The planner's service; takes the fields of its request as keywords.
-    remember : callable
-        Keeps the session in which the gate is STOPPED beyond this process; takes "" when it is not.
+    Attributes:
+        plan_to_joints: The planner's service; takes the fields of its request as keywords.
+        remember: Keeps the session in which the gate is STOPPED beyond this process; takes "" when it is not.
     """
 
     command: Sink
@@ -86,22 +80,14 @@ class Outputs:
 class PcaMonitorNode:
     """ROS around a Gate; `start` gives it parameters, topics and services.
 
-    Parameters
-    ----------
-    gate : Gate
-    behaviour : Behaviour
-        What the gate was given.
-    names : tuple of str
-        Joint names.
-    compares : bool
-        Whether there is a physical arm.
-    sync_rate : float
-        How often `sync` is published while nothing changes [Hz].
-    outputs : Outputs
-    diagnostics : callable
-        Takes `report`; returns the node's NodeDiagnostics.
-    stopped_in : str, optional
-        The session in which a monitor before this one was STOPPED: the gate stays so until the link tells of another session.
+    Args:
+        behaviour: What the gate was given.
+        names: Joint names.
+        compares: Whether there is a physical arm.
+        sync_rate: How often `sync` is published while nothing changes [Hz].
+        diagnostics: Takes `report`; returns the node's NodeDiagnostics.
+        stopped_in: The session in which a monitor before this one was STOPPED: the gate stays so until the link tells of another
+            session.
     """
 
     def __init__(

@@ -75,14 +75,10 @@ class Settings(PlannerSettings):
 
     Behaviour is explained in config/planner.yaml; `self_collision` and `tf_prefix` are given in launch/twin.launch.
 
-    Attributes
-    ----------
-    ik_budget, max_pose_age, tf_timeout, scene_timeout : float
-        [s]
-    self_collision : str
-        YAML of the link pairs that are not checked.
-    tf_prefix : str
-        What stands before the robot's `base_link` in tf; empty: nothing.
+    Attributes:
+        ik_budget, max_pose_age, tf_timeout, scene_timeout: [s]
+        self_collision: YAML of the link pairs that are not checked.
+        tf_prefix: What stands before the robot's `base_link` in tf; empty: nothing.
     """
 
     ik_budget: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]

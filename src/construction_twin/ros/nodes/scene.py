@@ -53,16 +53,11 @@ _PATIENCE = 1.0
 class Settings(pydantic.BaseModel):
     """Private parameters, given in launch/twin.launch.
 
-    Attributes
-    ----------
-    scene : str
-        YAML of the scene at the start; ``none`` or empty: no objects, no padding.
-    self_collision : str
-        YAML of the link pairs that are not checked.
-    tf_prefix : str
-        Of the twin's tf frames.
-    check_rate : float
-        How often the present pose is checked [Hz].
+    Attributes:
+        scene: YAML of the scene at the start; ``none`` or empty: no objects, no padding.
+        self_collision: YAML of the link pairs that are not checked.
+        tf_prefix: Of the twin's tf frames.
+        check_rate: How often the present pose is checked [Hz].
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)

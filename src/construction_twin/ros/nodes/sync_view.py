@@ -43,10 +43,8 @@ _DARK = ColorRGBA(0.35, 0.0, 0.0, 1.0)
 class Settings(pydantic.BaseModel):
     """Private parameters, given in launch/twin.launch.
 
-    Attributes
-    ----------
-    tf_prefix : str
-        Of the physical arm's frames.
+    Attributes:
+        tf_prefix: Of the physical arm's frames.
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)

@@ -49,18 +49,12 @@ _Positive = Annotated[float, pydantic.Field(gt=0.0, allow_inf_nan=False)]
 class Settings(pydantic.BaseModel):
     """Private parameters: behaviour in config/tool_marker.yaml; `self_collision`, `tf_prefix`, `reviewer` in the launch file.
 
-    Attributes
-    ----------
-    scale : float
-        [m]
-    max_pose_age, ik_budget, service_timeout : float
-        [s]
-    self_collision : str
-        YAML of the link pairs that are not checked.
-    tf_prefix : str
-        Of the tf frames of the robot's links; empty: none.
-    reviewer : str
-        Who approves and rejects by the menu.
+    Attributes:
+        scale: [m]
+        max_pose_age, ik_budget, service_timeout: [s]
+        self_collision: YAML of the link pairs that are not checked.
+        tf_prefix: Of the tf frames of the robot's links; empty: none.
+        reviewer: Who approves and rejects by the menu.
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)

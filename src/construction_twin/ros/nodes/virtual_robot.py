@@ -35,17 +35,11 @@ class Settings(NodeSettings):
 class VirtualRobotNode:
     """ROS around a VirtualRobot and its TwinClock; `start` gives it parameters and topics.
 
-    Parameters
-    ----------
-    robot : VirtualRobot
-    limits : MotionLimits
-        Within which it follows the physical arm.
-    twin : JointPublisher
-        For its pose.
-    diagnostics : callable
-        Takes `report`; returns the node's NodeDiagnostics.
-    restarted : threading.Event
-        Ends the wait of `run` for a silence.
+    Args:
+        limits: Within which it follows the physical arm.
+        twin: For its pose.
+        diagnostics: Takes `report`; returns the node's NodeDiagnostics.
+        restarted: Ends the wait of `run` for a silence.
     """
 
     def __init__(

@@ -75,24 +75,15 @@ from construction_twin.work.worker import Worker, WorkerError
 class Settings(pydantic.BaseModel):
     """Private parameters: behaviour is explained in config/work.yaml, the others are given in launch/work.launch.
 
-    Attributes
-    ----------
-    model, cell : str
-        Absolute paths of the IFC file and of the cell file.
-    self_collision : str
-        YAML of the link pairs that are not checked.
-    tf_prefix : str
-        Of the twin's tf frames.
-    review_file : str
-        The executor's record of verdicts, which is read after a restart.
-    folder : str
-        Of the ledgers.
-    arm : str
-        ``mock``, ``real`` or ``none``: without a physical arm the twin's pose counts as measured.
-    private : str
-        Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
-    max_pose_age, service_timeout, listen_time, retry_time : float
-        [s]
+    Attributes:
+        model, cell: Absolute paths of the IFC file and of the cell file.
+        self_collision: YAML of the link pairs that are not checked.
+        tf_prefix: Of the twin's tf frames.
+        review_file: The executor's record of verdicts, which is read after a restart.
+        folder: Of the ledgers.
+        arm: ``mock``, ``real`` or ``none``: without a physical arm the twin's pose counts as measured.
+        private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
+        max_pose_age, service_timeout, listen_time, retry_time: [s]
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
@@ -115,12 +106,9 @@ class Settings(pydantic.BaseModel):
 class Inputs:
     """What the node asks for when it needs it.
 
-    Attributes
-    ----------
-    twin_pose, arm_pose : callable
-        Return the present joint positions [rad], [m]; raise PoseUnknownError or PayloadError.
-    transform : callable
-        Takes a frame (a link, or a tf frame) and a stamp; returns where it is in the base frame; raises FrameError.
+    Attributes:
+        twin_pose, arm_pose: Return the present joint positions [rad], [m]; raise PoseUnknownError or PayloadError.
+        transform: Takes a frame (a link, or a tf frame) and a stamp; returns where it is in the base frame; raises FrameError.
     """
 
     twin_pose: Callable[[], tuple[float, ...]]
@@ -132,11 +120,8 @@ class Inputs:
 class Outputs:
     """Where the node publishes, and whom it calls.
 
-    Attributes
-    ----------
-    tasks, markers : Publisher
-    edit_scene, plan_work, plan_way_back : callable
-        Services; each returns why there is no answer, and the answer.
+    Attributes:
+        edit_scene, plan_work, plan_way_back: Services; each returns why there is no answer, and the answer.
     """
 
     tasks: Sink
@@ -152,20 +137,10 @@ class WorkNode:
     A WorkListener has what was heard. What follows from it a WorkFollower writes into the ledger, and only then a WorkScene has the
     collision scene changed.
 
-    Parameters
-    ----------
-    settings : Settings
-    robot : RobotModel
-    planner : mapping
-        The planner node's settings, with which tasks are planned.
-    worker : Worker
-        The process that reads models and plans.
-    desk : SharedDesk
-        Opened by `open`.
-    heard : WorkListener
-    inputs : Inputs
-    outputs : Outputs
-    diagnostics : NodeDiagnostics
+    Args:
+        planner: The planner node's settings, with which tasks are planned.
+        worker: The process that reads models and plans.
+        desk: Opened by `open`.
     """
 
     def __init__(

@@ -41,16 +41,11 @@ class NeighbourSettings(NodeSettings):
 
     The node `neighbour` owns them, and its ``realtime_priority`` is among them; the planner reads them, too.
 
-    Attributes
-    ----------
-    name : str
-        Of the other robot: its namespace. Given in launch/twin.launch.
-    padding, watch_padding, step, own_step : float
-        [m]
-    rate : float
-        [Hz]
-    max_pose_age : float
-        [s]
+    Attributes:
+        name: Of the other robot: its namespace. Given in launch/twin.launch.
+        padding, watch_padding, step, own_step: [m]
+        rate: [Hz]
+        max_pose_age: [s]
     """
 
     name: Annotated[str, pydantic.Field(min_length=1)]
@@ -71,10 +66,8 @@ class NeighbourSettings(NodeSettings):
 def neighbour_settings(namespace: str = "") -> NeighbourSettings | None:
     """Return the settings of the robot in a namespace (``/kr120/``), by default the node's own; None for a robot alone.
 
-    Raises
-    ------
-    ConfigurationError
-        With the parameter's name, its value and what was expected.
+    Raises:
+        ConfigurationError: With the parameter's name, its value and what was expected.
     """
     name = f"{namespace}neighbour"
     values = rospy.get_param(name, None)
@@ -90,14 +83,10 @@ def neighbour_settings(namespace: str = "") -> NeighbourSettings | None:
 class ArmPlans:
     """An arm's plans.
 
-    Attributes
-    ----------
-    followed : Plan or None
-        The approved plan that it follows.
-    started : int
-        Stamp of the first setpoint of that plan [ns]; 0: it has not begun.
-    waiting : Plan or None
-        The plan that waits for review.
+    Attributes:
+        followed: The approved plan that it follows.
+        started: Stamp of the first setpoint of that plan [ns]; 0: it has not begun.
+        waiting: The plan that waits for review.
     """
 
     followed: PlanValue | None
@@ -108,15 +97,11 @@ class ArmPlans:
 class ArmListener:
     """Listens to an arm's own topics.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        Its name is its namespace.
-    refused : callable
-        Called as ``refused(reason, sentence)`` for a message that is not used.
-    streams : bool
-        True: subscribe to the poses permanently. False: only during `poses`, which makes it about 50 ms slower and costs nothing
-        otherwise.
+    Args:
+        robot: Its name is its namespace.
+        refused: Called as ``refused(reason, sentence)`` for a message that is not used.
+        streams: True: subscribe to the poses permanently. False: only during `poses`, which makes it about 50 ms slower and costs
+            nothing otherwise.
     """
 
     def __init__(self, robot: RobotModel, refused: Refuse, streams: bool):
@@ -148,10 +133,8 @@ class ArmListener:
     def poses(self, oldest: float, patience: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Return the commanded and the measured pose; the same twice for a robot without a physical arm.
 
-        Raises
-        ------
-        PoseUnknownError, PayloadError
-            As of `LatestPose.pose`.
+        Raises:
+            PoseUnknownError, PayloadError: As of `LatestPose.pose`.
         """
         with self._open_streams() as streams:
             twin, *physical = (np.array(stream.pose(oldest, patience)) for stream in streams)
@@ -207,21 +190,12 @@ class OtherArm:
 
     Not for use from several threads at once.
 
-    Parameters
-    ----------
-    listener : ArmListener
-    arm : Neighbour
-        The other robot without what it carries.
-    max_pose_age : float
-        Older poses are not used [s].
+    Args:
+        arm: The other robot without what it carries.
+        max_pose_age: Older poses are not used [s].
 
-    Attributes
-    ----------
-    robot : RobotModel
-    claim : Claim or None
-    unknown : str
-    complete : bool
-        See `occupied`.
+    Attributes:
+        complete: See `occupied`.
     """
 
     def __init__(self, listener: ArmListener, arm: Neighbour, max_pose_age: float):
@@ -243,17 +217,12 @@ class OtherArm:
         Sets `claim`; `unknown`, the reason why the arm's whole reach is returned (its pose or its plan is not known), or empty; and
         `complete`, whether the result contains the path to its end.
 
-        Parameters
-        ----------
-        patience : float, optional
-            How long to wait for the poses [s].
-        horizon : float, optional
-            How far ahead the path must be included [s]. The rest is added in chunks by later calls.
+        Args:
+            patience: How long to wait for the poses [s].
+            horizon: How far ahead the path must be included [s]. The rest is added in chunks by later calls.
 
-        Raises
-        ------
-        NeighbourUnknownError
-            If its load is not known, because its reach is then unknown, too.
+        Raises:
+            NeighbourUnknownError: If its load is not known, because its reach is then unknown, too.
         """
         name = self._bare.name
         self.claim, self.unknown, self.complete = None, "", True
@@ -309,22 +278,14 @@ def listen_to_other_arm(
 ) -> OtherArm:
     """Return the other arm of the cell, listening to its topics.
 
-    Parameters
-    ----------
-    own : str
-        Name of our robot in the cell.
-    settings : NeighbourSettings
-    refused : callable
-        As in `ArmListener`.
-    streams : bool
-        As in `ArmListener`.
-    namespace : str, optional
-        Of our robot, ``/kr120/``; the node's own by default.
+    Args:
+        own: Name of our robot in the cell.
+        refused: As in `ArmListener`.
+        streams: As in `ArmListener`.
+        namespace: Of our robot, ``/kr120/``; the node's own by default.
 
-    Raises
-    ------
-    ConfigurationError
-        If the other robot's description is missing, or the cell does not hold both.
+    Raises:
+        ConfigurationError: If the other robot's description is missing, or the cell does not hold both.
     """
     robot = robot_from_parameters(f"/{settings.name}/")
     cell = load_cell(rospy.get_param(f"{namespace}cell", None))

@@ -30,19 +30,12 @@ LOOK, REPEAT = 0.2, 1.0
 class ConsoleFeed:
     """Keeps what is retained, and sends it again where the broker may have forgotten it. Topics come in threads of their own.
 
-    Parameters
-    ----------
-    topics : Topics
-    base_link : str
-        Frame of the scene's objects.
-    publish : callable
-        Takes topic, payload, QoS and the retain flag; what cannot be sent now is dropped.
-    refuse : callable
-        Counts a refused input; takes reason and sentence.
-    deployment : Deployment or None
-        What was started; None: what the start waits for is not told.
-    files : PrivateFiles or None
-        Where the scene's meshes go; None: no console was started with this robot.
+    Args:
+        base_link: Frame of the scene's objects.
+        publish: Takes topic, payload, QoS and the retain flag; what cannot be sent now is dropped.
+        refuse: Counts a refused input; takes reason and sentence.
+        deployment: What was started; None: what the start waits for is not told.
+        files: Where the scene's meshes go; None: no console was started with this robot.
     """
 
     def __init__(
@@ -153,12 +146,9 @@ class ConsoleFeed:
     def tell(self, link: Link | None, sync: Sync | None, execution: Execution | None, now: float) -> None:
         """Send the status line when it has changed, or was not sent for a while.
 
-        Parameters
-        ----------
-        link, sync, execution : messages or None
-            None: silent.
-        now : float
-            Monotonic [s].
+        Args:
+            link, sync, execution: None: silent.
+            now: Monotonic [s].
         """
         if now - self._looked < LOOK:
             return
@@ -193,11 +183,8 @@ def _word(report: Link | Sync | Execution | None) -> Word | None:
 def deployment_of(started: Mapping[str, object] | None, namespace: str) -> Deployment | None:
     """Return what bringup has told the node `startup`; None where that does not run.
 
-    Parameters
-    ----------
-    started : Mapping or None
-        The node's parameters.
-    namespace : str
+    Args:
+        started: The node's parameters.
     """
     fields = ("arm", "broker", "rsi", "gateway", "gateway_kind")
     if started is None or not set(fields) <= set(started):

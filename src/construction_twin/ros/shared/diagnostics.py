@@ -20,13 +20,9 @@ from construction_twin.ros.transport.publisher import Publisher
 class Report:
     """A node's state.
 
-    Attributes
-    ----------
-    level : int
-        A DiagnosticStatus level: `OK`, `WARN` or `ERROR`.
-    sentence : str
-    values : mapping
-        Further values by name.
+    Attributes:
+        level: A DiagnosticStatus level: `OK`, `WARN` or `ERROR`.
+        values: Further values by name.
     """
 
     level: int
@@ -39,12 +35,9 @@ class NodeDiagnostics:
 
     Who refuses may hold the lock of a cycle, or be the thread in which the next stop comes: it never waits for the log.
 
-    Parameters
-    ----------
-    hardware_id : str
-        Name of the robot.
-    report : callable
-        Returns the node's Report.
+    Args:
+        hardware_id: Name of the robot.
+        report: Returns the node's Report.
     """
 
     def __init__(self, hardware_id: str, report: Callable[[], Report]):

@@ -16,13 +16,7 @@ ENDED = "the executor ended before the plan did"
 
 
 class EngagementFile:
-    """One file, there as long as the arm is inside an engaged segment.
-
-    Parameters
-    ----------
-    path : Path
-    joint_names : sequence of str
-    """
+    """One file, there as long as the arm is inside an engaged segment."""
 
     def __init__(self, path: Path, joint_names: Sequence[str]):
         self._path = path
@@ -31,10 +25,8 @@ class EngagementFile:
     def read(self) -> Engagement | None:
         """Return what the file says; None without one.
 
-        Raises
-        ------
-        ConfigurationError
-            When it cannot be read or understood.
+        Raises:
+            ConfigurationError: When it cannot be read or understood.
         """
         try:
             text = read_file(self._path, MOST).decode("utf-8")
@@ -48,9 +40,7 @@ class EngagementFile:
     def write(self, engagement: Engagement | None) -> None:
         """Write an engagement, or remove the file.
 
-        Raises
-        ------
-        ExecutionError
+        Raises ExecutionError.
         """
         try:
             if engagement is None:

@@ -35,15 +35,11 @@ _OWNERS = 1000
 class FrameListener:
     """Fills a buffer with what is heard of frames.
 
-    Parameters
-    ----------
-    refused : callable
-        Called as ``refused(reason, sentence)`` for a transform of a node that may not publish its frame.
+    Args:
+        refused: Called as ``refused(reason, sentence)`` for a transform of a node that may not publish its frame.
 
-    Attributes
-    ----------
-    buffer : tf2_ros.Buffer
-        To look up transforms in.
+    Attributes:
+        buffer: To look up transforms in.
     """
 
     def __init__(self, refused: Callable[[str, str], None]):

@@ -22,20 +22,13 @@ from construction_twin.ros.shared.frame_listener import FrameListener
 class Frames:
     """Where a frame is in the robot's base.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    tf_prefix : str
-        Of the twin's tf frames.
-    lookup : callable
-        Takes a tf frame and a stamp; returns where it is in the base; raises tf2_ros.TransformException.
-    known : callable
-        Returns what tf knows, as `tf2_ros.Buffer.all_frames_as_yaml` does.
+    Args:
+        tf_prefix: Of the twin's tf frames.
+        lookup: Takes a tf frame and a stamp; returns where it is in the base; raises tf2_ros.TransformException.
+        known: Returns what tf knows, as `tf2_ros.Buffer.all_frames_as_yaml` does.
 
-    Attributes
-    ----------
-    base : str
-        tf frame of the robot's base.
+    Attributes:
+        base: tf frame of the robot's base.
     """
 
     def __init__(
@@ -57,10 +50,8 @@ class Frames:
     def transform(self, frame: str, stamp: rospy.Time) -> TransformStamped:
         """Return where a frame is in the base at a stamp (0: the latest).
 
-        Raises
-        ------
-        FrameError
-            If it is not known, with the frames that are.
+        Raises:
+            FrameError: If it is not known, with the frames that are.
         """
         try:
             return self._lookup(self.tf_name(frame), stamp)
@@ -84,14 +75,10 @@ class Frames:
 def listen_to_frames(robot: RobotModel, tf_prefix: str, timeout: float, refused: Callable[[str, str], None]) -> Frames:
     """Return the frames, listening to tf for as long as they are used.
 
-    Parameters
-    ----------
-    robot, tf_prefix
-        As of `Frames`.
-    timeout : float
-        How long a frame is waited for [s].
-    refused : callable
-        As of `FrameListener`.
+    Args:
+        robot, tf_prefix: As of `Frames`.
+        timeout: How long a frame is waited for [s].
+        refused: As of `FrameListener`.
     """
     listener = FrameListener(refused)
     base, wait = tf_frame(tf_prefix, robot.base_link), rospy.Duration(timeout)

@@ -25,12 +25,9 @@ TIMEOUT = 100
 def config_from_parameters(namespace: str = "", needs_xml: bool = True) -> GatewayConfig:
     """Return the configuration that a namespace's `robot_description`, `robot` and `gateway` parameters describe.
 
-    Parameters
-    ----------
-    namespace : str, optional
-        ``/kr120/``; the node's own by default.
-    needs_xml : bool, optional
-        Whether a controller's Ethernet XML belongs to it; it does not with a bare PLC, which speaks no RSI.
+    Args:
+        namespace: ``/kr120/``; the node's own by default.
+        needs_xml: Whether a controller's Ethernet XML belongs to it; it does not with a bare PLC, which speaks no RSI.
     """
     name = namespace + "gateway"
     if not rospy.has_param(name):
@@ -48,26 +45,16 @@ def config_from_parameters(namespace: str = "", needs_xml: bool = True) -> Gatew
 def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
     """Return the configuration of the gateway of `robot`.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        Its joint ranges are turned into ranges of the controller's axes (sign and offset).
-    settings : Mapping
-        The other keys of `GatewayConfig`, SI units; see config/gateway.yaml. In place of `layout` it holds `ethernet_xml`: the text
-        of the controller's Ethernet XML; `timeout` is a number of the controller's cycles, which its ETHERNET object counts; `tool`
-        is the content of a tool file, {} for none. An Ethernet XML without any channel of a tool makes it a tool without hands:
-        the configuration has none then.
+    Args:
+        robot: Its joint ranges are turned into ranges of the controller's axes (sign and offset).
+        settings: The other keys of `GatewayConfig`, SI units; see config/gateway.yaml. In place of `layout` it holds
+            `ethernet_xml`: the text of the controller's Ethernet XML; `timeout` is a number of the controller's cycles, which its
+            ETHERNET object counts; `tool` is the content of a tool file, {} for none. An Ethernet XML without any channel of a tool
+            makes it a tool without hands: the configuration has none then.
 
-    Returns
-    -------
-    config : GatewayConfig
-
-    Raises
-    ------
-    ConfigurationError
-        For an unknown key, or a value that does not fit: also a range that the joint string cannot carry.
-    EthernetXmlError
-        If the Ethernet XML does not fit the robot.
+    Raises:
+        ConfigurationError: For an unknown key, or a value that does not fit: also a range that the joint string cannot carry.
+        EthernetXmlError: If the Ethernet XML does not fit the robot.
     """
     axes = tuple(axis.rsi for axis in robot.axes)
     settings = dict(settings)

@@ -27,17 +27,12 @@ _LOCK = threading.Lock()
 def open_bag(path: str | Path, kinds: Iterable[type[genpy.Message]]) -> Iterator[rosbag.Bag]:
     """Open a bag for reading. No code is generated from what it contains.
 
-    Parameters
-    ----------
-    path : str or Path
-    kinds : iterable of message class
-        The types that may be read.
+    Args:
+        kinds: The types that may be read.
 
-    Raises
-    ------
-    ConstructionTwinError
-        When a message of another type, or of another definition of one of these types, is read; and when the file cannot be read
-        as a bag, also if that shows while it is read.
+    Raises:
+        ConstructionTwinError: When a message of another type, or of another definition of one of these types, is read; and when the
+            file cannot be read as a bag, also if that shows while it is read.
     """
     known = {kind._type: kind for kind in kinds}
 
@@ -69,17 +64,12 @@ def open_bag(path: str | Path, kinds: Iterable[type[genpy.Message]]) -> Iterator
 def known_class(known: dict[str, type[genpy.Message]], topic: str, name: str, md5: str) -> type[genpy.Message]:
     """Return the installed class of a recorded message.
 
-    Parameters
-    ----------
-    known : dict of str to message class
-        By type name.
-    topic, name, md5 : str
-        Of the bag's connection: topic, type name and md5 of the definition.
+    Args:
+        known: By type name.
+        topic, name, md5: Of the bag's connection: topic, type name and md5 of the definition.
 
-    Raises
-    ------
-    ConstructionTwinError
-        If the type is not among them, or its definition is another one.
+    Raises:
+        ConstructionTwinError: If the type is not among them, or its definition is another one.
     """
     check_definition({each: kind._md5sum for each, kind in known.items()}, topic, name, md5)
     return known[name]

@@ -19,12 +19,9 @@ PERIOD, AT_ONCE = NANOSECONDS // 10, 10
 class MalformedAnswers:
     """Decides for each malformed message whether it is answered. Used by several threads.
 
-    Parameters
-    ----------
-    kind : str
-        Of the messages, for `/diagnostics`.
-    clock : callable, optional
-        Returns a time from any origin [ns].
+    Args:
+        kind: Of the messages, for `/diagnostics`.
+        clock: Returns a time from any origin [ns].
     """
 
     def __init__(self, kind: str, clock: Callable[[], int] = time.monotonic_ns):

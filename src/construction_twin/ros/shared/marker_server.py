@@ -17,12 +17,9 @@ from construction_twin.ros.transport.subscriber import PUBLISHER, caller_of
 class MarkerServer(InteractiveMarkerServer):
     """As `InteractiveMarkerServer`, but deaf to what is played.
 
-    Parameters
-    ----------
-    topic : str
-        Namespace of the marker's topics.
-    refused : callable
-        Called as ``refused(reason, sentence)`` for a message that its sender did not make.
+    Args:
+        topic: Namespace of the marker's topics.
+        refused: Called as ``refused(reason, sentence)`` for a message that its sender did not make.
     """
 
     def __init__(self, topic: str, refused: Callable[[str, str], None]):

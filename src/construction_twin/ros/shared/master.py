@@ -34,14 +34,9 @@ FAILURES = (OSError, ValueError, http.client.HTTPException, xmlrpc.client.Error)
 class RunningNode:
     """A node that is registered, and was not found to have ended.
 
-    Attributes
-    ----------
-    name : str
-    host : str
-    pid : int or None
-        None: it is registered, but does not answer.
-    tells_name : bool
-        False: what answers may be another node, which has the port of this one.
+    Attributes:
+        pid: None: it is registered, but does not answer.
+        tells_name: False: what answers may be another node, which has the port of this one.
     """
 
     name: str
@@ -83,17 +78,12 @@ def ask(uri: str, timeout: float, question: str, *words: str) -> tuple[int, Any]
 def await_master(timeout: float = TIMEOUT) -> None:
     """Return when the master of ROS_MASTER_URI has answered.
 
-    Parameters
-    ----------
-    timeout : float
-        [s]
+    Args:
+        timeout: [s]
 
-    Raises
-    ------
-    ConfigurationError
-        When ROS_MASTER_URI is no address.
-    SilenceError
-        When no master answers there.
+    Raises:
+        ConfigurationError: When ROS_MASTER_URI is no address.
+        SilenceError: When no master answers there.
     """
     uri = rosgraph.get_master_uri()
     address = urllib.parse.urlsplit(uri)
@@ -111,15 +101,11 @@ def wait_for_master(name: str) -> None:
 
     A node that starts while the master is away (it was killed, or starts later) waits, as ROS has it, but in one line.
 
-    Parameters
-    ----------
-    name : str
-        Of the node.
+    Args:
+        name: Of the node.
 
-    Raises
-    ------
-    ConfigurationError
-        When ROS_MASTER_URI is no address.
+    Raises:
+        ConfigurationError: When ROS_MASTER_URI is no address.
     """
     said = False
     while True:
@@ -145,17 +131,12 @@ def publishing_nodes(topic: str) -> list[str]:
 def expect_publisher(topic: str, patience: float = ANSWER) -> None:
     """Return when a node that publishes a topic answers; to tell a node that is down from one that has nothing to say yet.
 
-    Parameters
-    ----------
-    topic : str
-        Absolute.
-    patience : float, optional
-        How long a node may take to answer [s]; it is asked twice, because a machine under load may lose a question.
+    Args:
+        topic: Absolute.
+        patience: How long a node may take to answer [s]; it is asked twice, because a machine under load may lose a question.
 
-    Raises
-    ------
-    SilenceError
-        When none is registered, or those that are do not answer.
+    Raises:
+        SilenceError: When none is registered, or those that are do not answer.
     """
     names = publishing_nodes(topic)
     answers = (node.pid for _ in range(2) for node in running(names, rosgraph.get_master_uri(), patience))
@@ -171,14 +152,10 @@ def running(names: Iterable[str], uri: str, patience: float = NODE_TIMEOUT) -> l
     A node that was killed stays registered: whether it lives, it is asked itself. One whose machine refuses the connection, or
     whose port now belongs to a node of another name, has ended; one that keeps silent may live.
 
-    Parameters
-    ----------
-    names : iterable of str
-        Absolute.
-    uri : str
-        Of the master.
-    patience : float, optional
-        How long a node may take to answer [s].
+    Args:
+        names: Absolute.
+        uri: Of the master.
+        patience: How long a node may take to answer [s].
     """
     try:
         found = {name: ask(uri, TIMEOUT, "lookupNode", name) for name in names}

@@ -19,16 +19,10 @@ from construction_twin.ros.shared.params import NodeSettings
 class MqttSettings(NodeSettings):
     """Where the broker is, and which account to use; given in launch/link.launch.
 
-    Attributes
-    ----------
-    host : str
-    port : int
-    protocol : str
-        ``5`` or ``3.1.1``.
-    prefix : str
-        First level of the topics.
-    account : str
-        Account file on this machine; empty: anonymous, without TLS. No secret is ever a parameter.
+    Attributes:
+        protocol: ``5`` or ``3.1.1``.
+        prefix: First level of the topics.
+        account: Account file on this machine; empty: anonymous, without TLS. No secret is ever a parameter.
     """
 
     host: str
@@ -61,17 +55,11 @@ def connect(
 ) -> None:
     """Connect to the broker, and serve the connection in a thread of its own, which makes all the calls.
 
-    Parameters
-    ----------
-    client : PlainClient
-        Not connected yet.
-    broker : Broker
-    report : ConnectionReport
-        Told of connections that fail.
-    on_connect, on_disconnect : callable
-        As paho calls them.
-    on_message : mapping of str to callable
-        For each topic what takes its messages.
+    Args:
+        client: Not connected yet.
+        report: Told of connections that fail.
+        on_connect, on_disconnect: As paho calls them.
+        on_message: For each topic what takes its messages.
     """
     report.watch(client)
     client.on_connect = on_connect

@@ -41,12 +41,9 @@ def run_node(name: str, start: Callable[[], object]) -> None:
 
     The private parameter ``~realtime_priority``, where a node has one, applies to all its threads.
 
-    Parameters
-    ----------
-    name : str
-        Default node name.
-    start : callable
-        Builds the node; its result is kept alive. A result with a `run` method is run in the main thread.
+    Args:
+        name: Default node name.
+        start: Builds the node; its result is kept alive. A result with a `run` method is run in the main thread.
     """
     try:
         wait_for_master(name)
@@ -105,12 +102,8 @@ def end_on_error(args: threading.ExceptHookArgs) -> None:
 class Service(rospy.Service):
     """As `rospy.Service`. A handler that raises is answered with the error, and then the process ends.
 
-    Parameters
-    ----------
-    name : str
-    kind : type
-    handler : callable
-        Takes the request, returns the response; turns typed errors into an answer itself.
+    Args:
+        handler: Takes the request, returns the response; turns typed errors into an answer itself.
     """
 
     def __init__(self, name: str, kind: type, handler: Callable):

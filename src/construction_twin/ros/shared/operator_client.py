@@ -31,14 +31,10 @@ class OperatorClient:
     Every method raises `RequestRefused` with the system's sentence when the answer is no, and `SilenceError` when there is no
     answer.
 
-    Parameters
-    ----------
-    namespace : str
-        Of the robot, absolute: ``/kr120``.
-    timeout : float
-        How long to wait until a service is there [s]; an answer may take longer.
-    source : str
-        Who asks, for the reviewer.
+    Args:
+        namespace: Of the robot, absolute: ``/kr120``.
+        timeout: How long to wait until a service is there [s]; an answer may take longer.
+        source: Who asks, for the reviewer.
     """
 
     def __init__(self, namespace: str, timeout: float, source: str):

@@ -19,10 +19,8 @@ Settings = TypeVar("Settings", bound=pydantic.BaseModel)
 class NodeSettings(pydantic.BaseModel):
     """Private parameters of a node on the 250 Hz path.
 
-    Attributes
-    ----------
-    realtime_priority : int
-        SCHED_FIFO priority where the system permits it; 0: none.
+    Attributes:
+        realtime_priority: SCHED_FIFO priority where the system permits it; 0: none.
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
@@ -36,19 +34,11 @@ def read_parameters(model: type[Settings]) -> Settings:
     Roslaunch leaves its own bookkeeping and other nodes' keys elsewhere, so everything under ``~`` must be known to the
     model: a misspelt key is an error, not a silent default.
 
-    Parameters
-    ----------
-    model : type
-        A pydantic model with ``extra="forbid"``.
+    Args:
+        model: A pydantic model with ``extra="forbid"``.
 
-    Returns
-    -------
-    settings : Settings
-
-    Raises
-    ------
-    ConfigurationError
-        With the resolved parameter name, its value and what was expected.
+    Raises:
+        ConfigurationError: With the resolved parameter name, its value and what was expected.
     """
     values = rospy.get_param("~", {})
     try:
@@ -60,15 +50,11 @@ def read_parameters(model: type[Settings]) -> Settings:
 def robot_from_parameters(namespace: str = "") -> RobotModel:
     """Return the robot described by a namespace's ``robot_description`` (URDF) and ``robot`` (YAML) parameters.
 
-    Parameters
-    ----------
-    namespace : str, optional
-        ``/kr120/``; the node's own by default.
+    Args:
+        namespace: ``/kr120/``; the node's own by default.
 
-    Raises
-    ------
-    ConfigurationError
-        If one is missing or does not make sense.
+    Raises:
+        ConfigurationError: If one is missing or does not make sense.
     """
     names = [namespace + name for name in ("robot_description", "robot")]
     for name in names:

@@ -29,13 +29,8 @@ QUEUE = 50
 class PlanningScenePublisher:
     """Publishes scenes as `moveit_msgs/PlanningScene`.
 
-    Parameters
-    ----------
-    types : MoveitTypes
-    robot : RobotModel
-    self_collision : SelfCollision
-    publisher : Sink
-        Of that type, latched.
+    Args:
+        publisher: Of that type, latched.
     """
 
     def __init__(self, types: MoveitTypes, robot: RobotModel, self_collision: SelfCollision, publisher: Sink):
@@ -62,15 +57,10 @@ class PlanningScenePublisher:
 class OtherArmPublisher:
     """Publishes where the other arm rests, as objects that stand, as `moveit_msgs/PlanningScene`.
 
-    Parameters
-    ----------
-    types : MoveitTypes
-    robot : RobotModel
-        Ours, which must not touch it.
-    publisher : Sink
-        Of that type, latched.
-    padding : float
-        Distance that our plans keep from it, besides the scene's padding [m].
+    Args:
+        robot: Ours, which must not touch it.
+        publisher: Of that type, latched.
+        padding: Distance that our plans keep from it, besides the scene's padding [m].
     """
 
     def __init__(self, types: MoveitTypes, robot: RobotModel, publisher: Sink, padding: float):
@@ -89,13 +79,9 @@ class OtherArmPublisher:
     def stands(self, obstacles: Collection[Obstacle], scene_padding: float, stamp: genpy.Time) -> None:
         """Take what the arm occupies without a plan; it rests when this is the same twice, and is told of once.
 
-        Parameters
-        ----------
-        obstacles : collection of Obstacle
-            As `Neighbour.between` returns them: the same object while the arm stays where it is.
-        scene_padding : float
-            [m]
-        stamp : genpy.Time
+        Args:
+            obstacles: As `Neighbour.between` returns them: the same object while the arm stays where it is.
+            scene_padding: [m]
         """
         before, self._seen = self._seen, (obstacles, scene_padding)
         if not _same(before, self._seen) or _same(self._told, self._seen):

@@ -29,13 +29,9 @@ BUDGET = 0.03
 class PoseJudge:
     """Knows the robot in its scene.
 
-    Parameters
-    ----------
-    robot : RobotModel
-    self_collision : str
-        YAML of the link pairs that are not checked; empty: nothing can be judged.
-    scene : callable
-        Returns the present scene, None while it is not known.
+    Args:
+        self_collision: YAML of the link pairs that are not checked; empty: nothing can be judged.
+        scene: Returns the present scene, None while it is not known.
     """
 
     def __init__(self, robot: RobotModel, self_collision: str, scene: Callable[[], Scene | None]):
@@ -46,18 +42,13 @@ class PoseJudge:
     def judge(self, position: Sequence[float], rotation: np.ndarray, seed: Sequence[float]) -> PoseVerdict:
         """Return whether a pose of the tool can be reached, and with which joint values, nearest to a seed.
 
-        Parameters
-        ----------
-        position : sequence of float
-            In the base_link [m].
-        rotation : array, shape (3, 3)
-        seed : sequence of float
-            [rad], [m]; brought into the joints' ranges.
+        Args:
+            position: In the base_link [m].
+            rotation: Shape (3, 3)
+            seed: [rad], [m]; brought into the joints' ranges.
 
-        Raises
-        ------
-        ConfigurationError, SceneError
-            When robot or scene cannot be used, or the scene is not known yet.
+        Raises:
+            ConfigurationError, SceneError: When robot or scene cannot be used, or the scene is not known yet.
         """
         from construction_twin.kinematics.chain import Chain, Pose
         from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics

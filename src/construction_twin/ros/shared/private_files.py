@@ -24,12 +24,9 @@ MESHES = "/private/mesh/"
 class PrivateFiles:
     """Writes them for one robot.
 
-    Parameters
-    ----------
-    folder : Path
-        Made where it does not exist.
-    robot : str
-        Name of the robot.
+    Args:
+        folder: Made where it does not exist.
+        robot: Name of the robot.
     """
 
     def __init__(self, folder: Path, robot: str):
@@ -39,10 +36,8 @@ class PrivateFiles:
     def write_robot(self, urdf: str) -> tuple[str, ...]:
         """Write the robot's model and its meshes; return a sentence for each shape that is left out.
 
-        Raises
-        ------
-        ConfigurationError
-            When the folder takes no files, or the text is no URDF.
+        Raises:
+            ConfigurationError: When the folder takes no files, or the text is no URDF.
         """
         try:
             shown = shown_urdf(urdf, MESHES)
@@ -56,12 +51,9 @@ class PrivateFiles:
     def write_scene(self, scene: Scene) -> None:
         """Write the meshes of a scene, as binary STL in the files' own units.
 
-        Raises
-        ------
-        ConfigurationError
-            When the folder takes no files.
-        SceneError
-            When a mesh cannot be read any more.
+        Raises:
+            ConfigurationError: When the folder takes no files.
+            SceneError: When a mesh cannot be read any more.
         """
         for item in scene.objects:
             name = f"mesh/{item.mesh_digest}.stl"

@@ -20,10 +20,8 @@ KEPT = 100
 class RefusalLog:
     """Decides for each refusal whether it is written; for use from several threads.
 
-    Parameters
-    ----------
-    clock : callable, optional
-        Returns a time from any origin [s].
+    Args:
+        clock: Returns a time from any origin [s].
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic):

@@ -45,20 +45,13 @@ MEMORY = 1000
 class RemoteInterventions:
     """Takes interventions from MQTT and gives them to the executor.
 
-    Parameters
-    ----------
-    topics : Topics
-    services : mapping of str to callable
-        The executor's service per verb, as `rospy.ServiceProxy`; that of `resume` takes `moment`.
-    publish : callable
-        Takes topic and payload.
+    Args:
+        services: The executor's service per verb, as `rospy.ServiceProxy`; that of `resume` takes `moment`.
+        publish: Takes topic and payload.
 
-    Attributes
-    ----------
-    beside : Beside
-        What tells of an intervention, and cannot fail it.
-    said : DeferredLog
-        What `write_log` writes.
+    Attributes:
+        beside: What tells of an intervention, and cannot fail it.
+        said: What `write_log` writes.
     """
 
     def __init__(

@@ -69,16 +69,11 @@ class PlanServices:
 class Surroundings:
     """What the desk asks about the robot.
 
-    Attributes
-    ----------
-    twin : callable
-        Returns the twin's joint values [rad], [m]; empty while they are not known.
-    has_work : callable
-        Returns whether a node `work` runs.
-    is_engaged : callable
-        Returns whether only the way back can be planned.
-    clock : callable
-        Returns the present moment.
+    Attributes:
+        twin: Returns the twin's joint values [rad], [m]; empty while they are not known.
+        has_work: Returns whether a node `work` runs.
+        is_engaged: Returns whether only the way back can be planned.
+        clock: Returns the present moment.
     """
 
     twin: Callable[[], Sequence[float]]
@@ -100,20 +95,10 @@ class _Made:
 class RequestDesk:
     """Takes both kinds of messages.
 
-    Parameters
-    ----------
-    topics : Topics
-    joints : Joints
-    line : RequestLine
-    services : PlanServices
-    judge : PoseJudge
-    around : Surroundings
-    publish : callable
-        Takes topic, payload and QoS.
-    refuse : callable
-        Counts a refused input; takes reason and sentence.
-    source_of : callable
-        Takes an account; returns who asks, for the reviewer.
+    Args:
+        publish: Takes topic, payload and QoS.
+        refuse: Counts a refused input; takes reason and sentence.
+        source_of: Takes an account; returns who asks, for the reviewer.
     """
 
     def __init__(
@@ -150,12 +135,8 @@ class RequestDesk:
     def on_plan_request(self, account: str, payload: bytes, retained: bool) -> None:
         """Take a wish; it is carried out in its turn, unless what its screen had shown is too old by then.
 
-        Parameters
-        ----------
-        account : str
-            In the topic's name.
-        payload : bytes
-        retained : bool
+        Args:
+            account: In the topic's name.
         """
         name = kind = ""
         try:

@@ -24,18 +24,11 @@ from construction_twin.scene.scene_change import SceneChange
 class Answer:
     """The answer to a request.
 
-    Attributes
-    ----------
-    success : bool
-    sentence : str
-    plan_id, plan_hash : str
-        Empty without a plan.
-    duration : float
-        Of the plan [s].
-    fraction : float
-        Fraction of a tool path that can be followed.
-    retimed : str
-        Why the times that were asked for were replaced; empty: they were kept.
+    Attributes:
+        plan_id, plan_hash: Empty without a plan.
+        duration: Of the plan [s].
+        fraction: Fraction of a tool path that can be followed.
+        retimed: Why the times that were asked for were replaced; empty: they were kept.
     """
 
     success: bool
@@ -55,15 +48,10 @@ class Answer:
 class OccupiedSpace:
     """The space that the other arm occupies, with the distance that a plan keeps from it.
 
-    Parameters
-    ----------
-    other : OtherArm
-    name : str
-        Of the other arm.
-    max_pose_age : float
-        Its pose may be this old [s].
-    padding : float
-        The distance [m].
+    Args:
+        name: Of the other arm.
+        max_pose_age: Its pose may be this old [s].
+        padding: The distance [m].
     """
 
     def __init__(self, other: OtherArm, name: str, max_pose_age: float, padding: float):
@@ -90,23 +78,14 @@ class OccupiedSpace:
 class RequestHandler:
     """Makes and publishes a plan for each request, one at a time.
 
-    Parameters
-    ----------
-    pipeline : PlanningPipeline
-    diagnostics : NodeDiagnostics
-        Counts the failures.
-    scene_publishers : callable
-        Returns how many nodes publish the scene now.
-    scene_timeout : float
-        A request waits this long for a scene [s].
-    publish : callable
-        Takes the plan, and what a work plan does to the scene; publishes it and returns a sentence about it.
-    publish_outcome : callable
-        Takes success, request, sentence and the plan's id ("" without a plan).
-    space : OccupiedSpace, optional
-        The other arm's, which the pipeline asks.
-    demand_free : callable, optional
-        Raises `EngagedError` while the arm is inside an engaged segment that it was left in.
+    Args:
+        diagnostics: Counts the failures.
+        scene_publishers: Returns how many nodes publish the scene now.
+        scene_timeout: A request waits this long for a scene [s].
+        publish: Takes the plan, and what a work plan does to the scene; publishes it and returns a sentence about it.
+        publish_outcome: Takes success, request, sentence and the plan's id ("" without a plan).
+        space: The other arm's, which the pipeline asks.
+        demand_free: Raises `EngagedError` while the arm is inside an engaged segment that it was left in.
     """
 
     def __init__(
@@ -149,15 +128,10 @@ class RequestHandler:
     ) -> Answer:
         """Read what a request refers to, then make and publish a plan. Every failure becomes an answer here.
 
-        Parameters
-        ----------
-        read : callable
-            Returns what makes the plan.
-        asked : PlanRequest
-        changes : sequence of SceneChange, optional
-            What a work plan does to the scene, published with it; `read` may fill it.
-        back : bool, optional
-            It is the way back out of an engaged segment, the only plan for an arm that was left inside.
+        Args:
+            read: Returns what makes the plan.
+            changes: What a work plan does to the scene, published with it; `read` may fill it.
+            back: It is the way back out of an engaged segment, the only plan for an arm that was left inside.
         """
         try:
             if not back:

@@ -17,20 +17,13 @@ from construction_twin.core.units import NANOSECONDS
 class Request:
     """A request that may wait.
 
-    Attributes
-    ----------
-    what : str
-        ``trajectory`` or ``plan_request``, for sentences.
-    id, sender : str
-        As the message has it; the account of its topic, empty for none.
-    payload : bytes
-        The whole message: the same bytes of the same sender are the same request, sent twice.
-    ack : str
-        Topic of the answer.
-    carry_out : callable
-        Does it; returns the answer's payload.
-    refuse : callable
-        Takes a sentence; returns the payload of the answer that says no.
+    Attributes:
+        what: ``trajectory`` or ``plan_request``, for sentences.
+        id, sender: As the message has it; the account of its topic, empty for none.
+        payload: The whole message: the same bytes of the same sender are the same request, sent twice.
+        ack: Topic of the answer.
+        carry_out: Does it; returns the answer's payload.
+        refuse: Takes a sentence; returns the payload of the answer that says no.
     """
 
     what: str
@@ -50,20 +43,13 @@ class Request:
 class RequestLine:
     """The line; requests come from the connection's thread, and are carried out in another.
 
-    Parameters
-    ----------
-    most : int
-        Requests that may wait.
-    repeat_window : float
-        For so long after its answer the same message is the same request [s].
-    pause : float
-        Shortest time between two requests of one sender [s].
-    clock : callable
-        Returns the present time [s], monotonic.
-    publish : callable
-        Takes topic and payload of an answer.
-    refuse : callable
-        Counts a refused input; takes reason and sentence.
+    Args:
+        most: Requests that may wait.
+        repeat_window: For so long after its answer the same message is the same request [s].
+        pause: Shortest time between two requests of one sender [s].
+        clock: Returns the present time [s], monotonic.
+        publish: Takes topic and payload of an answer.
+        refuse: Counts a refused input; takes reason and sentence.
     """
 
     def __init__(

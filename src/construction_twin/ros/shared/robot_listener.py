@@ -41,20 +41,14 @@ _REPORTS = {
 class RobotListener:
     """Keeps the newest message of each report, from the node that publishes it.
 
-    Parameters
-    ----------
-    namespace : str
-        Of the robot, absolute: ``/kr120``.
-    robot : RobotModel
-    rates : bool, optional
-        Also count the 250 Hz streams, without unpacking them, and listen to `/diagnostics`.
-    refuse : callable, optional
-        Called as ``refuse(reason, sentence)`` for a report from another node than the one that publishes it; by default a warning.
+    Args:
+        namespace: Of the robot, absolute: ``/kr120``.
+        rates: Also count the 250 Hz streams, without unpacking them, and listen to `/diagnostics`.
+        refuse: Called as ``refuse(reason, sentence)`` for a report from another node than the one that publishes it; by default a
+            warning.
 
-    Attributes
-    ----------
-    refused : str
-        Why the last plan that was received could not be read; empty when it could.
+    Attributes:
+        refused: Why the last plan that was received could not be read; empty when it could.
     """
 
     def __init__(

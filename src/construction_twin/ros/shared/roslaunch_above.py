@@ -49,13 +49,9 @@ def roslaunch_above() -> tuple[int, RoslaunchCall] | None:
 def say_below(sentence: str, pid: int | None, patience: float = PATIENCE) -> None:
     """Have a sentence printed on standard error when another process has ended.
 
-    Parameters
-    ----------
-    sentence : str
-    pid : int or None
-        The process below whose last line the sentence is to stand; None: there is no such process.
-    patience : float, optional
-        Nothing is printed when the process has not ended by then [s].
+    Args:
+        pid: The process below whose last line the sentence is to stand; None: there is no such process.
+        patience: Nothing is printed when the process has not ended by then [s].
     """
     if pid is None:
         return

@@ -29,13 +29,9 @@ REMOTE = 30.0
 class Claim:
     """A roslaunch that starts a robot.
 
-    Attributes
-    ----------
-    host : str
-    pid, began : int
-        Its number, and when it began in the kernel's clock ticks: numbers are used again.
-    at : float
-        When it claimed the robot, on the wall clock [s].
+    Attributes:
+        pid, began: Its number, and when it began in the kernel's clock ticks: numbers are used again.
+        at: When it claimed the robot, on the wall clock [s].
     """
 
     host: str
@@ -64,17 +60,11 @@ def claim(robot: str, uri: str, pid: int, folder: Path | None = None, clock: Cal
 
     Two that ask at the very same moment may both be refused, never both be let through.
 
-    Parameters
-    ----------
-    robot : str
-    uri : str
-        Of the master, which need not run yet.
-    pid : int
-        Of the roslaunch that starts the robot.
-    folder : Path, optional
-        For this user's claims on this machine.
-    clock : callable, optional
-        Returns the wall clock's time [s].
+    Args:
+        uri: Of the master, which need not run yet.
+        pid: Of the roslaunch that starts the robot.
+        folder: For this user's claims on this machine.
+        clock: Returns the wall clock's time [s].
     """
     own = Claim.of(pid, clock())
     other = _claim_in_file(own, robot, uri, folder or Path(tempfile.gettempdir(), f"construction_twin_{os.getuid()}"))

@@ -1,5 +1,6 @@
 """Keeps on the parameter server what a node that is started again must know: the session in which the gate is STOPPED, or why the
-link waits for a person."""
+link waits for a person.
+"""
 
 from __future__ import annotations
 
@@ -21,19 +22,13 @@ _AGAIN = NANOSECONDS
 class StopMemory:
     """A text on the parameter server, empty when nothing is stopped: the session of a gate, or the sentence of a link.
 
-    Parameters
-    ----------
-    session : str
-        What is on the parameter server now.
-    write : callable
-        Puts a text there. It may take as long as the master does, so it is called in a thread of its own.
-    name : str, optional
-        Of the parameter.
+    Args:
+        session: What is on the parameter server now.
+        write: Puts a text there. It may take as long as the master does, so it is called in a thread of its own.
+        name: Of the parameter.
 
-    Attributes
-    ----------
-    problem : str
-        Why it could not be kept; empty when it could.
+    Attributes:
+        problem: Why it could not be kept; empty when it could.
     """
 
     def __init__(self, session: str, write: Callable[[str], object], name: str = PARAMETER):

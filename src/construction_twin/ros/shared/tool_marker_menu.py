@@ -41,20 +41,12 @@ class ShownPlan:
 class ToolMarkerMenu:
     """Carries out what an operator chooses.
 
-    Parameters
-    ----------
-    client : OperatorClient
-    under_review : callable
-        Returns the plan that waits for a verdict, or None.
-    goal : MarkerGoal
-    home : sequence of float, length n
-        The robot's home pose [rad], [m] for prismatic joints.
-    reviewer : str
-        Who approves and rejects.
-    say : callable
-        Shows a sentence to the operator.
-    run : callable, optional
-        ``run(title, action)`` runs an action; `in_thread` by default.
+    Args:
+        under_review: Returns the plan that waits for a verdict, or None.
+        home: Length n. The robot's home pose [rad], [m] for prismatic joints.
+        reviewer: Who approves and rejects.
+        say: Shows a sentence to the operator.
+        run: ``run(title, action)`` runs an action; `in_thread` by default.
     """
 
     def __init__(

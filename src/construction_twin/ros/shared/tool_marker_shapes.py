@@ -42,13 +42,9 @@ _AXES = {"x": (_HALF, 0.0, 0.0, _HALF), "y": (0.0, 0.0, _HALF, _HALF), "z": (0.0
 def tool_marker(frame: str, pose: PoseMsg, scale: float) -> InteractiveMarker:
     """Return the interactive marker: it moves along and turns about its axes, and opens the menu.
 
-    Parameters
-    ----------
-    frame : str
-        tf frame of the pose. The stamp is 0: rviz then keeps the marker in this frame, and reports poses in it.
-    pose : geometry_msgs/Pose
-    scale : float
-        [m]
+    Args:
+        frame: tf frame of the pose. The stamp is 0: rviz then keeps the marker in this frame, and reports poses in it.
+        scale: [m]
     """
     marker = InteractiveMarker(name=NAME, description="", pose=pose, scale=scale)
     marker.header.frame_id = frame
@@ -72,17 +68,11 @@ def tool_marker(frame: str, pose: PoseMsg, scale: float) -> InteractiveMarker:
 def verdict_markers(frame: str, pose: PoseMsg, scale: float, reach: Reach | None, lines: list[str]) -> MarkerArray:
     """Return the coloured sphere and the text.
 
-    Parameters
-    ----------
-    frame : str
-    pose : geometry_msgs/Pose
-        Of the interactive marker, in that frame.
-    scale : float
-        Of the interactive marker [m].
-    reach : Reach or None
-        None: not known.
-    lines : list of str
-        Wrapped where they are long.
+    Args:
+        pose: Of the interactive marker, in that frame.
+        scale: Of the interactive marker [m].
+        reach: None: not known.
+        lines: Wrapped where they are long.
     """
     sphere = Marker(ns="verdict", id=0, type=Marker.SPHERE, pose=pose, color=ColorRGBA(*COLOURS[reach]))
     sphere.scale = Vector3(*[_SPHERE * scale] * 3)

@@ -28,22 +28,15 @@ _SERIOUS = (SyncState.STOPPED, SyncState.FAULT)
 class TransitionReport:
     """Publishes and records transitions.
 
-    Parameters
-    ----------
-    file : str
-        Log file: absolute, or relative to ROS_HOME.
-    names : tuple of str
-        Joint names.
+    Args:
+        file: Log file: absolute, or relative to ROS_HOME.
+        names: Joint names.
 
-    Attributes
-    ----------
-    problem : str
-        Why the log cannot be written; empty when it can.
+    Attributes:
+        problem: Why the log cannot be written; empty when it can.
 
-    Raises
-    ------
-    ConfigurationError
-        When the log cannot be opened.
+    Raises:
+        ConfigurationError: When the log cannot be opened.
     """
 
     def __init__(self, file: str, names: tuple[str, ...]):

@@ -27,16 +27,10 @@ from construction_twin.work.task_states import UNDER_WAY, TaskState
 class WorkFollower:
     """Writes how the task under way goes on and ends.
 
-    Parameters
-    ----------
-    desk : SharedDesk
-    heard : WorkListener
-    chain : Chain
-        Of the arm.
-    arm_pose : callable
-        Returns the physical arm's present joint positions [rad], [m]; raises PoseUnknownError or PayloadError.
-    refuse : callable
-        Counts what could not be used; takes reason and sentence.
+    Args:
+        chain: Of the arm.
+        arm_pose: Returns the physical arm's present joint positions [rad], [m]; raises PoseUnknownError or PayloadError.
+        refuse: Counts what could not be used; takes reason and sentence.
     """
 
     def __init__(

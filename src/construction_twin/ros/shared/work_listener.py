@@ -30,11 +30,8 @@ _KEPT_PLANS, _KEPT_SCENES = 4, 12
 class KnownPlan:
     """A work plan that was published.
 
-    Attributes
-    ----------
-    message : Plan
-    steps : tuple of Step
-        What its segments change in the scene.
+    Attributes:
+        steps: What its segments change in the scene.
     """
 
     message: Plan
@@ -44,26 +41,15 @@ class KnownPlan:
 class WorkListener:
     """Takes the messages of the topics, from rospy's threads; `start` of the node subscribes to them.
 
-    Parameters
-    ----------
-    publishers : callable
-        Takes ``execution``, ``plan`` or ``tool``; returns how many nodes that are heard publish it now.
-    ends : callable
-        Returns whether this process is to end: nothing is waited for then.
-    review_file : Path
-        The executor's record of verdicts.
-    refuse : callable
-        Counts a refused message; takes reason and sentence.
+    Args:
+        publishers: Takes ``execution``, ``plan`` or ``tool``; returns how many nodes that are heard publish it now.
+        ends: Returns whether this process is to end: nothing is waited for then.
+        review_file: The executor's record of verdicts.
+        refuse: Counts a refused message; takes reason and sentence.
 
-    Attributes
-    ----------
-    execution : Execution or None
-    plan : Plan or None
-        The one that was published last.
-    engagement : Engagement or None
-        None: the executor has not said yet whether the arm is engaged.
-    scene : Scene or None
-    tool : ToolState or None
+    Attributes:
+        plan: The one that was published last.
+        engagement: None: the executor has not said yet whether the arm is engaged.
     """
 
     def __init__(
@@ -228,12 +214,9 @@ class WorkListener:
     def verdict(self, plan_id: str, offer: str) -> Verdict:
         """Return what became of a plan, from the topics, else from the executor's record.
 
-        Parameters
-        ----------
-        plan_id : str
-            Empty: the plan is known by the offer alone.
-        offer : str
-            Part of the plan's source; empty: its id must fit.
+        Args:
+            plan_id: Empty: the plan is known by the offer alone.
+            offer: Part of the plan's source; empty: its id must fit.
         """
         plan = self.plan
         if plan is not None and (plan.id == plan_id or (offer and offer in plan.source)):

@@ -28,20 +28,12 @@ SCENE_TIME = 2.0
 class WorkScene:
     """Has the scene changed by the scene node. To be called without the desk's lock: the scene node is waited for.
 
-    Parameters
-    ----------
-    desk : SharedDesk
-    heard : WorkListener
-    follower : WorkFollower
-    edit_scene : callable
-        The scene node's service, see `Call`.
-    refuse : callable
-        Counts what could not be done; takes reason and sentence.
+    Args:
+        edit_scene: The scene node's service, see `Call`.
+        refuse: Counts what could not be done; takes reason and sentence.
 
-    Attributes
-    ----------
-    blocked : str
-        Why the scene of an engaged arm cannot be made right; empty: it can, or no arm is engaged.
+    Attributes:
+        blocked: Why the scene of an engaged arm cannot be made right; empty: it can, or no arm is engaged.
     """
 
     def __init__(

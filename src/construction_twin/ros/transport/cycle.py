@@ -38,12 +38,9 @@ class Cycles:
     def __iter__(self) -> Iterator[tuple[int, int]]:
         """Wait for one cycle after the other until ROS shuts down.
 
-        Yields
-        ------
-        stamp : int
-            The cycle's nominal stamp [ns], a multiple of 4 ms.
-        stalled : int
-            0, or for how long the grid was interrupted because this process was not run for more than `CATCH_UP` [ns].
+        Yields:
+            stamp: The cycle's nominal stamp [ns], a multiple of 4 ms.
+            stalled: 0, or for how long the grid was interrupted because this process was not run for more than `CATCH_UP` [ns].
         """
         while not rospy.is_shutdown():
             self._stamp += CYCLE_NS

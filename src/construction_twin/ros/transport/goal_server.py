@@ -24,18 +24,12 @@ class GoalServer(ActionServer):
     rospy's subscriber would log such an error and go on; its publisher starts a thread per client that is no daemon, and complains
     about what is published while the node ends.
 
-    Parameters
-    ----------
-    name : str
-        Of the action.
-    kind : type
-        Of the action: ``...Action``.
-    on_goal, on_cancel : callable
-        Take the goal's handle; in rospy's threads, with the server's lock held.
-    refused : callable
-        See `Subscriber`.
-    recalled : callable
-        Returns the result of a goal that was cancelled before it came, from a sentence.
+    Args:
+        name: Of the action.
+        kind: Of the action: ``...Action``.
+        on_goal, on_cancel: Take the goal's handle; in rospy's threads, with the server's lock held.
+        refused: See `Subscriber`.
+        recalled: Returns the result of a goal that was cancelled before it came, from a sentence.
     """
 
     def __init__(

@@ -40,21 +40,14 @@ def now_ns() -> int:
 def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ...]:
     """Return a joint state's positions in the order of `names`.
 
-    Parameters
-    ----------
-    message : sensor_msgs/JointState or construction_twin/Feedback
-    names : tuple of str
-        The robot's joint names.
+    Args:
+        names: The robot's joint names.
 
-    Returns
-    -------
-    q : tuple, shape (n,)
-        [rad]
+    Returns:
+        Shape (n,). [rad]
 
-    Raises
-    ------
-    PayloadError
-        ``names`` or ``values``, when it does not hold exactly these joints with finite positions.
+    Raises:
+        PayloadError: ``names`` or ``values``, when it does not hold exactly these joints with finite positions.
     """
     if tuple(message.name) == names and len(message.position) == len(names):
         q = tuple(message.position)
@@ -80,13 +73,9 @@ def _not_finite(q: tuple[float, ...]) -> PayloadError:
 class JointPublisher:
     """Publishes poses of one robot on one topic.
 
-    Parameters
-    ----------
-    topic : str
-    names : tuple of str
-        The robot's joint names.
-    kind : type, optional
-        `sensor_msgs/JointState` or `construction_twin/Feedback`.
+    Args:
+        names: The robot's joint names.
+        kind: `sensor_msgs/JointState` or `construction_twin/Feedback`.
     """
 
     def __init__(self, topic: str, names: tuple[str, ...], kind: type = JointState):
@@ -101,21 +90,13 @@ class JointPublisher:
 class JointSubscriber:
     """Hands a topic's poses to a callback, from the topic's own publisher; see `Subscriber`.
 
-    Parameters
-    ----------
-    topic : str
-    names : tuple of str
-    callback : callable
-        Called as ``callback(stamp, q)`` with ns and rad; for feedback as ``callback(stamp, q, seq, command_stamp)``.
-    refused : callable
-        Called as ``refused(reason, sentence)`` for a message that is not used.
-    queue_size : int, optional
-        Messages kept for a callback that is busy; of more the oldest are dropped.
-    kind : type, optional
-        `sensor_msgs/JointState` or `construction_twin/Feedback`.
-    pause : float, optional
-        How long to read nothing after each message [s]. With a `queue_size` of 1 the callback then gets the newest of what came in
-        the meantime, and the thread is not woken up for the others.
+    Args:
+        callback: Called as ``callback(stamp, q)`` with ns and rad; for feedback as ``callback(stamp, q, seq, command_stamp)``.
+        refused: Called as ``refused(reason, sentence)`` for a message that is not used.
+        queue_size: Messages kept for a callback that is busy; of more the oldest are dropped.
+        kind: `sensor_msgs/JointState` or `construction_twin/Feedback`.
+        pause: How long to read nothing after each message [s]. With a `queue_size` of 1 the callback then gets the newest of what
+            came in the meantime, and the thread is not woken up for the others.
     """
 
     def __init__(

@@ -25,14 +25,10 @@ NEXT_MESSAGE = 0.01
 class StampedPose:
     """A pose and its times.
 
-    Attributes
-    ----------
-    positions : tuple, shape (n,)
-        [rad], or [m] for prismatic joints, in the order of the names.
-    stamp : int
-        Of its header [ns].
-    received : float
-        Monotonic time at which it was read [s].
+    Attributes:
+        positions: Shape (n,). [rad], or [m] for prismatic joints, in the order of the names.
+        stamp: Of its header [ns].
+        received: Monotonic time at which it was read [s].
     """
 
     positions: tuple[float, ...]
@@ -43,13 +39,9 @@ class StampedPose:
 class LatestPose:
     """Listens to a `sensor_msgs/JointState` topic, in bundles: waking up for every message would cost several times as much.
 
-    Parameters
-    ----------
-    topic : str
-    names : tuple of str
-        The robot's joint names.
-    refused : callable
-        See `Subscriber`.
+    Args:
+        names: The robot's joint names.
+        refused: See `Subscriber`.
     """
 
     def __init__(self, topic: str, names: tuple[str, ...], refused: Callable[[str, str], None]):
@@ -67,23 +59,13 @@ class LatestPose:
     def newest(self, oldest: float, patience: float = 0.0) -> StampedPose:
         """Return the newest pose with its times.
 
-        Parameters
-        ----------
-        oldest : float
-            Greatest age of its message, since reception [s].
-        patience : float, optional
-            How long to wait for one [s]: right after the start the first may not have come yet.
+        Args:
+            oldest: Greatest age of its message, since reception [s].
+            patience: How long to wait for one [s]: right after the start the first may not have come yet.
 
-        Returns
-        -------
-        newest : StampedPose
-
-        Raises
-        ------
-        PoseUnknownError
-            If there is none that is young enough.
-        PayloadError
-            If it does not hold exactly these joints with finite positions.
+        Raises:
+            PoseUnknownError: If there is none that is young enough.
+            PayloadError: If it does not hold exactly these joints with finite positions.
         """
         with self._news:
             reads = self._reads

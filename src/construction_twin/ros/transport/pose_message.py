@@ -23,18 +23,13 @@ _TAILS = {JointState: "2I", Feedback: "Q2I"}
 class PoseMessage:
     """Writes and reads the messages of one type and one robot.
 
-    Parameters
-    ----------
-    kind : type
-        `sensor_msgs/JointState` or `construction_twin/Feedback`.
-    names : tuple of str
-        The robot's joint names.
+    Args:
+        kind: `sensor_msgs/JointState` or `construction_twin/Feedback`.
+        names: The robot's joint names.
 
-    Attributes
-    ----------
-    received : type
-        Give it to `rospy.Subscriber` in place of `kind`. Its ``content`` is what `read` returns; the fields of `kind`
-        are filled in where that is None, or when one is read.
+    Attributes:
+        received: Give it to `rospy.Subscriber` in place of `kind`. Its ``content`` is what `read` returns; the fields of `kind` are
+            filled in where that is None, or when one is read.
     """
 
     def __init__(self, kind: type, names: tuple[str, ...]):
@@ -52,21 +47,14 @@ class PoseMessage:
     def write(self, number: int, stamp: int, q: tuple[float, ...], seq: int, command_stamp: int) -> bytes:
         """Return a message's bytes.
 
-        Parameters
-        ----------
-        number : int
-            The header's ``seq``: how many messages the topic has seen.
-        stamp : int
-            The header's stamp [ns].
-        q : tuple, shape (n,)
-            [rad], [m] where linear, in the order of the names.
-        seq, command_stamp : int
-            Of Feedback, the stamp in ns.
+        Args:
+            number: The header's ``seq``: how many messages the topic has seen.
+            stamp: The header's stamp [ns].
+            q: Shape (n,). [rad], [m] where linear, in the order of the names.
+            seq, command_stamp: Of Feedback, the stamp in ns.
 
-        Raises
-        ------
-        struct.error
-            When a number is missing, or is none.
+        Raises:
+            struct.error: When a number is missing, or is none.
         """
         tail = (0, 0) if self._kind is JointState else (seq, *divmod(command_stamp, NANOSECONDS))
         return self._struct.pack(number, *divmod(stamp, NANOSECONDS), self._names, *q, *tail)

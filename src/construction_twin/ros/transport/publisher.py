@@ -48,16 +48,12 @@ class DirectConnection:
     thread switches per message and subscriber. Here the publishing thread sends a message itself as long as the socket takes it
     without waiting; only what it does not take goes to a thread, which ends when the subscriber has caught up.
 
-    Parameters
-    ----------
-    connection : rospy.impl.transport.Transport
-    queue_size : int
-        Messages kept for a subscriber that is busy; of more the oldest are dropped.
+    Args:
+        connection: Rospy.impl.transport.Transport
+        queue_size: Messages kept for a subscriber that is busy; of more the oldest are dropped.
 
-    Attributes
-    ----------
-    catching_up : bool
-        Whether messages wait for a subscriber that is too slow.
+    Attributes:
+        catching_up: Whether messages wait for a subscriber that is too slow.
     """
 
     def __init__(self, connection, queue_size: int):
@@ -73,10 +69,8 @@ class DirectConnection:
     def write_data(self, data: bytes) -> bool:
         """Send a message, or put it behind those that the subscriber has not taken yet.
 
-        Raises
-        ------
-        TransportTerminated
-            When the subscriber is gone; rospy then forgets the connection.
+        Raises:
+            TransportTerminated: When the subscriber is gone; rospy then forgets the connection.
         """
         with self._lock:
             if self._error is not None:

@@ -47,15 +47,11 @@ PUBLISHER = "publisher"
 def publisher_of(topic: str) -> str | None:
     """Return the resolved name of the only node that may publish a topic; None when everybody may.
 
-    Parameters
-    ----------
-    topic : str
-        A stream in the node's own namespace (``sync``), or in another robot's (``/kr120_b/sync``).
+    Args:
+        topic: A stream in the node's own namespace (``sync``), or in another robot's (``/kr120_b/sync``).
 
-    Raises
-    ------
-    ConfigurationError
-        When the parameter `publishers` is no mapping from these streams to names.
+    Raises:
+        ConfigurationError: When the parameter `publishers` is no mapping from these streams to names.
     """
     streams = (*PUBLISHERS, *FOR_ANYBODY)
     stream = next((name for name in streams if topic == name or topic.endswith(f"/{name}")), None)
@@ -86,22 +82,13 @@ def hand_on_error() -> None:
 class Subscriber:
     """As `rospy.Subscriber`, for one publisher.
 
-    Parameters
-    ----------
-    topic : str
-    kind : type
-    callback : callable
-        Takes the message. An exception that leaves it goes to `threading.excepthook`; rospy would log it and go on.
-    refused : callable
-        Called as ``refused(reason, sentence)`` for a message from another node than `publisher_of` the topic.
-    queue_size : int
-        Messages kept for a callback that is busy; of more the oldest are dropped.
-    tcp_nodelay : bool, optional
+    Args:
+        callback: Takes the message. An exception that leaves it goes to `threading.excepthook`; rospy would log it and go on.
+        refused: Called as ``refused(reason, sentence)`` for a message from another node than `publisher_of` the topic.
+        queue_size: Messages kept for a callback that is busy; of more the oldest are dropped.
 
-    Attributes
-    ----------
-    publisher : str or None
-        Resolved name of the only node that is heard; None: everybody is.
+    Attributes:
+        publisher: Resolved name of the only node that is heard; None: everybody is.
     """
 
     def __init__(

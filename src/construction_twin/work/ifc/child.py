@@ -17,14 +17,11 @@ from pathlib import Path
 def main(arguments: list[str]) -> int:
     """Read a file and write what is in it.
 
-    Parameters
-    ----------
-    arguments : list of str
-        File, output, and the bounds: its largest size [bytes], memory [bytes], processor time [s], and the number of the pipe.
+    Args:
+        arguments: File, output, and the bounds: its largest size [bytes], memory [bytes], processor time [s], and the number of the
+            pipe.
 
-    Returns
-    -------
-    int
+    Returns:
         The exit code.
     """
     path, output = arguments[:2]

@@ -65,17 +65,12 @@ IN_PIECES = "it is in {} pieces that do not touch, after its openings; it stands
 class Shape:
     """What the kernel made of a product.
 
-    Attributes
-    ----------
-    id : int
-        The product's.
-    bodies : tuple of Body
-        In the frame of `model_T_shape`.
-    model_T_shape : array, shape (4, 4)
-        [m]
-    doubt : str
-        Why the bodies are not one workpiece as the model says, and what stands for it: one hull around everything it can mean, or,
-        of an element in pieces, its bodies. Empty: they are.
+    Attributes:
+        id: The product's.
+        bodies: In the frame of `model_T_shape`.
+        model_T_shape: Shape (4, 4). [m]
+        doubt: Why the bodies are not one workpiece as the model says, and what stands for it: one hull around everything it can
+            mean, or, of an element in pieces, its bodies. Empty: they are.
     """
 
     id: int
@@ -100,24 +95,14 @@ def shapes(
 ) -> Iterator[Shape]:
     """Make the bodies of products.
 
-    Parameters
-    ----------
-    file : ifcopenshell.file
-    name : str
-        For messages.
-    bodies : mapping of int to entity
-        Body representation by the product's id.
-    cut : frozenset of int
-        Products that something is cut from.
-    unit : float
-        Metres per length unit.
-    notes : Notes
-    progress : callable
-        Takes how many are done, of how many.
+    Args:
+        name: For messages.
+        bodies: Body representation by the product's id.
+        cut: Products that something is cut from.
+        unit: Metres per length unit.
+        progress: Takes how many are done, of how many.
 
-    Raises
-    ------
-    BuildingError
+    Raises BuildingError.
     """
     if not bodies:
         return
@@ -164,10 +149,8 @@ def shapes(
 def pieces_of(bodies: Sequence[Body]) -> int:
     """Return into how many pieces that do not touch each other the closed ones of these bodies fall.
 
-    Parameters
-    ----------
-    bodies : sequence of Body
-        Normals outwards.
+    Args:
+        bodies: Normals outwards.
     """
     pieces = [
         (body.vertices[used], corners.reshape(-1, 3))
@@ -232,9 +215,8 @@ def _crossed(items: list[Item], unit: float) -> list[np.ndarray]:
 def hull(points: np.ndarray) -> tuple[Body, ...]:
     """Return the convex hull of points as one body; none where they lie in a plane.
 
-    Parameters
-    ----------
-    points : array, shape (n, 3)
+    Args:
+        points: Shape (n, 3)
     """
     try:
         found = ConvexHull(points)
@@ -283,9 +265,7 @@ def _arrays(geometry: object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def check_mesh(name: str, product: ifcopenshell.entity_instance, vertices: np.ndarray, total: int) -> None:
     """Check what the kernel made.
 
-    Raises
-    ------
-    BuildingError
+    Raises BuildingError.
     """
     what = f"element {product.GlobalId!r}"
     if total > MOST_TRIANGLES:

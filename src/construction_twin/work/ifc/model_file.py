@@ -36,11 +36,9 @@ _TEXTS = ("id", "ifc_class", "name", "type_name", "tag", "storey", "material", "
 def save(model: BuildingModel, path: Path) -> None:
     """Write a model.
 
-    Raises
-    ------
-    OSError
-    BuildingError
-        If it is larger than what would be read again.
+    Raises:
+        BuildingError: If it is larger than what would be read again.
+        OSError: If it cannot be written.
     """
     elements: list[dict[str, Any]] = []
     vertices, triangles, extrusions, corners = [], [], [], []
@@ -96,19 +94,13 @@ def _joined(arrays: list[np.ndarray], kind: type, width: int) -> np.ndarray:
 def load(path: Path, file: str, digest: str) -> BuildingModel:
     """Read a model.
 
-    Parameters
-    ----------
-    path : Path
-    file : str
-        Name of the IFC file.
-    digest : str
-        SHA-256 of the IFC file that it must be of.
+    Args:
+        file: Name of the IFC file.
+        digest: SHA-256 of the IFC file that it must be of.
 
-    Raises
-    ------
-    BuildingError
-        If it is not what `save` writes.
-    OSError
+    Raises:
+        BuildingError: If it is not what `save` writes.
+        OSError: If it cannot be read.
     """
     arrays = _arrays(path, file)
     try:

@@ -24,14 +24,10 @@ class Notes:
     def add(self, sentence: str, about: str = "", at: str = "") -> None:
         """Add a sentence, or one more thing that an earlier one holds for.
 
-        Parameters
-        ----------
-        sentence : str
-            Without a full stop; must make sense for one and for many: ``geometry that could not be made, left out``.
-        about : str
-            Name or GlobalId; empty: the sentence says it all.
-        at : str
-            Id of the element or task whose remark it is; by default what it is about.
+        Args:
+            sentence: Without a full stop; must make sense for one and for many: ``geometry that could not be made, left out``.
+            about: Name or GlobalId; empty: the sentence says it all.
+            at: Id of the element or task whose remark it is; by default what it is about.
         """
         self._about.setdefault(sentence, []).append(about)
         self.remark(sentence, at or about)
@@ -51,10 +47,8 @@ class Notes:
     def sentences(self, names: Mapping[str, str] | None = None) -> tuple[str, ...]:
         """Return them; beyond the first few a sentence only counts what it is about.
 
-        Parameters
-        ----------
-        names : mapping of str to str, optional
-            By id: what is noted by its id alone has its name, too. Empty: it has none.
+        Args:
+            names: By id: what is noted by its id alone has its name, too. Empty: it has none.
         """
         called = {one: f"{name} ({one})" for one, name in (names or {}).items() if name}
         return tuple(
@@ -74,17 +68,13 @@ def _sentence(text: str, named: list[str]) -> str:
 class Where:
     """Says which file and entity cannot be read, when ifcopenshell raises an exception of its own.
 
-    Parameters
-    ----------
-    file : str
-        Name for messages.
-    entity : object
-        Anything that prints as what is being read, a cheap one: it is made for each entity.
+    Args:
+        file: Name for messages.
+        entity: Anything that prints as what is being read, a cheap one: it is made for each entity.
 
-    Notes
-    -----
-    A broken file can make ifcopenshell raise almost anything (a value of another type than the schema's makes Python code that
-    trusts the schema fail): all but our own errors and the want of memory become `BuildingError`.
+    Note:
+        A broken file can make ifcopenshell raise almost anything (a value of another type than the schema's makes Python code that
+        trusts the schema fail): all but our own errors and the want of memory become `BuildingError`.
     """
 
     def __init__(self, file: str, entity: object):

@@ -16,12 +16,9 @@ FARTHEST = 1e8
 class Placements:
     """Placements of a file, each computed once.
 
-    Parameters
-    ----------
-    name : str
-        The file's, for messages.
-    unit : float
-        Metres per length unit.
+    Args:
+        name: The file's, for messages.
+        unit: Metres per length unit.
     """
 
     def __init__(self, name: str, unit: float):
@@ -31,14 +28,10 @@ class Placements:
     def matrix(self, product: ifcopenshell.entity_instance) -> np.ndarray | None:
         """Return where a product is.
 
-        Returns
-        -------
-        array, shape (4, 4), or None
-            ``model_T_element`` [m]; None: on a grid or an alignment, where the geometry kernel knows it.
+        Returns:
+            Shape (4, 4). ``model_T_element`` [m]; None: on a grid or an alignment, where the geometry kernel knows it.
 
-        Raises
-        ------
-        BuildingError
+        Raises BuildingError.
         """
         with Where(self._name, product):
             placement = product.ObjectPlacement
@@ -77,9 +70,7 @@ class Placements:
 def check_rigid(name: str, entity: object, matrix: np.ndarray) -> None:
     """Check that a matrix is a rotation and a shift that a building can have.
 
-    Raises
-    ------
-    BuildingError
+    Raises BuildingError.
     """
     if not np.isfinite(matrix).all() or not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-6):
         raise BuildingError(

@@ -21,10 +21,9 @@ Outlines = tuple[np.ndarray, tuple[np.ndarray, ...]]
 def outlines(profile: ifcopenshell.entity_instance) -> Outlines | None:
     """Return outline and holes of a profile.
 
-    Returns
-    -------
-    (array of shape (k, 2), tuple of arrays of shape (k, 2)) or None
-        The outline counter-clockwise, holes clockwise, no corner repeated. None: it becomes no polygon.
+    Returns:
+        (array of shape (k, 2), tuple of arrays of shape (k, 2)) or None. The outline counter-clockwise, holes clockwise, no corner
+        repeated. None: it becomes no polygon.
     """
     kind = profile.is_a()
     if profile.ProfileType != "AREA":

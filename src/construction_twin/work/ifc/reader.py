@@ -95,16 +95,10 @@ class _Found:
 def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: None) -> BuildingModel:
     """Read a file.
 
-    Parameters
-    ----------
-    path : str or Path
-    most_bytes : int
-        Largest file.
-    progress : callable
+    Args:
+        most_bytes: Largest file.
 
-    Raises
-    ------
-    BuildingError
+    Raises BuildingError.
     """
     name = Path(path).name
     progress("open", 0, 1)
@@ -291,10 +285,8 @@ def _note_more(
 def _take_kernel_log(file: ifcopenshell.file, file_name: str, made: dict[int, Shape], notes: Notes) -> None:
     """Note what the kernel said of shapes; where a part of one is missing, it is doubted as a whole.
 
-    Raises
-    ------
-    BuildingError
-        If the kernel does not know in which unit the lengths are.
+    Raises:
+        BuildingError: If the kernel does not know in which unit the lengths are.
     """
     for said in kernel_says(ifcopenshell.get_log()):
         if said.code in NO_UNIT_CODES:

@@ -40,16 +40,11 @@ _LINE = 65536
 class Bounds:
     """What the reading of one file may take.
 
-    Attributes
-    ----------
-    file_bytes : int
-        Largest file.
-    memory_bytes : int
-        Address space of the process, of which the libraries take about 1 GiB.
-    cpu : float
-        Processor time [s].
-    wall : float
-        Time until it is ended [s]; more than `cpu`, for a machine that does something else as well.
+    Attributes:
+        file_bytes: Largest file.
+        memory_bytes: Address space of the process, of which the libraries take about 1 GiB.
+        cpu: Processor time [s].
+        wall: Time until it is ended [s]; more than `cpu`, for a machine that does something else as well.
     """
 
     file_bytes: int = 512 << 20
@@ -66,21 +61,13 @@ def read_building(
 ) -> BuildingModel:
     """Read an IFC file.
 
-    Parameters
-    ----------
-    path : str or Path
-    cache : str or Path, optional
-        Folder in which what was read is kept, by the file's SHA-256; made if it is not there. None: it is read every time.
-    bounds : Bounds, optional
-    progress : callable, optional
-        For a progress bar; not called when the model comes from the cache.
+    Args:
+        cache: Folder in which what was read is kept, by the file's SHA-256; made if it is not there. None: it is read every time.
+        progress: For a progress bar; not called when the model comes from the cache.
 
-    Raises
-    ------
-    BuildingError
-        One sentence: what is wrong with the file, or which bound its reading went over.
-    ConfigurationError
-        If ifcopenshell is not installed, or the cache cannot be written.
+    Raises:
+        BuildingError: One sentence: what is wrong with the file, or which bound its reading went over.
+        ConfigurationError: If ifcopenshell is not installed, or the cache cannot be written.
     """
     path, bounds = Path(path), bounds or Bounds()
     digest = _digest(path, bounds)
@@ -172,12 +159,9 @@ def _run(path: Path, output: Path, bounds: Bounds, progress: Progress) -> dict[s
 class _Heard:
     """What the reading process said.
 
-    Attributes
-    ----------
-    last : dict or None
-        Its message of success.
-    error : tuple of str or None
-        What, found, expected.
+    Attributes:
+        last: Its message of success.
+        error: What, found, expected.
     """
 
     def __init__(self) -> None:

@@ -14,14 +14,10 @@ from construction_twin.work.ifc.notes import Where, label
 class Relations:
     """Parents by the id of the part.
 
-    Attributes
-    ----------
-    whole : dict of int to entity
-        What a part is aggregated or nested into.
-    container : dict of int to entity
-        Spatial element that holds an element.
-    openings : frozenset of int
-        Ids of elements that have an opening.
+    Attributes:
+        whole: What a part is aggregated or nested into.
+        container: Spatial element that holds an element.
+        openings: Ids of elements that have an opening.
     """
 
     whole: dict[int, ifcopenshell.entity_instance]
@@ -51,10 +47,8 @@ class Relations:
 def read_relations(file: ifcopenshell.file, name: str) -> Relations:
     """Read them.
 
-    Raises
-    ------
-    BuildingError
-        If something is part of itself.
+    Raises:
+        BuildingError: If something is part of itself.
     """
     whole: dict[int, ifcopenshell.entity_instance] = {}
     # in IFC2x3 both are subtypes of IfcRelDecomposes; nesting of tasks and resources is read with them, for its loops

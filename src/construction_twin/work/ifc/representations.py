@@ -48,11 +48,8 @@ DEEPEST = 200
 class Item:
     """One item of a representation, mapped items resolved.
 
-    Attributes
-    ----------
-    entity : entity
-    placement : array, shape (4, 4), or None
-        Where mapped items put it, in the file's units; None: nowhere that is computed here.
+    Attributes:
+        placement: Shape (4, 4). Where mapped items put it, in the file's units; None: nowhere that is computed here.
     """
 
     entity: ifcopenshell.entity_instance
@@ -76,10 +73,8 @@ def body_of(product: ifcopenshell.entity_instance) -> ifcopenshell.entity_instan
 class Items:
     """Items of the representations of a file.
 
-    Parameters
-    ----------
-    name : str
-        The file's, for messages.
+    Args:
+        name: The file's, for messages.
     """
 
     def __init__(self, name: str):
@@ -89,9 +84,7 @@ class Items:
     def check(self, representation: ifcopenshell.entity_instance) -> None:
         """Check that a representation is no loop and of bounded size.
 
-        Raises
-        ------
-        BuildingError
+        Raises BuildingError.
         """
         self._count(representation, ())
 
@@ -146,11 +139,8 @@ def _resolved(representation: ifcopenshell.entity_instance, placement: np.ndarra
 def extrusion(item: Item, unit: float) -> Extrusion | None:
     """Return an item as an extrusion in the element's frame; None: it is none, or its profile becomes no polygon.
 
-    Parameters
-    ----------
-    item : Item
-    unit : float
-        Metres per length unit.
+    Args:
+        unit: Metres per length unit.
     """
     solid = item.entity
     if solid.is_a() != "IfcExtrudedAreaSolid" or item.placement is None:
@@ -188,12 +178,9 @@ def _moved(
 def extent(given: Extrusion) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Return an extrusion's bounding box in the element's frame and its volumes, to compare it with triangles.
 
-    Returns
-    -------
-    low, high : array, shape (3,)
-        [m]
-    volume, outer : float
-        With its holes, and as if it had none [m³].
+    Returns:
+        low, high: Shape (3,). [m]
+        volume, outer: With its holes, and as if it had none [m³].
     """
     corners = corners_of(given)
     outer, *holes = (_area(loop) for loop in (given.outline, *given.holes))

@@ -31,25 +31,15 @@ def write_schedule(
 ) -> None:
     """Write a copy of an IFC file that has one schedule more.
 
-    Parameters
-    ----------
-    source, target : path
-        Must not be the same file; `target` must not exist.
-    name : str
-        Of the IfcWorkSchedule; must be new in the file.
-    tasks : iterable of Task
-        Parents before or after what they nest; products by GlobalId, which must be in the file.
-    sequences : iterable of Sequence
-    created : datetime
-    description : str
-        Of the IfcWorkSchedule.
+    Args:
+        source, target: Must not be the same file; `target` must not exist.
+        name: Of the IfcWorkSchedule; must be new in the file.
+        tasks: Parents before or after what they nest; products by GlobalId, which must be in the file.
+        description: Of the IfcWorkSchedule.
 
-    Raises
-    ------
-    ConfigurationError
-        If `target` exists.
-    BuildingError
-        If the file cannot be read, has a task or a schedule of that name already, or lacks a product.
+    Raises:
+        ConfigurationError: If `target` exists.
+        BuildingError: If the file cannot be read, has a task or a schedule of that name already, or lacks a product.
     """
     source, target = Path(source), Path(target)
     if target.exists():
@@ -73,10 +63,8 @@ def add_schedule(
 ) -> None:
     """Add a schedule to an open file. See `write_schedule`, whose parameters and errors are the same.
 
-    Parameters
-    ----------
-    path : str
-        Name of the file in errors.
+    Args:
+        path: Name of the file in errors.
     """
     writer = _Writer(file, path, created)
     writer.check(name, tasks)

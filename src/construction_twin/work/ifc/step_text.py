@@ -35,9 +35,7 @@ _LOST = "what they say, an order of tasks for instance, is lost"
 def check_whole(contents: bytes, name: str) -> None:
     """Check that every text, comment and line of a file ends.
 
-    Raises
-    ------
-    BuildingError
+    Raises BuildingError.
     """
     found = _WHOLE.match(contents)
     end = 0 if found is None else found.end()
@@ -101,27 +99,17 @@ def note_parser_log(
 ) -> None:
     """Note what the parser dropped or had to guess, and refuse what is not whole.
 
-    Parameters
-    ----------
-    log : str
-        What the parser logged while it read.
-    contents : bytes
-        What it read.
-    present : collection of int
-        Numbers of the lines that it kept.
-    global_id : callable
-        Returns the GlobalId of a line that it kept; empty: it has none.
-    is_geometry : callable
-        Returns whether a line that it kept says where something is, what shape it has or in which unit.
-    name, schema : str
-        For messages.
-    notes : Notes
+    Args:
+        log: What the parser logged while it read.
+        contents: What it read.
+        present: Numbers of the lines that it kept.
+        global_id: Returns the GlobalId of a line that it kept; empty: it has none.
+        is_geometry: Returns whether a line that it kept says where something is, what shape it has or in which unit.
+        name, schema: For messages.
 
-    Raises
-    ------
-    BuildingError
-        If a line refers to one that the file does not have, or has the number of another one; or if one that says where something
-        is or what shape it has refers to one that the parser dropped.
+    Raises:
+        BuildingError: If a line refers to one that the file does not have, or has the number of another one; or if one that says
+            where something is or what shape it has refers to one that the parser dropped.
     """
     about = {int(number) for entry in log.splitlines() for number in re.findall(r"(?:instance|name) #(\d+)", entry)}
     about |= {int(number) for entry in log.splitlines() for number in re.findall(r"reference #(\d+)", entry)}
@@ -197,16 +185,11 @@ def first_error(log: str) -> str:
 class KernelSays:
     """What the geometry kernel logged.
 
-    Attributes
-    ----------
-    about : str
-        GlobalId; empty: of none.
-    sentence : str
-        With the entity that it is about.
-    code : str
-        Of the kind of message.
-    is_error : bool
-        Else it is a warning.
+    Attributes:
+        about: GlobalId; empty: of none.
+        sentence: With the entity that it is about.
+        code: Of the kind of message.
+        is_error: Else it is a warning.
     """
 
     about: str

@@ -77,26 +77,13 @@ def read_tasks(
 ) -> tuple[dict[str, Task], tuple[Sequence, ...]]:
     """Read tasks and sequences.
 
-    Parameters
-    ----------
-    file : ifcopenshell.file
-    name : str
-        For messages.
-    ids : dict of int to str
-        Id of the element's record, by the entity's id.
-    workpieces : collection of str
-        Ids of elements that are workpieces by default.
-    time_unit : float or None
-        Seconds per unit of time, for IFC2x3's times that are numbers; None: the project has none.
-    notes : Notes
+    Args:
+        name: For messages.
+        ids: Id of the element's record, by the entity's id.
+        workpieces: Ids of elements that are workpieces by default.
+        time_unit: Seconds per unit of time, for IFC2x3's times that are numbers; None: the project has none.
 
-    Returns
-    -------
-    dict of str to Task, tuple of Sequence
-
-    Raises
-    ------
-    BuildingError
+    Raises BuildingError.
     """
     assigned = _assigned(file, name, notes)
     every = sorted(file.by_type("IfcTask"), key=lambda task: task.id())

@@ -34,16 +34,11 @@ KINDS = {
 class Units:
     """SI units per unit of the file.
 
-    Attributes
-    ----------
-    length, area, volume, mass, angle : float
-        [m], [m²], [m³], [kg], [rad]
-    time : float or None
-        [s]; None: the project has no unit of time.
-    density : float or None
-        [kg/m³]; None: the project has no unit of density.
-    weighs : bool
-        The project has a unit of mass; else it is the kilogram.
+    Attributes:
+        length, area, volume, mass, angle: [m], [m²], [m³], [kg], [rad]
+        time: [s]; None: the project has no unit of time.
+        density: [kg/m³]; None: the project has no unit of density.
+        weighs: The project has a unit of mass; else it is the kilogram.
     """
 
     length: float
@@ -74,10 +69,8 @@ class Units:
 def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
     """Read the project's units.
 
-    Raises
-    ------
-    BuildingError
-        If there is no project, no length unit, or one that no building is drawn in.
+    Raises:
+        BuildingError: If there is no project, no length unit, or one that no building is drawn in.
     """
     projects = file.by_type("IfcProject")
     if not projects:
@@ -126,10 +119,8 @@ def _density(assignment: ifcopenshell.entity_instance, name: str) -> float:
 def si_factor(unit: ifcopenshell.entity_instance) -> float | None:
     """Return SI units (of mass: kilograms) per unit; None: only people know what it is.
 
-    Parameters
-    ----------
-    unit : entity
-        An IfcUnit.
+    Args:
+        unit: An IfcUnit.
     """
     if unit.is_a("IfcSIUnit"):
         factor = ifcopenshell.util.unit.get_prefix_multiplier(unit.Prefix) ** _POWERS.get(unit.Name, 1)

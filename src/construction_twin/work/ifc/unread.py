@@ -25,13 +25,8 @@ _UNREAD = {
 def note_unread(file: ifcopenshell.file, name: str, elements: dict[str, Element], notes: Notes) -> None:
     """Note what is in a file and not read, and what has no body and so is no obstacle.
 
-    Parameters
-    ----------
-    file : ifcopenshell.file
-    name : str
-        For messages.
-    elements : dict of str to Element
-    notes : Notes
+    Args:
+        name: For messages.
     """
     with Where(name, "the file"):
         for kind, meaning in _UNREAD.items():
