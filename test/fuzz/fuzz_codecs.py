@@ -12,9 +12,10 @@ from mqtt_mutations import Message, Target, message, mutate
 from rsi_mutations import mutate as mutate_telegram
 
 from construction_twin.core.errors import PayloadError, TelegramError
-from construction_twin.link.remote_request import IkRequest, RemoteRequest, parse_ik, parse_plan_request, read_request
+from construction_twin.link.json_fields import read_document
+from construction_twin.link.remote_request import MAX_BYTES, IkRequest, RemoteRequest, parse_ik, parse_plan_request
 from construction_twin.link.remote_review import parse_review
-from construction_twin.link.remote_trajectory import Joints, checked_sender, parse_trajectory, read_document
+from construction_twin.link.remote_trajectory import Joints, parse_trajectory
 from construction_twin.link.status_values import status_values
 from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP, parse_intervention
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -96,9 +97,11 @@ def mqtt_codecs(count: int, seed: int, progress: Callable[[int], None] = lambda 
             json.dumps({"id": "19", "moment": MOMENT}).encode(),
             lambda data: parse_intervention(RESUME, "kr120-stopper-bob", data, False),
         ),
-        (json.dumps(IK).encode(), lambda data: _finite(parse_ik(read_request(data, False, "ik"), JOINTS))),
-        (json.dumps(MOTION).encode(), lambda data: parse_trajectory(read_document(data, False, 1 << 20), JOINTS)),
-        (b"kr120-planner-pia", lambda data: checked_sender(data.decode(errors="replace"))),
+        (json.dumps(IK).encode(), lambda data: _finite(parse_ik(read_document(data, False, "ik", MAX_BYTES), JOINTS))),
+        (
+            json.dumps(MOTION).encode(),
+            lambda data: parse_trajectory(read_document(data, False, "trajectory", 1 << 20), JOINTS),
+        ),
         (b"twin/kr120/stop/kr120-stopper-bob", lambda data: account_of(data.decode(errors="replace"))),
     ]
     others += [(json.dumps(wish | {"moment": MOMENT}).encode(), _wish) for wish in WISHES]
@@ -116,7 +119,7 @@ def mqtt_codecs(count: int, seed: int, progress: Callable[[int], None] = lambda 
 
 
 def _wish(data: bytes) -> object:
-    return _finite(parse_plan_request(read_request(data, False, "plan_request"), JOINTS))
+    return _finite(parse_plan_request(read_document(data, False, "plan_request", MAX_BYTES), JOINTS))
 
 
 def _finite(asked: RemoteRequest | IkRequest) -> object:

@@ -20,7 +20,8 @@ from construction_twin.core.freshness import Moment, parse_moment, staleness
 from construction_twin.core.motion_errors import KinematicsError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
-from construction_twin.link.remote_request import ik_answer, parse_ik, parse_plan_request, plan_answer, read_request
+from construction_twin.link.json_fields import read_document
+from construction_twin.link.remote_request import MAX_BYTES, ik_answer, parse_ik, parse_plan_request, plan_answer
 from construction_twin.link.remote_review import PlanView, parse_review, review_answer
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
@@ -360,7 +361,7 @@ class ScriptedRobot:
 
     def _on_plan_request(self, account: str, payload: bytes, retained: bool) -> None:
         try:
-            asked = parse_plan_request(read_request(payload, retained, "plan_request"), self._joints)
+            asked = parse_plan_request(read_document(payload, retained, "plan_request", MAX_BYTES), self._joints)
         except PayloadError as error:
             answer = plan_answer("", account, "", False, str(error))
         else:
@@ -383,7 +384,7 @@ class ScriptedRobot:
 
     def _on_ik(self, account: str, payload: bytes, retained: bool) -> None:
         try:
-            asked = parse_ik(read_request(payload, retained, "ik"), self._joints)
+            asked = parse_ik(read_document(payload, retained, "ik", MAX_BYTES), self._joints)
         except PayloadError as error:
             answer = ik_answer("", "unknown", None, str(error))
         else:

@@ -146,6 +146,18 @@ class RequestRefused(ConstructionTwinError):
     """The running system has answered a request with no; the message is its own sentence."""
 
 
+class ServiceSilentError(ConstructionTwinError):
+    """A node does not answer on one of its services.
+
+    Attributes:
+        service: Its resolved name.
+    """
+
+    def __init__(self, service: str, problem: object, program: str):
+        self.service = service
+        super().__init__(f"{service} does not answer: {problem}; does {program} run?")
+
+
 class SilenceError(ConstructionTwinError):
     """There is no answer: the system is not running, or not under this name.
 

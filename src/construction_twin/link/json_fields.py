@@ -7,13 +7,33 @@ Standard library only.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.mqtt.messages import demand_live, parse_object
 
 #: Longest id, name and other short text.
 MAX_TEXT = 64
 #: No position, velocity, acceleration or time of an arm is larger, in whatever unit.
 LARGEST = 1e6
+
+
+def read_document(payload: bytes, retained: bool, what: str, limit: int, advice: str = "") -> dict[str, Any]:
+    """Return the JSON object of a message.
+
+    Args:
+        retained: The message's retain flag.
+        what: ``trajectory``, ``plan_request`` or ``ik``, for the sentence.
+        limit: Longest payload that is read [bytes].
+        advice: What to do about a longer one.
+
+    Raises:
+        PayloadError: ``retained``, ``size`` or ``format``.
+    """
+    demand_live(retained, what)
+    if len(payload) > limit:
+        raise PayloadError("size", f"{what} of {len(payload)} bytes; at most {limit} are read{advice}")
+    return parse_object(payload, "format", limit)
 
 
 def number(value: object, place: str) -> float:

@@ -18,7 +18,6 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment, parse_moment
 from construction_twin.link.json_fields import keys, list_of, number, shown, text
 from construction_twin.link.remote_trajectory import Joints
-from construction_twin.mqtt.messages import parse_object
 
 #: Longest message [bytes].
 MAX_BYTES = 4096
@@ -83,24 +82,8 @@ class IkRequest:
     seed: Vector = ()
 
 
-def read_request(payload: bytes, retained: bool, what: str) -> dict[str, Any]:
-    """Return the JSON object of a message; PayloadError (``retained``, ``size`` or ``format``).
-
-    Args:
-        retained: The message's retain flag.
-        what: ``plan_request`` or ``ik``, for the sentence.
-    """
-    if retained:
-        raise PayloadError(
-            "retained", f"retained {what}: it is unknown when it was meant; publish it without the retain flag"
-        )
-    if len(payload) > MAX_BYTES:
-        raise PayloadError("size", f"{what} of {len(payload)} bytes; at most {MAX_BYTES} are read")
-    return parse_object(payload, "format", MAX_BYTES)
-
-
 def parse_plan_request(document: Mapping[str, Any], joints: Joints) -> RemoteRequest:
-    """Return the wish in a document of `read_request`; PayloadError (``format``, ``joints``, ``values`` or ``moment``)."""
+    """Return the wish in a document of `read_document`; PayloadError (``format``, ``joints``, ``values`` or ``moment``)."""
     kind = document.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         raise PayloadError("format", f"kind is {shown(kind)}; expected one of {', '.join(KINDS)}")
@@ -130,7 +113,7 @@ def _fields(kind: str, document: Mapping[str, Any], joints: Joints) -> dict[str,
 
 
 def parse_ik(document: Mapping[str, Any], joints: Joints) -> IkRequest:
-    """Return the pose in a document of `read_request`; PayloadError (``format``, ``joints`` or ``values``)."""
+    """Return the pose in a document of `read_document`; PayloadError (``format``, ``joints`` or ``values``)."""
     keys(document, "ik", _IK, (*_IK, "seed"))
     seed = _joint_values(document["seed"], "seed", joints) if "seed" in document else ()
     return IkRequest(_named(document), *_pose(document), seed)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import parse_moment
-from construction_twin.mqtt.messages import parse_object
+from construction_twin.mqtt.messages import demand_live, parse_object
 
 #: Longest review that is read [bytes].
 MAX_REVIEW_BYTES = 2048
@@ -72,10 +72,7 @@ def parse_review(payload: bytes, retained: bool, account: str = "") -> RemoteRev
     Raises:
         PayloadError: ``retained``, ``moment`` or ``review``.
     """
-    if retained:
-        raise PayloadError(
-            "retained", "retained review: it is unknown when it was given; publish it without the retain flag"
-        )
+    demand_live(retained, "review")
     document = parse_object(payload, "review", MAX_REVIEW_BYTES)
     needed = _KEYS[:-1] if account else _KEYS
     if not set(needed) <= set(document) <= {*_KEYS, "reason", "moment"}:

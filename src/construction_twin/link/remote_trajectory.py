@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +16,6 @@ from typing import Any
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.json_fields import LARGEST, keys, list_of, number, shown, text
-from construction_twin.mqtt.messages import parse_object
 
 #: What COMPAS calls the type of compas_fab's trajectory; its values are rad and m by definition.
 COMPAS_TYPE = "compas_fab.robots/JointTrajectory"
@@ -45,9 +43,6 @@ _COMPAS_POINT = (
 )  # fmt: skip
 #: What is said about zeros that compas_fab fills in where nothing was given.
 ZEROS = "all {} are zero, which compas_fab writes where none are given: read as not given"
-
-#: Robot, role and person of up to 32 characters each.
-_ACCOUNT = re.compile(r"[A-Za-z0-9_-]{1,100}")
 
 Values = tuple[float, ...]
 
@@ -92,43 +87,6 @@ class TrajectoryRequest:
     acceleration_scale: float
     points: tuple[TrajectoryPoint, ...]
     notes: tuple[str, ...] = ()
-
-
-def last_level(topic: str) -> str:
-    """Return the last level of a topic: on `trajectory/from/<account>` the account."""
-    return topic.rpartition("/")[2]
-
-
-def checked_sender(account: str) -> str:
-    """Return the account in a topic's name, empty for none; PayloadError (``sender``) when no account is called so."""
-    if account and not _ACCOUNT.fullmatch(account):
-        raise PayloadError(
-            "sender",
-            f"trajectory from {shown(account)}; expected an account's name: up to 100 letters, digits, - and _",
-        )
-    return account
-
-
-def read_document(payload: bytes, retained: bool, limit: int) -> dict:
-    """Return the JSON object of a message on `trajectory`.
-
-    Args:
-        retained: The message's retain flag.
-        limit: Longest payload that is read [bytes].
-
-    Raises:
-        PayloadError: ``retained``, ``size`` or ``format``.
-    """
-    if retained:
-        raise PayloadError(
-            "retained", "retained trajectory: it is unknown when it was meant; publish it without the retain flag"
-        )
-    if len(payload) > limit:
-        raise PayloadError(
-            "size",
-            f"trajectory of {len(payload)} bytes; at most {limit} are read (max_trajectory_bytes); use fewer points",
-        )
-    return parse_object(payload, "format", limit)
 
 
 def request_id(document: Mapping[str, Any]) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import parse_moment
-from construction_twin.mqtt.messages import is_short_text, parse_object
+from construction_twin.mqtt.messages import demand_live, is_short_text, parse_object
 
 #: What can be asked for.
 STOP, PAUSE, RESUME = "stop", "pause", "resume"
@@ -47,10 +47,7 @@ def parse_intervention(verb: str, account: str, payload: bytes, retained: bool) 
     Raises:
         PayloadError: ``retained``, ``moment``, or the verb.
     """
-    if retained:
-        raise PayloadError(
-            "retained", f"retained {verb}: it is unknown when it was given; publish it without the retain flag"
-        )
+    demand_live(retained, verb)
     document = parse_object(payload, verb, MAX_BYTES)
     id_ = document.get("id", "")
     if not set(document) <= {"id", "moment"} or not is_short_text(id_) or not id_.strip():

@@ -392,6 +392,14 @@ def _without_duplicates(pairs: list[tuple[str, object]]) -> dict:
     return document
 
 
+def demand_live(retained: bool, what: str) -> None:
+    """Refuse a retained message (PayloadError, ``retained``): what was asked for once is not asked for now."""
+    if retained:
+        raise PayloadError(
+            "retained", f"retained {what}: it is unknown when it was meant; publish it without the retain flag"
+        )
+
+
 def parse_object(payload: bytes, reason: str, limit: int = MAX_CONTROL_BYTES) -> dict:
     """Return the JSON object in `payload`; PayloadError (`reason`) when there is none, or more than `limit` bytes."""
     if len(payload) > limit:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment
+from construction_twin.link.json_fields import read_document
 from construction_twin.link.remote_request import (
     KINDS,
     MAX_BYTES,
@@ -20,7 +21,6 @@ from construction_twin.link.remote_request import (
     parse_ik,
     parse_plan_request,
     plan_answer,
-    read_request,
 )
 from construction_twin.link.remote_trajectory import Joints
 
@@ -110,7 +110,7 @@ def test_a_quaternion_with_three_digits_becomes_a_unit_one():
 
 def test_retained_too_long_and_broken_messages_are_refused():
     payload = json.dumps(asked("joints")).encode()
-    assert read_request(payload, False, "plan_request") == asked("joints")
+    assert read_document(payload, False, "plan_request", MAX_BYTES) == asked("joints")
     for wrong, retained, reason in (
         (payload, True, "retained"),
         (b" " * (MAX_BYTES + 1), False, "size"),
@@ -119,7 +119,7 @@ def test_retained_too_long_and_broken_messages_are_refused():
         (b"\xff", False, "format"),
     ):
         with pytest.raises(PayloadError) as caught:
-            read_request(wrong, retained, "plan_request")
+            read_document(wrong, retained, "plan_request", MAX_BYTES)
         assert caught.value.reason == reason
 
 
@@ -153,7 +153,7 @@ def test_whatever_comes_is_a_request_or_refused_with_a_short_sentence(document, 
 @given(payload=st.binary(max_size=200))
 def test_any_bytes_are_read_or_refused(payload):
     try:
-        assert isinstance(read_request(payload, False, "ik"), dict)
+        assert isinstance(read_document(payload, False, "ik", MAX_BYTES), dict)
     except PayloadError as error:
         assert error.reason == "format"
 

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.link.json_fields import read_document
 from construction_twin.link.remote_trajectory import (
     COMPAS_TYPE,
     LARGEST,
@@ -18,10 +19,7 @@ from construction_twin.link.remote_trajectory import (
     Joints,
     TrajectoryPoint,
     TrajectoryRequest,
-    checked_sender,
-    last_level,
     parse_trajectory,
-    read_document,
     request_id,
     trajectory_answer,
 )
@@ -92,7 +90,7 @@ def compas(data=(), point=(), **changes) -> dict:
 
 def read(document, joints: Joints = JOINTS, limit: int = LIMIT) -> TrajectoryRequest:
     payload = document if isinstance(document, bytes) else json.dumps(document).encode()
-    return parse_trajectory(read_document(payload, False, limit), joints)
+    return parse_trajectory(read_document(payload, False, "trajectory", limit), joints)
 
 
 def refusal(document) -> tuple[str, str]:
@@ -347,15 +345,15 @@ def test_another_compas_object_is_no_trajectory(changes):
 def test_a_retained_trajectory_is_refused_whatever_it_says():
     for payload in (b"", json.dumps(plain()).encode()):
         with pytest.raises(PayloadError, match="retain flag") as caught:
-            read_document(payload, True, LIMIT)
+            read_document(payload, True, "trajectory", LIMIT)
         assert caught.value.reason == "retained"
 
 
 def test_a_trajectory_that_is_too_long_is_not_even_read():
     payload = json.dumps(plain()).encode()
-    assert read_document(payload, False, len(payload)) == plain()
+    assert read_document(payload, False, "trajectory", len(payload)) == plain()
     with pytest.raises(PayloadError, match=f"{len(payload)} bytes; at most {len(payload) - 1}") as caught:
-        read_document(payload, False, len(payload) - 1)
+        read_document(payload, False, "trajectory", len(payload) - 1)
     assert caught.value.reason == "size"
 
 
@@ -418,15 +416,6 @@ def test_the_id_is_known_also_of_what_is_refused():
     assert request_id({"guid": "7"}) == ""
     with pytest.raises(PayloadError, match="id is"):
         request_id({"id": ["7"]})
-
-
-@pytest.mark.parametrize("account", ["a b", "x" * 101, "a\nb", "+", "#", "é"])
-def test_an_account_s_name_is_one_that_make_site_makes(account):
-    with pytest.raises(PayloadError) as caught:
-        checked_sender(account)
-    assert caught.value.reason == "sender"
-    assert checked_sender(last_level("twin/kr120/trajectory/from/kr120-planner-ada")) == "kr120-planner-ada"
-    assert checked_sender("") == ""
 
 
 def test_the_answer_has_the_same_keys_with_and_without_a_plan():

@@ -24,7 +24,8 @@ from site_broker import SiteBroker
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.kinematics.chain import Chain
-from construction_twin.link.remote_trajectory import Joints, parse_trajectory, read_document
+from construction_twin.link.json_fields import read_document
+from construction_twin.link.remote_trajectory import Joints, parse_trajectory
 from construction_twin.link.remote_view import ViewWriter
 from construction_twin.mqtt.client import make_client, unique_id
 from construction_twin.planning.waypoints import plan_waypoints
@@ -222,7 +223,7 @@ def test_times_are_kept_and_what_is_too_fast_is_refused_with_the_planner_s_sente
 
 
 def test_the_same_trajectory_is_read_without_an_envelope(session):
-    document = read_document(session["compas_json"].encode(), False, 100_000)
+    document = read_document(session["compas_json"].encode(), False, "trajectory", 100_000)
     request = parse_trajectory(document, Joints(tuple(ROBOT.joint_names), tuple(ROBOT.linear)))
     assert len(request.points) == 3 and request.points[0].positions == pytest.approx(tuple(ROBOT.home), abs=1e-9)
     assert all(math.isfinite(value) for point in request.points for value in point.positions)

@@ -18,7 +18,7 @@ from diagnostic_msgs.msg import KeyValue
 from paho.mqtt.client import topic_matches_sub
 from rospy.exceptions import TransportTerminated
 
-from construction_twin.core.errors import PoseUnknownError
+from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ClosestView, ViewWriter
@@ -33,6 +33,8 @@ from construction_twin.ros.nodes.mqtt_planner import (
     Settings,
     source_of,
 )
+from construction_twin.ros.shared.endpoint import REPEATED, Endpoint, Incoming, Outcome, Outlets
+from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.ros.transport.joint_stream import to_time
 from construction_twin.ros.transport.latest_pose import StampedPose
 
@@ -90,7 +92,13 @@ class Bench:
 
     def send(self, sender: str = "", retained: bool = False, **changes) -> None:
         document = copy.deepcopy(TRAJECTORY) | changes
-        self.node.on_trajectory(sender, json.dumps(document).encode(), retained)
+        self.deliver(sender, json.dumps(document).encode(), retained)
+
+    def deliver(self, sender: str, payload: bytes, retained: bool = False) -> None:
+        """Hand over a message as the client does."""
+        topic = f"twin/kr120/trajectory/from/{sender}" if sender else "twin/kr120/trajectory"
+        (endpoint,) = (each for each in self.node.endpoints if topic_matches_sub(each.topic, topic))
+        endpoint.on_message(SimpleNamespace(topic=topic, payload=payload, retain=retained))
 
     def check(self) -> None:
         """Check everything that waits."""
@@ -131,7 +139,7 @@ def test_a_trajectory_becomes_a_plan_and_the_sender_is_told_its_id(bench):
 
 def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_motion_is(bench):
     for _ in range(100):
-        bench.node.on_trajectory("kr120-planner-ada", b"{", False)
+        bench.deliver("kr120-planner-ada", b"{")
     answered = len(bench.answers)
     assert 10 <= answered < 100 and sum(bench.made.refused.values()) == 100
     assert bench.node.report().values["trajectories malformed, not answered"] == 100 - answered
@@ -211,7 +219,7 @@ def test_a_motion_without_times_keeps_the_scales_that_were_asked_for(bench):
 def test_what_is_refused_is_counted_and_answered_with_the_id_where_there_is_one(
     bench, sender, payload, retained, reason, request_id
 ):
-    bench.node.on_trajectory(sender, payload, retained)
+    bench.deliver(sender, payload, retained)
     bench.check()
     assert bench.made.refused == {reason: 1} and bench.asked == []
     assert [(answer["ok"], answer["id"]) for answer in bench.answers] == [(False, request_id)]
@@ -363,15 +371,24 @@ class Desk:
 
     def __init__(self):
         self.heard: list = []
+        self.plan_requests, self.ik = self._endpoint("plan_request", 1), self._endpoint("ik", 0)
+
+    def _endpoint(self, name: str, qos: int) -> Endpoint:
+        def read(incoming: Incoming):
+            self.heard.append((name, incoming.account, incoming.payload, incoming.retained))
+            raise PayloadError(REPEATED, "nothing is to be done")
+
+        outlets = Outlets(lambda *_: None, lambda *_: None)
+        return Endpoint(
+            name, f"twin/kr120/{name}/+", lambda account: account, read, lambda asked: Outcome(True, ""),
+            lambda *_: b"", RequestCounts(name), outlets, qos=qos,
+        )  # fmt: skip
 
     def closest(self):
         return ClosestView(0.5, ("link_3", "wall"), (1.0, 2.0, 3.0), 0.25)
 
-    def on_plan_request(self, account, payload, retained):
-        self.heard.append(("plan_request", account, payload, retained))
-
-    def on_ik(self, account, payload, retained):
-        self.heard.append(("ik", account, payload, retained))
+    def run(self, looks_around):
+        pass
 
 
 class Listening(Client):

@@ -10,17 +10,15 @@ import pytest
 import rospy
 from bridge_bench import Client, Refusals
 from construction_twin.msg import Plan, PlanCaller, Review
+from paho.mqtt.client import topic_matches_sub
 from processes import wait_until
 from rospy.exceptions import TransportTerminated
 
-from construction_twin.link.remote_review import RemoteReview
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP
-from construction_twin.mqtt.messages import Topics
 from construction_twin.ros.nodes.mqtt_review import WAITING, MqttReview, Settings
 from construction_twin.ros.shared import remote_interventions
 from construction_twin.ros.shared.diagnostics import WARN
-from construction_twin.ros.shared.remote_interventions import RemoteInterventions
 
 #: What the newest view said.
 MOMENT = "c0ffee00-5000"
@@ -62,10 +60,7 @@ class Bench:
         settings = Settings(host="127.0.0.1", port=1, path_points=10, account=account)
         self.pressed = []
         self.services = {verb: Trigger(verb, self.pressed) for verb in (STOP, PAUSE, RESUME)}
-        self.interventions = RemoteInterventions(
-            Topics("twin", "kr120"), self.services, lambda topic, payload: self.client.publish(topic, payload)
-        )
-        self.node = MqttReview(settings, "kr120", Broker("127.0.0.1", 1), self.client, self, self.interventions, make)
+        self.node = MqttReview(settings, "kr120", Broker("127.0.0.1", 1), self.client, self, self.services, make)
 
     resolved_name = "/kr120/review_plan"
 
@@ -86,10 +81,22 @@ class Bench:
         said = "approved" if approves else "rejected"
         return self.answer or SimpleNamespace(success=True, message=said, expired=False)
 
+    def deliver(self, topic, payload, retain=False):
+        """Hand over a message as the client does."""
+        topic = f"twin/kr120/{topic}"
+        (endpoint,) = (each for each in self.node.endpoints if topic_matches_sub(each.topic, topic))
+        endpoint.on_message(SimpleNamespace(topic=topic, payload=payload, retain=retain))
+
     def verdict(self, plan="p1", verdict="approved"):
         """A verdict on `review`."""
         content = {"plan_id": plan, "plan_hash": "cafe", "verdict": verdict, "reviewer": "Ann", "moment": MOMENT}
-        self.node.on_review("", json.dumps(content).encode(), False)
+        self.deliver("review", json.dumps(content).encode())
+
+    def carry_out(self, verdict="approved"):
+        """A verdict that is carried out."""
+        self.verdict(verdict=verdict)
+        self.node.approvals.run()
+        self.node.rejections.run()
 
 
 @pytest.fixture
@@ -100,7 +107,7 @@ def bench(monkeypatch):
 
 
 def test_more_verdicts_than_may_wait_are_refused_counted_and_answered(bench):
-    bench.node.on_review("", b"{", False)
+    bench.deliver("review", b"{")
     for _ in range(WAITING + 2):
         bench.verdict()
     answers = [json.loads(payload) for topic, payload in bench.client.published if topic.endswith("/ack")]
@@ -110,21 +117,20 @@ def test_more_verdicts_than_may_wait_are_refused_counted_and_answered(bench):
 @pytest.mark.parametrize("error", [TransportTerminated("x"), ConnectionResetError("x"), rospy.ServiceException("x")])
 def test_an_executor_that_goes_away_during_the_call_is_told(bench, error):
     bench.error = error
-    bench.node.carry_out(RemoteReview("p1", "cafe", "approved", "Ann", "", moment=MOMENT))
+    bench.carry_out()
     answer = json.loads(bench.client.published[-1][1])
     assert not answer["ok"] and "/kr120/review_plan does not answer: x" in answer["reason"]
 
 
 def test_a_verdict_that_was_carried_out_is_answered_and_counted(bench):
-    bench.node.carry_out(RemoteReview("p1", "cafe", "approved", "Ann", "", moment=MOMENT))
+    bench.carry_out()
     assert json.loads(bench.client.published[-1][1])["ok"]
     assert bench.node.report().values == {"verdicts taken": 1}
 
 
 def test_what_its_screen_had_shown_goes_to_the_executor_with_it_and_that_it_was_too_old_comes_back(bench):
     bench.answer = SimpleNamespace(success=False, message="the approval is too old", expired=True)
-    bench.verdict()
-    bench.node.carry_out(RemoteReview("p1", "cafe", "approved", "Ann", "", moment=MOMENT))
+    bench.carry_out()
     answer = json.loads(bench.client.published[-1][1])
     assert [(asked["moment"], asked["approve"]) for asked in bench.asked] == [(MOMENT, True)]
     assert (answer["ok"], answer["expired"], answer["reason"]) == (False, True, "the approval is too old")
@@ -140,19 +146,19 @@ def test_on_a_site_a_verdict_in_no_name_is_refused_and_told_where_it_belongs(mon
 
 
 def test_a_verdict_that_cannot_be_read_is_answered_to_the_account(bench):
-    bench.node.on_review("kr120-reviewer-ada", b"{}", False)
+    bench.deliver("review/kr120-reviewer-ada", b"{}")
     answer = json.loads(bench.client.published[-1][1])
     assert (answer["ok"], answer["account"]) == (False, "kr120-reviewer-ada")
 
 
 def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_verdict_is(bench):
     for _ in range(100):
-        bench.node.on_review("kr120-reviewer-ada", b"{", False)
+        bench.deliver("review/kr120-reviewer-ada", b"{")
     answered = len(bench.client.published)
     assert 10 <= answered < 100 and bench.made.refused == {"review": 100}
     assert bench.node.report().values == {"verdicts malformed, not answered": 100 - answered}
     # nobody else's answers wait for that, and nothing that can be read does
-    bench.node.on_review("kr120-reviewer-bob", b"{", False)
+    bench.deliver("review/kr120-reviewer-bob", b"{")
     assert json.loads(bench.client.published[-1][1])["account"] == "kr120-reviewer-bob"
     for _ in range(WAITING + 50):
         bench.verdict()
@@ -175,17 +181,16 @@ def test_a_rejection_does_not_wait_behind_an_approval_whose_record_waits_for_a_d
     ended, bench.disk = threading.Event(), threading.Event()
     bench.client.disconnect = bench.client.loop_stop = lambda: None
     monkeypatch.setattr(rospy, "is_shutdown", ended.is_set)
-    threads = [threading.Thread(target=each) for each in (bench.node.run, bench.node.run_rejections)]
-    for thread in threads:
-        thread.start()
+    bench.node.start_lines()
+    approving = threading.Thread(target=bench.node.run)
+    approving.start()
     bench.verdict("p1")
     bench.verdict("p1", "rejected")
     wait_until(lambda: [answer["reason"] for answer in reviews(bench)] == ["rejected"], what="the rejection's answer")
     bench.disk.set()
     wait_until(lambda: len(reviews(bench)) == 2, what="the approval's answer")
     ended.set()
-    for thread in threads:
-        thread.join(10.0)
+    approving.join(10.0)
 
 
 def test_a_rejection_asks_no_master_while_the_connection_to_the_executor_stands(bench, monkeypatch):
@@ -193,8 +198,8 @@ def test_a_rejection_asks_no_master_while_the_connection_to_the_executor_stands(
         raise rospy.ROSException(f"timeout exceeded while waiting for service {name}")
 
     monkeypatch.setattr(rospy, "wait_for_service", no_master)
-    bench.node.carry_out(RemoteReview("p1", "cafe", "rejected", "Ann", ""))
-    bench.node.carry_out(RemoteReview("p1", "cafe", "approved", "Ann", "", moment=MOMENT))
+    bench.carry_out("rejected")
+    bench.carry_out()
     assert [answer["ok"] for answer in reviews(bench)] == [True, False]
 
 
@@ -205,8 +210,8 @@ def fail(*_given, **_named):
 @pytest.mark.parametrize("verdict", ["rejected", "approved"])
 def test_a_verdict_is_answered_although_the_log_fails(bench, monkeypatch, verdict):
     monkeypatch.setattr(rospy, "loginfo", fail)
-    bench.node.carry_out(RemoteReview("p1", "cafe", verdict, "Ann", ""))
-    bench.interventions.write_log()
+    bench.carry_out(verdict)
+    bench.node.outlets.write_log()
     assert reviews(bench)[-1]["ok"]
     report = bench.node.report()
     assert report.level == WARN and "RuntimeError: nobody foresaw this" in report.sentence
@@ -220,17 +225,15 @@ def test_a_verdict_is_answered_although_the_log_fails(bench, monkeypatch, verdic
 def pressing(bench, monkeypatch):
     ended = threading.Event()
     monkeypatch.setattr(rospy, "is_shutdown", ended.is_set)
-    bench.interventions.start()
+    bench.node.start_lines()
     yield bench
     ended.set()
 
 
 def press(bench, verb, id_="1", account="kr120-stopper-bob", retain=False, payload=None, moment=MOMENT):
-    """Hand over a message as the client does."""
     if payload is None:
         payload = json.dumps({"id": id_} | ({"moment": moment} if verb == RESUME else {})).encode()
-    message = SimpleNamespace(topic=f"twin/kr120/{verb}/{account}", payload=payload, retain=retain)
-    bench.interventions.on_message[f"twin/kr120/{verb}/+"](message)
+    bench.deliver(f"{verb}/{account}", payload, retain)
 
 
 def acks(bench, name):
@@ -287,10 +290,10 @@ def test_a_press_is_answered_although_the_log_fails_and_the_next_one_is_taken(pr
         press(pressing, verb, str(number))
         wait_until(lambda: len(acks(pressing, verb)) > number, what="an answer")
         wait_until(
-            lambda: pressing.interventions.write_log() or pressing.interventions.beside.counts()["the log"] > number
+            lambda: pressing.node.outlets.write_log() or pressing.node.outlets.beside.counts()["the log"] > number
         )
     assert [answer["ok"] for answer in acks(pressing, verb)] == [True, True]
-    assert pressing.interventions.beside.counts() == {"the log": 2}
+    assert pressing.node.outlets.beside.counts() == {"the log": 2}
 
 
 @pytest.mark.parametrize("verb", [STOP, PAUSE, "reject"])
@@ -299,9 +302,7 @@ def test_no_press_waits_for_the_log_of_the_one_before(pressing, monkeypatch, ver
     hangs = threading.Event()
     monkeypatch.setattr(rospy, "loginfo", lambda *words: hangs.wait(10.0))
     # the thread that writes may wait
-    writer = threading.Thread(target=pressing.interventions.write_log)
-    rejecting = threading.Thread(target=pressing.node.run_rejections, daemon=True)
-    rejecting.start()
+    writer = threading.Thread(target=pressing.node.outlets.write_log)
     for number in range(3):
         if verb == "reject":
             pressing.verdict(verdict="rejected")
@@ -330,7 +331,7 @@ def test_a_resume_for_which_there_was_no_room_may_be_pressed_again(bench):
     for number in range(remote_interventions.WAITING + 1):
         press(bench, "resume", str(number))
     assert [answer["ok"] for answer in acks(bench, "pause")] == [False] and bench.made.refused == {"busy": 1}
-    bench.interventions.start()
+    bench.node.start_lines()
     wait_until(lambda: len(bench.pressed) == remote_interventions.WAITING, what="those that waited")
     press(bench, "resume", str(remote_interventions.WAITING))
     wait_until(lambda: len(bench.pressed) == remote_interventions.WAITING + 1, what="the one that had no room")
@@ -341,7 +342,7 @@ def test_a_press_whose_answer_cannot_be_sent_is_carried_out_and_so_is_the_next_o
     with monkeypatch.context() as broken:
         broken.setattr(pressing.client, "publish", fail)
         press(pressing, verb, "1")
-        wait_until(lambda: pressing.interventions.beside.counts() == {"the answer": 1}, what="the count")
+        wait_until(lambda: pressing.node.outlets.beside.counts() == {"the answer": 1}, what="the count")
     press(pressing, verb, "2")
     wait_until(lambda: acks(pressing, verb), what="an answer")
     assert pressing.pressed == [verb] * 2 and acks(pressing, verb)[0]["id"] == "2"

@@ -18,6 +18,7 @@ from construction_twin.srv import (
     WorkPlanTaskRequest,
     WorkPlanTaskResponse,
 )
+from paho.mqtt.client import topic_matches_sub
 from std_srvs.srv import TriggerRequest, TriggerResponse
 
 from construction_twin.core.freshness import Moment
@@ -26,6 +27,7 @@ from construction_twin.link.remote_trajectory import Joints
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.plan import Clearance
 from construction_twin.ros.shared import request_desk
+from construction_twin.ros.shared.endpoint import Outlets
 from construction_twin.ros.shared.request_desk import IK_ACCOUNTS, IK_RATE, PlanServices, RequestDesk, Surroundings
 from construction_twin.ros.shared.request_line import RequestLine
 from construction_twin.views.reachability import PoseVerdict, Reach
@@ -86,11 +88,11 @@ class Bench:
             Service("plan_way_back", TriggerRequest, TriggerResponse(True, "the way back waits")),
             Service("work/plan", WorkPlanTaskRequest, WorkPlanTaskResponse(**PLAN, task="t")),
         )
-        self.line = RequestLine(4, 5.0, 1.0, lambda: self.steady, self._publish, self._refuse)
+        self.line = RequestLine(4, 5.0, 1.0, lambda: self.steady)
         around = Surroundings(lambda: self.twin, lambda: self.work, lambda: self.engaged, self.moment)
         self.desk = RequestDesk(
-            Topics("twin", "kr120"), JOINTS, self.line, self.services, self.judge, around, self._publish, self._refuse,
-            lambda account: f"MQTT account {account}",
+            Topics("twin", "kr120"), JOINTS, self.line, self.services, self.judge, around,
+            Outlets(self._publish, self._refuse), lambda account: f"MQTT account {account}",
         )  # fmt: skip
 
     def moment(self) -> Moment:
@@ -103,11 +105,19 @@ class Bench:
     def _refuse(self, reason: str, sentence: str) -> None:
         self.refused.append(reason)
 
+    def deliver(self, topic: str, payload: bytes, retained: bool = False) -> None:
+        """Hand over a message as the client does."""
+        (endpoint,) = (
+            each
+            for each in (self.desk.plan_requests, self.desk.ik)
+            if topic_matches_sub(each.topic, f"twin/kr120/{topic}")
+        )
+        endpoint.on_message(SimpleNamespace(topic=f"twin/kr120/{topic}", payload=payload, retain=retained))
+
     def ask(self, account: str = ADA, retained: bool = False, **document) -> dict:
         """Send a wish, and have it carried out; return the newest answer."""
-        self.desk.on_plan_request(
-            account, json.dumps({"id": "7", "moment": str(self.moment())} | document).encode(), retained
-        )
+        wish = {"id": "7", "moment": str(self.moment())} | document
+        self.deliver(f"plan_request/{account}", json.dumps(wish).encode(), retained)
         self.line.run()
         self.steady += 1.1
         topic, answer = self.published[-1]
@@ -115,7 +125,7 @@ class Bench:
         return answer
 
     def drag(self, account: str = ADA, **document) -> None:
-        self.desk.on_ik(account, json.dumps({"id": "3"} | POSE | document).encode(), False)
+        self.deliver(f"ik/{account}", json.dumps({"id": "3"} | POSE | document).encode())
 
 
 @pytest.fixture
@@ -130,7 +140,7 @@ def bench(monkeypatch):
 
 def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_wish_is(bench):
     for _ in range(100):
-        bench.desk.on_plan_request(ADA, b"{", False)
+        bench.deliver(f"plan_request/{ADA}", b"{")
     answered = len(bench.published)
     assert 10 <= answered < 100 and len(bench.refused) == 100
     assert bench.desk.counts == {"plan_requests malformed, not answered": 100 - answered}
@@ -206,9 +216,9 @@ def test_what_is_refused_is_counted_and_answered_with_its_id(bench, account, doc
 
 def test_nobody_asks_more_than_once_a_second_and_the_same_message_is_one_wish(bench):
     payload = json.dumps({"id": "7", "kind": "way_back", "moment": str(bench.moment())}).encode()
-    bench.desk.on_plan_request(ADA, payload, False)
-    bench.desk.on_plan_request(ADA, payload, False)
-    bench.desk.on_plan_request(ADA, payload.replace(b'"7"', b'"8"'), False)
+    bench.deliver(f"plan_request/{ADA}", payload)
+    bench.deliver(f"plan_request/{ADA}", payload)
+    bench.deliver(f"plan_request/{ADA}", payload.replace(b'"7"', b'"8"'))
     bench.line.run()
     assert bench.refused == ["repeated", "busy"] and len(bench.services.way_back.asked) == 1
     assert [(answer["id"], answer["ok"]) for _, answer in bench.published] == [("8", False), ("7", True)]
@@ -225,7 +235,7 @@ def test_a_wish_that_came_too_late_is_void_and_says_so(bench):
 
 def test_a_wish_that_waited_too_long_for_its_turn_is_void_and_says_so(bench):
     document = {"id": "7", "kind": "way_back", "moment": str(bench.moment())}
-    bench.desk.on_plan_request(ADA, json.dumps(document).encode(), False)
+    bench.deliver(f"plan_request/{ADA}", json.dumps(document).encode())
     bench.steady += 3.5
     bench.line.run()
     ((_, answer),) = bench.published
@@ -239,9 +249,9 @@ def test_a_wish_that_waited_too_long_for_its_turn_is_void_and_says_so(bench):
 
 def test_a_pose_is_solved_near_the_twin_or_near_a_seed(bench):
     bench.drag()
-    bench.desk.solve_waiting()
+    bench.desk.poses.run()
     bench.drag(seed={"joint_a1": 0.1, "track": 0.2})
-    bench.desk.solve_waiting()
+    bench.desk.poses.run()
     assert [seed for _, _, seed in bench.judge.asked] == [(0.5, 1.0), (0.1, 0.2)]
     assert bench.published[0] == (
         f"twin/kr120/ik/ack/{ADA}",
@@ -259,7 +269,7 @@ def test_only_the_newest_pose_of_an_account_is_solved(bench):
     for number in range(3):
         bench.drag(id=str(number))
     bench.drag("other", id="9")
-    bench.desk.solve_waiting()
+    bench.desk.poses.run()
     assert [answer["id"] for _, answer in bench.published] == ["2", "9"]
     assert bench.desk.counts == {"ik free": 2, "ik overtaken": 2}
 
@@ -267,7 +277,7 @@ def test_only_the_newest_pose_of_an_account_is_solved(bench):
 def test_no_account_has_more_poses_taken_than_its_rate(bench):
     for number in range(100):
         bench.drag(id=str(number))
-        bench.desk.solve_waiting()
+        bench.desk.poses.run()
         bench.steady += 0.01
     assert len(bench.published) == IK_RATE and bench.refused == ["ik_rate"] * (100 - IK_RATE)
 
@@ -276,7 +286,7 @@ def test_no_more_accounts_wait_than_are_solved_at_once(bench):
     for number in range(IK_ACCOUNTS + 1):
         bench.drag(f"account-{number}")
     assert bench.refused == ["busy"] and bench.published[0][1]["reach"] == "unknown"
-    bench.desk.solve_waiting()
+    bench.desk.poses.run()
     assert len(bench.published) == IK_ACCOUNTS + 1
 
 
@@ -285,16 +295,16 @@ def test_what_cannot_be_solved_is_a_sentence(bench):
         Reach.CONTACT, "link_3 would touch wall", np.array([0.0, 1.0]), ("link_3", "wall")
     )
     bench.drag()
-    bench.desk.solve_waiting()
+    bench.desk.poses.run()
     bench.judge.verdict = PoseVerdict(Reach.OUT, "out of reach by 7 mm")
     bench.drag()
-    bench.desk.solve_waiting()
+    bench.desk.poses.run()
     bench.judge.error = SceneError("scene", "x", "y")
     bench.drag()
-    bench.desk.solve_waiting()
+    bench.desk.poses.run()
     bench.twin = ()
     bench.drag()
-    bench.desk.solve_waiting()
+    bench.desk.poses.run()
     answers = [answer for _, answer in bench.published]
     assert [answer["reach"] for answer in answers] == ["contact", "out", "unknown", "unknown"]
     assert answers[0]["between"] == ["link_3", "wall"] and answers[1]["joints"] is None

@@ -13,7 +13,6 @@ import math
 import secrets
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
@@ -21,19 +20,16 @@ from typing import TypeVar
 import genpy
 import pydantic
 import rospy
-from paho.mqtt.client import MQTTMessage
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.json_fields import read_document
 from construction_twin.link.remote_trajectory import (
     Joints,
     TrajectoryRequest,
-    checked_sender,
-    last_level,
     parse_trajectory,
-    read_document,
     request_id,
     trajectory_answer,
 )
@@ -56,18 +52,19 @@ from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.console_feed import ConsoleFeed, deployment_of
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.malformed_answers import MalformedAnswers
+from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outcome, Outlets
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters, ros_home
 from construction_twin.ros.shared.pose_judge import PoseJudge
 from construction_twin.ros.shared.private_files import PrivateFiles
+from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.ros.shared.request_desk import PlanServices, RequestDesk, Surroundings
-from construction_twin.ros.shared.request_line import Request, RequestLine
+from construction_twin.ros.shared.request_line import RequestLine
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
-from construction_twin.ros.transport.persistent_service import NO_ANSWER
+from construction_twin.ros.transport.persistent_service import call
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import (
     PlanCartesian,
@@ -84,8 +81,6 @@ WAITING = 4
 REPEAT_WINDOW = 5.0
 #: Shortest time between two motions of one sender [s]: nobody alone holds up the others.
 SENDER_PAUSE = 1.0
-#: Longest wait for `plan_trajectory` to exist [s].
-SERVICE_TIMEOUT = 1.0
 #: What `sync` and `link` repeat by themselves counts as lost after so long [s].
 SYNC_AGE, LINK_AGE = 0.5, 3.0
 
@@ -117,6 +112,14 @@ class Poses:
 
     twin: LatestPose | None
     arm: LatestPose | None
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """A motion from elsewhere, and the account of its topic."""
+
+    asked: TrajectoryRequest
+    sender: str
 
 
 class MqttPlanner:
@@ -156,8 +159,7 @@ class MqttPlanner:
         self._feed: ConsoleFeed | None = None
         self._desk: RequestDesk | None = None
         self._looks_around = bool(settings.private)
-        self._counts: Counter[str] = Counter()
-        self._malformed = MalformedAnswers("trajectories")
+        self._counts = RequestCounts("trajectories", "under review", "no plan")
         self._sync: tuple[Sync, float] | None = None
         self._link: tuple[Link, float] | None = None
         self._execution: tuple[Execution, float] | None = None
@@ -165,10 +167,27 @@ class MqttPlanner:
         self._executor_is_there: Callable[[], bool] = lambda: True
         self._poses = Poses(None, None)
         self._connection = report_of(broker)
+        self.outlets = Outlets(self._publish_answer, lambda reason, sentence: self.refuse(reason, sentence))
+        self._line = RequestLine(WAITING, REPEAT_WINDOW, SENDER_PAUSE, lambda: time.monotonic())
+        topics = (self._topics.trajectory, self._topics.trajectory_from("+")) if settings.trajectories else ()
+        self._motions = tuple(self._motion_endpoint(topic) for topic in topics)
         self._diagnostics = diagnostics(self.report)
-        self._line = RequestLine(
-            WAITING, REPEAT_WINDOW, SENDER_PAUSE, lambda: time.monotonic(), self._answer, self._diagnostics.refuse
-        )
+
+    def _motion_endpoint(self, topic: str) -> Endpoint[_Motion]:
+        return Endpoint(
+            "trajectory", topic, lambda _account: self._topics.trajectory_ack, self._read_motion, self._carry_out,
+            _motion_answer, self._counts, self.outlets,
+            lambda motion: f"trajectory {motion.asked.id!r} from {motion.sender or 'an unknown sender'}",
+            lambda _motion: self._line,
+        )  # fmt: skip
+
+    @property
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """What takes requests: motions, and of consoles wishes for plans and poses."""
+        if self._desk is None:
+            return self._motions
+        plans = (self._desk.plan_requests,) if self._settings.trajectories else ()
+        return *self._motions, *plans, self._desk.ik
 
     @property
     def refuse(self) -> Callable[[str, str], None]:
@@ -210,15 +229,7 @@ class MqttPlanner:
 
     def connect(self) -> None:
         """Connect to the broker, and serve the connection in a thread of its own."""
-        on_message = {}
-        if self._settings.trajectories:
-            on_message = {
-                self._topics.trajectory: lambda message: self._on_message("", message),
-                self._topics.trajectory_from("+"): lambda message: self._on_message(last_level(message.topic), message),
-                self._topics.plan_request("+"): self._on_plan_request,
-            }
-        if self._desk is not None:
-            on_message[self._topics.ik("+")] = self._on_ik
+        on_message = {endpoint.topic: endpoint.on_message for endpoint in self.endpoints}
         connect(self._client, self._broker, self._connection, self.on_connect, self.on_disconnect, on_message)
 
     def run(self) -> None:
@@ -239,6 +250,7 @@ class MqttPlanner:
     def run_waiting(self, patience: float = 0.0) -> None:
         """Carry out all requests that wait; wait so long [s] for the first one."""
         self._line.run(patience)
+        self.outlets.write_log()
 
     # -- motions from MQTT
 
@@ -248,11 +260,7 @@ class MqttPlanner:
             self._connection.refused(reason_code)
             return
         self._connection.connected()
-        topics = [(self._topics.ik("+"), 0)] if self._desk is not None else []
-        if self._settings.trajectories:
-            topics += [(self._topics.trajectory, 1), (self._topics.trajectory_from("+"), 1)]
-            topics += [(self._topics.plan_request("+"), 1)] if self._desk is not None else []
-        if topics:
+        if topics := [(endpoint.topic, endpoint.qos) for endpoint in self.endpoints]:
             client.subscribe(subscriptions(client, topics))
         # the broker answers it, and so shows whether this account may write here
         info = client.publish(self._topics.view, self._present(), qos=1)
@@ -264,69 +272,33 @@ class MqttPlanner:
         """Report the end of the connection."""
         self._connection.lost(reason_code)
 
-    def _on_message(self, sender: str, message: MQTTMessage) -> None:
-        self.on_trajectory(sender, bytes(message.payload), message.retain)
+    def _read_motion(self, incoming: Incoming) -> _Motion:
+        advice = " (max_trajectory_bytes); use fewer points"
+        limit = self._settings.max_trajectory_bytes
+        document = read_document(incoming.payload, incoming.retained, "trajectory", limit, advice)
+        incoming.echo["id"] = request_id(document)
+        return _Motion(parse_trajectory(document, self._joints), incoming.account)
 
-    def _on_plan_request(self, message: MQTTMessage) -> None:
-        # the answers, which are ours, stand on a topic of the same form
-        if self._desk is not None and message.topic != self._topics.plan_request_ack:
-            self._desk.on_plan_request(last_level(message.topic), bytes(message.payload), message.retain)
-
-    def _on_ik(self, message: MQTTMessage) -> None:
-        if self._desk is not None:
-            self._desk.on_ik(last_level(message.topic), bytes(message.payload), message.retain)
-
-    def on_trajectory(self, sender: str, payload: bytes, retained: bool) -> None:
-        """Take a motion; it is checked in the main thread.
-
-        Args:
-            sender: The account in the topic's name; empty on `trajectory` itself.
-        """
-        request = ""
-        try:
-            sender = checked_sender(sender)
-            document = read_document(payload, retained, self._settings.max_trajectory_bytes)
-            request = request_id(document)
-            asked = parse_trajectory(document, self._joints)
-        except PayloadError as error:
-            self._refuse(error.reason, str(error), request, sender)
-            return
-        self._line.take(
-            Request(
-                "trajectory", asked.id, sender, payload, self._topics.trajectory_ack,
-                lambda: self._carry_out(asked, sender),
-                lambda sentence: trajectory_answer(asked.id, sender, False, sentence),
-            )
-        )  # fmt: skip
-
-    def _refuse(self, reason: str, sentence: str, request: str, sender: str) -> None:
-        self._diagnostics.refuse(reason, sentence)
-        if self._malformed.take(sender):
-            self._answer(self._topics.trajectory_ack, trajectory_answer(request, sender, False, sentence))
-
-    def _answer(self, topic: str, payload: bytes, qos: int = 1) -> None:
-        self._client.publish(topic, payload, qos=qos)
-
-    def _carry_out(self, asked: TrajectoryRequest, sender: str) -> bytes:
-        """Have a motion checked and timed; return the answer."""
-        try:
-            rospy.wait_for_service(self._plan_trajectory.resolved_name, SERVICE_TIMEOUT)
-            answer = self._plan_trajectory(
-                trajectory=trajectory_message(asked, self._joints),
-                speed_scale=asked.speed_scale,
-                acceleration_scale=asked.acceleration_scale,
-                retime=True,
-                source=source_of(asked.source, sender, self._proven),
-            )
-        except (rospy.ROSException, *NO_ANSWER) as error:
-            sentence = f"{self._plan_trajectory.resolved_name} does not answer: {error}; does the planner run?"
-            return trajectory_answer(asked.id, sender, False, sentence)
-        plan = {"plan_id": answer.plan_id, "plan_hash": answer.plan_hash, "duration": answer.duration}
+    def _carry_out(self, motion: _Motion) -> Outcome:
+        """Have a motion checked and timed."""
+        asked = motion.asked
+        answer = call(
+            self._plan_trajectory,
+            "the planner",
+            trajectory=trajectory_message(asked, self._joints),
+            speed_scale=asked.speed_scale,
+            acceleration_scale=asked.acceleration_scale,
+            retime=True,
+            source=source_of(asked.source, motion.sender, self._proven),
+        )
         notes = [*asked.notes, *_timing_notes(asked, answer)]
-        with self._lock:
-            self._counts["under review" if answer.success else "no plan"] += 1
-        rospy.loginfo("trajectory %r from %s: %s", asked.id, sender or "an unknown sender", answer.message)
-        return trajectory_answer(asked.id, sender, answer.success, answer.message, **plan, notes=notes)
+        plan = {"plan_id": answer.plan_id, "plan_hash": answer.plan_hash, "duration": answer.duration, "notes": notes}
+        return Outcome(answer.success, answer.message, fields=plan)
+
+    def _publish_answer(self, topic: str, payload: bytes, qos: int) -> None:
+        # what asks for no acknowledgement is of the past when it cannot be sent at once
+        if qos or self._client.is_connected():
+            self._client.publish(topic, payload, qos=qos)
 
     # -- what is shown
 
@@ -422,10 +394,8 @@ class MqttPlanner:
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
-        with self._lock:
-            values: dict[str, object] = {f"trajectories {name}": n for name, n in sorted(self._counts.items())}
-        values["trajectories waiting"] = self._line.waiting
-        values |= self._malformed.report() | (self._desk.counts if self._desk is not None else {})
+        values: dict[str, object] = {**self._counts.report(), "trajectories waiting": self._line.waiting}
+        values |= (self._desk.counts if self._desk is not None else {}) | self.outlets.beside.report()
         if not self._client.is_connected():
             return Report(WARN, self._connection.sentence or "connecting to the broker", values)
         taken = (
@@ -434,6 +404,11 @@ class MqttPlanner:
             else "no trajectories are taken (trajectories: false)"
         )
         return Report(OK, taken, values)
+
+
+def _motion_answer(incoming: Incoming, _motion: _Motion | None, outcome: Outcome) -> bytes:
+    name = incoming.echo.get("id", "")
+    return trajectory_answer(name, incoming.account, outcome.ok, outcome.sentence, **outcome.fields)
 
 
 def source_of(says: str, sender: str, proven: bool) -> str:
@@ -557,7 +532,7 @@ def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: P
     )
     desk = RequestDesk(
         topics, node.joints, node.line, services, PoseJudge(robot, settings.self_collision, lambda: feed.scene), around,
-        node.publish_now, node.refuse, node.source_of,
+        node.outlets, node.source_of,
     )  # fmt: skip
     node.serve_consoles(feed, desk)
     Subscriber("scene", SceneMsg, feed.on_scene, node.refuse, queue_size=2)

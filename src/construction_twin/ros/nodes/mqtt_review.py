@@ -5,20 +5,16 @@ A node of its own: the bridge has 4 ms.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import math
-import queue
 import threading
 import time
 from bisect import bisect_left
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import pydantic
 import rospy
-from paho.mqtt.client import MQTTMessage
 from std_srvs.srv import Trigger
 
 from construction_twin.core.errors import PayloadError
@@ -35,25 +31,25 @@ from construction_twin.link.remote_review import (
 )
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP
-from construction_twin.mqtt.messages import Topics, account_of
+from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Link, Plan, PlanCaller, Review
 from construction_twin.robot.segments import segments_content
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.malformed_answers import MalformedAnswers
+from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outcome, Outlets
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
-from construction_twin.ros.shared.remote_interventions import RemoteInterventions
-from construction_twin.ros.transport.persistent_service import NO_ANSWER, PersistentService
+from construction_twin.ros.shared.remote_interventions import EXECUTOR, remote_interventions
+from construction_twin.ros.shared.request_counts import RequestCounts
+from construction_twin.ros.shared.request_line import RequestLine
+from construction_twin.ros.transport.persistent_service import PersistentService, call, call_twice
 from construction_twin.ros.transport.subscriber import Subscriber
-from construction_twin.srv import ResumeFromScreen, ReviewFromScreen, ReviewFromScreenResponse
+from construction_twin.srv import ResumeFromScreen, ReviewFromScreen
 
 #: Verdicts that may wait while one is carried out; a tablet sends one at a time.
 WAITING = 8
-#: Longest wait for `review_plan` to exist [s].
-SERVICE_TIMEOUT = 1.0
 #: Why a verdict on `review` is refused where the broker knows accounts.
 _NAMELESS = (
     "a verdict on review names nobody: on a broker with accounts publish it on review/<account>; if the broker refuses that, its "
@@ -80,9 +76,14 @@ class MqttReview:
         robot: Name in the MQTT topics.
         client: Not connected yet.
         review_plan: The executor's `review_from_screen`.
+        interventions: The executor's services of `stop`, `pause` and `resume`.
         diagnostics: Takes `report`; returns the node's NodeDiagnostics.
         reject_plan: The same as `review_plan`, for rejections, which may come twice and ask no master.
         connections: What is to be connected before it is called.
+
+    Attributes:
+        endpoints: What takes verdicts, stops, pauses and resumes.
+        approvals, rejections: Where verdicts wait: a rejection not behind an approval, whose record may wait for a disk.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class MqttReview:
         broker: Broker,
         client: PlainClient,
         review_plan: rospy.ServiceProxy,
-        interventions: RemoteInterventions,
+        interventions: Mapping[str, rospy.ServiceProxy],
         diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
         reject_plan: rospy.ServiceProxy | None = None,
         connections: Sequence[PersistentService] = (),
@@ -105,35 +106,45 @@ class MqttReview:
         self._session: str | None = None
         self._seen = b""
         self._checked_at = 0.0
-        self._reviews: queue.Queue[RemoteReview] = queue.Queue(WAITING)
-        # not behind an approval, whose record may wait for a disk
-        self._rejections: queue.Queue[RemoteReview] = queue.Queue(WAITING)
-        self._verdicts: Counter[str] = Counter()
-        self._malformed = MalformedAnswers("verdicts")
-        self._topics = Topics(settings.prefix, robot)
+        self._topics = topics = Topics(settings.prefix, robot)
         self._review_plan, self._reject_plan = review_plan, reject_plan or review_plan
         self._connections = connections
         self._broker = broker
         self._client = client
-        self._connection = report_of(broker, interventions.said)
+        self._verdicts, self._pressed = RequestCounts("verdicts"), RequestCounts("interventions")
+        self.outlets = Outlets(self._publish_answer, lambda reason, sentence: self.refuse(reason, sentence))
+        self._connection = report_of(broker, self.outlets.log)
+        self.approvals, self.rejections = RequestLine(WAITING), RequestLine(WAITING)
+        self.interventions = remote_interventions(topics, interventions, self._pressed, self.outlets)
+        self.endpoints: tuple[Endpoint, ...] = (
+            self._verdict_endpoint(topics.review),
+            self._verdict_endpoint(topics.review_by("+")),
+            *self.interventions.endpoints,
+        )
         self._diagnostics = diagnostics(self.report)
-        self._interventions = interventions
-        self._beside = interventions.beside
-        interventions.refuse = self._diagnostics.refuse
+
+    def _verdict_endpoint(self, topic: str) -> Endpoint[RemoteReview]:
+        # where the broker knows accounts, one in no name is refused where it arrives
+        nameless = topic == self._topics.review and bool(self._settings.account)
+        return Endpoint(
+            "review", topic, lambda _account: self._topics.review_ack, _read_verdict,
+            _refuse_nameless if nameless else self._carry_out, _verdict_answer, self._verdicts, self.outlets, _describe,
+            None if nameless else lambda review: self.approvals if review.approves else self.rejections,
+        )  # fmt: skip
 
     def connect(self) -> None:
         """Connect to the broker, and serve the connection in a thread of its own."""
-        on_message = {
-            self._topics.review: lambda message: self.on_review("", bytes(message.payload), message.retain),
-            self._topics.review_by("+"): self._on_review_by,
-            self._topics.plan: lambda message: self.on_own_plan(bytes(message.payload)),
-            **self._interventions.on_message,
-        }
-        self._interventions.start()
-        threading.Thread(target=self.run_rejections, name="reject", daemon=True).start()
+        on_message = {endpoint.topic: endpoint.on_message for endpoint in self.endpoints}
+        on_message[self._topics.plan] = lambda message: self.on_own_plan(bytes(message.payload))
+        self.start_lines()
         threading.Thread(target=self.run_log, name="log", daemon=True).start()
         threading.Thread(target=self.run_connections, name="connections", daemon=True).start()
         connect(self._client, self._broker, self._connection, self.on_connect, self.on_disconnect, on_message)
+
+    def start_lines(self) -> None:
+        """Begin to carry out what waits for no approval, each kind in a thread of its own."""
+        for name, line in {"reject": self.rejections, **self.interventions.lines}.items():
+            threading.Thread(target=_run_line, args=(line,), name=name, daemon=True).start()
 
     @property
     def refuse(self) -> Callable[[str, str], None]:
@@ -143,26 +154,16 @@ class MqttReview:
     def run(self) -> None:
         """Carry out approvals until shutdown."""
         while not rospy.is_shutdown():
-            try:
-                self.carry_out(self._reviews.get(timeout=0.2))
-            except queue.Empty:
-                self._check_plan()
+            self.approvals.run(0.2)
+            self._check_plan()
         self._client.publish(self._topics.plan, b"", qos=1, retain=True)
         self._client.disconnect()
         self._client.loop_stop()
 
-    def run_rejections(self) -> None:
-        """Carry out rejections until shutdown, in a thread of its own."""
-        while not rospy.is_shutdown():
-            try:
-                self.carry_out(self._rejections.get(timeout=0.2))
-            except queue.Empty:
-                continue
-
     def run_log(self) -> None:
         """Write the log until shutdown, in a thread of its own: nothing else here waits for a disk or a terminal."""
         while not rospy.is_shutdown():
-            self._interventions.write_log()
+            self.outlets.write_log()
             time.sleep(LOG_PERIOD)
 
     def run_connections(self) -> None:
@@ -241,7 +242,7 @@ class MqttReview:
             return
         self._connection.connected()
         self._seen = b""
-        topics = [self._topics.review, self._topics.review_by("+"), self._topics.plan, *self._interventions.on_message]
+        topics = [self._topics.plan, *(endpoint.topic for endpoint in self.endpoints)]
         client.subscribe(subscriptions(client, [(topic, 1) for topic in topics]))
         info = client.publish(self._topics.plan, self._board.payload, qos=1, retain=True)
         self._connection.watch_publish(client, self._topics.plan, info.mid)
@@ -254,54 +255,8 @@ class MqttReview:
         """Note what the broker holds."""
         self._seen = payload
 
-    def _on_review_by(self, message: MQTTMessage) -> None:
-        try:
-            account = account_of(message.topic)
-        except PayloadError as error:
-            self._refuse_review(error, "")
-            return
-        # an account is never empty: that is an answer of this node
-        if account:
-            self.on_review(account, bytes(message.payload), message.retain)
-
-    def on_review(self, account: str, payload: bytes, retained: bool) -> None:
-        """Take a verdict from `review/<account>`, or with "" from `review`; an approval is carried out in the main thread."""
-        try:
-            review = parse_review(payload, retained, account)
-        except PayloadError as error:
-            self._refuse_review(error, account)
-            return
-        if not account and self._settings.account:
-            self._diagnostics.refuse("sender", _NAMELESS)
-            self._answer(review, False, _NAMELESS)
-            return
-        try:
-            (self._reviews if review.approves else self._rejections).put_nowait(review)
-        except queue.Full:
-            sentence = f"{WAITING} verdicts are waiting already; try again"
-            self._diagnostics.refuse("busy", sentence)
-            self._answer(review, False, sentence)
-
-    def _refuse_review(self, error: PayloadError, account: str) -> None:
-        self._diagnostics.refuse(error.reason, str(error))
-        if self._malformed.take(account):
-            self._answer(None, False, str(error), account)
-
-    def carry_out(self, review: RemoteReview) -> None:
-        """Give a verdict to the executor, and its answer to the reviewer."""
-        try:
-            answer = self._ask(review)
-            ok, sentence, expired = answer.success, answer.message, answer.expired
-        except (rospy.ROSException, *NO_ANSWER) as error:
-            ok, expired = False, False
-            sentence = f"{self._review_plan.resolved_name} does not answer: {error}; does the executor run?"
-        self._beside.do("the answer", self._answer, review, ok, sentence, "", expired)
-        with self._lock:
-            self._verdicts["taken" if ok else "not taken"] += 1
-        said = review.verdict, review.plan_id, review.reviewer, sentence
-        self._interventions.say("%s of plan %s by %s: %s", *said)
-
-    def _ask(self, review: RemoteReview) -> ReviewFromScreenResponse:
+    def _carry_out(self, review: RemoteReview) -> Outcome:
+        """Give a verdict to the executor; return what it says."""
         request = {
             "plan_id": review.plan_id,
             "plan_hash": review.plan_hash,
@@ -310,31 +265,49 @@ class MqttReview:
             "reason": recorded_reason(review),
             "moment": review.moment,
         }
-        if not review.approves:
+        if review.approves:
+            answer = call(self._review_plan, EXECUTOR, **request)
+        else:
             # over the connection that is open, as a stop
-            with contextlib.suppress(*NO_ANSWER):
-                return self._reject_plan(**request)
-        rospy.wait_for_service(self._review_plan.resolved_name, SERVICE_TIMEOUT)
-        return self._review_plan(**request)
+            answer = call_twice(self._reject_plan, EXECUTOR, **request)
+        return Outcome(answer.success, answer.message, answer.expired)
 
-    def _answer(
-        self, review: RemoteReview | None, ok: bool, sentence: str, account: str = "", expired: bool = False
-    ) -> None:
-        answer = review_answer(review, ok, sentence, account, expired)
-        self._client.publish(self._topics.review_ack, answer, qos=1)
+    def _publish_answer(self, topic: str, payload: bytes, qos: int) -> None:
+        self._client.publish(topic, payload, qos=qos)
 
     # -- reports
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
-        with self._lock:
-            values: dict[str, object] = {f"verdicts {name}": count for name, count in sorted(self._verdicts.items())}
-        values |= self._malformed.report() | self._interventions.report() | self._beside.report()
-        if failed := self._beside.sentence:
+        values: dict[str, object] = dict(
+            self._verdicts.report() | self._pressed.report() | self.outlets.beside.report()
+        )
+        if failed := self.outlets.beside.sentence:
             return Report(WARN, failed, values)
         if not self._client.is_connected():
             return Report(WARN, self._connection.sentence or "connecting to the broker", values)
         return Report(OK, "a plan is shown" if self._board.payload else "no plan to review", values)
+
+
+def _run_line(line: RequestLine) -> None:
+    while not rospy.is_shutdown():
+        line.run(0.2)
+
+
+def _read_verdict(incoming: Incoming) -> RemoteReview:
+    return parse_review(incoming.payload, incoming.retained, incoming.account)
+
+
+def _refuse_nameless(review: RemoteReview) -> Outcome:
+    raise PayloadError("sender", _NAMELESS)
+
+
+def _verdict_answer(incoming: Incoming, review: RemoteReview | None, outcome: Outcome) -> bytes:
+    return review_answer(review, outcome.ok, outcome.sentence, incoming.account, outcome.expired)
+
+
+def _describe(review: RemoteReview) -> str:
+    return f"{review.verdict} of plan {review.plan_id} by {review.reviewer}"
 
 
 def plan_view(message: Plan) -> PlanView:
@@ -444,12 +417,11 @@ def start() -> MqttReview:
     # `stop` and `pause` may be called twice
     services = {name: PersistentService(name, Trigger) for name in (STOP, PAUSE)}
     services[RESUME] = rospy.ServiceProxy("resume_from_screen", ResumeFromScreen)
-    interventions = RemoteInterventions(topics, services, lambda topic, payload: client.publish(topic, payload, qos=1))
     # a plan is rejected once, and a second time it is said to be
     reject = PersistentService("review_from_screen", ReviewFromScreen)
     connections = (services[STOP], services[PAUSE], reject)
     diagnostics = functools.partial(NodeDiagnostics, robot)
-    node = MqttReview(settings, robot, broker, client, review_plan, interventions, diagnostics, reject, connections)
+    node = MqttReview(settings, robot, broker, client, review_plan, services, diagnostics, reject, connections)
     node.connect()
     Subscriber("plan", Plan, node.on_plan, node.refuse, queue_size=5)
     Subscriber("plan_caller", PlanCaller, node.on_caller, node.refuse, queue_size=5)

@@ -1,16 +1,15 @@
 """Wishes for plans, and poses that are dragged, from consoles: to the planner's own services, and answered. Nothing here moves.
 
 What a plan service makes waits for a person's verdict as any plan. A wish is carried out in its turn (`RequestLine`); a pose that
-is dragged is worth solving only while it is the newest of its account, in a thread of its own.
+is dragged is worth solving only while it is the newest of its account, in a thread of its own (`NewestLine`).
 """
 
 from __future__ import annotations
 
-import threading
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import rospy
 from geometry_msgs.msg import Point, PoseStamped, Quaternion
@@ -21,35 +20,33 @@ from construction_twin.core.freshness import Moment, staleness
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.rate_limit import RollingWindow, SenderLimits
 from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.json_fields import read_document
 from construction_twin.link.remote_request import (
+    MAX_BYTES,
     IkRequest,
     RemoteRequest,
     ik_answer,
     parse_ik,
     parse_plan_request,
     plan_answer,
-    read_request,
 )
-from construction_twin.link.remote_trajectory import Joints, checked_sender, request_id
+from construction_twin.link.remote_trajectory import Joints, request_id
 from construction_twin.link.remote_view import ClosestView
 from construction_twin.mqtt.messages import Topics
 from construction_twin.msg import CartesianWaypoint
 from construction_twin.robot.frames import quaternion_to_rotation
-from construction_twin.ros.shared.malformed_answers import MalformedAnswers
+from construction_twin.ros.shared.endpoint import FLOOD, TOO_OLD, Endpoint, Incoming, Outcome, Outlets
 from construction_twin.ros.shared.pose_judge import PoseJudge
-from construction_twin.ros.shared.request_line import Request, RequestLine
+from construction_twin.ros.shared.request_counts import RequestCounts
+from construction_twin.ros.shared.request_line import NewestLine, RequestLine
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
-from construction_twin.ros.transport.persistent_service import NO_ANSWER
+from construction_twin.ros.transport.persistent_service import call
 
-#: Longest wait for a service to exist [s].
-SERVICE_TIMEOUT = 1.0
 #: Poses of one account that are taken in any second.
 IK_RATE = 15
 #: Accounts whose poses wait at once; each has one at most.
 IK_ACCOUNTS = 16
-#: What counts the wishes that were too old.
-_TOO_OLD = "too_old"
 #: How often the closest two bodies are looked for [s].
 CLOSEST_PERIOD = 0.2
 
@@ -83,22 +80,24 @@ class Surroundings:
 
 
 @dataclass(frozen=True)
-class _Made:
-    """What became of a wish; `expired`: it was too old to be begun."""
+class _Wish:
+    """A wish for a plan, who asked (for the reviewer), and when it arrived [ns of ROS time]."""
 
-    ok: bool
-    sentence: str
-    plan: Mapping[str, object] = field(default_factory=dict)
-    expired: bool = False
+    asked: RemoteRequest
+    account: str
+    arrived: int
 
 
 class RequestDesk:
-    """Takes both kinds of messages.
+    """What takes both kinds of messages.
 
     Args:
-        publish: Takes topic, payload and QoS.
-        refuse: Counts a refused input; takes reason and sentence.
+        line: Where wishes for plans wait.
         source_of: Takes an account; returns who asks, for the reviewer.
+
+    Attributes:
+        plan_requests, ik: What takes messages of each kind.
+        poses: Where poses wait, for a thread of their own.
     """
 
     def __init__(
@@ -109,77 +108,57 @@ class RequestDesk:
         services: PlanServices,
         judge: PoseJudge,
         around: Surroundings,
-        publish: Callable[[str, bytes, int], object],
-        refuse: Callable[[str, str], None],
+        outlets: Outlets,
         source_of: Callable[[str], str],
     ):
-        self._topics, self._joints, self._line = topics, joints, line
+        self._joints = joints
         self._services, self._judge, self._around = services, judge, around
-        self._publish, self._refuse, self._source_of = publish, refuse, source_of
+        self._refuse, self._source_of = outlets.refuse, source_of
         self._rate = SenderLimits(lambda: RollingWindow(IK_RATE))
-        self._news = threading.Condition()
-        self._poses: dict[str, IkRequest] = {}
-        self._counts: Counter[str] = Counter()
-        self._malformed = MalformedAnswers("plan_requests")
+        self._plans = RequestCounts("plan_requests", "under review", "no plan")
+        self._poses = RequestCounts("ik", "solved", "not solved")
+        self.poses = NewestLine(
+            IK_ACCOUNTS,
+            f"{IK_ACCOUNTS} accounts drag poses already; try again",
+            lambda: self._poses.add(False, "overtaken"),
+        )
         self._closest: tuple[ClosestView, float] | None = None
         self._problem = ""
+        self.plan_requests: Endpoint[_Wish] = Endpoint(
+            "plan_request", topics.plan_request("+"), lambda _account: topics.plan_request_ack,
+            self._read_wish, self._carry_out, _wish_answer, self._plans, outlets, _describe, lambda _wish: line,
+        )  # fmt: skip
+        self.ik: Endpoint[IkRequest] = Endpoint(
+            "ik", topics.ik("+"), lambda account: topics.ik_ack(account) if account else "",
+            self._read_pose, self._solve, _pose_answer, self._poses, outlets, line=lambda _asked: self.poses, qos=0,
+        )  # fmt: skip
 
     @property
     def counts(self) -> dict[str, int]:
         """What was done so far, for `/diagnostics`."""
-        with self._news:
-            return dict(sorted(self._counts.items())) | self._malformed.report()
+        return self._poses.report() | self._plans.report()
 
     # -- wishes for plans
 
-    def on_plan_request(self, account: str, payload: bytes, retained: bool) -> None:
-        """Take a wish; it is carried out in its turn, unless what its screen had shown is too old by then.
+    def _read_wish(self, incoming: Incoming) -> _Wish:
+        document = read_document(incoming.payload, incoming.retained, "plan_request", MAX_BYTES)
+        incoming.echo["id"] = request_id(document)
+        asked = parse_plan_request(document, self._joints)
+        incoming.echo["kind"] = asked.kind
+        self._demand_fresh(asked)
+        return _Wish(asked, incoming.account, now_ns())
 
-        Args:
-            account: In the topic's name.
-        """
-        name = kind = ""
-        try:
-            account = checked_sender(account)
-            document = read_request(payload, retained, "plan_request")
-            name = request_id(document)
-            asked = parse_plan_request(document, self._joints)
-            kind = asked.kind
-            self._demand_fresh(asked)
-        except PayloadError as error:
-            self._refuse(error.reason, str(error))
-            if self._malformed.take(account):
-                expired = error.reason == _TOO_OLD
-                answer = plan_answer(name, account, kind, False, str(error), expired=expired)
-                self._publish(self._topics.plan_request_ack, answer, 1)
-            return
-        arrived = now_ns()
-        self._line.take(
-            Request(
-                "plan_request", name, account, payload, self._topics.plan_request_ack,
-                lambda: self._carry_out(asked, account, arrived),
-                lambda sentence: plan_answer(name, account, kind, False, sentence),
-            )
-        )  # fmt: skip
-
-    def _carry_out(self, asked: RemoteRequest, account: str, arrived: int) -> bytes:
-        try:
-            self._demand_fresh(asked)
-            made = self._make(asked, account, arrived)
-        except PayloadError as error:
-            self._refuse(error.reason, str(error))
-            made = _Made(False, str(error), expired=error.reason == _TOO_OLD)
-        self._count("plan_requests under review" if made.ok else "plan_requests no plan")
-        rospy.loginfo("plan_request %r (%s) from %s: %s", asked.id, asked.kind, account, made.sentence)
-        told = {**made.plan, "expired": made.expired}
-        return plan_answer(asked.id, account, asked.kind, made.ok, made.sentence, **told)  # type: ignore[arg-type]
+    def _carry_out(self, wish: _Wish) -> Outcome:
+        # it may have waited too long for its turn
+        self._demand_fresh(wish.asked)
+        return self._make(wish.asked, wish.account, wish.arrived)
 
     def _demand_fresh(self, asked: RemoteRequest) -> None:
         """Refuse a wish (PayloadError) that is too old to be begun."""
         if problem := staleness(asked.moment, self._around.clock()):
-            raise PayloadError(_TOO_OLD, f"the request is {problem}")
+            raise PayloadError(TOO_OLD, f"the request is {problem}")
 
-    def _make(self, asked: RemoteRequest, account: str, arrived: int) -> _Made:
+    def _make(self, asked: RemoteRequest, account: str, arrived: int) -> Outcome:
         """Have a plan made by the service of its kind."""
         services, scales = (
             self._services,
@@ -199,72 +178,35 @@ class RequestDesk:
             return self._call(services.way_back)
         # the node `work` makes the scene right before it has the way back planned
         if not self._around.has_work():
-            return _Made(False, "no building model is worked on here; start bringup with work_model and work_cell")
+            return Outcome(False, "no building model is worked on here; start bringup with work_model and work_cell")
         return self._call(services.work_task, task=asked.task)
 
     @staticmethod
-    def _call(service: rospy.ServiceProxy, **request: object) -> _Made:
-        try:
-            rospy.wait_for_service(service.resolved_name, SERVICE_TIMEOUT)
-            answer = service(**request)
-        except (rospy.ROSException, *NO_ANSWER) as error:
-            return _Made(False, f"{service.resolved_name} does not answer: {error}; does its node run?")
-        told = {name: getattr(answer, name) for name in ("plan_id", "plan_hash", "duration") if hasattr(answer, name)}
-        return _Made(answer.success, answer.message, told)
+    def _call(service: rospy.ServiceProxy, **request: object) -> Outcome:
+        answer = call(service, "its node", **request)
+        plan = {name: getattr(answer, name) for name in ("plan_id", "plan_hash", "duration") if hasattr(answer, name)}
+        return Outcome(answer.success, answer.message, fields=plan)
 
     # -- poses that are dragged
 
-    def on_ik(self, account: str, payload: bytes, retained: bool) -> None:
-        """Take a pose; the one of this account that still waits is not worth solving any more. Parameters as above."""
-        name = ""
-        try:
-            account = checked_sender(account)
-            if not self._rate.take(account, round(time.monotonic() * NANOSECONDS)):
-                # an answer to each would be as much again
-                self._refuse("ik_rate", f"more than {IK_RATE} poses in a second from {account}")
-                return
-            document = read_request(payload, retained, "ik")
-            name = request_id(document)
-            asked = parse_ik(document, self._joints)
-        except PayloadError as error:
-            self._refuse(error.reason, str(error))
-            if error.reason != "sender":
-                self._publish(self._topics.ik_ack(account), ik_answer(name, "unknown", None, str(error)), 0)
-            return
-        with self._news:
-            if account in self._poses:
-                self._counts["ik overtaken"] += 1
-            if account not in self._poses and len(self._poses) >= IK_ACCOUNTS:
-                full = True
-            else:
-                full = False
-                self._poses[account] = asked
-                self._news.notify_all()
-        if full:
-            sentence = f"{IK_ACCOUNTS} accounts drag poses already; try again"
-            self._refuse("busy", sentence)
-            self._publish(self._topics.ik_ack(account), ik_answer(name, "unknown", None, sentence), 0)
+    def _read_pose(self, incoming: Incoming) -> IkRequest:
+        if not self._rate.take(incoming.account, round(time.monotonic() * NANOSECONDS)):
+            raise PayloadError(FLOOD, f"more than {IK_RATE} poses in a second from {incoming.account}")
+        document = read_document(incoming.payload, incoming.retained, "ik", MAX_BYTES)
+        incoming.echo["id"] = request_id(document)
+        return parse_ik(document, self._joints)
 
-    def solve_waiting(self, patience: float = 0.0) -> None:
-        """Answer every pose that waits; wait so long [s] for the first one."""
-        with self._news:
-            self._news.wait_for(lambda: self._poses, patience)
-            poses, self._poses = self._poses, {}
-        for account, asked in poses.items():
-            self._publish(self._topics.ik_ack(account), self._solved(asked), 0)
-
-    def _solved(self, asked: IkRequest) -> bytes:
+    def _solve(self, asked: IkRequest) -> Outcome:
         seed = asked.seed or tuple(self._around.twin())
         if not seed:
-            return ik_answer(asked.id, "unknown", None, "the twin's pose is not known, and no seed was given")
+            return Outcome(False, "the twin's pose is not known, and no seed was given")
         try:
             verdict = self._judge.judge(asked.position, quaternion_to_rotation(asked.orientation), seed)
         except (ConfigurationError, SceneError) as error:
-            self._refuse("ik", str(error))
-            return ik_answer(asked.id, "unknown", None, str(error))
-        self._count(f"ik {verdict.reach.value}")
+            raise PayloadError("ik", str(error)) from error
         joints = None if verdict.q is None else dict(zip(self._joints.names, map(float, verdict.q)))
-        return ik_answer(asked.id, verdict.reach.value, joints, verdict.sentence, verdict.between)
+        found = {"reach": verdict.reach.value, "joints": joints, "between": verdict.between}
+        return Outcome(joints is not None, verdict.sentence, fields=found, counted=verdict.reach.value)
 
     # -- the closest two bodies
 
@@ -296,14 +238,25 @@ class RequestDesk:
         """Answer poses until shutdown, and look around between them."""
         due = 0.0
         while not rospy.is_shutdown():
-            self.solve_waiting(CLOSEST_PERIOD)
+            self.poses.run(CLOSEST_PERIOD)
             if looks_around and time.monotonic() >= due:
                 due = time.monotonic() + CLOSEST_PERIOD
                 self.look_around()
 
-    def _count(self, what: str) -> None:
-        with self._news:
-            self._counts[what] += 1
+
+def _wish_answer(incoming: Incoming, _wish: _Wish | None, outcome: Outcome) -> bytes:
+    name, kind = incoming.echo.get("id", ""), incoming.echo.get("kind", "")
+    plan: dict[str, Any] = dict(outcome.fields)
+    return plan_answer(name, incoming.account, kind, outcome.ok, outcome.sentence, expired=outcome.expired, **plan)
+
+
+def _describe(wish: _Wish) -> str:
+    return f"plan_request {wish.asked.id!r} ({wish.asked.kind}) from {wish.account}"
+
+
+def _pose_answer(incoming: Incoming, _asked: IkRequest | None, outcome: Outcome) -> bytes:
+    found: dict[str, Any] = {"reach": "unknown", "joints": None, **outcome.fields}
+    return ik_answer(incoming.echo.get("id", ""), sentence=outcome.sentence, **found)
 
 
 def _pose_msg(asked: RemoteRequest) -> PoseMsg:

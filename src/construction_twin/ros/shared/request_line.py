@@ -1,4 +1,4 @@
-"""Requests that came by MQTT, carried out one after the other: each once, each answered, and nobody alone holds up the others."""
+"""Where requests wait: carried out one after the other, each once, each answered, and nobody alone holds up the others."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import hashlib
 import math
 import queue
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 from construction_twin.core.rate_limit import SenderLimits, TokenBucket
 from construction_twin.core.units import NANOSECONDS
@@ -18,26 +20,68 @@ class Request:
     """A request that may wait.
 
     Attributes:
-        what: ``trajectory`` or ``plan_request``, for sentences.
-        id, sender: As the message has it; the account of its topic, empty for none.
+        kind: ``trajectory``, ``plan_request``, ... for the digest.
+        sender: The account of its topic, empty for none.
         payload: The whole message: the same bytes of the same sender are the same request, sent twice.
-        ack: Topic of the answer.
-        carry_out: Does it; returns the answer's payload.
-        refuse: Takes a sentence; returns the payload of the answer that says no.
+        carry_out: Does it and answers; returns the answer, empty when it could not be sent.
+        refuse: Takes a reason and a sentence; counts it and says no.
+        repeat: Takes the answer that was given, empty when it is still to come; counts that the message came again, and answers.
     """
 
-    what: str
-    id: str
+    kind: str
     sender: str
     payload: bytes
-    ack: str
     carry_out: Callable[[], bytes]
-    refuse: Callable[[str], bytes]
+    refuse: Callable[[str, str], None]
+    repeat: Callable[[bytes], None]
 
     @property
     def digest(self) -> bytes:
         """What tells one request from another."""
-        return hashlib.sha256(b"\0".join((self.what.encode(), self.sender.encode(), self.payload))).digest()
+        return hashlib.sha256(b"\0".join((self.kind.encode(), self.sender.encode(), self.payload))).digest()
+
+
+class Line(Protocol):
+    """Where requests wait."""
+
+    def take(self, request: Request) -> None:
+        """Let a request wait for its turn, or answer why not."""
+
+
+class NewestLine:
+    """A line in which only the newest request of each sender waits: what it asked for before is not worth doing any more.
+
+    Args:
+        most: Senders that may wait at once.
+        full: Says so, with what to do.
+        overtaken: Called for each request that is dropped.
+    """
+
+    def __init__(self, most: int, full: str, overtaken: Callable[[], None]):
+        self._most, self._full, self._overtaken = most, full, overtaken
+        self._news = threading.Condition()
+        self._waiting: dict[str, Request] = {}
+
+    def take(self, request: Request) -> None:
+        """Let a request wait in place of its sender's former one, or answer why not."""
+        with self._news:
+            former = request.sender in self._waiting
+            fits = former or len(self._waiting) < self._most
+            if fits:
+                self._waiting[request.sender] = request
+                self._news.notify_all()
+        if former:
+            self._overtaken()
+        if not fits:
+            request.refuse("busy", self._full)
+
+    def run(self, patience: float = 0.0) -> None:
+        """Carry out all that wait; wait so long [s] for the first one."""
+        with self._news:
+            self._news.wait_for(lambda: self._waiting, patience)
+            waiting, self._waiting = self._waiting, {}
+        for request in waiting.values():
+            request.carry_out()
 
 
 class RequestLine:
@@ -45,29 +89,25 @@ class RequestLine:
 
     Args:
         most: Requests that may wait.
-        repeat_window: For so long after its answer the same message is the same request [s].
-        pause: Shortest time between two requests of one sender [s].
+        repeat_window: For so long after its answer the same message is the same request [s]; 0: each is another one.
+        pause: Shortest time between two requests of one sender [s]; 0: none.
         clock: Returns the present time [s], monotonic.
-        publish: Takes topic and payload of an answer.
-        refuse: Counts a refused input; takes reason and sentence.
     """
 
     def __init__(
         self,
         most: int,
-        repeat_window: float,
-        pause: float,
-        clock: Callable[[], float],
-        publish: Callable[[str, bytes], object],
-        refuse: Callable[[str, str], None],
+        repeat_window: float = 0.0,
+        pause: float = 0.0,
+        clock: Callable[[], float] = time.monotonic,
     ):
         self._most, self._repeat_window, self._pause = most, repeat_window, pause
-        self._clock, self._publish, self._refuse = clock, publish, refuse
+        self._clock = clock
         self._lock = threading.Lock()
         self._waiting: queue.Queue[Request] = queue.Queue(most)
-        #: Digest of a request to its answer and when that was given; b"": it is being carried out.
-        self._answered: dict[bytes, tuple[bytes, float]] = {}
-        self._senders = SenderLimits(lambda: TokenBucket(1.0 / pause, 1))
+        #: Digest of a request to its answer and when that was given; None: it is not answered yet.
+        self._answered: dict[bytes, tuple[bytes | None, float]] = {}
+        self._senders = SenderLimits(lambda: TokenBucket(1.0 / pause, 1)) if pause else None
 
     @property
     def waiting(self) -> int:
@@ -76,25 +116,13 @@ class RequestLine:
 
     def take(self, request: Request) -> None:
         """Let a request wait for its turn, or answer why not."""
-        if self._is_repeated(request):
+        if self._repeat_window and self._is_repeated(request):
             return
-        now = round(self._clock() * NANOSECONDS)
-        wait = self._senders.wait(request.sender, now) / NANOSECONDS
-        # rounded up: who tries again then is not too early
-        after = math.ceil(10.0 * wait) / 10.0
-        problem = f"one motion in {self._pause:g} s is taken from a sender; try again in {after:.1f} s" if wait else ""
-        if not problem:
-            try:
-                self._waiting.put_nowait(request)
-            except queue.Full:
-                problem = f"{self._most} requests are waiting already; try again"
-            else:
-                self._senders.take(request.sender, now)
+        problem = self._problem(request)
         if problem:
             with self._lock:
-                del self._answered[request.digest]
-            self._refuse("busy", problem)
-            self._publish(request.ack, request.refuse(problem))
+                self._answered.pop(request.digest, None)
+            request.refuse("busy", problem)
 
     def run(self, patience: float = 0.0) -> None:
         """Carry out all that wait; wait so long [s] for the first one."""
@@ -105,6 +133,21 @@ class RequestLine:
         except queue.Empty:
             return
 
+    def _problem(self, request: Request) -> str:
+        """Let it wait; return why it cannot, empty when it does."""
+        now = round(self._clock() * NANOSECONDS)
+        if self._senders is not None and (wait := self._senders.wait(request.sender, now)):
+            # rounded up: who tries again then is not too early
+            after = math.ceil(10.0 * wait / NANOSECONDS) / 10.0
+            return f"one motion in {self._pause:g} s is taken from a sender; try again in {after:.1f} s"
+        try:
+            self._waiting.put_nowait(request)
+        except queue.Full:
+            return f"{self._most} requests are waiting already; try again"
+        if self._senders is not None:
+            self._senders.take(request.sender, now)
+        return ""
+
     def _is_repeated(self, request: Request) -> bool:
         """Return whether the same message came before; one that was answered is answered alike. If not, note it."""
         now, digest = self._clock(), request.digest
@@ -112,22 +155,17 @@ class RequestLine:
             self._answered = {
                 key: (answer, at)
                 for key, (answer, at) in self._answered.items()
-                if not answer or now - at <= self._repeat_window
+                if answer is None or now - at <= self._repeat_window
             }
             if digest not in self._answered:
-                self._answered[digest] = b"", now
+                self._answered[digest] = None, now
                 return False
             answer, _ = self._answered[digest]
-        self._refuse(
-            "repeated",
-            f"{request.what} {request.id!r} came again within {self._repeat_window:g} s of its answer, or before it",
-        )
-        if answer:
-            self._publish(request.ack, answer)
+        request.repeat(answer or b"")
         return True
 
     def _carry_out(self, request: Request) -> None:
         answer = request.carry_out()
-        with self._lock:
-            self._answered[request.digest] = answer, self._clock()
-        self._publish(request.ack, answer)
+        if self._repeat_window:
+            with self._lock:
+                self._answered[request.digest] = answer, self._clock()

@@ -1,4 +1,7 @@
-"""A service over a connection that stays open, from `open` or the first call on: later calls ask no master and shake no hands."""
+"""Services of other nodes: a call whose silence is an error, and one over a connection that stays open.
+
+Over that connection, from `PersistentService.open` or the first call on, later calls ask no master and shake no hands.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,36 @@ import rospy
 from rospy.exceptions import TransportException
 from rospy.impl.tcpros_base import TCPROSTransport
 
+from construction_twin.core.errors import ServiceSilentError
+
 #: The errors of a call whose node is not there, or goes away.
 NO_ANSWER = (rospy.ServiceException, TransportException, OSError)
+#: Longest wait for a service to exist [s].
+TIMEOUT = 1.0
+
+
+def call(service: rospy.ServiceProxy, program: str, **request):
+    """Return the answer of a service, once it exists.
+
+    Args:
+        program: Who offers it, for the sentence: "the executor".
+
+    Raises:
+        ServiceSilentError: If it does not exist within `TIMEOUT`, or its node goes away.
+    """
+    try:
+        rospy.wait_for_service(service.resolved_name, TIMEOUT)
+        return service(**request)
+    except (rospy.ROSException, *NO_ANSWER) as error:
+        raise ServiceSilentError(service.resolved_name, error, program) from error
+
+
+def call_twice(service: rospy.ServiceProxy, program: str, **request):
+    """As `call`, of a service that may be called twice, and over the connection that is open: first without asking the master."""
+    with contextlib.suppress(rospy.ROSException, *NO_ANSWER):
+        return service(**request)
+    # its node may just be starting
+    return call(service, program, **request)
 
 
 class PersistentService(rospy.ServiceProxy):

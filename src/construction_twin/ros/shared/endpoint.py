@@ -1,0 +1,208 @@
+"""A request by MQTT, from its message to its answer: one `Endpoint` for each kind.
+
+An endpoint is what differs: how a message is read (a pure function of `link` or `mqtt`), where it waits (`request_line`), what
+carries it out, and how its answer looks. What all have in common is here. A message that cannot be read is refused and counted,
+and answered at a pace. What was asked for is carried out first and answered next; counts and log lines come after that, and none
+of them can fail it or hold up the next one (`core.beside`, `deferred_log`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Generic, TypeVar
+
+import rospy
+from paho.mqtt.client import MQTTMessage
+
+from construction_twin.core.beside import Beside
+from construction_twin.core.errors import PayloadError, ServiceSilentError
+from construction_twin.mqtt.messages import account_of
+from construction_twin.ros.shared.deferred_log import DeferredLog
+from construction_twin.ros.shared.request_counts import RequestCounts
+from construction_twin.ros.shared.request_line import Line, Request
+
+#: Reasons of a PayloadError: what its screen had shown is too old; it came before, and was answered then; it is one of too many.
+TOO_OLD, REPEATED, FLOOD = "too_old", "repeated", "ik_rate"
+#: What is refused for these is not answered: that would be as much again.
+UNANSWERED = (REPEATED, FLOOD)
+
+Asked = TypeVar("Asked")
+
+
+@dataclass
+class Incoming:
+    """A message, and what an answer repeats of it even when it is refused.
+
+    Attributes:
+        account: Of the topic; "" where it names none.
+        retained: The message's retain flag.
+        echo: Fields of the answer, by name; who reads the message fills in each as soon as it is known.
+    """
+
+    account: str
+    payload: bytes
+    retained: bool
+    echo: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a request.
+
+    Attributes:
+        sentence: For people.
+        expired: It is void, because what its screen had shown is too old.
+        fields: Further fields of the answer.
+        counted: As what it is counted; "": as done or not.
+    """
+
+    ok: bool
+    sentence: str
+    expired: bool = False
+    fields: Mapping[str, object] = field(default_factory=dict)
+    counted: str = ""
+
+
+class Outlets:
+    """Where the endpoints of a node say what they have to say.
+
+    Args:
+        publish: Takes topic, payload and QoS.
+        refuse: Counts a refused input; takes reason and sentence.
+
+    Attributes:
+        beside: What tells of a request, and cannot fail it.
+        log: What `write_log` writes.
+    """
+
+    def __init__(self, publish: Callable[[str, bytes, int], object], refuse: Callable[[str, str], None]):
+        self.publish, self.refuse = publish, refuse
+        self.beside = Beside()
+        self.log = DeferredLog()
+
+    def write_log(self) -> None:
+        """Write what is to be said, and what has failed; for a thread that may wait for a disk or a terminal."""
+        self.beside.do("the log", self.log.flush)
+        self.beside.tell(rospy.logerr)
+
+
+class Endpoint(Generic[Asked]):
+    """One kind of request by MQTT.
+
+    Args:
+        kind: For the digest of a message that may come twice.
+        topic: With ``+`` in place of the account, or the whole topic of a request that names none.
+        ack: Takes the account; returns the topic of the answer, "" where nobody could read one.
+        read: Returns what is asked for, or raises PayloadError.
+        carry_out: Does it. May raise PayloadError, which is refused and counted then, and ServiceSilentError.
+        answer: Takes the message, what was asked for (None: it could not be read) and the outcome; returns the payload.
+        describe: Returns in a few words who asks for what, for the log; None: there is no line of it.
+        line: Takes what is asked for; returns where that waits. None: it is carried out where it arrives, and waits for nothing.
+        qos: Of answers and subscription.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        topic: str,
+        ack: Callable[[str], str],
+        read: Callable[[Incoming], Asked],
+        carry_out: Callable[[Asked], Outcome],
+        answer: Callable[[Incoming, Asked | None, Outcome], bytes],
+        counts: RequestCounts,
+        outlets: Outlets,
+        describe: Callable[[Asked], str] | None = None,
+        line: Callable[[Asked], Line] | None = None,
+        qos: int = 1,
+    ):
+        self.kind, self.topic, self.qos = kind, topic, qos
+        self._ack, self._read, self._act, self._answer = ack, read, carry_out, answer
+        self._counts, self._outlets, self._describe, self._line = counts, outlets, describe, line
+
+    def on_message(self, message: MQTTMessage) -> None:
+        """Take a message from the connection's thread."""
+        incoming = Incoming("", bytes(message.payload), message.retain)
+        if self.topic.endswith("/+"):
+            try:
+                incoming.account = account_of(message.topic)
+            except PayloadError as error:
+                self._refuse_unread(incoming, error)
+                return
+            if not incoming.account:
+                # an answer, of this node or of another one
+                return
+        self.take(incoming)
+
+    def take(self, incoming: Incoming) -> None:
+        """Take a message whose account is known."""
+        try:
+            asked = self._read(incoming)
+        except PayloadError as error:
+            self._refuse_unread(incoming, error)
+            return
+        if self._line is None:
+            self._carry_out(incoming, asked)
+            return
+        self._line(asked).take(
+            Request(
+                self.kind,
+                incoming.account,
+                incoming.payload,
+                partial(self._carry_out, incoming, asked),
+                partial(self._refuse, incoming, asked),
+                partial(self._repeat, incoming),
+            )
+        )
+
+    def _refuse_unread(self, incoming: Incoming, error: PayloadError) -> None:
+        if error.reason not in UNANSWERED and self._counts.is_due(incoming.account):
+            self._send(incoming, None, Outcome(False, str(error), error.reason == TOO_OLD))
+        self._count_refusal(error.reason, str(error))
+
+    def _refuse(self, incoming: Incoming, asked: Asked, reason: str, sentence: str) -> None:
+        self._send(incoming, asked, Outcome(False, sentence))
+        self._count_refusal(reason, f"{self.kind}: {sentence}")
+
+    def _repeat(self, incoming: Incoming, answer: bytes) -> None:
+        if answer:
+            self._publish(incoming, answer)
+        self._count_refusal(
+            REPEATED, f"{self.kind} {incoming.echo.get('id', '')!r} came again soon after its answer, or before it"
+        )
+
+    def _carry_out(self, incoming: Incoming, asked: Asked) -> bytes:
+        """Do it, and answer; return the answer, empty where there is none."""
+        refused = None
+        try:
+            outcome = self._act(asked)
+        except ServiceSilentError as error:
+            outcome = Outcome(False, str(error))
+        except PayloadError as error:
+            refused, outcome = error, Outcome(False, str(error), error.reason == TOO_OLD)
+        answer = b""
+        if refused is None or refused.reason not in UNANSWERED:
+            answer = self._send(incoming, asked, outcome)
+            self._counts.add(outcome.ok, outcome.counted)
+        if refused is not None:
+            self._count_refusal(refused.reason, str(refused))
+        if self._describe is not None:
+            self._outlets.beside.do("the log", self._say, self._describe, asked, outcome.sentence)
+        return answer
+
+    def _send(self, incoming: Incoming, asked: Asked | None, outcome: Outcome) -> bytes:
+        answer = self._outlets.beside.do("the answer", self._answer, incoming, asked, outcome) or b""
+        if answer:
+            self._publish(incoming, answer)
+        return answer
+
+    def _publish(self, incoming: Incoming, answer: bytes) -> None:
+        if topic := self._ack(incoming.account):
+            self._outlets.beside.do("the answer", self._outlets.publish, topic, answer, self.qos)
+
+    def _count_refusal(self, reason: str, sentence: str) -> None:
+        self._outlets.beside.do("the count of refusals", self._outlets.refuse, reason, sentence)
+
+    def _say(self, describe: Callable[[Asked], str], asked: Asked, sentence: str) -> None:
+        self._outlets.log.add(rospy.loginfo, "%s: %s", describe(asked), sentence)
