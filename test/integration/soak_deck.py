@@ -40,6 +40,10 @@ class Fault:
     causes_holds: bool = True
 
 
+#: More records than one page of a disk can hold.
+_LINES_OF_A_PAGE = 12
+
+
 def _watch(seconds: float = WATCH) -> None:
     """Let time pass in which nothing may happen: what does is the judge's to find."""
     time.sleep(seconds)
@@ -222,9 +226,17 @@ def _disk_full(operator: Operator, world: SoakWorld) -> str:
     with world.full_disk():
         operator.stop(operator.chance.choice(("ros", "mqtt")))
         _watch()
-        operator.back()
-        plan = operator.plan()
-        sentence = operator.refused("an approval on a full disk", lambda: operator.approve(plan, "ros"))
+        # a full disk has room in the last page of each file: approvals that fit into it are recorded, and lawful
+        for _ in range(_LINES_OF_A_PAGE):
+            operator.back()
+            plan = operator.plan()
+            counted = operator.counted()
+            ok, sentence = operator.approve(plan, "ros")
+            if not ok:
+                break
+            operator.client.wait(operator.witness.arm.moves, "the arm to move", 5.0)
+            operator.wait_until_ended(plan.plan_id)
+        operator.note_refusal("an approval on a full disk", ok, sentence, counted)
         _watch()
     return sentence
 

@@ -206,18 +206,22 @@ class Operator:
 
     def refused(self, what: str, ask: Callable[[], tuple[bool, str]]) -> str:
         """Ask for what must be refused; note whether it was, and what on /diagnostics counted it. Return the answer's sentence."""
-        before = self._counters()
+        before = self.counted()
         ok, sentence = ask()
+        self.note_refusal(what, ok, sentence, before)
+        return sentence
+
+    def note_refusal(self, what: str, ok: bool, sentence: str, before: dict[str, int]) -> None:
+        """Note whether something was refused, and which counter has risen since `counted` said `before`."""
         rose = ""
         deadline = time.monotonic() + 4.0
         while not rose and time.monotonic() < deadline:
             time.sleep(0.05)
-            now = self._counters()
+            now = self.counted()
             rose = next((name for name, count in sorted(now.items()) if count > before.get(name, 0)), "")
         self.refusals.append(Refusal(f"{what} ({sentence})", not ok, rose))
-        return sentence
 
-    def _counters(self) -> dict[str, int]:
+    def counted(self) -> dict[str, int]:
         """Return what counts refusals, of every node and of the gateway."""
         found = {}
         for node in self.client.diagnosed_nodes():
