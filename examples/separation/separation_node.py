@@ -14,9 +14,9 @@ from distance_to_speed import SeparationLimit, SpeedTable
 from sensor_msgs.msg import Range
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import run_node
-from construction_twin.ros.shared.params import read_parameters
+from construction_twin.ros.shared.node import NodeShell
 from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.publisher import Publisher, Sink
 from construction_twin.ros.transport.subscriber import Subscriber
@@ -85,19 +85,21 @@ class SeparationNode:
         return Report(level, f"speed limit {limit:g}: {reason}", {"speed limit": f"{limit:.3f}"})
 
 
-def start() -> SeparationNode:
+def start(settings: Settings, robot: RobotModel) -> SeparationNode:
     """Return the node with its parameters and topics."""
-    settings = read_parameters(Settings)
     node = SeparationNode(
         SeparationLimit(SpeedTable(settings.table), settings.deadline),
         Publisher("speed_limit", SpeedLimit, queue_size=1, latch=True, tcp_nodelay=True),
-        functools.partial(NodeDiagnostics, rospy.get_namespace().strip("/")),
+        functools.partial(NodeDiagnostics, robot.name),
     )
     Subscriber("separation_distance", Range, node.on_range, node.refuse, queue_size=1, tcp_nodelay=True)
     rospy.Timer(rospy.Duration(1.0 / settings.rate), lambda _: node.update())
     return node
 
 
+NODE = NodeShell("separation", Settings, start, lambda settings, _robot: SpeedTable(settings.table))
+
+
 def main() -> None:
     """Run the node."""
-    run_node("separation", start)
+    NODE.run()

@@ -64,8 +64,6 @@ class MockNode:
         chosen = MockSettings(gateway_host=host, gateway_port=port, **settings)
         robot = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
         patch = monkeypatch.setattr
-        patch(module, "read_parameters", lambda model: chosen)
-        patch(module, "robot_from_parameters", lambda: robot)
         patch(module, "NodeDiagnostics", lambda name, report: setattr(self, "report", report))
         patch(module, "JointPublisher", lambda *_: self)
         patch(module, "Publisher", lambda *_, **__: self)
@@ -73,7 +71,7 @@ class MockNode:
         patch(rospy, "loginfo", self.lines.append)
         patch(rospy, "on_shutdown", self.ends.append)
         self._interval = sys.getswitchinterval()
-        self._loop = threading.Thread(target=module.MockRsiNode().run, daemon=True)
+        self._loop = threading.Thread(target=module.MockRsiNode(chosen, robot).run, daemon=True)
         self.pc.start()
         self._loop.start()
 

@@ -56,8 +56,6 @@ class Bench:
         values |= {"self_collision": str(ROOT / "config/kr120_self_collision.yaml"), "tf_prefix": "", "seed": 1}
         values |= {"max_waypoints": 600}
         patch = monkeypatch.setattr
-        patch(module, "read_parameters", lambda _: Settings(**values))
-        patch(module, "robot_from_parameters", lambda: ROBOT)
         patch(module, "neighbour_settings", lambda: None)
         patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=self.refuse, count=self.refuse))
         patch(module, "Publisher", self.publisher)
@@ -73,7 +71,7 @@ class Bench:
         )
         patch(module.rospy, "resolve_name", lambda name: f"/kr120/{name}")
         patch(module.rospy.Time, "now", staticmethod(lambda: rospy.Time(7)))
-        self.node = PlannerNode()
+        self.node = PlannerNode(Settings(**values), ROBOT)
         self.show(SCENE)
 
     def refuse(self, reason: str, sentence: str) -> None:

@@ -55,8 +55,6 @@ class Bench:
         self.refused: list[str] = []
         self.now = 100.0
         patch = monkeypatch.setattr
-        patch(module, "read_parameters", lambda _: Settings(frame_rate=25.0, tf_prefix="kr120/preview"))
-        patch(module, "robot_from_parameters", lambda: ROBOT)
         refuse = lambda _, sentence: self.refused.append(sentence)  # noqa: E731
         patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=refuse))
         patch(module, "JointPublisher", lambda *_: SimpleNamespace(publish=lambda *_: None))
@@ -67,7 +65,7 @@ class Bench:
         patch(module, "now_ns", lambda: 0)
         patch(module.time, "monotonic", lambda: self.now)
         patch(module.rospy, "Timer", lambda _, callback: self.callbacks.update({"timer": callback}))
-        self.node = PreviewNode()
+        self.node = PreviewNode(Settings(frame_rate=25.0, tf_prefix="kr120/preview"), ROBOT)
 
     def unknown(self, _):
         raise PoseUnknownError("twin/joint_states", 1.0, 0.5)

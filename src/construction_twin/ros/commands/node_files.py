@@ -5,54 +5,44 @@ from __future__ import annotations
 import difflib
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import pydantic
 import rospkg
 import yaml
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.limits import MotionLimits
-from construction_twin.core.validation import configuration_error
-from construction_twin.mock.program import MockSettings, build_controller
-from construction_twin.monitor.gate import Gate
-from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import read_text
 from construction_twin.ros.nodes import (
     executor,
     follow_joint_trajectory,
     joint_velocities,
+    mock_rsi,
     mqtt_bridge,
     mqtt_planner,
     mqtt_review,
+    neighbour,
     pca_monitor,
     planner,
     tool_marker,
     work,
 )
-from construction_twin.ros.shared.arm_listener import NeighbourSettings
 from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.ros.shared.node import NodeShell
+from construction_twin.ros.shared.params import settings_of
 from construction_twin.views.preflight import is_bare, is_true
 
 Given = Mapping[str, str]
 Values = dict[str, Any]
-Settings = TypeVar("Settings", bound=pydantic.BaseModel)
 
 #: What the launch files give beside the files, where any value will do.
 _BROKER = {"host": "127.0.0.1", "port": 18830}
 _MARKER = {"self_collision": "", "tf_prefix": "", "reviewer": "operator"}
 _PLANNER = {"self_collision": "", "tf_prefix": ""}
 _WORK = {"model": "", "cell": "", "self_collision": "", "tf_prefix": "", "review_file": "", "arm": "mock"}
-
-
-def _model(model: type[Settings], values: Values) -> Settings:
-    try:
-        return model.model_validate(values)
-    except pydantic.ValidationError as error:
-        raise configuration_error(error, model) from error
 
 
 def _arm(given: Given) -> str:
@@ -63,52 +53,36 @@ def _decimals(given: Given) -> int:
     return int(given.get("decimals", "3"))
 
 
-def _executor(values: Values, given: Given, _robot: RobotModel) -> None:
-    _model(executor.Settings, values | {"arm": _arm(given), "review_file": "reviews"})
-
-
-def _pca_monitor(values: Values, given: Given, robot: RobotModel) -> None:
-    launched = {"arm": _arm(given), "transition_file": "transitions", "decimals": _decimals(given)}
-    settings = _model(pca_monitor.Settings, values | launched)
-    codec = JointStringCodec.of(robot, settings.decimals)
-    Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), 0)
-
-
 def tool_settings(given: Given) -> Values:
     """Return what launch/link.launch loads of a tool file; nothing without one."""
     return {"tool": read_mapping(given["tool"], "a tool")} if given.get("tool") else {}
 
 
 def _gateway(values: Values, given: Given, robot: RobotModel) -> None:
+    # not a node's own: gateway and bridge read these from the robot's namespace
     gateway_config(robot, values | {"decimals": _decimals(given), "cycle": int(given.get("rsi_cycle", "4"))})
 
 
-def _mock_rsi(values: Values, given: Given, robot: RobotModel) -> None:
+def _mock(given: Given) -> Values:
     launched: Values = {"gateway_host": "127.0.0.1", "cycle": int(given.get("rsi_cycle", "4"))} | tool_settings(given)
-    if given.get("ethernet_xml"):
-        launched["ethernet_xml"] = read_text(given["ethernet_xml"])
-    build_controller(_model(MockSettings, values | launched), robot)
+    return launched | ({"ethernet_xml": read_text(given["ethernet_xml"])} if given.get("ethernet_xml") else {})
 
 
-def _separation(values: Values, _given: Given, _robot: RobotModel) -> None:
+def _monitor(given: Given) -> Values:
+    return {"arm": _arm(given), "transition_file": "transitions", "decimals": _decimals(given)}
+
+
+def _separation(values: Values, _given: Given, robot: RobotModel) -> None:
     folder = str(Path(rospkg.RosPack().get_path("construction_twin"), "examples", "separation"))
     if folder not in sys.path:
         sys.path.append(folder)
     import separation_node
 
-    settings = _model(separation_node.Settings, values)
-    separation_node.SpeedTable(settings.table)
-
-
-def _of(model: type[pydantic.BaseModel], launched: Values) -> Callable[[Values, Given, RobotModel], None]:
-    def check(values: Values, _given: Given, _robot: RobotModel) -> None:
-        _model(model, values | launched)
-
-    return check
+    separation_node.NODE.check_values(values, robot)
 
 
 def _joint_state_publisher(values: Values, _given: Given, _robot: RobotModel) -> None:
-    _model(_JointStatePublisher, values)
+    settings_of(_JointStatePublisher, values)
 
 
 class _JointStatePublisher(pydantic.BaseModel, extra="forbid"):
@@ -146,29 +120,40 @@ class NodeFile:
 
     name: str
     check: Callable[[Values, Given, RobotModel], None]
-    loaded: Callable[[Given], bool] = field(default=_always)
+    loaded: Callable[[Given], bool] = _always
+
+
+def _of(
+    node: NodeShell, launched: Callable[[Given], Values] = lambda _given: {}, loaded: Callable[[Given], bool] = _always
+) -> NodeFile:
+    """Return the file of a node, which checks its parameters itself.
+
+    Args:
+        launched: Returns what the launch files give beside the file; where any value will do, one that does.
+    """
+    return NodeFile(node.name, lambda values, given, robot: node.check_values(values | launched(given), robot), loaded)
 
 
 #: Every file that bringup.launch loads for a node, in the order of the launch files.
 NODE_FILES = (
-    NodeFile("neighbour", _of(NeighbourSettings, {"name": "other"}), lambda given: bool(given.get("neighbour"))),
-    NodeFile("planner", _of(planner.Settings, _PLANNER)),
-    NodeFile(
-        "follow_joint_trajectory",
-        _of(follow_joint_trajectory.Settings, {"arm": "mock"}),
+    _of(neighbour.NODE, lambda _given: {"name": "other"}, lambda given: bool(given.get("neighbour"))),
+    _of(planner.NODE, lambda _given: _PLANNER),
+    _of(
+        follow_joint_trajectory.NODE,
+        lambda _given: {"arm": "mock"},
         lambda given: is_true(given, "follow_joint_trajectory", "true"),
     ),
-    NodeFile("joint_velocities", _of(joint_velocities.Settings, {})),
+    _of(joint_velocities.NODE),
     NodeFile("joint_state_publisher", _joint_state_publisher),
     NodeFile("gateway", _gateway, _has_link),
-    NodeFile("mqtt_bridge", _of(mqtt_bridge.Settings, _BROKER), _has_link),
-    NodeFile("mqtt_review", _of(mqtt_review.Settings, _BROKER), _has_link),
-    NodeFile("mqtt_planner", _of(mqtt_planner.Settings, _BROKER), _has_link),
-    NodeFile("mock_rsi", _mock_rsi, lambda given: _arm(given) == "mock" and not is_bare(given)),
-    NodeFile("executor", _executor),
-    NodeFile("pca_monitor", _pca_monitor),
-    NodeFile("tool_marker", _of(tool_marker.Settings, _MARKER), lambda given: is_true(given, "tool_marker")),
-    NodeFile("work", _of(work.Settings, _WORK), lambda given: bool(given.get("work_model"))),
+    _of(mqtt_bridge.NODE, lambda _given: _BROKER, _has_link),
+    _of(mqtt_review.NODE, lambda _given: _BROKER, _has_link),
+    _of(mqtt_planner.NODE, lambda _given: _BROKER, _has_link),
+    _of(mock_rsi.NODE, _mock, lambda given: _arm(given) == "mock" and not is_bare(given)),
+    _of(executor.NODE, lambda given: {"arm": _arm(given), "review_file": "reviews"}),
+    _of(pca_monitor.NODE, _monitor),
+    _of(tool_marker.NODE, lambda _given: _MARKER, lambda given: is_true(given, "tool_marker")),
+    _of(work.NODE, lambda _given: _WORK, lambda given: bool(given.get("work_model"))),
     NodeFile("separation", _separation, lambda given: is_true(given, "separation")),
 )
 

@@ -16,7 +16,6 @@ import urllib.parse
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-import pydantic
 import rosgraph
 import rospkg
 
@@ -24,7 +23,6 @@ from construction_twin.broker.start import DEFAULT_PORT, listener_ports, trial
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import check_writable
 from construction_twin.core.network import port_is_free, reaches_itself
-from construction_twin.core.validation import configuration_error
 from construction_twin.gateway.trace import room as trace_room
 from construction_twin.mqtt.account import load_account
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
@@ -35,7 +33,7 @@ from construction_twin.ros.commands.node_files import node_files_problem, read_m
 from construction_twin.ros.messages.joint_goals import control_messages
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.master import running
-from construction_twin.ros.shared.params import ros_home
+from construction_twin.ros.shared.params import ros_home, settings_of
 from construction_twin.ros.shared.roslaunch_above import command_lines, roslaunch_above, say_below
 from construction_twin.ros.shared.start_claim import claim
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
@@ -159,11 +157,7 @@ def _check_task(given: Given, robot: RobotModel) -> None:
     """Check the task of experiment.launch as its node does: what it leaves out is config/experiment.yaml's."""
     shipped = read_mapping(str(_package() / "config" / "experiment.yaml"), "a task")
     task = shipped | read_mapping(given["task"], "a task") | {"results_dir": "/"}
-    try:
-        settings = ExperimentSettings.model_validate(task)
-    except pydantic.ValidationError as error:
-        raise configuration_error(error, ExperimentSettings, given["task"]) from error
-    check_goals(settings, robot)
+    check_goals(settings_of(ExperimentSettings, task, given["task"]), robot)
 
 
 def _check_scenario(given: Given, _robot: RobotModel) -> None:

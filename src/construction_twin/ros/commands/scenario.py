@@ -23,7 +23,6 @@ from construction_twin.core.errors import ConstructionTwinError, ScenarioError
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import from_wire
-from construction_twin.core.validation import configuration_error
 from construction_twin.gateway.trace import read_trace
 from construction_twin.msg import Execution, Link, Plan, Sync, Transition
 from construction_twin.robot.description import RobotModel, read_robot_files
@@ -32,7 +31,7 @@ from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.commands.scenario_bag import BAG, NOTES, TOPICS, TRACE, VERDICT, read_run
 from construction_twin.ros.shared.master import await_master
-from construction_twin.ros.shared.params import robot_from_parameters
+from construction_twin.ros.shared.params import robot_from_parameters, settings_of
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.shared.roslaunch_above import roslaunch_above, say_below
 from construction_twin.ros.transport.persistent_service import PersistentService
@@ -343,10 +342,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _checked(given: dict) -> ScenarioSettings:
-    try:
-        return ScenarioSettings(**given)
-    except pydantic.ValidationError as error:
-        raise configuration_error(error, ScenarioSettings, rospy.get_name()) from error
+    return settings_of(ScenarioSettings, given, rospy.get_name())
 
 
 def main() -> int:

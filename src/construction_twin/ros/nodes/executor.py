@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 import math
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -63,8 +62,8 @@ from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg,
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.engagement_file import ENDED, EngagementFile
-from construction_twin.ros.shared.node import Service, run_node
-from construction_twin.ros.shared.params import NodeSettings, read_parameters, robot_from_parameters, ros_home
+from construction_twin.ros.shared.node import NodeShell, Service
+from construction_twin.ros.shared.params import NodeSettings, ros_home
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, from_time, now_ns, to_time
@@ -722,10 +721,8 @@ def _execution(said: Said, plan: PlanContent | None, rate: float, limit: float, 
     return message
 
 
-def start() -> ExecutorNode:
+def start(settings: Settings, robot: RobotModel) -> ExecutorNode:
     """Return the executor with its parameters, topics and services."""
-    settings = read_parameters(Settings)
-    robot = robot_from_parameters()
     names = robot.joint_names
     executor = Executor(robot)
     executor.neighbour = ConflictVerdicts(settings.neighbour)
@@ -781,7 +778,9 @@ def start() -> ExecutorNode:
     return node
 
 
+NODE = NodeShell("executor", Settings, start, fast=True)
+
+
 def main() -> None:
     """Run the node."""
-    sys.setswitchinterval(0.001)
-    run_node("executor", start)
+    NODE.run()

@@ -38,6 +38,7 @@ from construction_twin.execution.trajectory_goals import (
     Withdraw,
 )
 from construction_twin.msg import Execution, Feedback, PlanCaller, Review
+from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import BY_ACTION
 from construction_twin.ros.messages.joint_goals import (
     LONGEST,
@@ -48,8 +49,7 @@ from construction_twin.ros.messages.joint_goals import (
     trajectory_goal,
 )
 from construction_twin.ros.shared.diagnostics import OK, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import run_node
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.node import NodeShell
 from construction_twin.ros.transport.goal_server import GoalServer
 from construction_twin.ros.transport.joint_stream import JointSubscriber, from_time
 from construction_twin.ros.transport.persistent_service import NO_ANSWER
@@ -101,10 +101,9 @@ class Client:
 class FollowJointTrajectoryNode:
     """ROS around TrajectoryGoals."""
 
-    def __init__(self):
-        settings = read_parameters(Settings)
+    def __init__(self, settings: Settings, robot: RobotModel):
         self._messages = control_messages()
-        self._robot = robot = robot_from_parameters()
+        self._robot = robot
         self._planner_timeout, self._retime = settings.planner_timeout, settings.retime
         self._defaults = GoalDefaults(
             Tolerances.default(robot, settings.path_tolerance, settings.path_tolerance_linear),
@@ -390,6 +389,9 @@ def _key(server: GoalServer, handle: ServerGoalHandle) -> str:
     return f"{server.ns} {handle.get_goal_id().id}"
 
 
+NODE = NodeShell("follow_joint_trajectory", Settings, FollowJointTrajectoryNode)
+
+
 def main() -> None:
     """Run the node until shutdown."""
-    run_node("follow_joint_trajectory", FollowJointTrajectoryNode)
+    NODE.run()

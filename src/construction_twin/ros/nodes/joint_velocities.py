@@ -10,10 +10,10 @@ import pydantic
 import rospy
 from sensor_msgs.msg import JointState
 
+from construction_twin.robot.description import RobotModel
 from construction_twin.robot.joint_velocities import JointVelocities
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import run_node
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.node import NodeShell
 from construction_twin.ros.transport.joint_stream import JointSubscriber, to_time
 from construction_twin.ros.transport.publisher import Publisher, Sink
 
@@ -108,10 +108,8 @@ class JointVelocitiesNode:
         return Report(OK, "publishing the twin's velocities")
 
 
-def start() -> JointVelocitiesNode:
+def start(settings: Settings, robot: RobotModel) -> JointVelocitiesNode:
     """Return the node with its parameters and topics."""
-    settings = read_parameters(Settings)
-    robot = robot_from_parameters()
     publisher = Publisher("velocities/joint_states", JointState, queue_size=5)
     node = JointVelocitiesNode(robot.joint_names, JointVelocities(robot.velocity), 1.0 / settings.rate, publisher)
     diagnostics = NodeDiagnostics(robot.name, node.report)
@@ -128,6 +126,9 @@ def _paced(take: Callable[[float, int, tuple[float, ...]], float]) -> Callable[[
     return callback
 
 
+NODE = NodeShell("joint_velocities", Settings, start)
+
+
 def main() -> None:
     """Run the node."""
-    run_node("joint_velocities", start)
+    NODE.run()

@@ -20,9 +20,9 @@ from construction_twin.core.units import to_wire
 from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.network import MockRsi
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
+from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import Service, run_node
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.node import NodeShell, Service
 from construction_twin.ros.transport.joint_stream import JointPublisher, now_ns
 from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.srv import InjectFault, InjectFaultRequest, InjectFaultResponse
@@ -43,9 +43,9 @@ class _Observed:
 class MockRsiNode:
     """ROS around a MockRsi. Its loop runs in the main thread and hands what is to be published to another one."""
 
-    def __init__(self):
-        self._settings = read_parameters(MockSettings)
-        self._robot = robot_from_parameters()
+    def __init__(self, settings: MockSettings, robot: RobotModel):
+        self._settings = settings
+        self._robot = robot
         self._controller = build_controller(self._settings, self._robot)
         gateway = gateway_address(self._settings)
         self._mock = MockRsi(
@@ -199,6 +199,9 @@ class MockRsiNode:
         return True, done
 
 
+NODE = NodeShell("mock_rsi", MockSettings, MockRsiNode, build_controller)
+
+
 def main() -> None:
     """Run the node."""
-    run_node("mock_rsi", MockRsiNode)
+    NODE.run()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import http.client
 import json
-import sys
 import threading
 import time
 import uuid
@@ -45,12 +44,12 @@ from construction_twin.mqtt.messages import (
 )
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Execution, Feedback, Link, SpeedLimit, Sync, ToolCommand, ToolState
+from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.gateway_config import config_from_parameters
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
-from construction_twin.ros.shared.node import Service, run_node
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.node import NodeShell, Service
 from construction_twin.ros.shared.stop_memory import StopMemory
 from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, now_ns
 from construction_twin.ros.transport.publisher import Publisher, Sink
@@ -651,10 +650,8 @@ def _tool_message(report: ToolReport) -> ToolState:
     return message
 
 
-def start() -> MqttBridge:
+def start(settings: Settings, robot: RobotModel) -> MqttBridge:
     """Return the bridge with its parameters, topics and services, connecting to the broker."""
-    settings = read_parameters(Settings)
-    robot = robot_from_parameters()
     config = config_from_parameters(needs_xml=settings.gateway_kind != PLC)
     broker = broker_of(settings)
     topics = Topics(settings.prefix, robot.name)
@@ -692,7 +689,9 @@ def start() -> MqttBridge:
     return bridge
 
 
+NODE = NodeShell("mqtt_bridge", Settings, start, fast=True)
+
+
 def main() -> None:
     """Run the node."""
-    sys.setswitchinterval(0.001)
-    run_node("mqtt_bridge", start)
+    NODE.run()

@@ -54,8 +54,8 @@ from construction_twin.ros.shared.console_feed import ConsoleFeed, deployment_of
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outcome, Outlets
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
-from construction_twin.ros.shared.node import run_node
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters, ros_home
+from construction_twin.ros.shared.node import NodeShell
+from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.pose_judge import PoseJudge
 from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.ros.shared.request_counts import RequestCounts
@@ -548,10 +548,8 @@ def _positions(stream: LatestPose | None, oldest: float) -> tuple[float, ...]:
         return ()
 
 
-def start() -> MqttPlanner:
+def start(settings: Settings, robot: RobotModel) -> MqttPlanner:
     """Return the node with its parameters and topics, connecting to the broker."""
-    settings = read_parameters(Settings)
-    robot = robot_from_parameters()
     joints = Joints(tuple(robot.joint_names), tuple(robot.linear))
     broker = broker_of(settings)
     writer = ViewWriter(robot.name, secrets.token_hex(8), joints)
@@ -578,6 +576,9 @@ def start() -> MqttPlanner:
     return node
 
 
+NODE = NodeShell("mqtt_planner", Settings, start)
+
+
 def main() -> None:
     """Run the node."""
-    run_node("mqtt_planner", start)
+    NODE.run()

@@ -34,13 +34,13 @@ from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Link, Plan, PlanCaller, Review
+from construction_twin.robot.description import RobotModel
 from construction_twin.robot.segments import segments_content
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outcome, Outlets
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
-from construction_twin.ros.shared.node import run_node
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.node import NodeShell
 from construction_twin.ros.shared.remote_interventions import EXECUTOR, remote_interventions
 from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.ros.shared.request_line import RequestLine
@@ -405,14 +405,12 @@ def _xyz(point) -> tuple[float, float, float]:
     return point.x, point.y, point.z
 
 
-def start() -> MqttReview:
+def start(settings: Settings, robot: RobotModel) -> MqttReview:
     """Return the node with its parameters and topics, connecting to the broker."""
-    settings = read_parameters(Settings)
-    robot = robot_from_parameters().name
     broker = broker_of(settings)
     # the last will takes the plan away: while this node does not run, a verdict on it would not be heard
-    topics = Topics(settings.prefix, robot)
-    client = make_client(broker, unique_id(robot, "review"), topics.plan, will="")
+    topics = Topics(settings.prefix, robot.name)
+    client = make_client(broker, unique_id(robot.name, "review"), topics.plan, will="")
     review_plan = rospy.ServiceProxy("review_from_screen", ReviewFromScreen)
     # `stop` and `pause` may be called twice
     services = {name: PersistentService(name, Trigger) for name in (STOP, PAUSE)}
@@ -420,8 +418,8 @@ def start() -> MqttReview:
     # a plan is rejected once, and a second time it is said to be
     reject = PersistentService("review_from_screen", ReviewFromScreen)
     connections = (services[STOP], services[PAUSE], reject)
-    diagnostics = functools.partial(NodeDiagnostics, robot)
-    node = MqttReview(settings, robot, broker, client, review_plan, services, diagnostics, reject, connections)
+    diagnostics = functools.partial(NodeDiagnostics, robot.name)
+    node = MqttReview(settings, robot.name, broker, client, review_plan, services, diagnostics, reject, connections)
     node.connect()
     Subscriber("plan", Plan, node.on_plan, node.refuse, queue_size=5)
     Subscriber("plan_caller", PlanCaller, node.on_caller, node.refuse, queue_size=5)
@@ -430,6 +428,9 @@ def start() -> MqttReview:
     return node
 
 
+NODE = NodeShell("mqtt_review", Settings, start)
+
+
 def main() -> None:
     """Run the node."""
-    run_node("mqtt_review", start)
+    NODE.run()

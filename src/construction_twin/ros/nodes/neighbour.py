@@ -12,22 +12,21 @@ import rospy
 from construction_twin.coordination.conflict import braking_horizon
 from construction_twin.coordination.path_judge import Judgement, Others, PathJudge
 from construction_twin.coordination.plan_book import PlanUnknownError
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, PoseUnknownError
+from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.conflict_verdicts import VERDICT_TIMEOUT
 from construction_twin.msg import Conflict as ConflictMsg
+from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.planning_scene import moveit_types
 from construction_twin.ros.shared.arm_listener import (
     ArmListener,
     NeighbourSettings,
     OtherArm,
     listen_to_other_arm,
-    neighbour_settings,
 )
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import run_node
-from construction_twin.ros.shared.params import robot_from_parameters
+from construction_twin.ros.shared.node import NodeShell
 from construction_twin.ros.shared.planning_scene import QUEUE, OtherArmPublisher
 from construction_twin.ros.transport.publisher import Publisher, Sink
 
@@ -198,13 +197,8 @@ class NeighbourNode:
         self._latest.report = Report(level, sentence, known | values)
 
 
-def start() -> NeighbourNode:
+def start(settings: NeighbourSettings, robot: RobotModel) -> NeighbourNode:
     """Return the watch with its parameters and topics."""
-    settings = neighbour_settings()
-    if settings is None:
-        expected = "config/neighbour.yaml, as launch/twin.launch loads it"
-        raise ConfigurationError(rospy.resolve_name("neighbour"), None, expected)
-    robot = robot_from_parameters()
     latest = Latest()
     diagnostics = NodeDiagnostics(robot.name, lambda: latest.report)
     other = listen_to_other_arm(robot.name, settings, diagnostics.refuse, streams=True)
@@ -221,6 +215,9 @@ def start() -> NeighbourNode:
     return NeighbourNode(settings, own, other, judge, horizon, conflict, latest, moveit)
 
 
+NODE = NodeShell("neighbour", NeighbourSettings, start)
+
+
 def main() -> None:
     """Run the node until shutdown."""
-    run_node("neighbour", start)
+    NODE.run()

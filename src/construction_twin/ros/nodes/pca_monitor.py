@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-import sys
 import threading
 import time
 from collections import deque
@@ -24,9 +23,10 @@ from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.msg import Execution, Feedback, Link, Plan, Sync
+from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import Service, run_node
-from construction_twin.ros.shared.params import NodeSettings, read_parameters, robot_from_parameters
+from construction_twin.ros.shared.node import NodeShell, Service
+from construction_twin.ros.shared.params import NodeSettings
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
 from construction_twin.ros.shared.transition_report import TransitionReport
 from construction_twin.ros.transport.joint_stream import (
@@ -339,16 +339,18 @@ class PcaMonitorNode:
         return Report(ERROR if problem else level, sentence, values | self._outputs.transitions.values())
 
 
-def start() -> PcaMonitorNode:
+def make_gate(settings: Settings, robot: RobotModel, now: int) -> Gate:
+    """Return the gate of a robot; ConfigurationError where the parameters do not fit it."""
+    codec = JointStringCodec.of(robot, settings.decimals)
+    return Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), now)
+
+
+def start(settings: Settings, robot: RobotModel) -> PcaMonitorNode:
     """Return the monitor with its parameters, topics and services."""
-    settings = read_parameters(Settings)
-    robot = robot_from_parameters()
     names = robot.joint_names
     compares = settings.arm != "none"
-    gate_settings = settings.gate_settings(compares)
-    codec = JointStringCodec.of(robot, settings.decimals)
     monitor = PcaMonitorNode(
-        Gate(MotionLimits.of(robot), codec, gate_settings, time.monotonic_ns()),
+        make_gate(settings, robot, time.monotonic_ns()),
         Behaviour.model_validate(settings.model_dump(include=set(Behaviour.model_fields))),
         names,
         compares,
@@ -375,7 +377,9 @@ def start() -> PcaMonitorNode:
     return monitor
 
 
+NODE = NodeShell("pca_monitor", Settings, start, lambda settings, robot: make_gate(settings, robot, 0), fast=True)
+
+
 def main() -> None:
     """Run the node."""
-    sys.setswitchinterval(0.001)
-    run_node("pca_monitor", start)
+    NODE.run()

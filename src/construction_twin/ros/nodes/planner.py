@@ -23,6 +23,7 @@ from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
+from construction_twin.robot.description import RobotModel
 from construction_twin.robot.executed_path import ExecutedPath
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.messages.convert import (
@@ -43,8 +44,7 @@ from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.arm_listener import listen_to_other_arm, neighbour_settings
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.frames import listen_to_frames
-from construction_twin.ros.shared.node import Service, run_node
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.node import NodeShell, Service
 from construction_twin.ros.shared.request_handler import OccupiedSpace, RequestHandler
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
@@ -96,9 +96,9 @@ class PlannerNode:
     `twin/joint_states`, `scene`, `engagement` and tf.
     """
 
-    def __init__(self):
-        self._settings = read_parameters(Settings)
-        self._robot = robot_from_parameters()
+    def __init__(self, settings: Settings, robot: RobotModel):
+        self._settings = settings
+        self._robot = robot
         self._chain = Chain(self._robot)
         self._beside = neighbour_settings()
         self._pipeline = self._make_pipeline()
@@ -308,6 +308,9 @@ def _sentence(plan: Plan) -> str:
     )
 
 
+NODE = NodeShell("planner", Settings, PlannerNode)
+
+
 def main() -> None:
     """Run the node until shutdown."""
-    run_node("planner", PlannerNode)
+    NODE.run()

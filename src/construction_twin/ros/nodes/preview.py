@@ -16,11 +16,11 @@ from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.msg import Execution, Plan, Review
 from construction_twin.msg import Scene as SceneMsg
+from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
 from construction_twin.ros.messages.scene_convert import body_marker, scene_from_msg, tf_frame
 from construction_twin.ros.shared.diagnostics import OK, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import Service, run_node
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.node import NodeShell, Service
 from construction_twin.ros.transport.joint_stream import JointPublisher, now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import Publisher
@@ -63,9 +63,8 @@ class Settings(pydantic.BaseModel):
 class PreviewNode:
     """ROS around a Preview."""
 
-    def __init__(self):
-        settings = read_parameters(Settings)
-        self._robot = robot_from_parameters()
+    def __init__(self, settings: Settings, robot: RobotModel):
+        self._robot = robot
         self._chain = Chain(self._robot)
         self._tf_prefix = settings.tf_prefix
         self._preview = Preview()
@@ -261,6 +260,9 @@ def _marker(frame: str, number: int, kind: int, color: ColorRGBA, size: float, n
     return marker
 
 
+NODE = NodeShell("preview", Settings, PreviewNode)
+
+
 def main() -> None:
     """Run the node."""
-    run_node("preview", PreviewNode)
+    NODE.run()

@@ -16,13 +16,14 @@ from visualization_msgs.msg import MarkerArray
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.msg import Scene as SceneMsg
+from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg
 from construction_twin.ros.messages.planning_scene import moveit_types
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.frames import listen_to_frames
-from construction_twin.ros.shared.node import Service, run_node
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters, ros_home
+from construction_twin.ros.shared.node import NodeShell, Service
+from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.planning_scene import QUEUE, PlanningScenePublisher
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import Publisher
@@ -75,9 +76,8 @@ class SceneNode:
     and tf.
     """
 
-    def __init__(self):
-        settings = read_parameters(Settings)
-        self._robot = robot_from_parameters()
+    def __init__(self, settings: Settings, robot: RobotModel):
+        self._robot = robot
         self._prefix = settings.tf_prefix.rstrip("/")
         start = read_scene(settings.scene)
         self._file = _scene_file(start)
@@ -260,6 +260,9 @@ def _scene_file(start: Scene) -> SceneFile:
     return SceneFile(ros_home() / f"{name}_edits.json", run, start)
 
 
+NODE = NodeShell("scene", Settings, SceneNode)
+
+
 def main() -> None:
     """Run the node until shutdown."""
-    run_node("scene", SceneNode)
+    NODE.run()

@@ -10,10 +10,10 @@ import pydantic
 import rospy
 
 from construction_twin.msg import Feedback, Scene
+from construction_twin.robot.description import RobotModel
 from construction_twin.robot.other_joints import other_joints_text
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import run_node
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.node import NodeShell
 from construction_twin.ros.shared.robot_listener import RobotListener
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.views.startup import Deployment, Seen, StartUp, Word
@@ -37,12 +37,10 @@ class Settings(pydantic.BaseModel):
 class StartupNode:
     """ROS around a StartUp."""
 
-    def __init__(self):
-        settings = read_parameters(Settings)
+    def __init__(self, settings: Settings, robot: RobotModel):
         namespace = rospy.get_namespace().rstrip("/")
         self._startup = StartUp(Deployment(namespace=namespace, **settings.model_dump()))
         self._came: set[str] = set()
-        robot = robot_from_parameters()
         others = other_joints_text(robot.other_joints, robot.base_link, robot.tip_link)
         if others:
             rospy.loginfo("%s", others)
@@ -93,6 +91,9 @@ class StartupNode:
         return Report(OK, "ready") if missing is None else Report(WARN, str(missing))
 
 
+NODE = NodeShell("startup", Settings, StartupNode)
+
+
 def main() -> None:
     """Run the node."""
-    run_node("startup", StartupNode)
+    NODE.run()

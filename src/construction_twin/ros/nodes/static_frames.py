@@ -10,11 +10,11 @@ from tf2_ros import StaticTransformBroadcaster
 
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.other_frames import other_frames
+from construction_twin.robot.description import RobotModel
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.robot.urdf import parse_urdf
 from construction_twin.ros.messages.scene_convert import tf_frame
-from construction_twin.ros.shared.node import run_node
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.node import NodeShell
 from construction_twin.scene.cell import load_cell
 
 
@@ -36,9 +36,7 @@ class Settings(pydantic.BaseModel):
 class StaticFramesNode:
     """Sends the static transforms once; they are latched."""
 
-    def __init__(self):
-        settings = read_parameters(Settings)
-        robot = robot_from_parameters()
+    def __init__(self, settings: Settings, robot: RobotModel):
         cell = rospy.get_param("cell", None)
         place = Pose(np.zeros(3), np.eye(3)) if cell is None else load_cell(cell).world_T_root(robot.name)
         self._broadcaster = StaticTransformBroadcaster()
@@ -64,6 +62,9 @@ class StaticFramesNode:
         return message
 
 
+NODE = NodeShell("static_frames", Settings, StaticFramesNode)
+
+
 def main() -> None:
     """Run the node."""
-    run_node("static_frames", StaticFramesNode)
+    NODE.run()

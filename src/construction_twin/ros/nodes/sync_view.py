@@ -15,10 +15,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 from construction_twin.kinematics.chain import Chain
 from construction_twin.monitor.states import SyncState
 from construction_twin.msg import Sync
+from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.scene_convert import tf_frame
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import run_node
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.node import NodeShell
 from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.views.sync_picture import (
@@ -55,9 +55,9 @@ class Settings(pydantic.BaseModel):
 class SyncViewNode:
     """ROS around `sync_picture`."""
 
-    def __init__(self):
-        self._prefix = read_parameters(Settings).tf_prefix
-        self._robot = robot_from_parameters()
+    def __init__(self, settings: Settings, robot: RobotModel):
+        self._prefix = settings.tf_prefix
+        self._robot = robot
         self._shapes = visual_shapes(self._robot.urdf)
         chain = Chain(self._robot)
         self._text_at = Point(TEXT_FORWARD, 0.0, headline_height(float(chain.shoulder[2]), chain.arm_length))
@@ -128,6 +128,9 @@ def text_marker(text: str, frame: str, at: Point) -> Marker:
     return marker
 
 
+NODE = NodeShell("sync_view", Settings, SyncViewNode)
+
+
 def main() -> None:
     """Run the node."""
-    run_node("sync_view", SyncViewNode)
+    NODE.run()

@@ -20,13 +20,13 @@ from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.msg import Execution
 from construction_twin.msg import Scene as SceneMsg
+from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.marker_server import MarkerServer
-from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.node import NodeShell
 from construction_twin.ros.shared.operator_client import OperatorClient, pose_to_msg
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.shared.robot_listener import RobotListener
 from construction_twin.ros.shared.tool_marker_menu import ToolMarkerMenu
 from construction_twin.ros.shared.tool_marker_shapes import NAME, tool_marker, verdict_markers
@@ -71,9 +71,9 @@ class Settings(pydantic.BaseModel):
 class ToolMarkerNode:
     """Interactive marker `tool_marker`, markers `tool_marker/verdict`; its menu calls the services that an operator would."""
 
-    def __init__(self):
-        self._settings = read_parameters(Settings)
-        self._robot = robot_from_parameters()
+    def __init__(self, settings: Settings, robot: RobotModel):
+        self._settings = settings
+        self._robot = robot
         self._chain = Chain(self._robot)
         ik = IkSettings(budget_s=self._settings.ik_budget)
         self._solver = inverse_kinematics(Chain(self._robot), ik, np.random.default_rng(0), time.monotonic)
@@ -252,6 +252,9 @@ class ToolMarkerNode:
         return Report(OK, f"{'follows the tool' if self._goal.pose is None else f'goal is {free}'}: {verdict.sentence}")
 
 
+NODE = NodeShell("tool_marker", Settings, ToolMarkerNode)
+
+
 def main() -> None:
     """Run the node."""
-    run_node("tool_marker", ToolMarkerNode)
+    NODE.run()

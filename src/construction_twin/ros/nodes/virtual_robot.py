@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import sys
 import threading
 from collections.abc import Callable
 from typing import Literal
@@ -13,9 +12,10 @@ import rospy
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.msg import Link
+from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import run_node
-from construction_twin.ros.shared.params import NodeSettings, read_parameters, robot_from_parameters
+from construction_twin.ros.shared.node import NodeShell
+from construction_twin.ros.shared.params import NodeSettings
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, now_ns
 from construction_twin.ros.transport.publisher import Sink
@@ -140,10 +140,8 @@ class VirtualRobotNode:
         return Report(OK, "following the physical arm" if self._robot.mirrors else "executing")
 
 
-def start() -> VirtualRobotNode:
+def start(settings: Settings, robot: RobotModel) -> VirtualRobotNode:
     """Return the twin with its parameters and topics."""
-    settings = read_parameters(Settings)
-    robot = robot_from_parameters()
     names = robot.joint_names
     node = VirtualRobotNode(
         VirtualRobot(robot.home if settings.arm == "none" else None, robot.linear),
@@ -159,7 +157,9 @@ def start() -> VirtualRobotNode:
     return node
 
 
+NODE = NodeShell("virtual_robot", Settings, start, fast=True)
+
+
 def main() -> None:
     """Run the node."""
-    sys.setswitchinterval(0.001)
-    run_node("virtual_robot", start)
+    NODE.run()

@@ -37,8 +37,8 @@ from construction_twin.ros.messages.work_convert import task_to_msg, work_segmen
 from construction_twin.ros.messages.work_marker_convert import work_marker_array
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.frames import listen_to_frames
-from construction_twin.ros.shared.node import Service, run_node
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters, ros_home
+from construction_twin.ros.shared.node import NodeShell, Service
+from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.ros.shared.work_follower import WorkFollower
 from construction_twin.ros.shared.work_listener import WorkListener
@@ -538,10 +538,8 @@ def _call(name: str, kind: type, timeout: float, request: Any) -> tuple[str, Any
         return f"{service} does not answer: {error}", None
 
 
-def start() -> WorkNode:
+def start(settings: Settings, robot: RobotModel) -> WorkNode:
     """Return the node with its parameters, topics and services."""
-    settings = read_parameters(Settings)
-    robot = robot_from_parameters()
     desk = SharedDesk("the model is being read")
     diagnostics = NodeDiagnostics(robot.name, functools.partial(report, desk))
     refuse = diagnostics.refuse
@@ -592,6 +590,9 @@ def start() -> WorkNode:
     return node
 
 
+NODE = NodeShell("work", Settings, start)
+
+
 def main() -> None:
     """Run the node until shutdown."""
-    run_node("work", start)
+    NODE.run()

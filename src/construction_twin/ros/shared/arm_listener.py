@@ -17,13 +17,12 @@ from construction_twin.coordination.path_sweep import PathSweep, PlanPosition
 from construction_twin.coordination.plan_book import PlanBook, PlanUnknownError
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError, SceneError
-from construction_twin.core.validation import configuration_error
 from construction_twin.msg import Execution, Plan, Review, Scene
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanValue
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.params import NodeSettings, robot_from_parameters
+from construction_twin.ros.shared.params import NodeSettings, robot_from_parameters, settings_of
 from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.subscriber import Subscriber
@@ -73,10 +72,7 @@ def neighbour_settings(namespace: str = "") -> NeighbourSettings | None:
     values = rospy.get_param(name, None)
     if values is None:
         return None
-    try:
-        return NeighbourSettings.model_validate(values)
-    except pydantic.ValidationError as error:
-        raise configuration_error(error, NeighbourSettings, rospy.resolve_name(name)) from error
+    return settings_of(NeighbourSettings, values, rospy.resolve_name(name))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeVar
 
@@ -28,6 +29,14 @@ class NodeSettings(pydantic.BaseModel):
     realtime_priority: int = pydantic.Field(0, ge=0, le=99)
 
 
+def settings_of(model: type[Settings], values: Mapping[str, object], where: str = "") -> Settings:
+    """Return values as a model has them; ConfigurationError naming the key, and `where` it stands."""
+    try:
+        return model.model_validate(values)
+    except pydantic.ValidationError as error:
+        raise configuration_error(error, model, where) from error
+
+
 def read_parameters(model: type[Settings]) -> Settings:
     """Read the node's private parameters into `model`.
 
@@ -40,11 +49,7 @@ def read_parameters(model: type[Settings]) -> Settings:
     Raises:
         ConfigurationError: With the resolved parameter name, its value and what was expected.
     """
-    values = rospy.get_param("~", {})
-    try:
-        return model.model_validate(values)
-    except pydantic.ValidationError as error:
-        raise configuration_error(error, model, rospy.get_name()) from error
+    return settings_of(model, rospy.get_param("~", {}), rospy.get_name())
 
 
 def robot_from_parameters(namespace: str = "") -> RobotModel:
