@@ -172,7 +172,7 @@ class Soak:
             in_sync=in_sync,
             holds=holds,
             pauses=tuple(Stretch(begin / 1e9, over / 1e9) for begin, over in machine["intervals"]),
-            put_off=witness.put_off.take(),
+            trail=witness.trail.take(),
             trace=Trace(
                 sum(map(len, entries)), sum(e.lost for run in entries for e in run), tuple(map(str, excesses[:5]))
             ),

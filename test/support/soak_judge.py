@@ -8,6 +8,7 @@ proves nothing: it is counted as disturbed, and is no violation.
 from __future__ import annotations
 
 import statistics
+from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -27,9 +28,11 @@ LOOK = 0.05
 REPORTED = 1.5
 #: A stop counts as watched when so much of it was seen [s].
 WATCHED = 2.0
-#: The arm follows the twin by no more than this [s]: the playout's delay, the servo and the gate's allowance. What the gateway says
-#: is put off, because replies were lost, comes on top (docs/conventions.md, Lost replies).
+#: The arm follows the twin by no more than this [s]: the playout's delay, the servo and the gate's allowance. By what it is told to
+#: trail its stream, because replies were lost, comes on top (docs/conventions.md, Lost replies).
 FOLLOWS = 0.6
+#: Poses of the arm and what is told of them are heard within this of each other [s].
+HEARD = 0.1
 #: Where the twin was not heard for longer, by whoever listens, nothing is known of where it was; one that stops telling closes the
 #: gate after 0.1 s [s].
 UNHEARD = 0.05
@@ -129,12 +132,16 @@ class Trace:
     excesses: tuple[str, ...] = ()
 
 
+def _time_of(entry: tuple[float, float]) -> float:
+    return entry[0]
+
+
 @dataclass(frozen=True)
 class Leg:
     """All that was seen of one leg.
 
-    `velocity` [rad/s] per joint; `braking` is the time in which any motion ends [s]; `put_off` holds times, and by how much the arm
-    was said to trail its stream then [s].
+    `velocity` [rad/s] per joint; `braking` is the time in which any motion ends [s]; `trail` holds times, and by how much the arm
+    trailed its stream from then on [s].
     """
 
     arm: Samples
@@ -152,7 +159,7 @@ class Leg:
     in_sync: tuple[Stretch, ...] = ()
     holds: tuple[Stretch, ...] = ()
     pauses: tuple[Stretch, ...] = ()
-    put_off: tuple[tuple[float, float], ...] = ()
+    trail: tuple[tuple[float, float], ...] = ()
     trace: Trace = Trace(0)
     chain: str = ""
     records: int = 0
@@ -167,10 +174,10 @@ class Leg:
     failed: str = ""
 
     def follows(self, time: float) -> float:
-        """Return by how much the arm may follow the twin [s]: as was said just before, or just after."""
-        before = [seconds for at, seconds in self.put_off if at <= time][-1:]
-        after = [seconds for at, seconds in self.put_off if at > time][:1]
-        return FOLLOWS + max([0.0, *before, *after])
+        """Return by how much the arm may follow the twin [s]: as it was told about this time."""
+        first = bisect_right(self.trail, time - HEARD, key=_time_of)
+        last = bisect_right(self.trail, time + HEARD, key=_time_of)
+        return FOLLOWS + max((seconds for _, seconds in self.trail[max(0, first - 1) : last]), default=0.0)
 
     def disturbed(self, begin: float, end: float) -> bool:
         """Whether the machine stood still while something happened, or just before."""

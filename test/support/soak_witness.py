@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import rospy
-from construction_twin.msg import Execution, Link, Sync
+from construction_twin.msg import Execution, Feedback, Link, Sync
 from sensor_msgs.msg import JointState
 from soak_judge import Play, Samples, Stretch
 
@@ -84,22 +84,29 @@ class StateEar:
         return [(Stretch(begin, end, text), key) for (begin, key, text), end in zip(changes, ends)]
 
 
-class PutOffEar:
-    """Keeps by how much the arm was said to trail its stream, because replies were lost or its speed was limited."""
+class TrailEar:
+    """Keeps by how much the arm trails its stream: each pose names the target that it answers to.
 
-    KEY = "playout_put_off_ms"
+    It trails by more than playout and servo while replies were lost, or its speed was limited.
+    """
+
+    #: Kept is what differs by more than this from what was kept last [s].
+    CHANGE = 0.01
+    #: More is no trail, but a clock that was set [s]; the gateway brakes before.
+    LONGEST = 5.0
 
     def __init__(self, topic: str):
         self._heard: list[tuple[float, float]] = []
-        rospy.Subscriber(topic, Link, self._on_link)
+        rospy.Subscriber(topic, Feedback, self._on_feedback, tcp_nodelay=True, queue_size=1000)
 
-    def _on_link(self, message: Link) -> None:
-        for counter in message.gateway_counters:
-            if counter.key == self.KEY:
-                self._heard.append((time.monotonic(), float(counter.value) / 1000.0))
+    def _on_feedback(self, message: Feedback) -> None:
+        trail = (message.header.stamp - message.command_stamp).to_sec()
+        known = bool(message.command_stamp) and 0.0 <= trail <= self.LONGEST
+        if known and (not self._heard or abs(trail - self._heard[-1][1]) > self.CHANGE):
+            self._heard.append((time.monotonic(), trail))
 
     def take(self) -> tuple[tuple[float, float], ...]:
-        """Return time and put-off motion [s] of what was heard since the last call, the last one of then first."""
+        """Return time and trail [s] of what was heard since the last call, the last one of then first."""
         heard, self._heard = self._heard, self._heard[-1:]
         return tuple(heard)
 
@@ -146,7 +153,7 @@ class Witness:
     def __init__(self, review_file: Path):
         self.arm, self.twin = PoseEar("mock_rsi/joint_states"), PoseEar("twin/joint_states")
         self._link = StateEar("link", Link)
-        self.put_off = PutOffEar("link")
+        self.trail = TrailEar("physical/feedback")
         self._sync = StateEar("sync", Sync, lapses=_SILENT)
         self._execution = StateEar("execution", Execution, lambda message: (message.state, message.plan_id))
         self.records = RecordEye(review_file)

@@ -14,6 +14,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import soak_judge
 import soak_witness
 from processes import ROOT, wait_until
 from soak_judge import (
@@ -126,7 +127,7 @@ BROKEN: dict[str, list[Leg]] = {
         replace(GOOD, arm=later(TWIN, 1.5)),
         replace(GOOD, arm=replace(GOOD.arm, positions=GOOD.arm.positions + 0.02)),
         # more behind than was said, and said of another time
-        replace(GOOD, arm=later(TWIN, 1.5), put_off=((0.0, 0.0), (6.0, 0.5), (20.0, 0.0), (30.0, 0.0))),
+        replace(GOOD, arm=later(TWIN, 1.5), trail=((0.0, 0.0), (6.0, 0.5), (20.0, 0.0), (30.0, 0.0))),
     ],
     "no hold without a cause": [
         replace(GOOD, holds=(Stretch(30.0, 31.0, "HOLDING"),)),
@@ -165,7 +166,12 @@ def test_what_breaks_a_promise_is_found_under_its_name(promise, leg):
 
 def test_an_arm_that_trails_by_what_was_put_off_agrees_with_the_twin():
     said = ((0.0, 0.0), (5.5, 1.4), (9.0, 1.4), (19.0, 1.4), (26.0, 0.0))
-    assert judge(replace(GOOD, arm=later(TWIN, 1.5), put_off=said))["twin and arm agree"].violations == ()
+    assert judge(replace(GOOD, arm=later(TWIN, 1.5), trail=said))["twin and arm agree"].violations == ()
+
+
+def test_a_trail_counts_while_it_is_told():
+    leg = replace(GOOD, trail=((0.0, 0.1), (6.0, 0.4), (6.5, 0.1)))
+    assert [round(leg.follows(time) - soak_judge.FOLLOWS, 3) for time in (5.0, 6.2, 8.0)] == [0.1, 0.4, 0.1]
 
 
 def test_where_the_twin_was_not_heard_nothing_is_said_of_its_agreement():
