@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from construction_twin.core.exports import lazy_exports
 
 if TYPE_CHECKING:
+    from construction_twin.console.connection_limits import ConnectionLimits as ConnectionLimits
     from construction_twin.console.pipe import BrokerAddress as BrokerAddress
     from construction_twin.console.pipe import PipeLimits as PipeLimits
-    from construction_twin.console.places import PlaceLimits as PlaceLimits
     from construction_twin.console.server import ConsoleServer as ConsoleServer
     from construction_twin.console.server import ServerSettings as ServerSettings
 else:

@@ -12,7 +12,7 @@ import socket
 
 from websockets.http11 import Request, Response
 
-from construction_twin.console.visitors import Visitor
+from construction_twin.console.http_connection import HttpConnection
 
 #: Bytes that are written at once.
 _PIECE = 65536
@@ -22,7 +22,7 @@ _KERNEL = 262144
 SLOWEST = 16384
 
 
-async def deliver(visitor: Visitor, request: Request, answer: Response, stall_s: float) -> bool:
+async def deliver(visitor: HttpConnection, request: Request, answer: Response, stall_s: float) -> bool:
     """Write an answer and end the connection; return whether the reader took it.
 
     Args:
@@ -49,7 +49,7 @@ async def deliver(visitor: Visitor, request: Request, answer: Response, stall_s:
                     await visitor.drain()
             # the rest is in the kernel. With TLS, closing waits for the reader; without, only the reader's own end shows that it
             # has all, and a connection that is closed before the reader has stopped writing is reset
-            if transport.can_write_eof() and not visitor.reader_ended:
+            if transport.can_write_eof() and not visitor.half_closed:
                 visitor.written = True
                 transport.write_eof()
             else:

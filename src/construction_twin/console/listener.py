@@ -9,7 +9,7 @@ import socket
 from collections.abc import Callable
 from typing import Any
 
-from construction_twin.console.places import Places
+from construction_twin.console.connection_limits import OpenConnections
 
 #: Connections that the kernel keeps until they are accepted.
 _BACKLOG = 100
@@ -36,7 +36,7 @@ class Listener(socket.socket):
         on_full: Called with the address of a connection whose place another one gets.
     """
 
-    def __init__(self, family: int, places: Places, on_full: Callable[[str], None]):
+    def __init__(self, family: int, places: OpenConnections, on_full: Callable[[str], None]):
         super().__init__(family, socket.SOCK_STREAM)
         self._places = places
         self._on_full = on_full
@@ -66,7 +66,7 @@ class Listener(socket.socket):
         self._places.leave(number)
 
 
-async def listeners(host: str, port: int, places: Places, on_full: Callable[[str], None]) -> list[Listener]:
+async def listeners(host: str, port: int, places: OpenConnections, on_full: Callable[[str], None]) -> list[Listener]:
     """Return a listening socket for each address of a host.
 
     Raises:

@@ -19,15 +19,15 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from construction_twin.console.connection_limits import ConnectionLimits, OpenConnections
 from construction_twin.console.delivery import deliver
+from construction_twin.console.http_connection import HttpConnection, connection_type
 from construction_twin.console.listener import Listener, listeners
 from construction_twin.console.origin import refusal
 from construction_twin.console.pipe import BrokerAddress, PipeLimits, pipe
-from construction_twin.console.places import PlaceLimits, Places
 from construction_twin.console.recordings import listing, recordings
 from construction_twin.console.static_files import FileCache, StaticFile, names
 from construction_twin.console.tickets import Tickets
-from construction_twin.console.visitors import Visitor, visitor_type
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.rate_limit import TokenBucket
 
@@ -69,7 +69,7 @@ class ServerSettings:
     origins: frozenset[str] = frozenset()
     tls: ssl.SSLContext | None = None
     limits: PipeLimits = field(default_factory=PipeLimits)
-    places: PlaceLimits = field(default_factory=PlaceLimits)
+    places: ConnectionLimits = field(default_factory=ConnectionLimits)
     file_stall_s: float = 20.0
 
 
@@ -79,10 +79,10 @@ class ConsoleServer:
     def __init__(self, settings: ServerSettings):
         self._settings = settings
         self._tickets = Tickets(lambda: secrets.token_urlsafe(24), 0)
-        self._places = Places(settings.places)
+        self._places = OpenConnections(settings.places)
         # weak: a browser may leave between the answer and its first frame
         self._given: weakref.WeakKeyDictionary[ServerConnection, str] = weakref.WeakKeyDictionary()
-        self._delivering: set[Visitor] = set()
+        self._delivering: set[HttpConnection] = set()
         self._cache = FileCache()
         self._lines = TokenBucket(rate=1, burst=20)
         self._untold = 0
@@ -122,7 +122,7 @@ class ConsoleServer:
             ping_interval=_PING_S,
             ping_timeout=_PING_S,
             server_header=None,
-            create_connection=visitor_type(settings.limits.login_s),
+            create_connection=connection_type(settings.limits.login_s),
             ssl=settings.tls,
             ssl_handshake_timeout=settings.limits.login_s if settings.tls else None,
             # the library's would be close_timeout, and what a reader has not taken by then would be dropped
@@ -139,7 +139,7 @@ class ConsoleServer:
         if path == SOCKET:
             return self._refuse_socket(connection, request)
         answer = await self._answer_to(path, request)
-        assert isinstance(connection, Visitor)
+        assert isinstance(connection, HttpConnection)
         peer = _peer(connection)
         self._delivering.add(connection)
         try:

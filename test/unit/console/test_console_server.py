@@ -31,9 +31,9 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from construction_twin.broker import make_site
 from construction_twin.console import command_line
 from construction_twin.console.command_line import main
+from construction_twin.console.connection_limits import ConnectionLimits, OpenConnections
 from construction_twin.console.listener import listeners
 from construction_twin.console.pipe import BROKER_AWAY, NOT_MQTT, TOO_MUCH, BrokerAddress, PipeLimits
-from construction_twin.console.places import PlaceLimits, Places
 from construction_twin.console.server import ConsoleServer, ServerSettings
 from construction_twin.console.static_files import read_folder
 from construction_twin.core.errors import ConfigurationError
@@ -341,9 +341,9 @@ def test_a_client_that_subscribes_with_its_login_gets_a_long_message_with_the_an
 @pytest.mark.parametrize(
     ("limits", "why"),
     (
-        (PlaceLimits(logins=2), "too many connections are logged in"),
-        (PlaceLimits(logins_per_address=2), "too many connections from this address are logged in"),
-        (PlaceLimits(logins_per_account=2), "too many connections are logged in to this account"),
+        (ConnectionLimits(logins=2), "too many connections are logged in"),
+        (ConnectionLimits(logins_per_address=2), "too many connections from this address are logged in"),
+        (ConnectionLimits(logins_per_account=2), "too many connections are logged in to this account"),
     ),
 )
 def test_no_more_logins_than_allowed(broker, tmp_path, limits, why):
@@ -376,7 +376,7 @@ def test_no_more_logins_than_allowed(broker, tmp_path, limits, why):
 
 def test_who_has_logged_in_stays_and_others_get_in_whoever_fills_the_places(broker, tmp_path):
     """Four addresses hold all places of visitors: with nothing, with half a request, with a WebSocket that does not log in."""
-    places = PlaceLimits(visitors=24, visitors_per_address=8)
+    places = ConnectionLimits(visitors=24, visitors_per_address=8)
     half = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{PORT}\r\n".encode()
     upgrade = (
         half.replace(b"GET /", b"GET /mqtt")
@@ -414,7 +414,7 @@ def test_with_tls_nobody_s_unfinished_handshakes_keep_others_out(tmp_path):
     own = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     own.load_cert_chain(site / "broker/server.crt", site / "broker/server.key")
     trust = ssl.create_default_context(cafile=site / "ca/ca.crt")
-    places = PlaceLimits(visitors=24, visitors_per_address=8)
+    places = ConnectionLimits(visitors=24, visitors_per_address=8)
 
     async def scene() -> None:
         served = settings(tmp_path, places=places, tls=own, limits=PipeLimits(login_s=300.0))
@@ -627,7 +627,7 @@ def test_what_is_no_broker_is_told(tmp_path):
 
 def test_a_name_of_several_addresses_is_listened_to_on_each_and_a_port_that_is_taken_is_told():
     async def scene() -> None:
-        places = Places(PlaceLimits())
+        places = OpenConnections(ConnectionLimits())
         made = await listeners("localhost", PORT, places, print)
         try:
             found = {each[4][0] for each in socket.getaddrinfo("localhost", PORT, type=socket.SOCK_STREAM)}
@@ -656,7 +656,7 @@ def test_a_connection_that_asks_for_nothing_is_closed(tmp_path):
 def test_a_reader_that_has_its_file_takes_up_no_connection(tmp_path, caplog, ends):
     async def scene() -> None:
         # what has not left its place by then has to go for the next one, and is told
-        async with running(settings(tmp_path, places=PlaceLimits(visitors_per_address=4))):
+        async with running(settings(tmp_path, places=ConnectionLimits(visitors_per_address=4))):
             for _ in range(12):
                 reader, writer = await asyncio.open_connection("127.0.0.1", PORT)
                 writer.write(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{PORT}\r\n\r\n".encode())

@@ -126,7 +126,7 @@ class Cell:
         while not self._ended.wait(0.04):
             self.node.on_sync(Sync(text="IN_SYNC", reason="agree", agreed=True, error=[0.0] * 6, threshold=[0.01] * 6))
             self.node.on_link(Link(text="ARMED", reason="well", gateway_state="armed"))
-            self.node.show()
+            self.node.publish_view()
 
     def _check(self) -> None:
         while not self._ended.is_set():

@@ -81,7 +81,7 @@ def message(given: Scene):
 
 def told(made: ConsoleFeed, broker: Broker, now: float, **changes) -> dict[str, dict]:
     reports = {"link": Link(text="ARMED"), "sync": Sync(text="IN_SYNC"), "execution": Execution(text="IDLE")} | changes
-    made.tell(reports["link"], reports["sync"], reports["execution"], now)
+    made.publish_status_line(reports["link"], reports["sync"], reports["execution"], now)
     return {line["topic"]: line for line in broker.newest(TOPICS.screen)}
 
 
@@ -115,7 +115,7 @@ def test_a_scene_that_comes_during_the_welcome_is_the_one_that_stays(tmp_path, b
     made = feed(broker)
     made.on_scene(message(given))
     broker.meanwhile = lambda: made.on_scene(message(newer))
-    made.welcome()
+    made.publish_retained()
     assert broker.newest(TOPICS.scene)["hash"] == newer.hash
 
 
@@ -191,10 +191,10 @@ def test_a_new_connection_gets_everything_again_and_a_farewell_takes_it_away(tmp
     made.on_scene(message(scene(tmp_path)))
     told(made, broker, 10.0)
     broker.published.clear()
-    made.welcome()
+    made.publish_retained()
     told(made, broker, 10.3)
     assert [topic for topic, *_ in broker.published] == [TOPICS.scene, TOPICS.screen]
-    made.farewell()
+    made.publish_offline()
     assert broker.published[-1] == (TOPICS.scene, None, 1, True)
 
 

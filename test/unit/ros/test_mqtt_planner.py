@@ -274,7 +274,7 @@ def test_the_same_motion_from_another_account_is_another_message(bench):
 
 
 def view(bench) -> dict:
-    return json.loads(bench.node.show())
+    return json.loads(bench.node.publish_view())
 
 
 def reports(bench) -> None:
@@ -354,18 +354,18 @@ class Feed:
     def on_link(self, message):
         self.heard.append(("link", message.text))
 
-    def welcome(self):
-        self.heard.append("welcome")
+    def publish_retained(self):
+        self.heard.append("publish_retained")
 
-    def farewell(self):
-        self.heard.append("farewell")
+    def publish_offline(self):
+        self.heard.append("publish_offline")
 
-    def tell(self, link, sync, execution, now):
+    def publish_status_line(self, link, sync, execution, now):
         self.heard.append(("tell", *(report and report.text for report in (link, sync, execution))))
 
 
 class Desk:
-    """In place of a RequestDesk."""
+    """In place of a ConsoleRequests."""
 
     counts: ClassVar[dict] = {"ik free": 2}
 
@@ -438,7 +438,7 @@ def consoles(bench, monkeypatch):
 
 def test_wishes_and_poses_reach_the_desk_with_their_account_and_our_own_answers_do_not(consoles):
     _, client, feed, desk = consoles()
-    assert {"twin/kr120/plan_request/+", "twin/kr120/ik/+"} <= set(client.topics) and "welcome" in feed.heard
+    assert {"twin/kr120/plan_request/+", "twin/kr120/ik/+"} <= set(client.topics) and "publish_retained" in feed.heard
     client.deliver("twin/kr120/plan_request/ada", b"{}")
     client.deliver("twin/kr120/plan_request/ack", b"{}")
     client.deliver("twin/kr120/ik/ada", b"[]")
@@ -472,8 +472,8 @@ def test_the_view_has_what_feed_and_desk_know(bench, consoles):
     assert view(made)["link"]["late"] == 0 and view(made)["execution"]["segment"] is None
     made.node.on_link(Link(text="GATEWAY_OFFLINE"))
     assert view(made)["link"]["late"] is None
-    made.node.tell()
+    made.node.publish_status_line()
     assert ("link", "ARMED") in feed.heard and feed.heard[-1] == ("tell", "GATEWAY_OFFLINE", "IN_SYNC", "IDLE")
     bench.steady += 10.0
-    made.node.tell()
+    made.node.publish_status_line()
     assert feed.heard[-1] == ("tell", None, None, "IDLE"), "what is silent is not the present"

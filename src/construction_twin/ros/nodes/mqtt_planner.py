@@ -1,6 +1,6 @@
 """mqtt_planner: for programs that plan elsewhere. Takes their motions by MQTT, for review, and shows them everything on `view`.
 
-What consoles want beside that is in `ros.shared.console_feed` and `ros.shared.request_desk`.
+What consoles want beside that is in `ros.shared.console_feed` and `ros.shared.console_requests`.
 
 A node of its own: reading a long motion takes longer than the bridge's 4 ms, and checking one takes seconds. The poses come from
 ROS topics in bundles, see LatestPose, so that the bridge does nothing more for `view` than for any other subscriber.
@@ -51,6 +51,7 @@ from construction_twin.msg import Execution, Link, Plan, Review, Sync, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.console_feed import ConsoleFeed, deployment_of
+from construction_twin.ros.shared.console_requests import ConsoleRequests, PlanServices, RobotContext
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outcome, Outlets
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
@@ -59,7 +60,6 @@ from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.pose_judge import PoseJudge
 from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.ros.shared.request_counts import RequestCounts
-from construction_twin.ros.shared.request_desk import PlanServices, RequestDesk, Surroundings
 from construction_twin.ros.shared.request_line import RequestLine
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.joint_stream import now_ns
@@ -157,7 +157,7 @@ class MqttPlanner:
         #: The broker knows accounts, and by a site's rules each account writes on its own topics only.
         self._proven = broker.account is not None
         self._feed: ConsoleFeed | None = None
-        self._desk: RequestDesk | None = None
+        self._consoles: ConsoleRequests | None = None
         self._looks_around = bool(settings.private)
         self._counts = RequestCounts("trajectories", "under review", "no plan")
         self._sync: tuple[Sync, float] | None = None
@@ -184,10 +184,10 @@ class MqttPlanner:
     @property
     def endpoints(self) -> tuple[Endpoint, ...]:
         """What takes requests: motions, and of consoles wishes for plans and poses."""
-        if self._desk is None:
+        if self._consoles is None:
             return self._motions
-        plans = (self._desk.plan_requests,) if self._settings.trajectories else ()
-        return *self._motions, *plans, self._desk.ik
+        plans = (self._consoles.plan_requests,) if self._settings.trajectories else ()
+        return *self._motions, *plans, self._consoles.ik
 
     @property
     def refuse(self) -> Callable[[str, str], None]:
@@ -214,9 +214,9 @@ class MqttPlanner:
         """Where requests wait for their turn."""
         return self._line
 
-    def serve_consoles(self, feed: ConsoleFeed, desk: RequestDesk) -> None:
+    def serve_consoles(self, feed: ConsoleFeed, requests: ConsoleRequests) -> None:
         """Take what tells consoles more than `view`, and what carries out their wishes."""
-        self._feed, self._desk = feed, desk
+        self._feed, self._consoles = feed, requests
 
     def publish_now(self, topic: str, payload: bytes, qos: int, retain: bool = False) -> None:
         """Publish where there is a connection; what could be sent later only would be of the past."""
@@ -234,16 +234,16 @@ class MqttPlanner:
 
     def run(self) -> None:
         """Check motions, and show everything, until shutdown."""
-        viewer = threading.Thread(target=self._show, name="view", daemon=True)
+        viewer = threading.Thread(target=self._run_view, name="view", daemon=True)
         viewer.start()
-        if self._desk is not None:
-            threading.Thread(target=self._desk.run, args=(self._looks_around,), name="ik", daemon=True).start()
+        if self._consoles is not None:
+            threading.Thread(target=self._consoles.run, args=(self._looks_around,), name="ik", daemon=True).start()
         while not rospy.is_shutdown():
             self.run_waiting(0.2)
         viewer.join(1.0)
         self._client.publish(self._topics.view, self._writer.offline(), qos=1)
         if self._feed is not None:
-            self._feed.farewell()
+            self._feed.publish_offline()
         self._client.disconnect()
         self._client.loop_stop()
 
@@ -266,7 +266,7 @@ class MqttPlanner:
         info = client.publish(self._topics.view, self._present(), qos=1)
         self._connection.watch_publish(client, self._topics.view, info.mid)
         if self._feed is not None:
-            self._feed.welcome()
+            self._feed.publish_retained()
 
     def on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
         """Report the end of the connection."""
@@ -329,7 +329,7 @@ class MqttPlanner:
             self._progress.on_report(report)
             self._execution = message, time.monotonic()
 
-    def show(self) -> bytes:
+    def publish_view(self) -> bytes:
         """Return the present message for `view`, and publish it where there is a connection."""
         payload = self._present()
         # what is not sent at once would be of the past
@@ -369,23 +369,23 @@ class MqttPlanner:
             _link_view(*link, round_trip) if link is not None else None,
             _execution_view(*execution, progress) if execution is not None else None,
             self._feed.plan if self._feed is not None else "",
-            self._desk.closest() if self._desk is not None else None,
+            self._consoles.closest() if self._consoles is not None else None,
         )
 
-    def tell(self) -> None:
+    def publish_status_line(self) -> None:
         """Tell the status line, where it is due."""
         if self._feed is None:
             return
         link, sync, execution = (report[0] if report is not None else None for report in self._reports())
-        self._feed.tell(link, sync, execution, time.monotonic())
+        self._feed.publish_status_line(link, sync, execution, time.monotonic())
 
-    def _show(self) -> None:
+    def _run_view(self) -> None:
         """Show everything `view_rate` times a second."""
         period = 1.0 / self._settings.view_rate
         due = time.monotonic()
         while not rospy.is_shutdown():
-            self.show()
-            self.tell()
+            self.publish_view()
+            self.publish_status_line()
             # after a pause of the machine the next one is a whole period away: nobody needs what was missed
             due = max(due + period, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
@@ -395,7 +395,7 @@ class MqttPlanner:
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
         values: dict[str, object] = {**self._counts.report(), "trajectories waiting": self._line.waiting}
-        values |= (self._desk.counts if self._desk is not None else {}) | self.outlets.beside.report()
+        values |= (self._consoles.counts if self._consoles is not None else {}) | self.outlets.beside.report()
         if not self._client.is_connected():
             return Report(WARN, self._connection.sentence or "connecting to the broker", values)
         taken = (
@@ -525,16 +525,16 @@ def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: P
         rospy.ServiceProxy("work/plan", WorkPlanTask),
     )
     work = Subscriber("work/tasks", WorkTasks, feed.on_tasks, node.refuse, queue_size=2)
-    around = Surroundings(
+    around = RobotContext(
         twin=lambda: _positions(poses.twin, settings.max_pose_age),
         has_work=lambda: work.get_num_connections() > 0,
         is_engaged=node.is_engaged,
     )
-    desk = RequestDesk(
+    requests = ConsoleRequests(
         topics, node.joints, node.line, services, PoseJudge(robot, settings.self_collision, lambda: feed.scene), around,
         node.outlets, node.source_of,
     )  # fmt: skip
-    node.serve_consoles(feed, desk)
+    node.serve_consoles(feed, requests)
     Subscriber("scene", SceneMsg, feed.on_scene, node.refuse, queue_size=2)
     Subscriber("plan", Plan, feed.on_plan, node.refuse, queue_size=5)
     Subscriber("review", Review, feed.on_review, node.refuse, queue_size=10)

@@ -104,7 +104,7 @@ class ConsoleFeed:
 
     # -- to MQTT
 
-    def welcome(self) -> None:
+    def publish_retained(self) -> None:
         """Tell everything again: the broker may have been started anew."""
         with self._lock:
             retained = dict(self._retained)
@@ -116,7 +116,7 @@ class ConsoleFeed:
                 # it came meanwhile, and what is retained must not be the older one, which may have been sent behind it
                 self._publish(topic, newest, 1, True)
 
-    def farewell(self) -> None:
+    def publish_offline(self) -> None:
         """Take away what is retained: nobody keeps it up to date any more."""
         with self._lock:
             topics = list(self._retained)
@@ -143,7 +143,9 @@ class ConsoleFeed:
         """Take whether a pose of the twin, and of the arm, is known: a start waits for the first of each."""
         self._twin_seen, self._arm_seen = self._twin_seen or twin, self._arm_seen or arm
 
-    def tell(self, link: Link | None, sync: Sync | None, execution: Execution | None, now: float) -> None:
+    def publish_status_line(
+        self, link: Link | None, sync: Sync | None, execution: Execution | None, now: float
+    ) -> None:
         """Send the status line when it has changed, or was not sent for a while.
 
         Args:

@@ -1,4 +1,4 @@
-"""The roslaunch that started this process: how it was called, and a sentence that outlives it on the screen. Linux only.
+"""The roslaunch that started this process: how it was called, and a message printed after its last line. Linux only.
 
 roslaunch ends a refused start with lines of its own, and a required node that ended with the lines of everything it stops. What a
 person has to read would stand above all that, so it is said again below it: a child process waits until roslaunch has ended.

@@ -1,12 +1,12 @@
-"""Places of connections: who has to go for whom."""
+"""OpenConnections of connections: who has to go for whom."""
 
 from __future__ import annotations
 
-from construction_twin.console.places import PlaceLimits, Places
+from construction_twin.console.connection_limits import ConnectionLimits, OpenConnections
 
 
 def test_the_address_with_the_most_loses_its_oldest_and_no_other():
-    places = Places(PlaceLimits(visitors=4, visitors_per_address=3))
+    places = OpenConnections(ConnectionLimits(visitors=4, visitors_per_address=3))
     assert [places.enter(number, address) for number, address in enumerate("abb", 1)] == [None] * 3
     assert places.enter(4, "c") is None
     assert places.enter(5, "d") == 2
@@ -15,12 +15,12 @@ def test_the_address_with_the_most_loses_its_oldest_and_no_other():
 
 
 def test_an_address_that_is_full_loses_its_own_oldest_however_much_room_there_is():
-    places = Places(PlaceLimits(visitors=100, visitors_per_address=2))
+    places = OpenConnections(ConnectionLimits(visitors=100, visitors_per_address=2))
     assert [places.enter(number, address) for number, address in enumerate("baaaa")] == [None, None, None, 1, 2]
 
 
 def test_who_is_logged_in_is_no_visitor_any_more_and_never_has_to_go():
-    places = Places(PlaceLimits(visitors=1, visitors_per_address=1))
+    places = OpenConnections(ConnectionLimits(visitors=1, visitors_per_address=1))
     places.enter(1, "a")
     assert places.login(1, "ada") == ""
     assert [places.enter(number, "a") for number in (2, 3)] == [None, 2]
@@ -28,7 +28,7 @@ def test_who_is_logged_in_is_no_visitor_any_more_and_never_has_to_go():
 
 
 def test_the_places_of_an_account_are_its_own_and_free_when_it_leaves():
-    places = Places(PlaceLimits(logins=3, logins_per_account=2))
+    places = OpenConnections(ConnectionLimits(logins=3, logins_per_account=2))
     for number in range(1, 6):
         places.enter(number, f"address {number}")
     assert [places.login(number, "ada") for number in (1, 2)] == ["", ""]
@@ -40,7 +40,7 @@ def test_the_places_of_an_account_are_its_own_and_free_when_it_leaves():
 
 
 def test_a_broker_without_accounts_has_no_limit_per_account():
-    places = Places(PlaceLimits(logins_per_account=1))
+    places = OpenConnections(ConnectionLimits(logins_per_account=1))
     for number in (1, 2):
         places.enter(number, "a")
         assert places.login(number, "") == ""

@@ -10,7 +10,7 @@ from websockets.protocol import State
 _END_OF_REQUEST = b"\r\n\r\n"
 
 
-class Visitor(ServerConnection):
+class HttpConnection(ServerConnection):
     """A connection of the library on which a request can also be answered without it.
 
     Until a request is answered, whatever a client sends behind it is forgotten: the library would keep all of it, and take it for
@@ -18,8 +18,8 @@ class Visitor(ServerConnection):
     """
 
     _ending = b""
-    #: The reader writes no more; and neither do we, to a reader who may still write.
-    reader_ended = False
+    #: The peer has half-closed the connection: it sends no more, and may still read.
+    half_closed = False
     written = False
 
     @property
@@ -42,21 +42,21 @@ class Visitor(ServerConnection):
     def eof_received(self) -> bool | None:  # type: ignore[override]  # the library's returns None always
         """Return whether the connection stays open for what is still to be written (called by asyncio)."""
         if self.is_asking:
-            self.reader_ended = True
+            self.half_closed = True
             # once both have ended nobody else would close it; with TLS there is no such thing as half a connection
             return not self.written and self.transport.can_write_eof()
         super().eof_received()
         return None
 
 
-def visitor_type(request_s: float) -> type[Visitor]:
+def connection_type(request_s: float) -> type[HttpConnection]:
     """Return the class of a server's connections.
 
     Args:
         request_s: Longest wait for the whole request [s].
     """
 
-    class ImpatientVisitor(Visitor):
+    class TimedHttpConnection(HttpConnection):
         def connection_made(self, transport: asyncio.BaseTransport) -> None:
             super().connection_made(transport)
             self.waiting = asyncio.get_running_loop().call_later(request_s, self.give_up)
@@ -69,4 +69,4 @@ def visitor_type(request_s: float) -> type[Visitor]:
             self.waiting.cancel()
             super().connection_lost(exc)
 
-    return ImpatientVisitor
+    return TimedHttpConnection

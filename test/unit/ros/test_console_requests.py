@@ -26,9 +26,15 @@ from construction_twin.core.motion_errors import SceneError
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.plan import Clearance
-from construction_twin.ros.shared import request_desk
+from construction_twin.ros.shared import console_requests
+from construction_twin.ros.shared.console_requests import (
+    IK_ACCOUNTS,
+    IK_RATE,
+    ConsoleRequests,
+    PlanServices,
+    RobotContext,
+)
 from construction_twin.ros.shared.endpoint import Outlets
-from construction_twin.ros.shared.request_desk import IK_ACCOUNTS, IK_RATE, PlanServices, RequestDesk, Surroundings
 from construction_twin.ros.shared.request_line import RequestLine
 from construction_twin.views.reachability import PoseVerdict, Reach
 
@@ -89,8 +95,8 @@ class Bench:
             Service("work/plan", WorkPlanTaskRequest, WorkPlanTaskResponse(**PLAN, task="t")),
         )
         self.line = RequestLine(4, 5.0, 1.0, lambda: self.steady)
-        around = Surroundings(lambda: self.twin, lambda: self.work, lambda: self.engaged, self.moment)
-        self.desk = RequestDesk(
+        around = RobotContext(lambda: self.twin, lambda: self.work, lambda: self.engaged, self.moment)
+        self.desk = ConsoleRequests(
             Topics("twin", "kr120"), JOINTS, self.line, self.services, self.judge, around,
             Outlets(self._publish, self._refuse), lambda account: f"MQTT account {account}",
         )  # fmt: skip
@@ -133,8 +139,8 @@ def bench(monkeypatch):
     made = Bench()
     monkeypatch.setattr(rospy, "wait_for_service", lambda *_: None)
     monkeypatch.setattr(rospy, "loginfo", lambda *_: None)
-    monkeypatch.setattr(request_desk, "time", SimpleNamespace(monotonic=lambda: made.steady))
-    monkeypatch.setattr(request_desk, "now_ns", lambda: made.wall)
+    monkeypatch.setattr(console_requests, "time", SimpleNamespace(monotonic=lambda: made.steady))
+    monkeypatch.setattr(console_requests, "now_ns", lambda: made.wall)
     return made
 
 

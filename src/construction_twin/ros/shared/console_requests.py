@@ -1,7 +1,8 @@
-"""Wishes for plans, and poses that are dragged, from consoles: to the planner's own services, and answered. Nothing here moves.
+"""Plan and IK requests of consoles: handed to the planner's own services, and answered. Nothing here moves.
 
-What a plan service makes waits for a person's verdict as any plan. A wish is carried out in its turn (`RequestLine`); a pose that
-is dragged is worth solving only while it is the newest of its account, in a thread of its own (`NewestLine`).
+What a plan service makes waits for a person's verdict as any plan. A plan request is carried out in its turn (`RequestLine`); the
+pose of an IK request, which is dragged, is worth solving only while it is the newest of its account, in a thread of its own
+(`NewestLine`).
 """
 
 from __future__ import annotations
@@ -63,8 +64,8 @@ class PlanServices:
 
 
 @dataclass(frozen=True)
-class Surroundings:
-    """What the desk asks about the robot.
+class RobotContext:
+    """What these requests need to know of the robot.
 
     Attributes:
         twin: Returns the twin's joint values [rad], [m]; empty while they are not known.
@@ -80,19 +81,19 @@ class Surroundings:
 
 
 @dataclass(frozen=True)
-class _Wish:
-    """A wish for a plan, who asked (for the reviewer), and when it arrived [ns of ROS time]."""
+class _PlanAsked:
+    """A plan request, who asked (for the reviewer), and when it arrived [ns of ROS time]."""
 
     asked: RemoteRequest
     account: str
     arrived: int
 
 
-class RequestDesk:
-    """What takes both kinds of messages.
+class ConsoleRequests:
+    """The endpoints of plan and IK requests.
 
     Args:
-        line: Where wishes for plans wait.
+        line: Where plan requests wait.
         source_of: Takes an account; returns who asks, for the reviewer.
 
     Attributes:
@@ -107,7 +108,7 @@ class RequestDesk:
         line: RequestLine,
         services: PlanServices,
         judge: PoseJudge,
-        around: Surroundings,
+        around: RobotContext,
         outlets: Outlets,
         source_of: Callable[[str], str],
     ):
@@ -124,9 +125,9 @@ class RequestDesk:
         )
         self._closest: tuple[ClosestView, float] | None = None
         self._problem = ""
-        self.plan_requests: Endpoint[_Wish] = Endpoint(
+        self.plan_requests: Endpoint[_PlanAsked] = Endpoint(
             "plan_request", topics.plan_request("+"), lambda _account: topics.plan_request_ack,
-            self._read_wish, self._carry_out, _wish_answer, self._plans, outlets, _describe, lambda _wish: line,
+            self._read_plan_request, self._carry_out, _plan_answer, self._plans, outlets, _describe, lambda _asked: line,
         )  # fmt: skip
         self.ik: Endpoint[IkRequest] = Endpoint(
             "ik", topics.ik("+"), lambda account: topics.ik_ack(account) if account else "",
@@ -138,23 +139,23 @@ class RequestDesk:
         """What was done so far, for `/diagnostics`."""
         return self._poses.report() | self._plans.report()
 
-    # -- wishes for plans
+    # -- plan requests
 
-    def _read_wish(self, incoming: Incoming) -> _Wish:
+    def _read_plan_request(self, incoming: Incoming) -> _PlanAsked:
         document = read_document(incoming.payload, incoming.retained, "plan_request", MAX_BYTES)
         incoming.echo["id"] = request_id(document)
         asked = parse_plan_request(document, self._joints)
         incoming.echo["kind"] = asked.kind
         self._demand_fresh(asked)
-        return _Wish(asked, incoming.account, now_ns())
+        return _PlanAsked(asked, incoming.account, now_ns())
 
-    def _carry_out(self, wish: _Wish) -> Outcome:
+    def _carry_out(self, request: _PlanAsked) -> Outcome:
         # it may have waited too long for its turn
-        self._demand_fresh(wish.asked)
-        return self._make(wish.asked, wish.account, wish.arrived)
+        self._demand_fresh(request.asked)
+        return self._make(request.asked, request.account, request.arrived)
 
     def _demand_fresh(self, asked: RemoteRequest) -> None:
-        """Refuse a wish (PayloadError) that is too old to be begun."""
+        """Refuse a plan request (PayloadError) that is too old to be begun."""
         if problem := staleness(asked.moment, self._around.clock()):
             raise PayloadError(TOO_OLD, f"the request is {problem}")
 
@@ -187,7 +188,7 @@ class RequestDesk:
         plan = {name: getattr(answer, name) for name in ("plan_id", "plan_hash", "duration") if hasattr(answer, name)}
         return Outcome(answer.success, answer.message, fields=plan)
 
-    # -- poses that are dragged
+    # -- IK requests
 
     def _read_pose(self, incoming: Incoming) -> IkRequest:
         if not self._rate.take(incoming.account, round(time.monotonic() * NANOSECONDS)):
@@ -244,14 +245,14 @@ class RequestDesk:
                 self.look_around()
 
 
-def _wish_answer(incoming: Incoming, _wish: _Wish | None, outcome: Outcome) -> bytes:
+def _plan_answer(incoming: Incoming, _request: _PlanAsked | None, outcome: Outcome) -> bytes:
     name, kind = incoming.echo.get("id", ""), incoming.echo.get("kind", "")
     plan: dict[str, Any] = dict(outcome.fields)
     return plan_answer(name, incoming.account, kind, outcome.ok, outcome.sentence, expired=outcome.expired, **plan)
 
 
-def _describe(wish: _Wish) -> str:
-    return f"plan_request {wish.asked.id!r} ({wish.asked.kind}) from {wish.account}"
+def _describe(request: _PlanAsked) -> str:
+    return f"plan_request {request.asked.id!r} ({request.asked.kind}) from {request.account}"
 
 
 def _pose_answer(incoming: Incoming, _asked: IkRequest | None, outcome: Outcome) -> bytes:

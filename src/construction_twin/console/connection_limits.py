@@ -1,4 +1,4 @@
-"""Who may be connected at once: nobody who has not logged in takes the place of somebody who has. Pure: connections are numbers."""
+"""Limits of open connections: unauthenticated ones never displace authenticated ones. Pure: connections are numbers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class PlaceLimits:
+class ConnectionLimits:
     """How many connections there may be.
 
     Attributes:
@@ -31,20 +31,20 @@ class _Login:
     account: str
 
 
-class Places:
-    """The connections of a server.
+class OpenConnections:
+    """The open connections of a server.
 
-    A visitor always gets in: where there is no place, the oldest visitor of the address with the most of them has to go. So one
-    address, however many connections it makes, takes nothing from another one with fewer.
+    A new one is always accepted: above a limit the oldest unauthenticated connection of the address with the most of them is
+    closed. So one address, however many connections it makes, takes nothing from another one with fewer.
     """
 
-    def __init__(self, limits: PlaceLimits):
+    def __init__(self, limits: ConnectionLimits):
         self._limits = limits
         self._visitors: dict[int, str] = {}
         self._logins: dict[int, _Login] = {}
 
     def enter(self, connection: int, address: str) -> int | None:
-        """Note a new connection; return the one that has to go for it, and is counted no more, or None."""
+        """Note a new connection; return the one that is to be closed for it, and is counted no more, or None."""
         self._visitors[connection] = address
         counts = Counter(self._visitors.values())
         if counts[address] > self._limits.visitors_per_address:
@@ -61,7 +61,7 @@ class Places:
         return oldest
 
     def login(self, connection: int, account: str) -> str:
-        """Give a visitor one of the places of those who are logged in; return why there is none, or an empty text."""
+        """Count a connection as authenticated; return the limit that forbids it, or an empty text."""
         address = self._visitors.get(connection)
         if address is None:
             return "the connection has ended"
