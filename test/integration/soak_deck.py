@@ -40,6 +40,8 @@ class Fault:
     causes_holds: bool = True
 
 
+#: From the clock's step to the reset, whose moment counts too, at the most [s].
+CAUGHT_UP = 20.0
 #: More records than one page of a disk can hold.
 _LINES_OF_A_PAGE = 12
 
@@ -246,6 +248,8 @@ def _clock_step(operator: Operator, world: SoakWorld) -> str:
     world.step_clock(by, by if both else 0.0)
     time.sleep(0.1)
     stop = operator.chance.choice(("", "ros", "mqtt", "halt"))
+    # a plan whose stamp may be of the clock as it was, before the stop or the reset, is void until the clock has caught up
+    operator.void_until = time.monotonic() + max(0.0, -by) + CAUGHT_UP
     if stop:
         operator.stop(stop)
     _watch()

@@ -51,6 +51,8 @@ class Operator:
         self.screen = Tablet(account, broker_port, self.topics)
         self.permissions: list[Permission] = []
         self.refusals: list[Refusal] = []
+        #: Until then a plan may be void because a clock was set back.
+        self.void_until = 0.0
         self._stops: list[tuple[str, float, bool]] = []
         self._undone: list[float] = []
 
@@ -90,9 +92,12 @@ class Operator:
             time.sleep(0.02)
 
     def start(self, duration: float | None = None):
-        """Plan, approve by any route, wait until the arm moves; return the plan."""
-        plan = self.plan(duration)
-        ok, sentence = self.approve(plan)
+        """Plan, approve by any route, wait until the arm moves; return the plan. One that is void for a clock is planned again."""
+        while True:
+            plan = self.plan(duration)
+            ok, sentence = self.approve(plan)
+            if ok or "is not under review" not in sentence or time.monotonic() > self.void_until:
+                break
         assert ok, f"an approval was refused: {sentence}"
         self.client.wait(self.witness.arm.moves, "the arm to move", 5.0)
         return plan
