@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from construction_twin.core.motion_errors import KinematicsError
 
@@ -72,6 +71,9 @@ def rotation_to_quaternion(rotation: np.ndarray) -> np.ndarray:
     Returns:
         Shape (4,). x, y, z, w with w >= 0.
     """
+    # here, because it takes a third of a second to load, and who stops a robot by `twin stop` needs none of it
+    from scipy.spatial.transform import Rotation
+
     return Rotation.from_matrix(rotation).as_quat(canonical=True)
 
 
@@ -90,4 +92,6 @@ def quaternion_to_rotation(quaternion) -> np.ndarray:
     values = np.asarray(quaternion, dtype=float)
     if values.shape != (4,) or not abs(np.linalg.norm(values) - 1.0) <= _NORM_TOLERANCE:
         raise KinematicsError(f"quaternion x, y, z, w is {values.tolist()}; expected 4 numbers of norm 1")
+    from scipy.spatial.transform import Rotation  # as above
+
     return Rotation.from_quat(values).as_matrix()

@@ -111,3 +111,9 @@ def test_an_account_without_a_name_has_a_number(monkeypatch, error):
 
     monkeypatch.setattr(twin_cli.getpass, "getuser", nameless)
     assert twin_cli.account_name() == f"uid {os.getuid()}"
+
+
+def test_who_stops_a_robot_waits_for_no_library_that_plans_or_draws():
+    code = "import sys, construction_twin.ros.commands.twin; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"scipy", "coal", "ompl", "toppra", "matplotlib", "ifcopenshell"} & set(done.stdout.split())

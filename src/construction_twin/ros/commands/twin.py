@@ -1,4 +1,7 @@
-"""The command `twin`: plan, review and watch one robot from a terminal. Its options are in `views.arguments`."""
+"""The command `twin`: plan, review and watch one robot from a terminal. Its options are in `views.arguments`.
+
+What only one step needs is imported in that step: nobody who calls `twin stop` waits for libraries that plan or draw.
+"""
 
 from __future__ import annotations
 
@@ -6,44 +9,27 @@ import argparse
 import getpass
 import os
 import sys
-import time
 from functools import partial
 from pathlib import Path
 
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused, SilenceError
-from construction_twin.core.files import write_whole
-from construction_twin.core.motion_errors import NeighbourUnknownError
 from construction_twin.msg import Execution
-from construction_twin.msg import Scene as SceneMsg
-from construction_twin.planning.waypoint_file import format_plan
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import BY_ACTION, Plan
-from construction_twin.robot.urdf import parse_urdf
-from construction_twin.ros.commands.twin_work import WorkCommand
-from construction_twin.ros.commands.watch import watch
-from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.arm_listener import listen_to_other_arm, neighbour_settings
 from construction_twin.ros.shared.master import TO_DO, await_master, expect_publisher, publishing_nodes
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.shared.robot_listener import RobotListener
-from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.neighbour_objects import neighbour_objects
-from construction_twin.scene.objects import Scene
-from construction_twin.scene.planner_scene import PlannerObject, planner_scene, scene_text
-from construction_twin.scene.self_collision import SelfCollision
 from construction_twin.views.arguments import Exit, check, parser, split_lists
 from construction_twin.views.goals import joint_goal, pose_goal
-from construction_twin.views.texts import caller_line, plan_lines, scene_lines, status_lines
+from construction_twin.views.texts import caller_line, plan_lines, status_lines
 
 #: States of the executor in which no plan is under way.
 _AT_REST = (Execution.WAITING, Execution.IDLE)
 #: How long to wait for a latched message that may not exist [s].
 LATCHED = 2.0
-#: Between two looks at what has been heard of the other arm [s].
-PAUSE = 0.05
 
 
 class Command:
@@ -111,7 +97,10 @@ class Command:
         plan = listener.plan(newest.id)
         if plan is None:
             raise RequestRefused(listener.refused)
-        path = _write(options.file, format_plan(plan, self._robot().linear, options.deg))
+        from construction_twin.planning.waypoint_file import format_plan
+        from construction_twin.ros.commands.twin_output import write_or_print
+
+        path = write_or_print(options.file, format_plan(plan, self._robot().linear, options.deg))
         if path is not None:
             print(f"plan {plan.id}: {len(plan.trajectory.times)} waypoints in {options.file}")
         return Exit.DONE
@@ -122,6 +111,8 @@ class Command:
 
     def _work(self) -> Exit:
         """Do one step of the work from a building model; approving is as for every plan, once the plan is that of a task."""
+        from construction_twin.ros.commands.twin_work import WorkCommand
+
         work = WorkCommand(self._options, self._namespace, account_name())
         if self._options.step != "approve":
             return work.run()
@@ -166,64 +157,18 @@ class Command:
         return Exit.REFUSED if lacking else Exit.DONE
 
     def _watch(self) -> Exit:
+        from construction_twin.ros.commands.watch import watch
+
         options = self._options
         watch(self._listener(rates=True), options.rate, options.once, options.timeout)
         return Exit.DONE
 
     def _scene(self) -> Exit:
-        scene = self._present_scene()
-        if self._options.moveit is None:
-            print("\n".join(scene_lines(scene)))
-            return Exit.DONE
-        bodies = RobotBodies(self._robot())
-        root = parse_urdf(bodies.robot.urdf).get_root()
-        told = planner_scene(bodies, scene, SelfCollision({}, ""))
-        beside, about = self._other_arm(bodies.robot, root, scene.padding)
-        text, remarks = scene_text(told, f"{self._options.robot} {scene.hash[:12]}", beside)
-        for remark in (*remarks, *about):
-            print(f"twin: {remark}", file=sys.stderr)
-        path = _write(self._options.moveit, text)
-        if path is not None:
-            objects = sum(not item.link for item in scene.objects)
-            arm = f" and {len(beside)} parts of the other arm" if beside else ""
-            print(f"{path}: {objects} objects{arm}, in {root}")
-        return Exit.DONE
+        from construction_twin.ros.commands.twin_scene import SceneCommand
 
-    def _other_arm(self, robot: RobotModel, root: str, padding: float) -> tuple[tuple[PlannerObject, ...], list[str]]:
-        """Return the other arm of the cell where it is now as objects, and what there is to say about it."""
-        settings = neighbour_settings(f"{self._namespace}/")
-        if settings is None:
-            return (), []
-        refused: list[str] = []
-        other = listen_to_other_arm(
-            robot.name, settings, lambda _, sentence: refused.append(sentence), True, f"{self._namespace}/"
-        )
-        deadline = time.monotonic() + self._options.timeout
-        while True:
-            try:
-                obstacles = other.occupied(LATCHED)
-            except NeighbourUnknownError as error:
-                unknown = str(error)
-            else:
-                unknown = other.unknown
-            if not unknown or time.monotonic() > deadline:
-                break
-            rospy.sleep(PAUSE)
-        if unknown:
-            return (), [*refused, f"{settings.name} is not in it: {unknown}"]
-        moves = [f"{settings.name} follows a plan: in it is the rest of that path"] if other.claim is not None else []
-        return neighbour_objects(obstacles, root, settings.padding + padding), moves
+        return SceneCommand(self._options, self._namespace).run()
 
     # -- what several of them need
-
-    def _present_scene(self) -> Scene:
-        """Return the scene that stands now; SilenceError when nobody publishes one."""
-        topic = f"{self._namespace}/scene"
-        expect_publisher(topic)
-        try:
-            return scene_from_msg(rospy.wait_for_message(topic, SceneMsg, self._options.timeout))
-        except rospy.ROSException as error:
-            raise SilenceError(topic, "the scene node does not publish", "see why it is down") from error
 
     def _robot(self) -> RobotModel:
         return robot_from_parameters(f"{self._namespace}/")
@@ -351,19 +296,6 @@ def account_name() -> str:
         return getpass.getuser()
     except (KeyError, OSError):
         return f"uid {os.getuid()}"
-
-
-def _write(file: str, text: str) -> Path | None:
-    """Write a text into a file, whole, and return its path; None when it was printed, for "-"."""
-    if file == "-":
-        print(text, end="")
-        return None
-    path = Path(file).absolute()
-    try:
-        write_whole(path, text)
-    except OSError as error:
-        raise ConfigurationError(file, error.strerror or str(error), "a file that can be written") from error
-    return path
 
 
 def _confirmed() -> bool:
