@@ -1,16 +1,22 @@
 """Orientations: rotation matrices inside, quaternions towards ROS, KUKA's A, B, C towards RSI.
 
 KUKA's angles turn about Z, then the new Y, then the new X: ``R = Rz(A) Ry(B) Rx(C)`` (docs/rsi.md, section 10).
-Radians throughout: the codecs convert to degrees. Quaternions are in ROS order x, y, z, w.
+Radians, where a name does not say degrees. Quaternions are in ROS order x, y, z, w. scipy's rotations are imported where they are
+used: they take a third of a second to load, and who calls `twin stop` needs none.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from construction_twin.core.motion_errors import KinematicsError
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 #: Below this |cos B| the angles A and C turn about the same axis and only their sum or difference is defined.
 _GIMBAL = 1e-12
@@ -62,6 +68,22 @@ def abc_to_rotation(a: float, b: float, c: float) -> np.ndarray:
     )
 
 
+def rpy_to_rotation(rpy_deg: Sequence[float]) -> np.ndarray:
+    """Return the rotation matrix, shape (3, 3), of roll, pitch and yaw about fixed axes, as in URDF and our YAML files [deg]."""
+    return _of_rpy(rpy_deg).as_matrix()
+
+
+def rpy_to_quaternion(rpy_deg: Sequence[float]) -> np.ndarray:
+    """Return the unit quaternion x, y, z, w with w >= 0 of roll, pitch and yaw about fixed axes [deg]."""
+    return _of_rpy(rpy_deg).as_quat(canonical=True)
+
+
+def _of_rpy(rpy_deg: Sequence[float]) -> Rotation:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_euler("xyz", rpy_deg, degrees=True)
+
+
 def rotation_to_quaternion(rotation: np.ndarray) -> np.ndarray:
     """Convert a rotation matrix to a unit quaternion.
 
@@ -71,7 +93,6 @@ def rotation_to_quaternion(rotation: np.ndarray) -> np.ndarray:
     Returns:
         Shape (4,). x, y, z, w with w >= 0.
     """
-    # here, because it takes a third of a second to load, and who stops a robot by `twin stop` needs none of it
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_matrix(rotation).as_quat(canonical=True)
@@ -92,6 +113,6 @@ def quaternion_to_rotation(quaternion) -> np.ndarray:
     values = np.asarray(quaternion, dtype=float)
     if values.shape != (4,) or not abs(np.linalg.norm(values) - 1.0) <= _NORM_TOLERANCE:
         raise KinematicsError(f"quaternion x, y, z, w is {values.tolist()}; expected 4 numbers of norm 1")
-    from scipy.spatial.transform import Rotation  # as above
+    from scipy.spatial.transform import Rotation
 
     return Rotation.from_quat(values).as_matrix()

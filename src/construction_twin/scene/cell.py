@@ -7,11 +7,11 @@ from typing import Annotated
 
 import numpy as np
 import pydantic
-from scipy.spatial.transform import Rotation
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.validation import wrong_value
 from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.frames import rpy_to_rotation
 from construction_twin.scene.objects import relative
 
 _Metres = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-1e4, le=1e4)]
@@ -68,9 +68,4 @@ def load_cell(description: object) -> Cell:
     except pydantic.ValidationError as error:
         wrong = wrong_value(error, _PLACES.json_schema())
         raise ConfigurationError("/".join(filter(None, ("cell", wrong.key))), wrong.value, wrong.expected) from error
-    return Cell(
-        {
-            name: Pose(np.array(place.xyz), Rotation.from_euler("xyz", place.rpy_deg, degrees=True).as_matrix())
-            for name, place in places.items()
-        }
-    )
+    return Cell({name: Pose(np.array(place.xyz), rpy_to_rotation(place.rpy_deg)) for name, place in places.items()})

@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 
 import pydantic
 import yaml
-from scipy.spatial.transform import Rotation
 
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.validation import wrong_value
+from construction_twin.robot.frames import rpy_to_quaternion
 from construction_twin.scene.objects import Scene, SceneObject
 
 #: Stands for the path of a scene without objects and padding: roslaunch drops an argument that is empty.
@@ -85,6 +85,6 @@ def read_scene(path: str | Path) -> Scene:
 
 def _object(name: str, item: _ObjectDescription, base_dir: Path) -> SceneObject:
     values = item.model_dump(exclude={"rpy_deg", "mesh"})
-    x, y, z, w = map(float, Rotation.from_euler("xyz", item.rpy_deg, degrees=True).as_quat(canonical=True))
+    x, y, z, w = map(float, rpy_to_quaternion(item.rpy_deg))
     mesh = str((base_dir / item.mesh).resolve()) if item.mesh else ""
     return SceneObject(name=name, quaternion=(x, y, z, w), mesh=mesh, **values)

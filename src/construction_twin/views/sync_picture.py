@@ -9,10 +9,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from scipy.spatial.transform import Rotation
 from urdf_parser_py.urdf import Box, Cylinder, Mesh, Sphere
 
 from construction_twin.monitor.states import SyncState
+from construction_twin.robot.frames import rpy_to_quaternion
 from construction_twin.robot.urdf import parse_urdf
 
 #: Red, green, blue, alpha of the physical arm by state. It is faint while the poses agree, so that the twin is easy to see.
@@ -64,7 +64,7 @@ def visual_shapes(urdf: str) -> tuple[Shape, ...]:
 def _shape(link: str, visual) -> Shape:
     geometry, origin = visual.geometry, visual.origin
     x, y, z = (0.0, 0.0, 0.0) if origin is None else map(float, origin.xyz)
-    qx, qy, qz, qw = Rotation.from_euler("xyz", (0.0, 0.0, 0.0) if origin is None else origin.rpy).as_quat().tolist()
+    qx, qy, qz, qw = rpy_to_quaternion((0.0, 0.0, 0.0) if origin is None else [*map(math.degrees, origin.rpy)]).tolist()
     kind, mesh, scale = type(geometry).__name__.lower(), "", _extent(geometry)
     if isinstance(geometry, Mesh):
         mesh = geometry.filename

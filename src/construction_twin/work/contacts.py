@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import coal
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.frames import rpy_to_quaternion
 from construction_twin.robot.plan import Clearance
 from construction_twin.robot.tool import ToolFile, ToolShape
 from construction_twin.scene.collision_bodies import measured, scene_geometry
@@ -47,7 +47,7 @@ def tool_objects(tool: ToolFile, link: str) -> tuple[SceneObject, ...]:
 
 
 def _tool_object(tool: ToolFile, name: str, shape: ToolShape, link: str) -> SceneObject:
-    x, y, z, w = map(float, Rotation.from_euler("xyz", shape.rpy_deg, degrees=True).as_quat(canonical=True))
+    x, y, z, w = map(float, rpy_to_quaternion(shape.rpy_deg))
     mesh = str((tool.folder / shape.mesh).resolve()) if shape.mesh else ""
     return SceneObject(
         f"{TOOL}{name}", shape.shape, shape.size, shape.position, (x, y, z, w), mesh=mesh, link=link, touch=tool.tool.touch

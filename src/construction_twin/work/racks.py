@@ -9,11 +9,11 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.frames import rpy_to_rotation
 from construction_twin.scene.objects import product
 from construction_twin.work.building import BuildingModel, Element
 from construction_twin.work.site import DeliveredRack, GridRack, ListRack, Site, StackRack, inverse, pose_of
@@ -180,7 +180,7 @@ class _Filling:
         """Return the element's pose with the middle of the underside of its box in the slot."""
         rack = self._rack
         assert not isinstance(rack, DeliveredRack)
-        turn = Rotation.from_euler("xyz", rack.rpy_deg, degrees=True).as_matrix()
+        turn = rpy_to_rotation(rack.rpy_deg)
         slot_R_element = turn @ element.model_T_element.rotation if rack.lies == "as_built" else turn
         corners = self._corners[element.id] @ slot_R_element.T
         low, high = corners.min(axis=0), corners.max(axis=0)
@@ -215,4 +215,4 @@ class _Filling:
                 "the text `x y z` or `x y z roll pitch yaw` in m and deg",
             )  # fmt: skip
         turn = numbers[3:] or [0.0, 0.0, 0.0]
-        return Pose(np.array(numbers[:3]), Rotation.from_euler("xyz", turn, degrees=True).as_matrix())
+        return Pose(np.array(numbers[:3]), rpy_to_rotation(turn))

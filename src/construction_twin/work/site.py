@@ -13,11 +13,11 @@ from typing import Annotated, Literal
 import numpy as np
 import pydantic
 import yaml
-from scipy.spatial.transform import Rotation
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.validation import configuration_error
 from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.frames import rpy_to_rotation
 from construction_twin.robot.tool import Place as FilePose
 from construction_twin.robot.tool import ToolFile, read_tool
 from construction_twin.scene.objects import Scene
@@ -229,7 +229,7 @@ def _check_names(path: str, cell: CellFile, scene: Scene) -> None:
 
 def pose_of(place: FilePose) -> Pose:
     """Return a pose of a file."""
-    return Pose(np.array(place.xyz), Rotation.from_euler("xyz", place.rpy_deg, degrees=True).as_matrix())
+    return Pose(np.array(place.xyz), rpy_to_rotation(place.rpy_deg))
 
 
 def inverse(a_T_b: Pose) -> Pose:

@@ -17,6 +17,8 @@ from construction_twin.robot.frames import (
     quaternion_to_rotation,
     rotation_to_abc,
     rotation_to_quaternion,
+    rpy_to_quaternion,
+    rpy_to_rotation,
 )
 
 ANGLE = st.floats(-math.pi, math.pi)
@@ -83,3 +85,11 @@ def test_rotation_angle_is_exact_also_where_it_is_tiny(angle):
 
 def test_rotation_angle_of_opposite_orientations_is_half_a_turn():
     assert rotation_angle(np.eye(3), np.diag([1.0, -1.0, -1.0])) == pytest.approx(math.pi)
+
+
+def test_roll_pitch_and_yaw_turn_about_fixed_axes_as_urdf_says():
+    rpy_deg = (10.0, -20.0, 130.0)
+    roll, pitch, yaw = np.deg2rad(rpy_deg)
+    np.testing.assert_allclose(rpy_to_rotation(rpy_deg), abc_to_rotation(yaw, pitch, roll), atol=1e-15)
+    np.testing.assert_allclose(quaternion_to_rotation(rpy_to_quaternion(rpy_deg)), rpy_to_rotation(rpy_deg), atol=1e-15)
+    assert rpy_to_quaternion((0.0, 0.0, 270.0))[3] >= 0.0
