@@ -211,7 +211,7 @@ class Bench:
 
     def _serve(self) -> None:
         """What others do for a work plan, between two cycles."""
-        executor, work = self.executor, self.executor.work
+        executor, work = self.executor, self.executor.segment_run
         orders = executor.take_orders()
         if self.tool is not None:
             for order in orders:
@@ -239,7 +239,10 @@ class Bench:
     def run_into(self, segment: int, cycles: int = 30) -> list:
         """Run until it moves in a segment of a work plan, and some cycles of it; return the setpoints."""
         outputs = []
-        while self.executor.work is None or (self.executor.work.number, self.state) != (segment, ExecutorState.PLAYING):
+        while self.executor.segment_run is None or (self.executor.segment_run.number, self.state) != (
+            segment,
+            ExecutorState.PLAYING,
+        ):
             outputs.append(self.step())
             assert len(outputs) < 10_000 and self.state is not ExecutorState.IDLE, self.executor.reason
         return outputs + self.run(cycles)
@@ -247,7 +250,7 @@ class Bench:
     def run_to_end_of(self, segment: int) -> list:
         """Run until it stands at the end of a segment; return the setpoints."""
         outputs = []
-        while self.executor.work is None or (self.executor.work.number, self.state) != (
+        while self.executor.segment_run is None or (self.executor.segment_run.number, self.state) != (
             segment,
             ExecutorState.AT_BOUNDARY,
         ):

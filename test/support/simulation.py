@@ -38,7 +38,7 @@ from construction_twin.monitor.gate import REPLAN, Gate, GateSettings
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, StateProperties
-from construction_twin.review.queue import Verdict
+from construction_twin.review.plan_under_review import Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder

@@ -27,7 +27,7 @@ from std_srvs.srv import TriggerResponse
 
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.review.queue import Ending, Verdict
+from construction_twin.review.plan_under_review import Ending, Verdict
 from construction_twin.review.record import ReviewLog
 from construction_twin.robot.plan import Plan, content_hash
 from construction_twin.robot.segments import Segment, Signal, Switch

@@ -17,7 +17,7 @@ from construction_twin.core.errors import ExpiredError, RecordError, ReviewError
 from construction_twin.core.freshness import LIFETIME, Moment, staleness
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import Executor
-from construction_twin.review.queue import APPROVED, REFUSED, REJECTED, Ending, Verdict, prove_hash
+from construction_twin.review.plan_under_review import APPROVED, REFUSED, REJECTED, Ending, Verdict, prove_hash
 
 #: Reviewer of a plan that was approved without a person, because of a launch argument.
 AUTO_APPROVE = "auto_approve"
@@ -49,7 +49,7 @@ class WithoutPerson:
 
 @dataclass(frozen=True)
 class Taken:
-    """A verdict that was recorded and carried out.
+    """A verdict that was carried out: an approval after its record, a rejection before it.
 
     Attributes:
         sentence: What was done.
@@ -83,7 +83,7 @@ class Approval:
         self._lock = lock
         self._clock = clock
         # one verdict after the other: the record must keep the order in which verdicts took effect
-        self._verdict = threading.RLock()
+        self._one_verdict_at_a_time = threading.RLock()
         # of the plan that waits, for `approve_by_itself`: its id, and when it was seen first [ns]
         self._waiting, self._waits_since = "", 0
 
@@ -114,7 +114,7 @@ class Approval:
             return Taken(verdict, f"plan {plan_id} rejected by {reviewer}")
         # before the verdicts that are waited for
         asked = self._clock() if seen is None else seen
-        with self._verdict:
+        with self._one_verdict_at_a_time:
             try:
                 self._demand_fresh(asked)
                 self._prove(plan_id)
@@ -126,7 +126,7 @@ class Approval:
             self._record(verdict)
             try:
                 with self._lock:
-                    return Taken(verdict, self._carry_out(verdict, asked))
+                    return Taken(verdict, self._begin_approved(verdict, asked))
             except ReviewError as error:
                 # something happened while it was written down: the record is corrected
                 if verdict.plan is not None:
@@ -177,7 +177,7 @@ class Approval:
             raise ExpiredError(f"the approval is {problem}")
         return LIFETIME - (now.at - asked.at)
 
-    def _carry_out(self, verdict: Verdict, asked: Moment) -> str:
+    def _begin_approved(self, verdict: Verdict, asked: Moment) -> str:
         """Begin what an approval that was recorded is for, if it still may; return a sentence."""
         left = self._demand_fresh(asked)
         self._examine(verdict.plan_id, verdict.plan_hash, True, verdict.reviewer)
@@ -189,7 +189,7 @@ class Approval:
         """Take a plan out of review, if it is still there."""
         executor = self._executor
         if executor.queue.plan is not None and executor.queue.plan.id == plan_id:
-            executor.turn_down(executor.queue.clear(), reason)
+            executor.tell_withdrawn(executor.queue.clear(), reason)
 
     def _prove(self, plan_id: str) -> None:
         """Prove the named plan's hash once, outside of the lock: a plan cannot change, so that it holds when it is carried out."""

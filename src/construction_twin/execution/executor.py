@@ -35,13 +35,13 @@ from construction_twin.execution.states import (
 from construction_twin.execution.stopping import distance_along
 from construction_twin.execution.tool_report import ToolReport
 from construction_twin.monitor.gate import REPLAN, RESUME, SyncState
-from construction_twin.review.queue import EXECUTOR, WITHDRAWN, Ending, ReviewQueue, Verdict
+from construction_twin.review.plan_under_review import EXECUTOR, WITHDRAWN, Ending, PlanUnderReview, Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 
 _BY_GATE = (ExecutorEvent.GATE_HOLDS, ExecutorEvent.GATE_ENDS)
 #: States in which a plan begins, or goes on, without another word of a person.
-_WAITING = (ExecutorState.PLAYING, ExecutorState.HELD, ExecutorState.AT_BOUNDARY)
+_MAY_BEGIN = (ExecutorState.PLAYING, ExecutorState.HELD, ExecutorState.AT_BOUNDARY)
 _OLDEST = LIFETIME / NANOSECONDS
 #: The twin's pose counts as known this long after its last message [ns].
 TWIN_TIMEOUT = NANOSECONDS // 2
@@ -78,10 +78,10 @@ class Executor:
     Attributes:
         lag: How long the arm trails the setpoints, as far as is known [s]; only stated, never acted upon.
         neighbour: Says whether another arm blocks the path of a plan; by default there is none.
-        limit: Set by `limit_rate`
+        limit: How fast plans are played; set by `limit_rate`.
         engagement: Whether the arm was left inside an engaged segment, and what of it must be on the disk.
-        tool: Set by `on_tool`
-        work: The present or last execution of a work plan; None when the plan played last is none.
+        tool: What is known of the tool; set by `on_tool`.
+        segment_run: The present or last execution of a work plan; None when the plan played last is none.
         reason: Why the state was entered, and what the speed limit makes of it now.
         beside: Runs what tells of a stop, a pause or a rejection: it can fail none of them.
     """
@@ -91,7 +91,7 @@ class Executor:
         self.beside = Beside()
         self.lag = 0.0
         self.neighbour = ConflictVerdicts()
-        self.queue = ReviewQueue()
+        self.queue = PlanUnderReview()
         self._machine = Machine(
             ROWS,
             ExecutorState.WAITING,
@@ -110,7 +110,7 @@ class Executor:
         self.limit = PlayRate()
         self.engagement = EngagementKeeper()
         self.tool = ToolReport()
-        self.work: SegmentRun | None = None
+        self.segment_run: SegmentRun | None = None
         self._orders: list[ToolOrder] = []
         self._way_back: tuple[str, Engagement] | None = None
         self._now = 0
@@ -147,7 +147,7 @@ class Executor:
         return self._playback.start if self._playback else 0
 
     @property
-    def _run(self) -> Playback:
+    def _played(self) -> Playback:
         """The present or last execution. Call it only after a first plan was played."""
         assert self._playback is not None
         return self._playback
@@ -155,12 +155,12 @@ class Executor:
     @property
     def rate(self) -> float:
         """Present fraction of the planned speed, 0 to 1; 0 when nothing is played."""
-        return self._run.rate if self.state in ACTIVE else 0.0
+        return self._played.rate if self.state in ACTIVE else 0.0
 
     @property
     def steady(self) -> bool:
         """True when the rate does not change at the moment."""
-        return self.state not in ACTIVE or self._run.steady
+        return self.state not in ACTIVE or self._played.steady
 
     # -- inputs
 
@@ -199,26 +199,26 @@ class Executor:
         """Take the present scene's hash: what was planned for another one is withdrawn, stopped or ended."""
         before = self.queue.scene
         reason = f"the scene changed from {before[:12] or 'none'} to {scene[:12]}"
-        self.turn_down(self.queue.on_scene(scene), f"{reason}; plan again")
+        self.tell_withdrawn(self.queue.on_scene(scene), f"{reason}; plan again")
         if self.state not in ACTIVE:
             return
-        if self.work is not None:
-            if not self.work.expects(scene):
-                self._on(ExecutorEvent.LOST, f"{reason}, which was not planned {self.work.where}")
-        elif scene != self._run.plan.scene:
+        if self.segment_run is not None:
+            if not self.segment_run.expects(scene):
+                self._on(ExecutorEvent.LOST, f"{reason}, which was not planned {self.segment_run.where}")
+        elif scene != self._played.plan.scene:
             self._on(ExecutorEvent.STOP, reason)
 
     def on_tool(self, report: ToolReport, now: int) -> None:
         """Take what is known of the tool, and the time of reception [ns]; a work plan that needs something else is stopped."""
         self.tool = report
-        if self.work is not None and self.state in ACTIVE:
-            if problem := self.work.problem(report, now):
+        if self.segment_run is not None and self.state in ACTIVE:
+            if problem := self.segment_run.problem(report, now):
                 self._on(ExecutorEvent.LOST, problem)
 
     def take_orders(self) -> list[ToolOrder]:
         """Return what is to be asked of the tool since the last call, in this order."""
         orders, self._orders = self._orders, []
-        return orders if self.work is None else orders + self.work.take_orders()
+        return orders if self.segment_run is None else orders + self.segment_run.take_orders()
 
     def limit_rate(self, factor: float, reason: str = "") -> None:
         """Play at most at this fraction of the planned speed from now on; 0 stands still until it is raised. The path stays.
@@ -234,7 +234,7 @@ class Executor:
 
     def restart(self, reason: str, now: int) -> None:
         """Drop everything, plans asked for until `now` [ns] too, and wait for twin and arm to agree again."""
-        self.turn_down(self.queue.void(now), reason)
+        self.tell_withdrawn(self.queue.void(now), reason)
         while self.state is not ExecutorState.WAITING:
             self._on(ExecutorEvent.NEW_SESSION, reason)
         self._on(ExecutorEvent.NEW_SESSION, reason)
@@ -258,7 +258,7 @@ class Executor:
         present = self.engagement.present
         if self.engagement.engaged and present is not way_back:
             raise ReviewError(f"plan {plan.id} cannot be reviewed: {self.engaged()}")
-        self.turn_down(self.queue.offer(plan), f"replaced by plan {plan.id}")
+        self.tell_withdrawn(self.queue.offer(plan), f"replaced by plan {plan.id}")
         self._way_back = None if way_back is None else (plan.id, way_back)
 
     def engaged(self) -> str:
@@ -293,7 +293,9 @@ class Executor:
         if not self.engagement.engaged or present is None:
             raise ExecutionError("the arm is not engaged; there is nothing to release")
         if self.state in ACTIVE:
-            raise ExecutionError(f"plan {self._run.plan.id} is {self.state.name}; release the arm when it is at rest")
+            raise ExecutionError(
+                f"plan {self._played.plan.id} is {self.state.name}; release the arm when it is at rest"
+            )
         return present
 
     def check_start(self, plan: Plan) -> None:
@@ -356,13 +358,13 @@ class Executor:
         self._approved, self._begin_by = plan, self._now + may_wait
         self._on(ExecutorEvent.APPROVED, reason)
 
-    def turn_down(self, plan: Plan | None, reason: str) -> None:
+    def tell_withdrawn(self, plan: Plan | None, reason: str) -> None:
         """Tell that a plan is not, or no longer, under review."""
         if plan is not None:
             self._events.append(Verdict(WITHDRAWN, plan.id, plan.hash, EXECUTOR, reason, plan))
 
     def take_events(self) -> list[Verdict | Ending]:
-        """Return what is new: plans withdrawn or rejected, executions ended. A rejection is to be told, the rest recorded too."""
+        """Return what is new, to be published: plans withdrawn or rejected, executions ended. Rejections are recorded already."""
         events, self._events = self._events, []
         return events
 
@@ -376,7 +378,7 @@ class Executor:
         reason = "stop requested"
         waiting = self.queue.void(now)
         sentence = self._stop(reason) if self.state in ACTIVE else f"nothing is playing ({self.state.name})"
-        self.beside.do("the verdict on a waiting plan", self.turn_down, waiting, reason)
+        self.beside.do("the verdict on a waiting plan", self.tell_withdrawn, waiting, reason)
         return sentence
 
     def stop_plan(self, plan_id: str, reason: str) -> str:
@@ -390,24 +392,24 @@ class Executor:
         """
         if self.state not in ACTIVE:
             raise ExecutionError(f"plan {plan_id!r} is not played: the executor is {self.state.name} ({self.reason})")
-        if self._run.plan.id != plan_id:
-            raise ExecutionError(f"plan {plan_id!r} is not played: the executor plays plan {self._run.plan.id}")
+        if self._played.plan.id != plan_id:
+            raise ExecutionError(f"plan {plan_id!r} is not played: the executor plays plan {self._played.plan.id}")
         return self._stop(reason)
 
     def _stop(self, reason: str) -> str:
         if self.plan_start == 0:
             self._on(ExecutorEvent.STOP, "stopped before it began")
-            return f"plan {self._run.plan.id} had not begun"
+            return f"plan {self._played.plan.id} had not begun"
         brakes = self.state is ExecutorState.STOPPING
         self._on(ExecutorEvent.STOP, reason)
         if brakes:
-            return f"plan {self._run.plan.id} is braking already"
+            return f"plan {self._played.plan.id} is braking already"
         stopping = self.state is ExecutorState.STOPPING
-        return f"braking plan {self._run.plan.id}" if stopping else f"plan {self._run.plan.id} ended at rest"
+        return f"braking plan {self._played.plan.id}" if stopping else f"plan {self._played.plan.id} ended at rest"
 
     def braking(self) -> Braking | None:
         """Return what tells where a stop that was just asked for will end, to be computed outside of any lock; else None."""
-        return self._run.braking(self.lag) if self.state is ExecutorState.STOPPING else None
+        return self._played.braking(self.lag) if self.state is ExecutorState.STOPPING else None
 
     def pause(self, now: int) -> str:
         """Brake along the path smoothly and rest on it; return a sentence. Plans asked for until `now` [ns] and not here are void.
@@ -421,16 +423,14 @@ class Executor:
         if before in (ExecutorState.PLAYING, ExecutorState.AT_BOUNDARY):
             self.queue.void_coming(now)
         self._on(ExecutorEvent.PAUSE, "pause requested")
-        if self.work is not None and before is ExecutorState.AT_BOUNDARY:
-            where = self.beside.do("where a pause rests", lambda work: work.where, self.work) or "at a boundary"
-            return f"plan {self._run.plan.id} rests {where}; resume goes on"
+        if self.segment_run is not None and before is ExecutorState.AT_BOUNDARY:
+            where = self.beside.do("where a pause rests", lambda work: work.where, self.segment_run) or "at a boundary"
+            return f"plan {self._played.plan.id} rests {where}; resume goes on"
         if before is ExecutorState.HELD:
-            return (
-                f"plan {self._run.plan.id} is HELD; when twin and arm agree again it stays at rest, and resume goes on"
-            )
+            return f"plan {self._played.plan.id} is HELD; when twin and arm agree again it stays at rest, and resume goes on"
         if before is not ExecutorState.PLAYING:
-            return f"plan {self._run.plan.id} is {before.name} already"
-        return f"plan {self._run.plan.id} comes to rest on its path; resume goes on"
+            return f"plan {self._played.plan.id} is {before.name} already"
+        return f"plan {self._played.plan.id} comes to rest on its path; resume goes on"
 
     def resume(self, may_wait: int = LIFETIME) -> str:
         """Go on along the same path; return one sentence. The approval that started the plan covers it.
@@ -447,12 +447,12 @@ class Executor:
             raise ExecutionError(f"twin and physical arm are not in sync ({self._sync.name}); resume when they are")
         if self._unarmed:
             raise ExecutionError(f"the arm is not armed ({self._unarmed}); resume when it is")
-        if problem := self.neighbour.problem(self._run.plan.id):
-            raise ExecutionError(f"plan {self._run.plan.id} may not go on: {problem}")
+        if problem := self.neighbour.problem(self._played.plan.id):
+            raise ExecutionError(f"plan {self._played.plan.id} may not go on: {problem}")
         self._begin_by = self._now + may_wait
         self._on(ExecutorEvent.RESUME, "resumed")
-        rest = self._run.plan.trajectory.duration - self._run.elapsed
-        return f"plan {self._run.plan.id} goes on; {rest:.3f} s of it are left"
+        rest = self._played.plan.trajectory.duration - self._played.elapsed
+        return f"plan {self._played.plan.id} goes on; {rest:.3f} s of it are left"
 
     # -- output
 
@@ -461,13 +461,13 @@ class Executor:
         self.neighbour.now = self._now = now
         machine = self._machine
         if machine.state in ACTIVE and machine.state is not ExecutorState.STOPPING:
-            if problem := self.neighbour.problem(self._run.plan.id):
+            if problem := self.neighbour.problem(self._played.plan.id):
                 self._on(ExecutorEvent.STOP, problem)
         if machine.state is ExecutorState.WAITING and self._agreed and self._fresh_twin(now) is not None:
             self._on(ExecutorEvent.AGREED, "twin and physical arm agree")
         if machine.state is ExecutorState.WAITING:
             return None
-        if machine.state in _WAITING and now > self._begin_by and self._run.elapsed == 0.0:
+        if machine.state in _MAY_BEGIN and now > self._begin_by and self._played.elapsed == 0.0:
             self._on(ExecutorEvent.TIMEOUT, f"not begun, {self._waits_for()}: an approval is void after {_OLDEST:g} s")
         if machine.state is ExecutorState.AT_BOUNDARY:
             self._wait_at_boundary(stamp, now)
@@ -492,12 +492,12 @@ class Executor:
         """Return why a plan that was approved stands at its beginning."""
         if self.state is ExecutorState.HELD:
             return f"the gate holds ({self._sync.name})"
-        if self.work is not None and self.state is ExecutorState.AT_BOUNDARY:
-            return self.work.waits_for()
+        if self.segment_run is not None and self.state is ExecutorState.AT_BOUNDARY:
+            return self.segment_run.waits_for()
         return self.limit.reason if self.limit.fraction == 0.0 else "as its first setpoint was due too late"
 
     def _wait_at_boundary(self, stamp: int, now: int) -> None:
-        work = self.work
+        work = self.segment_run
         assert work is not None  # only a work plan has boundaries
         scene = self.queue.scene if self.queue.scene_alive else ""
         said = work.update(stamp, now, self.tool, scene, self.limit.fraction > 0.0)
@@ -510,7 +510,7 @@ class Executor:
                 self._say()
 
     def _advance(self, stamp: int) -> tuple[float, ...]:
-        playback, machine = self._run, self._machine
+        playback, machine = self._played, self._machine
         if machine.state is ExecutorState.STOPPING:
             self._setpoint = playback.brake(stamp)
             self._stopping.append(self._setpoint)
@@ -518,8 +518,8 @@ class Executor:
             rate = self.limit.fraction if machine.state is ExecutorState.PLAYING else 0.0
             self._setpoint = playback.advance(stamp, rate)
         self._setpoint_stamp = stamp
-        if self.work is not None and playback.goal_stamp:
-            self._on(ExecutorEvent.SEGMENT_END, f"stopped {self.work.where}")
+        if self.segment_run is not None and playback.goal_stamp:
+            self._on(ExecutorEvent.SEGMENT_END, f"stopped {self.segment_run.where}")
         elif playback.goal_stamp and machine.state is not ExecutorState.HELD:
             # a hold may still come that takes back the last setpoints: then the plan must be there to go on
             if self._policy != RESUME or self._passed >= playback.goal_stamp:
@@ -543,15 +543,15 @@ class Executor:
     def _guards(self) -> dict[Guard, Callable[[Occasion], bool]]:
         return {
             Guard.BEGUN: lambda occasion: self.plan_start != 0,
-            Guard.KNOWN: lambda occasion: self._run.knows(self._passed),
+            Guard.KNOWN: lambda occasion: self._played.knows(self._passed),
             Guard.PAUSED: lambda occasion: self._paused,
             Guard.WORK: lambda occasion: self._is_work(),
-            Guard.BOUNDARY: lambda occasion: self.work is not None and self.work.at_boundary,
+            Guard.BOUNDARY: lambda occasion: self.segment_run is not None and self.segment_run.at_boundary,
         }
 
     def _is_work(self) -> bool:
         # `begin` has set it before the event
-        plan = self._approved if self.state is ExecutorState.IDLE else self._run.plan
+        plan = self._approved if self.state is ExecutorState.IDLE else self._played.plan
         return plan is not None and bool(plan.segments)
 
     def _actions(self) -> dict[Action, Callable[[Row], None]]:
@@ -564,9 +564,9 @@ class Executor:
             Action.STAND: self._stand,
             Action.NOTE_PAUSE: self._note_pause,
             Action.ARRIVE: self._arrive,
-            Action.ENTER: lambda row: self._run.enter(self._at_boundary.enter()),
-            Action.VOID: lambda row: self._at_boundary.pause(),
-            Action.REARM: lambda row: self._at_boundary.resume(self._now),
+            Action.ENTER: lambda row: self._played.enter(self._run_at_boundary.enter()),
+            Action.VOID: lambda row: self._run_at_boundary.pause(),
+            Action.REARM: lambda row: self._run_at_boundary.resume(self._now),
             **{action: self._end for action in OUTCOMES},
         }
 
@@ -580,7 +580,7 @@ class Executor:
             sentence = sentence or occasion.reason
             if row.action in OUTCOMES:
                 sentence = self._end_work(row.action, sentence)
-                self._events.append(Ending(self._run.plan, self.outcome, sentence))
+                self._events.append(Ending(self._played.plan, self.outcome, sentence))
             return sentence if self._is_told(row) else self.cause
 
         return carry_out
@@ -609,30 +609,30 @@ class Executor:
     def _play(self, row: Row) -> None:
         assert self._approved is not None  # `begin` has set it
         self._playback, self.outcome = Playback(self._approved, self._robot), ""
-        self._orders += [] if self.work is None else self.work.take_orders()
-        self.work = None
+        self._orders += [] if self.segment_run is None else self.segment_run.take_orders()
+        self.segment_run = None
         if self._approved.segments:
-            self.work = SegmentRun(self._approved, self.engagement, self._is_way_back(self._approved))
+            self.segment_run = SegmentRun(self._approved, self.engagement, self._is_way_back(self._approved))
 
     def _brake(self, row: Row) -> None:
         assert self._setpoint is not None  # the row's guard: one was sent
         self._stopping = [self._setpoint]
 
     def _stand(self, row: Row) -> None:
-        self._run.rest_where(self._passed)
+        self._played.rest_where(self._passed)
         self._paused = row.state in (ExecutorState.PAUSING, ExecutorState.PAUSED)
 
     def _note_pause(self, row: Row) -> None:
         self._paused = True
 
     @property
-    def _at_boundary(self) -> SegmentRun:
-        assert self.work is not None  # only a work plan has boundaries
-        return self.work
+    def _run_at_boundary(self) -> SegmentRun:
+        assert self.segment_run is not None  # only a work plan has boundaries
+        return self.segment_run
 
     def _arrive(self, row: Row) -> None:
-        work = self._at_boundary
-        self._run.arrive()
+        work = self._run_at_boundary
+        self._played.arrive()
         work.arrive()
 
     def _end(self, row: Row) -> None:
@@ -640,25 +640,25 @@ class Executor:
 
     def _end_work(self, action: Action, sentence: str) -> str:
         """End the execution of a work plan, if it was one; return the sentence for its end."""
-        work = self.work
+        work = self.segment_run
         if work is None:
             return sentence
         if action is not Action.FINISH:
             where = self.beside.do("where a work plan ends", lambda: work.where)
             sentence = f"{sentence}; {where or 'where it stands'} the rest is dropped"
         was_engaged = self.engagement.engaged
-        self._orders += work.end(action is Action.FINISH, self._run.elapsed, sentence)
+        self._orders += work.end(action is Action.FINISH, self._played.elapsed, sentence)
         if self.engagement.engaged and not was_engaged:
             waiting = self.queue.clear()
-            self.beside.do("the verdict on a waiting plan", self._turn_down_other, waiting)
+            self.beside.do("the verdict on a waiting plan", self._withdraw_other, waiting)
         if action is Action.FINISH:
             return sentence
         if self.engagement.engaged:
             return f"{sentence}; the arm is engaged: plan the way back, or free it by hand and call release_engagement"
         return f"{sentence}: look at arm and tool, then plan the task again from where things are"
 
-    def _turn_down_other(self, plan: Plan | None) -> None:
-        self.turn_down(plan, f"not the way back: {self.engaged()}")
+    def _withdraw_other(self, plan: Plan | None) -> None:
+        self.tell_withdrawn(plan, f"not the way back: {self.engaged()}")
 
     def _sentence(self, row: Row, reason: str) -> str:
         """Return why the next state is entered, in words for the operator."""
@@ -666,23 +666,23 @@ class Executor:
             if row.state is ExecutorState.STOPPING:
                 return f"{self.cause}; {reason}"
             if row.action is Action.LOSE:
-                return f"{reason} at a setpoint that is not known to be of plan {self._run.plan.id}"
-            where = f"{self._run.elapsed:.3f} s into the plan"
+                return f"{reason} at a setpoint that is not known to be of plan {self._played.plan.id}"
+            where = f"{self._played.elapsed:.3f} s into the plan"
             return f"{reason} {where}; goes on by itself when twin and arm agree again"
         if row.target is ExecutorState.AT_BOUNDARY:
-            assert self.work is not None  # only a work plan has boundaries
+            assert self.segment_run is not None  # only a work plan has boundaries
             return (
-                f"{reason}; stands {self.work.where}"
+                f"{reason}; stands {self.segment_run.where}"
                 if row.event is ExecutorEvent.APPROVED
-                else f"stands {self.work.where}"
+                else f"stands {self.segment_run.where}"
             )
         if row.target is ExecutorState.PAUSED:
-            return f"at rest {self._run.elapsed:.3f} s into the plan; resume goes on"
+            return f"at rest {self._played.elapsed:.3f} s into the plan; resume goes on"
         if row.event is ExecutorEvent.GATE_OPENS:
             return "twin and arm agree again; the same approval covers the rest"
         if row.event is ExecutorEvent.NEXT_SEGMENT:
-            assert self.work is not None and self.work.segment is not None  # it was entered
-            return f"segment {self.work.number} ({self.work.segment.name!r})"
+            assert self.segment_run is not None and self.segment_run.segment is not None  # it was entered
+            return f"segment {self.segment_run.number} ({self.segment_run.segment.name!r})"
         if row.event in (ExecutorEvent.AT_REST, ExecutorEvent.SEGMENT_END) and row.state is ExecutorState.STOPPING:
             return f"{self.cause}; at rest after {distance_along(self._stopping).text(self._robot)}"
         return reason

@@ -16,7 +16,7 @@ from construction_twin.execution.goal_states import ROWS, Action, GoalEvent, Goa
 from construction_twin.execution.joint_tolerances import Tolerances
 from construction_twin.execution.states import ACTIVE, ExecutorState
 from construction_twin.execution.tracking import Sample
-from construction_twin.review.queue import EXECUTOR
+from construction_twin.review.plan_under_review import EXECUTOR
 from construction_twin.robot.description import RobotModel
 
 #: A call that failed, of `stop_plan` or `review_plan`, is made again after this time [ns].

@@ -20,31 +20,21 @@ HISTORY = 500
 ALIGNED, INSTANT = "aligned", "instant"
 
 
-def next_pose(
-    theta_virtual: tuple[float, ...],
-    theta_physical: tuple[float, ...],
-    theta_next: tuple[float, ...],
-    threshold: tuple[float, ...],
-) -> tuple[tuple[float, ...], bool]:
-    """Choose the pose to execute next: Algorithm 1, line by line.
+def agrees(theta_virtual: tuple[float, ...], theta_physical: tuple[float, ...], threshold: tuple[float, ...]) -> bool:
+    """Return whether twin and arm agree: the test of Algorithm 1. What follows from it is in `Gate.pass_next`.
 
     Args:
-        theta_virtual, theta_physical, theta_next: Shape (n,). Joint angles of the twin, of the physical arm, and of the next
-            setpoint [rad].
+        theta_virtual, theta_physical: Shape (n,). Joint angles of the twin and of the physical arm [rad].
         threshold: Shape (n,). Largest difference that still counts as agreement, per joint [rad].
-
-    Returns:
-        theta: Shape (n,). `theta_next`, or `theta_virtual` when any joint differs by more than its threshold.
-        replan: True when the trajectory must be planned anew from `theta`.
 
     References:
         Liang et al., section 3.3, Algorithm 1.
     """
     for virtual, physical, limit in zip(theta_virtual, theta_physical, threshold):
-        # written so that a nan does not pass
+        # written so that a nan does not agree
         if not abs(virtual - physical) <= limit:
-            return theta_virtual, True
-    return theta_next, False
+            return False
+    return True
 
 
 class TwinHistory:
@@ -122,7 +112,7 @@ class Comparison:
     def agrees_within(self, fraction: float) -> bool:
         """Return whether Algorithm 1 would let the next pose pass with this fraction of the threshold, 0 to 1."""
         threshold = self.threshold if fraction == 1.0 else tuple(fraction * limit for limit in self.threshold)
-        return not next_pose(self.theta_virtual, self.theta_physical, self.theta_virtual, threshold)[1]
+        return agrees(self.theta_virtual, self.theta_physical, threshold)
 
     def worst(self) -> int:
         """Index of the joint that uses most of its threshold; one whose error is no number comes first."""

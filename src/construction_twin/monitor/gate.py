@@ -90,10 +90,10 @@ class GateSettings:
 
 
 class Gate:
-    """Passes theta_next, or holds theta_virtual.
+    """Passes theta_next, or repeats the last command that passed: Algorithm 1 of the paper.
 
-    theta_virtual is the twin's present pose. A command that has not reached the twin yet counts as executed: holding anything
-    older would send both robots a step backwards.
+    The paper holds the twin's pose, theta_virtual. The last command is where the twin is, or is about to be: holding anything older
+    would send both robots a step backwards.
 
     Args:
         codec: The wire's; everything that passes is rounded by it, so that both robots execute identical numbers.

@@ -11,10 +11,10 @@ from construction_twin.core.exports import lazy_exports
 if TYPE_CHECKING:
     from construction_twin.review.chained_file import ChainedFile as ChainedFile
     from construction_twin.review.chained_file import verify as verify
-    from construction_twin.review.queue import Ending as Ending
-    from construction_twin.review.queue import ReviewQueue as ReviewQueue
-    from construction_twin.review.queue import Verdict as Verdict
-    from construction_twin.review.queue import prove_hash as prove_hash
+    from construction_twin.review.plan_under_review import Ending as Ending
+    from construction_twin.review.plan_under_review import PlanUnderReview as PlanUnderReview
+    from construction_twin.review.plan_under_review import Verdict as Verdict
+    from construction_twin.review.plan_under_review import prove_hash as prove_hash
     from construction_twin.review.record import Record as Record
     from construction_twin.review.record import Release as Release
     from construction_twin.review.record import Responsibility as Responsibility

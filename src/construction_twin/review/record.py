@@ -19,7 +19,7 @@ from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RecordError
 from construction_twin.review.chained_file import ChainedFile, LogState, read_whole, verify
-from construction_twin.review.queue import APPROVED, Ending, Verdict
+from construction_twin.review.plan_under_review import APPROVED, Ending, Verdict
 from construction_twin.robot.plan import Plan
 
 #: Records that are kept while the file cannot be written; what comes then is counted, and the number is recorded later.

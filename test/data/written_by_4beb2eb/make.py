@@ -26,7 +26,7 @@ from construction_twin.broker.make_site import main as make_site  # noqa: E402
 from construction_twin.execution.engagement import engagement_of, to_text  # noqa: E402
 from construction_twin.gateway.trace import TraceWriter  # noqa: E402
 from construction_twin.mqtt.messages import Control, arm_value  # noqa: E402
-from construction_twin.review.queue import APPROVED, REJECTED, Ending, Verdict  # noqa: E402
+from construction_twin.review.plan_under_review import APPROVED, REJECTED, Ending, Verdict  # noqa: E402
 from construction_twin.review.record import ReviewLog  # noqa: E402
 from construction_twin.robot.description import read_robot_files  # noqa: E402
 from construction_twin.ros.shared.gateway_config import gateway_config  # noqa: E402

@@ -56,7 +56,7 @@ def test_a_work_plan_grips_carries_and_lets_go_each_in_the_cycle_of_its_stamp(de
 
 def test_a_grip_that_is_lost_in_motion_stops_the_arm_and_what_is_armed_never_fires():
     chain, _ = begun()
-    assert chain.run_until(lambda: chain.executor.work.number == 3, 15.0), chain.executor.reason
+    assert chain.run_until(lambda: chain.executor.segment_run.number == 3, 15.0), chain.executor.reason
     chain.faults.inject(Fault("grip_lost"))
     assert chain.run_until(lambda: chain.executor.state is not ExecutorState.PLAYING, 2.0)
     chain.run_for(5.0)
@@ -101,7 +101,7 @@ def test_a_stop_between_arming_and_firing_leaves_the_output_alone():
 
 def test_a_controller_that_switches_rsi_on_anew_keeps_what_is_held():
     chain, _ = begun()
-    assert chain.run_until(lambda: chain.executor.work.number == 2, 15.0), chain.executor.reason
+    assert chain.run_until(lambda: chain.executor.segment_run.number == 2, 15.0), chain.executor.reason
     chain.controller.restart()
     chain.run_for(1.0)
     assert vacuum(chain) and chain.controller.tool.holds

@@ -154,7 +154,7 @@ class TestLeft:
         np.testing.assert_allclose(bench.twin, pose_at(0.3), atol=1e-12)
         keeper.on_written(keeper.present)
         bench.run(30)
-        assert bench.executor.work.number == 1 and bench.state is ExecutorState.PLAYING
+        assert bench.executor.segment_run.number == 1 and bench.state is ExecutorState.PLAYING
 
 
 def pose_at(share: float) -> np.ndarray:

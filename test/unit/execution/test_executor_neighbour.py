@@ -11,7 +11,7 @@ from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.units import CYCLE_NS
 from construction_twin.execution.conflict_verdicts import VERDICT_TIMEOUT, ConflictVerdicts
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.review.queue import Ending
+from construction_twin.review.plan_under_review import Ending
 
 PROBLEM = "link_3 would come too close to b/link_5 in 1.2 s, which stands there"
 

@@ -30,7 +30,7 @@ from construction_twin.execution.segment_run import RECORD_TIMEOUT, SegmentRun
 from construction_twin.execution.states import ACTIVE
 from construction_twin.execution.tool_report import NO_ARM, ToolReport
 from construction_twin.monitor.gate import RESUME, SyncState
-from construction_twin.review.queue import Ending, Verdict
+from construction_twin.review.plan_under_review import Ending, Verdict
 from construction_twin.robot.segments import Segment, Signal, Switch
 
 
@@ -92,9 +92,9 @@ class TestPlayedThrough:
         bench.run_until_idle()
         bench.run(5)
         bench.executor.on_scene(SCENE)
-        work = bench.executor.work
+        work = bench.executor.segment_run
         bench.approve(make_plan("next", bench_motion(bench)))
-        assert work is not None and bench.executor.work is None
+        assert work is not None and bench.executor.segment_run is None
         bench.run_until_idle()
         assert bench.executor.outcome == "finished"
 
@@ -221,7 +221,7 @@ class TestBoundary:
         plan = make_work_plan()
         bench.approve(plan)
         bench.run_to_end_of(1)
-        work = bench.executor.work
+        work = bench.executor.segment_run
         assert not work.wants_scene and work.expected_scene == ""
         bench.run(100)
         assert work.wants_scene and work.expected_scene == LATER[0] and bench.tool.inputs["gripped"]
@@ -440,7 +440,11 @@ def elapsed(bench: Bench) -> float:
     trajectory = bench.executor.plan.trajectory
     times = np.arange(0.0, trajectory.duration, CYCLE / 4)
     points = trajectory.sample_many(times)[0]
-    begin = bench.executor.plan.segments[bench.executor.work.number - 1].end if bench.executor.work.number > 0 else 0.0
+    begin = (
+        bench.executor.plan.segments[bench.executor.segment_run.number - 1].end
+        if bench.executor.segment_run.number > 0
+        else 0.0
+    )
     return float(times[np.argmin(np.abs(points - bench.outputs[-1]).max(axis=1) + 10.0 * (times < begin))])
 
 
@@ -651,7 +655,7 @@ def test_whatever_happens_no_switch_fires_twice_and_no_boundary_is_passed_early(
             before = np.array(bench.outputs[-1])
             setpoint = np.array(bench.step())
             # in joint space every segment is a straight line: between the two ends, and not beyond the second
-            number = executor.work.number
+            number = executor.segment_run.number
             low, high = np.sort(poses[[number, number + 1]] if number >= 0 else poses[[0, 0]], axis=0)
             assert (setpoint >= low - 1e-9).all() and (setpoint <= high + 1e-9).all()
             assert np.abs(setpoint - before).max() < 0.02
@@ -667,7 +671,7 @@ def test_whatever_happens_no_switch_fires_twice_and_no_boundary_is_passed_early(
     counted = [value for _, value in bench.tool.fired]
     assert counted in ([], [True], [True, False])
     if executor.state not in ACTIVE:
-        inside = executor.outcome != "finished" and executor.work.number in (1, 2)
+        inside = executor.outcome != "finished" and executor.segment_run.number in (1, 2)
         # at the very beginning of the engaged segments the arm is free
         if inside and np.abs(np.array(bench.outputs[-1]) - poses[1]).max() > 1e-6:
             assert executor.engagement.engaged

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.monitor.comparison import HISTORY, ComparisonSettings, PoseComparison, TwinHistory, next_pose
+from construction_twin.monitor.comparison import HISTORY, ComparisonSettings, PoseComparison, TwinHistory, agrees
 
 T0 = 1_000 * CYCLE_NS
-VIRTUAL, NEXT = (0.0,) * 6, (0.7,) * 6
+VIRTUAL = (0.0,) * 6
 THRESHOLD = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06)
 angles = st.floats(-3.0, 3.0)
 SETTINGS = ComparisonSettings((0.01, 0.01), lag_allowance=0.05, lag_margin=0.01)
@@ -26,24 +26,23 @@ def joint(index: int, value: float) -> tuple[float, ...]:
 @pytest.mark.parametrize("index", range(6))
 @pytest.mark.parametrize("sign", [1, -1])
 class TestAlgorithm1:
-    def test_a_difference_equal_to_the_threshold_passes(self, index, sign):
+    def test_a_difference_equal_to_the_threshold_agrees(self, index, sign):
         physical = joint(index, sign * THRESHOLD[index])
-        assert next_pose(VIRTUAL, physical, NEXT, THRESHOLD) == (NEXT, False)
+        assert agrees(VIRTUAL, physical, THRESHOLD)
 
-    def test_one_joint_above_its_threshold_holds_the_twin_s_pose(self, index, sign):
+    def test_one_joint_above_its_threshold_does_not_agree(self, index, sign):
         physical = joint(index, sign * math.nextafter(THRESHOLD[index], 1.0))
-        assert next_pose(VIRTUAL, physical, NEXT, THRESHOLD) == (VIRTUAL, True)
+        assert not agrees(VIRTUAL, physical, THRESHOLD)
 
 
-def test_a_pose_that_is_no_number_does_not_pass():
-    assert next_pose(VIRTUAL, joint(3, math.nan), NEXT, THRESHOLD) == (VIRTUAL, True)
+def test_a_pose_that_is_no_number_does_not_agree():
+    assert not agrees(VIRTUAL, joint(3, math.nan), THRESHOLD)
 
 
-@given(vectors, vectors, vectors, st.lists(st.floats(0.0, 6.0), min_size=6, max_size=6))
-def test_passes_exactly_when_every_joint_is_inside_its_threshold(virtual, physical, following, threshold):
+@given(vectors, vectors, st.lists(st.floats(0.0, 6.0), min_size=6, max_size=6))
+def test_agrees_exactly_when_every_joint_is_inside_its_threshold(virtual, physical, threshold):
     inside = all(abs(p - v) <= limit for p, v, limit in zip(physical, virtual, threshold))
-    expected = (following, False) if inside else (virtual, True)
-    assert next_pose(virtual, physical, following, threshold) == expected
+    assert agrees(virtual, physical, threshold) is inside
 
 
 class TestTwinHistory:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from plan_samples import make_plan
 
-from construction_twin.review.queue import APPROVED, REJECTED, Ending, Verdict
+from construction_twin.review.plan_under_review import APPROVED, REJECTED, Ending, Verdict
 from construction_twin.review.record import Fate, ReviewLog, read_fate
 from construction_twin.robot.trajectory import Trajectory
 

@@ -6,7 +6,7 @@ import plan_samples
 import pytest
 
 from construction_twin.core.errors import ReviewError
-from construction_twin.review.queue import ReviewQueue, prove_hash
+from construction_twin.review.plan_under_review import PlanUnderReview, prove_hash
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.trajectory import Trajectory
 
@@ -17,8 +17,8 @@ def make_plan(name: str, goal: float = 1.0, scene: str = "s") -> Plan:
 
 
 @pytest.fixture
-def queue() -> ReviewQueue:
-    queue = ReviewQueue()
+def queue() -> PlanUnderReview:
+    queue = PlanUnderReview()
     queue.offer(make_plan("a"))
     return queue
 
@@ -60,7 +60,7 @@ def test_a_verdict_that_does_not_fit_leaves_the_plan_under_review(queue, plan_id
 
 def test_an_empty_desk_says_so():
     with pytest.raises(ReviewError, match="no plan is"):
-        ReviewQueue().decide("a", "", "Ada")
+        PlanUnderReview().decide("a", "", "Ada")
 
 
 def test_a_newer_plan_replaces_the_one_before(queue):
@@ -79,7 +79,7 @@ def test_a_plan_taken_out_of_review_cannot_be_approved_later(queue):
 
 
 def test_clearing_an_empty_desk_decides_nothing():
-    queue = ReviewQueue()
+    queue = PlanUnderReview()
     queue.clear()
     queue.offer(make_plan("a"))
     assert queue.plan.id == "a"
@@ -88,7 +88,7 @@ def test_clearing_an_empty_desk_decides_nothing():
 def test_a_plan_that_does_not_end_at_rest_is_refused():
     motion = Trajectory(("a",), [0.0, 1.0], [[0.0], [1.0]], [[0.0], [0.1]], [[0.0], [0.0]])
     with pytest.raises(ReviewError, match="at rest"):
-        ReviewQueue().offer(plan_samples.make_plan(motion))
+        PlanUnderReview().offer(plan_samples.make_plan(motion))
 
 
 def test_offering_tells_which_plan_was_replaced(queue):

@@ -17,7 +17,7 @@ from plan_samples import make_plan
 from construction_twin.core.errors import ConfigurationError, RecordError
 from construction_twin.review import record as review_log
 from construction_twin.review.chained_file import BEGIN, verify
-from construction_twin.review.queue import APPROVED, REFUSED, Ending, Verdict
+from construction_twin.review.plan_under_review import APPROVED, REFUSED, Ending, Verdict
 from construction_twin.review.record import KEPT, Responsibility, ReviewLog, main
 from construction_twin.robot.plan import Clearance
 from construction_twin.robot.trajectory import Trajectory

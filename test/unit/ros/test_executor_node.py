@@ -73,7 +73,7 @@ def test_who_has_armed_a_bare_plc_is_recorded_once_and_with_the_verdict(world, t
     # armed anew, in another session, is another record; not armed is none
     node.on_link(Link(state=Link.NEEDS_RESET, session="s", gateway_kind="plc", not_checked=bare["not_checked"]))
     node.on_link(Link(state=Link.ARMED, session="t", **bare))
-    node.work_off(True)
+    node.do_background_work(True)
     assert [line["session"] for line in records(tmp_path) if line["record"] == "responsibility"] == ["s", "t"]
 
 
@@ -83,7 +83,7 @@ class TestCycle:
         world.node.on_stop(None)
         world.run(100)
         assert world.logged == []
-        world.node.work_off(True)
+        world.node.do_background_work(True)
         lines = [line for _, line in world.logged]
         assert "PLAYING: approved by Ada" in lines and any(line.startswith("stop: braking plan p") for line in lines)
         assert lines.index("PLAYING: approved by Ada") < lines.index("STOPPING: stop requested")
@@ -98,12 +98,12 @@ class TestCycle:
 
     def test_a_limit_that_follows_a_sensor_fills_no_log(self, world):
         world.playing()
-        world.node.work_off(True)
+        world.node.do_background_work(True)
         world.logged.clear()
         for k in range(20):
             world.node.on_limit(limit(0.5 + 0.01 * k))
             world.run(2)
-        world.node.work_off(True)
+        world.node.do_background_work(True)
         assert [line for _, line in world.logged] == ["speed limit 0.5 by /sensor: somebody is near"]
         assert world.executor.reason.startswith("approved by Ada; at 69% of the planned speed: speed limit 0.69")
 
@@ -171,7 +171,7 @@ class TestPlansThatAreTurnedDown:
     @pytest.mark.parametrize("stop", ["on_stop", "on_pause"])
     def test_one_that_was_asked_for_before_a_stop_on_a_clock_that_was_set_since(self, world, step, stop):
         asked = world.playing().wall - CYCLE_NS
-        world.node.work_off(True)
+        world.node.do_background_work(True)
         world.wall += round(step * NANOSECONDS)
         world.run(10)
         getattr(world.node, stop)(None)
@@ -181,11 +181,11 @@ class TestPlansThatAreTurnedDown:
         assert [(plan_id, approved) for plan_id, approved, _ in said if plan_id == "late"] == [("late", False)]
 
     def test_and_a_minute_after_the_clock_was_set_back_a_stop_is_nothing_special(self, world):
-        world.playing().node.work_off(True)
+        world.playing().node.do_background_work(True)
         world.wall -= 600 * NANOSECONDS
         for _ in range(70):
             world.wall, world.steady = world.wall + NANOSECONDS, world.steady + NANOSECONDS
-            world.node.work_off(True)
+            world.node.do_background_work(True)
         world.node.on_stop(None)
         before, after = (make_plan(name, created_ns=world.wall + k) for name, k in (("before", -1), ("after", 1)))
         assert [plan_id for plan_id, *_ in self.offered(world, before)] == ["before"]
@@ -465,7 +465,7 @@ class WorkWorld(World):
 
     def left_in_lift(self) -> WorkWorld:
         """Stop in the engaged segment in which the element is lifted."""
-        self.approved().until(lambda: self.executor.work is not None and self.executor.work.number == 2)
+        self.approved().until(lambda: self.executor.segment_run is not None and self.executor.segment_run.number == 2)
         self.run(60)
         self.node.on_stop(None)
         return self.until(lambda: self.executor.state is ExecutorState.IDLE)
@@ -522,11 +522,11 @@ class TestWorkPlan:
 
     def test_in_an_engaged_segment_the_disk_knows_it_and_outside_not(self, work, tmp_path):
         file = tmp_path / "engagement.json"
-        work.approved().until(lambda: work.executor.work is not None and work.executor.work.number == 0)
+        work.approved().until(lambda: work.executor.segment_run is not None and work.executor.segment_run.number == 0)
         assert not file.exists()
-        work.until(lambda: work.executor.work.number == 1)
+        work.until(lambda: work.executor.segment_run.number == 1)
         assert json.loads(file.read_text())["segment"] == "approach"
-        work.until(lambda: work.executor.work.number == 3)
+        work.until(lambda: work.executor.segment_run.number == 3)
         assert not file.exists()
 
 
@@ -558,7 +558,7 @@ class TestEngaged:
         assert not (tmp_path / "engagement.json").exists() and not work.messages("engagement")[-1].engaged
 
     def test_survives_a_kill(self, work, monkeypatch, tmp_path):
-        work.approved().until(lambda: work.executor.work is not None and work.executor.work.number == 2)
+        work.approved().until(lambda: work.executor.segment_run is not None and work.executor.segment_run.number == 2)
         work.node.write_records()
         # a killed process closes nothing by itself; the kernel does
         work.log.close()
@@ -612,9 +612,9 @@ class TestEngaged:
     def test_a_disk_that_fails_is_said_and_keeps_the_arm_out(self, work, tmp_path):
         (tmp_path / "engagement.json").mkdir()
         work.approved().until(
-            lambda: work.executor.state is ExecutorState.AT_BOUNDARY and work.executor.work.number == 0
+            lambda: work.executor.state is ExecutorState.AT_BOUNDARY and work.executor.segment_run.number == 0
         )
         work.run(100)
-        assert work.executor.state is ExecutorState.AT_BOUNDARY and work.executor.work.number == 0
+        assert work.executor.state is ExecutorState.AT_BOUNDARY and work.executor.segment_run.number == 0
         report = work.node.report()
         assert report.level == ERROR and str(tmp_path / "engagement.json") in report.sentence

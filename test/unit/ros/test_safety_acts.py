@@ -109,7 +109,7 @@ HELPERS = {
     "its sentence": (StoppingForecast, "text", ("stop",)),
     "how far it went": (library, "distance_along", ("stop", "stop_plan")),
     "the name of the caller": (module, "caller_of", ("stop_plan",)),
-    "the verdict on a waiting plan": (library.Executor, "turn_down", ("stop",)),
+    "the verdict on a waiting plan": (library.Executor, "tell_withdrawn", ("stop",)),
     "the record's queue": (ReviewLog, "defer", ("stop", "stop_plan", "reject")),
     "the record": (ReviewLog, "flush", ACTS),
     "the log's queue": (DeferredLog, "add", ACTS),
@@ -129,10 +129,10 @@ def test_with_a_helper_that_fails_as_nobody_foresaw(world, monkeypatch, which, h
         assert act(world, which).success
         is_carried_out(world, which)
         world.run(1)
-        world.node.work_off(True)
+        world.node.do_background_work(True)
     # counted, said, and shown
     assert sum(world.node.beside.counts().values()) > 0
-    world.node.work_off(True)
+    world.node.do_background_work(True)
     assert any("Unforeseen" in line and "Traceback" in line for _, line in world.logged) or place is rospy
     report = world.node.report()
     assert report.level == WARN and "nobody foresaw this" in report.sentence
@@ -163,9 +163,9 @@ def test_with_a_full_disk_the_record_comes_later(world, monkeypatch, tmp_path, w
         full.setattr(ReviewLog, "append", full_disk)
         assert act(world, which).success
         is_carried_out(world, which)
-        world.run(1).node.work_off(True)
+        world.run(1).node.do_background_work(True)
         assert "no space left on device" in world.node.report().sentence
-    world.node.work_off(True)
+    world.node.do_background_work(True)
     written = [line.get("outcome", line.get("verdict")) for line in records(tmp_path)]
     assert (
         written
@@ -181,7 +181,7 @@ def test_with_a_full_disk_the_record_comes_later(world, monkeypatch, tmp_path, w
 def test_a_rejection_is_on_record_and_told(world, tmp_path):
     prepared(world, "reject")
     assert act(world, "reject").message == "plan q rejected by Ada"
-    world.run(1).node.work_off(True)
+    world.run(1).node.do_background_work(True)
     assert [(line["verdict"], line["plan"], line["reason"]) for line in records(tmp_path)[1:]] == [
         ("rejected", "q", "too close to the wall")
     ]

@@ -53,7 +53,7 @@ from construction_twin.msg import (
     ToolState,
 )
 from construction_twin.msg import SpeedLimit as SpeedLimitMessage
-from construction_twin.review.queue import EXECUTOR, REJECTED, Verdict
+from construction_twin.review.plan_under_review import EXECUTOR, REJECTED, Verdict
 from construction_twin.review.record import Release, Responsibility, ReviewLog
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanContent
@@ -326,7 +326,7 @@ class ExecutorNode:
                 self._executor.offer(plan, way_back)
             except ReviewError as error:
                 # displays that show it as waiting take it away
-                self._executor.turn_down(plan, str(error))
+                self._executor.tell_withdrawn(plan, str(error))
                 self._diagnostics.refuse("plan", str(error))
 
     def on_tool(self, message: ToolState) -> None:
@@ -392,7 +392,7 @@ class ExecutorNode:
             if expired:
                 self._diagnostics.refuse("too_old", str(error))
             else:
-                self._turn_down("review", error)
+                self._refuse_request("review", error)
             return False, str(error), expired
         if taken.verdict.approved:
             # a rejection is told with what the executor decides by itself
@@ -428,7 +428,7 @@ class ExecutorNode:
                 sentence = self._executor.stop_plan(request.plan_id, f"stop requested by {caller or 'a client'}")
                 self._note_rest()
         except ExecutionError as error:
-            self._turn_down("stop_plan", error)
+            self._refuse_request("stop_plan", error)
             return StopPlanResponse(False, str(error))
         self._say(rospy.logwarn, "stop_plan: %s", sentence)
         return StopPlanResponse(True, sentence)
@@ -444,7 +444,7 @@ class ExecutorNode:
         """Have a line written after the answer."""
         self._beside.do("the log", self._said.add, write, *words)
 
-    def _turn_down(self, request: str, error: Exception) -> None:
+    def _refuse_request(self, request: str, error: Exception) -> None:
         """Count a person's request that was refused, and have it written after the answer."""
         self._beside.do("the count of refusals", self._diagnostics.count, request, str(error))
         self._say(rospy.logwarn, "%s refused: %s", request, error)
@@ -470,7 +470,7 @@ class ExecutorNode:
                 self._log.append(replace(release, refused=str(error)))
                 raise
         except ConstructionTwinError as error:
-            self._turn_down("release_engagement", error)
+            self._refuse_request("release_engagement", error)
             return ReleaseEngagementResponse(False, str(error))
         sentence = f"the arm, left in segment {left.segment!r} of plan {left.plan_id}, was freed by {person}: {reason}"
         rospy.logwarn("release_engagement: %s", sentence)
@@ -513,7 +513,7 @@ class ExecutorNode:
             self._diagnostics.refuse("too_old", str(error))
             return ResumeFromScreenResponse(False, str(error), True)
         except ConstructionTwinError as error:
-            self._turn_down("resume", error)
+            self._refuse_request("resume", error)
             return ResumeFromScreenResponse(False, str(error), False)
         rospy.loginfo("resume: %s", sentence)
         return ResumeFromScreenResponse(True, sentence, False)
@@ -523,14 +523,14 @@ class ExecutorNode:
             with self._lock:
                 sentence = action()
         except ConstructionTwinError as error:
-            self._turn_down(name, error)
+            self._refuse_request(name, error)
             return TriggerResponse(False, str(error))
         self._say(rospy.loginfo, "%s: %s", name, sentence)
         return TriggerResponse(True, sentence)
 
     # -- in the background
 
-    def work_off(self, scene_alive: bool) -> None:
+    def do_background_work(self, scene_alive: bool) -> None:
         """Do what may wait; to be called every `BACKGROUND_PERIOD`.
 
         An error would end the timer for good: that of a record is said and tried again, no other can occur. Publishing fails only
@@ -641,7 +641,7 @@ class ExecutorNode:
 
     def _snapshot(self) -> Snapshot:
         """Return what there is to be told; to be called under the lock."""
-        executor, limit, work = self._executor, self._limit, self._executor.work
+        executor, limit, work = self._executor, self._limit, self._executor.segment_run
         said = Said(
             executor.state,
             executor.reason,
@@ -767,7 +767,7 @@ def start(settings: Settings, robot: RobotModel) -> ExecutorNode:
     Service("pause", Trigger, node.on_pause)
     Service("resume", Trigger, node.on_resume)
     Service("resume_from_screen", ResumeFromScreen, node.on_screen_resume)
-    rospy.Timer(rospy.Duration(BACKGROUND_PERIOD), lambda _: node.work_off(scene.get_num_connections() > 0))
+    rospy.Timer(rospy.Duration(BACKGROUND_PERIOD), lambda _: node.do_background_work(scene.get_num_connections() > 0))
     rospy.on_shutdown(node.write_records)
     rospy.loginfo("verdicts are recorded in %s (%d so far)", log.path, log.state.lines)
     if settings.auto_approve:

@@ -75,10 +75,10 @@ class MqttReview:
     Args:
         robot: Name in the MQTT topics.
         client: Not connected yet.
-        review_plan: The executor's `review_from_screen`.
+        give_approval: The executor's `review_from_screen`.
         interventions: The executor's services of `stop`, `pause` and `resume`.
         diagnostics: Takes `report`; returns the node's NodeDiagnostics.
-        reject_plan: The same as `review_plan`, for rejections, which may come twice and ask no master.
+        give_rejection: The same as `give_approval`, for rejections, which may come twice and ask no master.
         connections: What is to be connected before it is called.
 
     Attributes:
@@ -92,10 +92,10 @@ class MqttReview:
         robot: str,
         broker: Broker,
         client: PlainClient,
-        review_plan: rospy.ServiceProxy,
+        give_approval: rospy.ServiceProxy,
         interventions: Mapping[str, rospy.ServiceProxy],
         diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
-        reject_plan: rospy.ServiceProxy | None = None,
+        give_rejection: rospy.ServiceProxy | None = None,
         connections: Sequence[PersistentService] = (),
     ):
         self._settings = settings
@@ -107,7 +107,7 @@ class MqttReview:
         self._seen = b""
         self._checked_at = 0.0
         self._topics = topics = Topics(settings.prefix, robot)
-        self._review_plan, self._reject_plan = review_plan, reject_plan or review_plan
+        self._give_approval, self._give_rejection = give_approval, give_rejection or give_approval
         self._connections = connections
         self._broker = broker
         self._client = client
@@ -128,7 +128,7 @@ class MqttReview:
         nameless = topic == self._topics.review and bool(self._settings.account)
         return Endpoint(
             "review", topic, lambda _account: self._topics.review_ack, _read_verdict,
-            _refuse_nameless if nameless else self._carry_out, _verdict_answer, self._verdicts, self.outlets, _describe,
+            _refuse_nameless if nameless else self._call_executor, _verdict_answer, self._verdicts, self.outlets, _describe,
             None if nameless else lambda review: self.approvals if review.approves else self.rejections,
         )  # fmt: skip
 
@@ -255,7 +255,7 @@ class MqttReview:
         """Note what the broker holds."""
         self._seen = payload
 
-    def _carry_out(self, review: RemoteReview) -> Outcome:
+    def _call_executor(self, review: RemoteReview) -> Outcome:
         """Give a verdict to the executor; return what it says."""
         request = {
             "plan_id": review.plan_id,
@@ -266,10 +266,10 @@ class MqttReview:
             "moment": review.moment,
         }
         if review.approves:
-            answer = call(self._review_plan, EXECUTOR, **request)
+            answer = call(self._give_approval, EXECUTOR, **request)
         else:
             # over the connection that is open, as a stop
-            answer = call_twice(self._reject_plan, EXECUTOR, **request)
+            answer = call_twice(self._give_rejection, EXECUTOR, **request)
         return Outcome(answer.success, answer.message, answer.expired)
 
     def _publish_answer(self, topic: str, payload: bytes, qos: int) -> None:
@@ -411,7 +411,7 @@ def start(settings: Settings, robot: RobotModel) -> MqttReview:
     # the last will takes the plan away: while this node does not run, a verdict on it would not be heard
     topics = Topics(settings.prefix, robot.name)
     client = make_client(broker, unique_id(robot.name, "review"), topics.plan, will="")
-    review_plan = rospy.ServiceProxy("review_from_screen", ReviewFromScreen)
+    give_approval = rospy.ServiceProxy("review_from_screen", ReviewFromScreen)
     # `stop` and `pause` may be called twice
     services = {name: PersistentService(name, Trigger) for name in (STOP, PAUSE)}
     services[RESUME] = rospy.ServiceProxy("resume_from_screen", ResumeFromScreen)
@@ -419,7 +419,7 @@ def start(settings: Settings, robot: RobotModel) -> MqttReview:
     reject = PersistentService("review_from_screen", ReviewFromScreen)
     connections = (services[STOP], services[PAUSE], reject)
     diagnostics = functools.partial(NodeDiagnostics, robot.name)
-    node = MqttReview(settings, robot.name, broker, client, review_plan, services, diagnostics, reject, connections)
+    node = MqttReview(settings, robot.name, broker, client, give_approval, services, diagnostics, reject, connections)
     node.connect()
     Subscriber("plan", Plan, node.on_plan, node.refuse, queue_size=5)
     Subscriber("plan_caller", PlanCaller, node.on_caller, node.refuse, queue_size=5)

@@ -143,14 +143,14 @@ class Endpoint(Generic[Asked]):
             self._refuse_unread(incoming, error)
             return
         if self._line is None:
-            self._carry_out(incoming, asked)
+            self._act_and_answer(incoming, asked)
             return
         self._line(asked).take(
             Request(
                 self.kind,
                 incoming.account,
                 incoming.payload,
-                partial(self._carry_out, incoming, asked),
+                partial(self._act_and_answer, incoming, asked),
                 partial(self._refuse, incoming, asked),
                 partial(self._repeat, incoming),
             )
@@ -172,7 +172,7 @@ class Endpoint(Generic[Asked]):
             REPEATED, f"{self.kind} {incoming.echo.get('id', '')!r} came again soon after its answer, or before it"
         )
 
-    def _carry_out(self, incoming: Incoming, asked: Asked) -> bytes:
+    def _act_and_answer(self, incoming: Incoming, asked: Asked) -> bytes:
         """Do it, and answer; return the answer, empty where there is none."""
         refused = None
         try:

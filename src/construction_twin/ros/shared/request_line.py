@@ -127,9 +127,9 @@ class RequestLine:
     def run(self, patience: float = 0.0) -> None:
         """Carry out all that wait; wait so long [s] for the first one."""
         try:
-            self._carry_out(self._waiting.get(timeout=patience) if patience else self._waiting.get_nowait())
+            self._do_next(self._waiting.get(timeout=patience) if patience else self._waiting.get_nowait())
             while True:
-                self._carry_out(self._waiting.get_nowait())
+                self._do_next(self._waiting.get_nowait())
         except queue.Empty:
             return
 
@@ -164,7 +164,7 @@ class RequestLine:
         request.repeat(answer or b"")
         return True
 
-    def _carry_out(self, request: Request) -> None:
+    def _do_next(self, request: Request) -> None:
         answer = request.carry_out()
         if self._repeat_window:
             with self._lock:

@@ -63,7 +63,7 @@ def _check_rests(plan: Plan) -> None:
             raise ReviewError(f"{where}; plan again")
 
 
-class ReviewQueue:
+class PlanUnderReview:
     """Holds the newest plan until it is approved, rejected, replaced or void.
 
     An approval covers one execution of one plan, in the scene it was checked against.
