@@ -1,6 +1,6 @@
-"""An independent check of `rail`: the nearest solution of an arm on a linear axis, by brute force over the carriage's places.
+"""An independent check of `rail`: the nearest solution of an arm on a linear axis, by brute force over the carriage's positions.
 
-Slow, and simple on purpose: nothing is known of how joints move from one place to the next.
+Slow, and simple on purpose: nothing is known of how joints move from one position to the next.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from construction_twin.kinematics.opw import NotOpw
 from construction_twin.kinematics.rail import find_rail
 from construction_twin.kinematics.solution import IkSettings, residual
 
-#: Places along the axis, and parts into which what lies between two of them is divided, again and again, this often.
-_PLACES, _PARTS, _DEPTH = 4001, 24, 5
-#: Between two places, the distance may be less than at both by this where it runs smoothly, for each metre between them [rad/m].
+#: Positions along the axis, and parts into which what lies between two of them is divided, again and again, this often.
+_POSITIONS, _PARTS, _DEPTH = 4001, 24, 5
+#: Between two positions, the distance may be less than at both by this where it runs smoothly, for each metre between them [rad/m].
 _STEEP = 30.0
-#: Where it changes by more between two places, or a branch or a range ends, it may be anything between them [rad].
+#: Where it changes by more between two positions, or a branch or a range ends, it may be anything between them [rad].
 _JUMP = 0.1
 #: What a solution may miss the pose by [m], [rad].
 _EXACT = 1e-6
@@ -31,8 +31,8 @@ _TURNS = 2.0 * math.pi * np.arange(-2, 3)[:, None, None, None]
 def dense_search(chain: Chain) -> Callable[[Problem], float]:
     """Return a search for the distance of the nearest solution of an arm of the OPW kind on a linear axis.
 
-    The arm's closed form is solved at thousands of places, with every whole turn. Around each local minimum of each branch, and
-    where a branch or a range ends or a joint jumps, what lies between two places is divided until they are less than a nanometre
+    The arm's closed form is solved at thousands of positions, with every whole turn. Around each local minimum of each branch, and
+    where a branch or a range ends or a joint jumps, what lies between two positions is divided until they are less than a nanometre
     apart.
 
     Raises:
@@ -43,26 +43,26 @@ def dense_search(chain: Chain) -> Callable[[Problem], float]:
         raise ValueError(f"the arm is not one of the OPW kind on a linear axis: {model.reason}")
     arm = ClosedFormInverse(*model, IkSettings())
     lower, upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
-    even = np.linspace(lower[0], upper[0], _PLACES)
+    even = np.linspace(lower[0], upper[0], _POSITIONS)
     home = np.array(chain.robot.home)
     home[0] = 0.0
     whole, part = chain.forward(home), arm.chain.forward(home[1:])
     rotation, axis = part.rotation @ whole.rotation.T, chain.jacobian(home)[:3, 0]
 
-    def solve(task: Problem, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def solve(task: Problem, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return joint values, shape (m, 8, 7), and their distances from the seed, shape (m, 8); inf: none in range."""
         first, second = (
             arm.flange(
                 Pose(
-                    rotation @ (task.pose.position - place * axis - whole.position) + part.position,
+                    rotation @ (task.pose.position - position * axis - whole.position) + part.position,
                     rotation @ task.pose.rotation,
                 )
             )
-            for place in (0.0, 1.0)
+            for position in (0.0, 1.0)
         )
-        flanges = first + places[:, None, None] * (second - first)
+        flanges = first + positions[:, None, None] * (second - first)
         q = np.concatenate(
-            [np.broadcast_to(places[:, None, None], (len(places), 8, 1)), arm.branches(flanges).q], axis=2
+            [np.broadcast_to(positions[:, None, None], (len(positions), 8, 1)), arm.branches(flanges).q], axis=2
         )
         choices = q[..., 1:] + _TURNS
         away = np.abs(choices - task.seed[1:])
@@ -72,14 +72,14 @@ def dense_search(chain: Chain) -> Callable[[Problem], float]:
         chosen = away.argmin(axis=0)[None]
         q[..., 1:] = np.take_along_axis(choices, chosen, axis=0)[0]
         joints = np.take_along_axis(away, chosen, axis=0)[0]
-        return q, np.sqrt((places[:, None] - task.seed[0]) ** 2 + (joints**2).sum(axis=2))
+        return q, np.sqrt((positions[:, None] - task.seed[0]) ** 2 + (joints**2).sum(axis=2))
 
     def search(task: Problem) -> float:
         best = math.inf
 
-        def look(places: np.ndarray, slots: list[int], depth: int) -> None:
+        def look(positions: np.ndarray, slots: list[int], depth: int) -> None:
             nonlocal best
-            q, distances = solve(task, places)
+            q, distances = solve(task, positions)
             for slot in slots:
                 own = distances[:, slot]
                 for row in own.argsort()[:3]:
@@ -105,10 +105,10 @@ def dense_search(chain: Chain) -> Callable[[Problem], float]:
                 least[ends] = -math.inf
                 padded = np.concatenate([[math.inf], own, [math.inf]])
                 lowest = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:]) & np.isfinite(own)
-                smooth = (lowest[1:] | lowest[:-1]) & (least < best + _STEEP * (places[1] - places[0]))
+                smooth = (lowest[1:] | lowest[:-1]) & (least < best + _STEEP * (positions[1] - positions[0]))
                 for row in np.flatnonzero(wild | smooth):
-                    if least[row] < best + (7.0 if wild[row] else _STEEP * (places[1] - places[0])):
-                        look(np.linspace(places[row], places[row + 1], _PARTS + 1), [slot], depth + 1)
+                    if least[row] < best + (7.0 if wild[row] else _STEEP * (positions[1] - positions[0])):
+                        look(np.linspace(positions[row], positions[row + 1], _PARTS + 1), [slot], depth + 1)
 
         look(np.unique(np.append(even, task.seed[0])), list(range(8)), 0)
         return best

@@ -1,11 +1,11 @@
 """Inverse kinematics of an arm of the OPW kind on a linear axis: closed form at many positions of the carriage.
 
-The seventh joint adds one degree of freedom: the position of the carriage, its "place". `axis_search` finds the place at which a
-branch of the arm is nearest to the seed. Three kinds of place get special treatment:
+The carriage adds one degree of freedom: its position. `rail_search` finds the position at which a branch of the arm is nearest to
+the seed. Three kinds of position get special treatment:
 
 - Where the wrist is exactly singular, and where the carriage stands now if branches may be lost there, the arm is solved alone.
-- For `all`, `rail_singularities` finds the places where the wrist is exactly singular: a family of solutions is there.
-- If nothing was found at any place, `numeric` searches.
+- For `all`, `rail_singularities` finds the positions where the wrist is exactly singular: a family of solutions is there.
+- If nothing was found at any position, `numeric` searches.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from itertools import product
 import numpy as np
 
 from construction_twin.core.motion_errors import BranchError, KinematicsError, UnreachableError
-from construction_twin.kinematics import axis_search
-from construction_twin.kinematics.axis_intervals import ROUNDING
-from construction_twin.kinematics.axis_samples import SINGULAR, AxisSampler, Samples
-from construction_twin.kinematics.axis_search import Found
+from construction_twin.kinematics import rail_search
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.numeric import NumericInverse
 from construction_twin.kinematics.opw import NotOpw, OpwModel, find_opw
+from construction_twin.kinematics.rail_intervals import ROUNDING
+from construction_twin.kinematics.rail_samples import SINGULAR, RailSampler, Samples
+from construction_twin.kinematics.rail_search import Candidate
 from construction_twin.kinematics.rail_singularities import find_singularities
 from construction_twin.kinematics.solution import (
     TURN,
@@ -40,15 +40,15 @@ from construction_twin.kinematics.solution import (
 from construction_twin.robot.description import JointValues
 from construction_twin.robot.urdf import chain_joints, parse_urdf
 
-#: Number of evenly spaced places at which singular wrists, and the reason for no solution, are looked for.
-_PLACES = 101
-#: A solution whose wrist is this close to singular belongs to the family of solutions of a singular place [rad].
+#: Number of evenly spaced positions at which singular wrists, and the reason for no solution, are looked for.
+_POSITIONS = 101
+#: A solution whose wrist is this close to singular belongs to the family of solutions of a singular position [rad].
 _OF_FAMILY = 1e-3
 #: A wrist centre that is out of reach by less, or closer to axis 1, may have lost its branches by rounding [m].
 _AT_REACH = 1e-6
 #: Slots of each shoulder, front and back.
 _SIDES = ([0, 1, 4, 5], [2, 3, 6, 7])
-#: Solutions nearer to each other than this are one [rad]: they differ only in how exactly the nearest place was found.
+#: Solutions nearer to each other than this are one [rad]: they differ only in how exactly the nearest position was found.
 _SAME = 0.01
 #: Besides the nearest ones, `all` returns solutions that are further apart than this [rad], at most so many.
 _APART, _MOST = 0.35, 64
@@ -85,7 +85,7 @@ class RailInverse(InverseKinematics):
         self._arm = arm
         self._search = search
         self._ranges = list(zip(chain.robot.lower, chain.robot.upper))
-        self._even = np.linspace(*self._ranges[0], _PLACES)
+        self._even = np.linspace(*self._ranges[0], _POSITIONS)
         home = np.array(chain.robot.home)
         home[0] = 0.0
         whole, part = chain.forward(home), arm.chain.forward(home[1:])
@@ -95,7 +95,7 @@ class RailInverse(InverseKinematics):
         self._axis = chain.jacobian(home)[:3, 0]
         # ... and the same in the directions of the arm's model
         self._travel = arm.model.base_T_opw[:3, :3].T @ (self._rotation.T @ self._axis)
-        self._along = AxisSampler(arm, self._travel, *self._ranges[0])
+        self._along = RailSampler(arm, self._travel, *self._ranges[0])
         # from a target of the whole chain to one of the arm's model, with the carriage at zero
         base_T_carriage = np.eye(4)
         base_T_carriage[:3, :3], base_T_carriage[:3, 3] = self._rotation, self._origin
@@ -113,16 +113,16 @@ class RailInverse(InverseKinematics):
         flange, here = self._flange(pose), float(start[0])
         found: list[IkSolution] = []
 
-        def at(place: float) -> float:
-            """Take the nearest solution with the carriage at a place; return its squared distance."""
-            nearest = self._nearest_at(place, pose, start, configuration)
+        def at(position: float) -> float:
+            """Take the nearest solution with the carriage at a position; return its squared distance."""
+            nearest = self._nearest_at(position, pose, start, configuration)
             found.extend(nearest)
             return min((solution.distance**2 for solution in nearest), default=math.inf)
 
         samples = self._along.sample(flange, here, self._wanted(configuration))
         aim = self._along.aim(start)
         measured = self._along.measure(samples, aim)
-        candidates = axis_search.nearest(self._along, samples, measured, aim, at)
+        candidates = rail_search.nearest(self._along, samples, measured, aim, at)
         found += self._first_confirmed(candidates, pose, start)
         if not found or self._is_special(flange, here, samples.wrist):
             at(here)
@@ -144,9 +144,9 @@ class RailInverse(InverseKinematics):
             aim = self._along.aim(start, turns)
             measured = self._along.measure(samples, aim)
             for slot in range(len(SLOTS)):
-                candidates = axis_search.nearest(self._along, samples, measured, aim, lambda place: math.inf, slot)
+                candidates = rail_search.nearest(self._along, samples, measured, aim, lambda position: math.inf, slot)
                 found += self._first_confirmed(candidates, pose, start)
-        singular = self._singular_places(flange)
+        singular = self._singular_positions(flange)
         if singular:
             found = [solution for solution in found if self._wrist_angle(solution.q) > _OF_FAMILY]
             found += self._families(pose, start, configuration, singular)
@@ -184,7 +184,7 @@ class RailInverse(InverseKinematics):
             choices.append(turns if high - low >= TURN else (0,))
         return product(*choices)
 
-    def _first_confirmed(self, candidates: Sequence[Found], pose: Pose, seed: np.ndarray) -> list[IkSolution]:
+    def _first_confirmed(self, candidates: Sequence[Candidate], pose: Pose, seed: np.ndarray) -> list[IkSolution]:
         """Return the first of candidates that forward kinematics confirms, as a list; empty if there is none."""
         for candidate in candidates:
             solution = self._confirmed(candidate.q.tolist(), pose, seed, SLOTS[candidate.slot])
@@ -195,12 +195,12 @@ class RailInverse(InverseKinematics):
     def _spaced(
         self, samples: Samples, found: Sequence[IkSolution], pose: Pose, seed: np.ndarray
     ) -> Iterator[IkSolution]:
-        """Yield solutions at other places than the ones found, the nearest first, each apart from all others.
+        """Yield solutions at other positions than the ones found, the nearest first, each apart from all others.
 
         Whole turns are those nearest to the seed: with other ones the arm would touch the same things.
         """
         aim = self._along.aim(seed)
-        candidates = axis_search.within(samples, self._along.measure(samples, aim), aim)
+        candidates = rail_search.within(samples, self._along.measure(samples, aim), aim)
         joints = np.array([candidate.q for candidate in candidates]).reshape(-1, len(seed))
         apart = np.full(len(joints), math.inf)
         for solution in found:
@@ -213,30 +213,30 @@ class RailInverse(InverseKinematics):
             np.minimum(apart, np.linalg.norm(joints - joints[number], axis=1), out=apart)
             yield from self._first_confirmed([candidates[number]], pose, seed)
 
-    def _singular_places(self, flange: np.ndarray) -> list[float]:
-        """Return the places where the wrist of a branch is exactly singular."""
+    def _singular_positions(self, flange: np.ndarray) -> list[float]:
+        """Return the positions where the wrist of a branch is exactly singular."""
         low, high = self._ranges[0]
 
-        def wrist(places: np.ndarray) -> np.ndarray:
-            return self._arm.branches(self._along.flanges(flange, places)).wrist[:, :4]
+        def wrist(positions: np.ndarray) -> np.ndarray:
+            return self._arm.branches(self._along.flanges(flange, positions)).wrist[:, :4]
 
         return [
-            # a place beyond the end by rounding is at the end
-            float(min(max(found.place, low), high))
+            # a position beyond the end by rounding is at the end
+            float(min(max(found.position, low), high))
             for found in find_singularities(self._even, wrist(self._even), wrist)
-            if found.angle <= SINGULAR and low - ROUNDING <= found.place <= high + ROUNDING
+            if found.angle <= SINGULAR and low - ROUNDING <= found.position <= high + ROUNDING
         ]
 
-    def _is_special(self, flange: np.ndarray, place: float, wrist: list[float]) -> bool:
+    def _is_special(self, flange: np.ndarray, position: float, wrist: list[float]) -> bool:
         """Return whether the wrist is near its singularity, or a branch is missing although it is not out of reach.
 
-        `wrist`, length 8, is |sin| of the branches' wrist angles at the place.
+        `wrist`, length 8, is |sin| of the branches' wrist angles at the position.
         """
         if any(angle <= _OF_FAMILY for angle in wrist):
             return True
         dx, dy, dz = self._travel.tolist()
         x, y, z = self._arm.model.wrist_centre(flange)
-        x, y, z = x - place * dx, y - place * dy, z - place * dz
+        x, y, z = x - position * dx, y - position * dy, z - position * dz
         if math.hypot(x, y) < _AT_REACH:
             return True
         margins = self._arm.model.margins(x, y, z)
@@ -255,28 +255,28 @@ class RailInverse(InverseKinematics):
         return IkSolution(np.array(q), error_m, error_rad, math.dist(q, seed), configuration)
 
     def _nearest_at(
-        self, place: float, pose: Pose, seed: np.ndarray, configuration: Configuration | None
+        self, position: float, pose: Pose, seed: np.ndarray, configuration: Configuration | None
     ) -> list[IkSolution]:
-        """Return the nearest solution with the carriage at a place, as a list; empty if there is none."""
-        of_arm = self._arm.find(self._seen_from(pose, place), seed[1:].tolist(), configuration)
-        return [] if of_arm is None else self._lifted(place, of_arm, pose, seed)
+        """Return the nearest solution with the carriage at a position, as a list; empty if there is none."""
+        of_arm = self._arm.find(self._seen_from(pose, position), seed[1:].tolist(), configuration)
+        return [] if of_arm is None else self._lifted(position, of_arm, pose, seed)
 
-    def _lifted(self, place: float, of_arm: IkSolution, pose: Pose, seed: np.ndarray) -> list[IkSolution]:
-        """Return the arm's solution at a place as one of the whole chain; empty if forward kinematics does not confirm it."""
-        solution = self._confirmed([place, *of_arm.q.tolist()], pose, seed, of_arm.configuration)
+    def _lifted(self, position: float, of_arm: IkSolution, pose: Pose, seed: np.ndarray) -> list[IkSolution]:
+        """Return the arm's solution at a position as one of the whole chain; empty if forward kinematics does not confirm it."""
+        solution = self._confirmed([position, *of_arm.q.tolist()], pose, seed, of_arm.configuration)
         return [] if solution is None else [solution]
 
     def _families(
         self, pose: Pose, seed: np.ndarray, configuration: Configuration | None, singular: Sequence[float]
     ) -> Iterator[IkSolution]:
-        """Yield all solutions with a singular wrist, at the places where it is singular."""
-        for place in singular:
+        """Yield all solutions with a singular wrist, at the positions where it is singular."""
+        for position in singular:
             try:
-                of_arm = self._arm.all(self._seen_from(pose, place), seed[1:], configuration)
+                of_arm = self._arm.all(self._seen_from(pose, position), seed[1:], configuration)
             except KinematicsError:
-                continue  # out of range at this place, or not in this configuration
+                continue  # out of range at this position, or not in this configuration
             for solution in of_arm:
-                for lifted in self._lifted(place, solution, pose, seed):
+                for lifted in self._lifted(position, solution, pose, seed):
                     if self._wrist_angle(lifted.q) <= _OF_FAMILY:
                         yield lifted
 
@@ -284,9 +284,9 @@ class RailInverse(InverseKinematics):
         """Return |sin| of the angle between axes 4 and 6."""
         return abs(math.sin(q[5] - self._arm.model.signs[4] * self._arm.model.offsets[4]))
 
-    def _seen_from(self, pose: Pose, place: float) -> Pose:
-        """Return ``carriage_T_tip`` of a target with the carriage at a place."""
-        origin = self._origin + place * self._axis
+    def _seen_from(self, pose: Pose, position: float) -> Pose:
+        """Return ``carriage_T_tip`` of a target with the carriage at a position."""
+        origin = self._origin + position * self._axis
         return Pose(self._rotation.T @ (pose.position - origin), self._rotation.T @ pose.rotation)
 
     def _search_or_explain(self, pose: Pose, seed: np.ndarray, configuration: Configuration | None) -> IkSolution:
@@ -306,12 +306,12 @@ class RailInverse(InverseKinematics):
             raise
 
     def _explain(self, pose: Pose) -> None:
-        """Raise the error that says why there is no solution at any place."""
-        places = self._even
-        branches, _, extension = self._arm.branches(self._along.flanges(self._flange(pose), places))
+        """Raise the error that says why there is no solution at any position."""
+        positions = self._even
+        branches, _, extension = self._arm.branches(self._along.flanges(self._flange(pose), positions))
         best = int(extension.argmax())
         if extension[best] < 0.0:
-            carriage_T_tip = self._seen_from(pose, float(places[best]))
+            carriage_T_tip = self._seen_from(pose, float(positions[best]))
             raise UnreachableError(-float(extension[best]), self._arm.is_too_close(self._arm.flange(carriage_T_tip)))
         rows = branches.reshape(-1, 6)
         self._arm.raise_range_error(rows[np.isfinite(rows).all(axis=1)])

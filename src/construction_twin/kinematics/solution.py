@@ -140,7 +140,7 @@ class InverseKinematics(abc.ABC):
         """Return the solution nearest to a seed.
 
         In closed form it is the nearest solution; with a linear axis it is the nearest as far as joints move smoothly between the
-        places of its division. With a redundant joint, or by search, it is the nearest solution found: probably the nearest that
+        positions of its division. With a redundant joint, or by search, it is the nearest solution found: probably the nearest that
         exists, but this is not proven, and `all` of a search may find a nearer one.
 
         Args:

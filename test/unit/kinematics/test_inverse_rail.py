@@ -1,4 +1,4 @@
-"""The KR 120 on its track: the nearest place, checked by a dense search; rates along the axis; places from which to choose."""
+"""The KR 120 on its track: the nearest position, checked by a dense search; rates along the axis; a choice of positions."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from hypothesis import given, settings
 from inverse_cases import KR120, TRACK, assert_solves, changed, joints, make_inverse
 
 from construction_twin.core.motion_errors import CollisionError
-from construction_twin.kinematics.axis_intervals import make_intervals, make_node
-from construction_twin.kinematics.axis_samples import AxisSampler
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.dense_search import dense_search
 from construction_twin.kinematics.figures import NEARER, Problem, problems
 from construction_twin.kinematics.inverse import IkSettings
-from construction_twin.kinematics.opw_along import AT_EDGE, OpwAlong
 from construction_twin.kinematics.rail import find_rail
+from construction_twin.kinematics.rail_intervals import make_intervals, make_node
+from construction_twin.kinematics.rail_rates import AT_EDGE, RailRates
+from construction_twin.kinematics.rail_samples import RailSampler
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject
@@ -31,11 +31,11 @@ SEARCH = dense_search(RAIL.chain)
 ARM = ClosedFormInverse(*find_rail(RAIL.chain), IkSettings())
 #: The track and the arm's model have the same directions.
 TRAVEL = np.array([1.0, 0.0, 0.0])
-ALONG = OpwAlong(ARM.model, TRAVEL)
-SAMPLER = AxisSampler(ARM, TRAVEL, TRACK.lower[0], TRACK.upper[0])
+ALONG = RailRates(ARM.model, TRAVEL)
+SAMPLER = RailSampler(ARM, TRAVEL, TRACK.lower[0], TRACK.upper[0])
 #: Of the first 1000 problems drawn from a number, those whose nearest solution lies where only a fine division finds it: in a wrist
 #: that turns over within millimetres, where a range ends twice within centimetres, at an edge of the reach, or with a turn that is
-#: in range only between two places.
+#: in range only between two positions.
 HARD = ((1, (91, 240, 262, 290, 511, 658, 726, 754, 755, 827)), (77, (231, 295, 968)))
 
 
@@ -46,8 +46,8 @@ def flange_at(q) -> np.ndarray:
     return flange
 
 
-def branch_at(flange: np.ndarray, place: float, slot: int) -> np.ndarray:
-    return ARM.branches((flange - place * np.outer([*TRAVEL, 0.0], [0.0, 0.0, 0.0, 1.0]))[None]).q[0, slot]
+def branch_at(flange: np.ndarray, position: float, slot: int) -> np.ndarray:
+    return ARM.branches((flange - position * np.outer([*TRAVEL, 0.0], [0.0, 0.0, 0.0, 1.0]))[None]).q[0, slot]
 
 
 @pytest.mark.parametrize(("number", "rows"), HARD)
@@ -96,7 +96,7 @@ def test_at_the_edges_of_the_reach_branches_end():
     found = 0
     for q in np.random.default_rng(4).uniform(TRACK.lower, TRACK.upper, (40, 7)):
         flange = flange_at(q)
-        for edge in ALONG.steep_places(flange)[0]:
+        for edge in ALONG.steep_positions(flange)[0]:
             inside, one, other = (
                 [np.isfinite(branch_at(flange, edge + away, slot)[0]) for slot in (0, 2)]
                 for away in (0.0, -10.0 * AT_EDGE, 10.0 * AT_EDGE)
@@ -116,11 +116,11 @@ def test_the_bound_of_an_interval_holds_within_it():
         measured = SAMPLER.measure(samples, aim)
         for column in np.flatnonzero(samples.joined[1:-1])[::7].tolist():
             ends = [SAMPLER.sample_node(samples, measured, each, False, aim) for each in (column, column + 1)]
-            slot = column // len(samples.places)
+            slot = column // len(samples.positions)
             for interval in make_intervals(*ends, aim, SAMPLER.straight(aim), samples.edges_known):
                 first, last = interval.first, interval.last
                 if last.away[0] - first.away[0] < 1e-6:
-                    continue  # one place
+                    continue  # one position
                 bound = min(max(interval.bound, 0.0), first.square, last.square)
                 for part in np.linspace(0.0, 1.0, 12):
                     expected = [a + part * (b - a) for a, b in zip(first.away, last.away)]
@@ -148,7 +148,7 @@ def test_a_start_near_the_goal_stays_near():
         assert RAIL.nearest(RAIL.chain.forward(q), seed).distance <= np.linalg.norm(seed - q) + 1e-6
 
 
-def test_all_gives_places_spaced_along_each_branch():
+def test_all_gives_positions_spaced_along_each_branch():
     q, home = np.array([0.3, 0.2, -1.4, 1.3, 0.4, 0.9, -0.2]), np.array(TRACK.home)
     pose = RAIL.chain.forward(q)
     solutions = RAIL.all(pose, home)
@@ -156,9 +156,9 @@ def test_all_gives_places_spaced_along_each_branch():
         assert_solves(RAIL.chain, solution, pose, home)
     one_branch = [solution for solution in solutions if solution.configuration == SLOTS[0]]
     near = [solution.q for solution in one_branch if np.abs(solution.q - home)[1:].max() < math.pi]
-    places = sorted(solution[0] for solution in near)
+    positions = sorted(solution[0] for solution in near)
     # the branch is in range over most of the axis: nowhere is far from a solution
-    assert len(places) >= 4 and places[-1] - places[0] > 0.5
+    assert len(positions) >= 4 and positions[-1] - positions[0] > 0.5
     for one, other in itertools.combinations(near, 2):
         assert np.linalg.norm(one - other) > 0.01
     assert [solution.distance for solution in solutions] == sorted(solution.distance for solution in solutions)
@@ -178,7 +178,7 @@ def planner_of_track() -> Planner:
     return Planner(TRACK, RAIL, budget, time.monotonic, np.random.default_rng(0))
 
 
-def test_a_plan_goes_to_another_place_where_the_nearest_is_blocked():
+def test_a_plan_goes_to_another_position_where_the_nearest_is_blocked():
     start = np.array(TRACK.home) + [0.95, 0, 0, 0, 0, 0, 0]
     pose = RAIL.chain.forward(np.array(TRACK.home) + [0.1, 0.5, 0.3, 0.2, 0.1, 0.2, 0.1])
     nearest = RAIL.nearest(pose, start)
@@ -192,7 +192,7 @@ def test_a_plan_goes_to_another_place_where_the_nearest_is_blocked():
     np.testing.assert_allclose(RAIL.chain.forward(reached).position, pose.position, atol=1e-5)
     assert RAIL.configuration(reached) == nearest.configuration
     assert blocked.is_free(reached) and abs(reached[0] - nearest.q[0]) > 0.02
-    # every other whole turn at the nearest place touches the same ball
+    # every other whole turn at the nearest position touches the same ball
     assert np.abs(np.sin(0.5 * (reached - nearest.q)[1:])).max() > 0.01
 
 
@@ -210,7 +210,7 @@ def test_the_axis_may_point_anywhere(axis):
     inverse = make_inverse(changed("track", axis=axis, robot=TRACK))
     search = dense_search(inverse.chain)
     travel = inverse.chain.jacobian(TRACK.home)[:3, 0]
-    along = OpwAlong(ARM.model, travel)
+    along = RailRates(ARM.model, travel)
     for task in problems(inverse.chain, 12, 3):
         solution = inverse.nearest(task.pose, task.seed)
         assert_solves(inverse.chain, solution, task.pose, task.seed)

@@ -135,10 +135,10 @@ def test_singular_wrist_on_the_track_is_kept(a5):
 
 
 @pytest.mark.parametrize("a5", [0.0, 1e-6, 1e-4, 1e-3])
-@pytest.mark.parametrize("place", [0.0, 0.31, -1.0])
-def test_singular_wrist_on_the_track_is_found_from_beside_it(a5, place):
-    q = np.array([place, 0.3, -1.4, 1.3, 0.4, a5, -0.2])
-    seed = q + [0.002 if place <= 0.0 else -0.002, 0, 0, 0, 0.15, 0, -0.1]
+@pytest.mark.parametrize("position", [0.0, 0.31, -1.0])
+def test_singular_wrist_on_the_track_is_found_from_beside_it(a5, position):
+    q = np.array([position, 0.3, -1.4, 1.3, 0.4, a5, -0.2])
+    seed = q + [0.002 if position <= 0.0 else -0.002, 0, 0, 0, 0.15, 0, -0.1]
     pose = RAIL.chain.forward(q)
     solution = RAIL.nearest(pose, seed)
     assert_solves(RAIL.chain, solution, pose, seed)
@@ -156,12 +156,12 @@ def test_singular_wrist_on_the_track_is_found_from_beside_it(a5, place):
 
 @pytest.mark.parametrize("angle", [0.0, 1e-6, 1e-3])
 def test_singularities_are_where_the_wrist_passes_its_own(angle):
-    def wrist(places):
-        slow = 0.5 + 0.1 * places  # never near
-        return np.column_stack([np.hypot(angle, np.sin(2.0 * (places - 0.1234567))), slow])
+    def wrist(positions):
+        slow = 0.5 + 0.1 * positions  # never near
+        return np.column_stack([np.hypot(angle, np.sin(2.0 * (positions - 0.1234567))), slow])
 
     (found,) = find_singularities(np.linspace(-1.0, 1.0, 301), wrist(np.linspace(-1.0, 1.0, 301)), wrist)
-    assert found.place == pytest.approx(0.1234567, abs=1e-7)
+    assert found.position == pytest.approx(0.1234567, abs=1e-7)
     assert found.angle == pytest.approx(angle, rel=1e-2, abs=1e-8)
     assert found.width == pytest.approx(angle / 2.0, rel=1e-2, abs=1e-8)
 

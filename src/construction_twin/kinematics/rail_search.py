@@ -1,8 +1,8 @@
-"""The search along a linear axis for the place of the carriage at which a branch of the arm is nearest to a seed.
+"""The search along a linear axis for the position of the carriage at which a branch of the arm is nearest to a seed.
 
-The arm's branches are known at places all along the axis (`axis_samples`). Simple bounds tell in which intervals between two places
-a branch may come nearer to the seed than at any place. Of those, the interval that promises most is divided at the place where it
-does (`axis_intervals`), again and again, until none can hold anything nearer.
+The arm's branches are known at positions all along the axis (`rail_samples`). Simple bounds tell in which intervals between two
+positions a branch may come nearer to the seed than at any position. Of those, the interval that promises most is divided at the
+position where it does (`rail_intervals`), again and again, until none can hold anything nearer.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.kinematics.axis_intervals import (
+from construction_twin.kinematics.rail_intervals import (
     EITHER_WAY,
     ROUNDING,
     Aim,
@@ -24,7 +24,7 @@ from construction_twin.kinematics.axis_intervals import (
     either_way,
     make_intervals,
 )
-from construction_twin.kinematics.axis_samples import ASIDE, AxisSampler, Measured, Samples
+from construction_twin.kinematics.rail_samples import ASIDE, Measured, RailSampler, Samples
 
 #: A joint that moves by more in an interval may turn round in it, or move faster within [rad]; what slower ones may gain by
 #: turning round [rad].
@@ -36,12 +36,12 @@ _DIVISIONS = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """A place on a branch within the ranges.
+class Candidate:
+    """A position on a branch within the ranges.
 
     Attributes:
         square: Squared distance from the seed.
-        q: Shape (7,). The carriage's place [m], then the arm's joints [rad].
+        q: Shape (7,). The carriage's position [m], then the arm's joints [rad].
         slot: The branch.
     """
 
@@ -50,37 +50,37 @@ class Found:
     slot: int
 
 
-def within(samples: Samples, measured: Measured, aim: Aim) -> list[Found]:
+def within(samples: Samples, measured: Measured, aim: Aim) -> list[Candidate]:
     """Return the samples within the ranges, the nearest to the seed first."""
     inside = (measured.excess <= ROUNDING).nonzero()[0]
     inside = inside[measured.squares[inside].argsort(kind="stable")]
-    return [_found(samples, measured, aim, column) for column in inside.tolist()]
+    return [_candidate(samples, measured, aim, column) for column in inside.tolist()]
 
 
 def nearest(
-    sampler: AxisSampler,
+    sampler: RailSampler,
     samples: Samples,
     measured: Measured,
     aim: Aim,
     at_singular: Callable[[float], float],
     slot: int | None = None,
-) -> list[Found]:
-    """Return the nearest place of the nearest branch, and what was the best before it was found: the nearest first.
+) -> list[Candidate]:
+    """Return the nearest position of the nearest branch, and what was the best before it was found: the nearest first.
 
     Args:
         measured: The samples, for the same aim.
-        at_singular: Told of each place where the wrist is exactly singular and which may be the nearest [m]; returns the squared
+        at_singular: Told of each position where the wrist is exactly singular and which may be the nearest [m]; returns the squared
             distance of the nearest solution there.
         slot: Only this branch.
     """
     best = min(map(at_singular, samples.singular), default=math.inf)
-    found: list[Found] = []
-    count = len(samples.places)
+    found: list[Candidate] = []
+    count = len(samples.positions)
     part = slice(0, len(measured.squares)) if slot is None else slice(slot * count, (slot + 1) * count)
     costs = np.where(measured.excess[part] <= ROUNDING, measured.squares[part], math.inf)
     lowest = int(costs.argmin())
     if costs[lowest] < best:
-        found.append(_found(samples, measured, aim, part.start + lowest))
+        found.append(_candidate(samples, measured, aim, part.start + lowest))
         best = found[0].square
     heap: list[tuple[float, int, int, Interval]] = []
     counter, straight = itertools.count(), sampler.straight(aim)
@@ -96,21 +96,21 @@ def nearest(
         if not heap or heap[0][0] >= max(0.0, math.sqrt(best) - _NEARER) ** 2:
             break
         _, _, own, (_, split, first, last) = heapq.heappop(heap)
-        place = float(aim.seed[0]) + first.away[0] + split * (last.away[0] - first.away[0])
+        position = float(aim.seed[0]) + first.away[0] + split * (last.away[0] - first.away[0])
         # beyond the end of a branch: as on the branch
         start, stop = (last, last) if first.square != first.square else (first, last)
         stop = start if last.square != last.square else stop
         expected = [a + split * (b - a) for a, b in zip(start.away, stop.away)]
-        middle, singular = sampler.node(samples.flange, place, own, expected, aim)
+        middle, singular = sampler.node(samples.flange, position, own, expected, aim)
         middles = [middle]
         if singular:
-            best = min(best, at_singular(place))
-            beside = (place - ASIDE, place + ASIDE)
+            best = min(best, at_singular(position))
+            beside = (position - ASIDE, position + ASIDE)
             middles = [sampler.node(samples.flange, each, own, expected, aim)[0] for each in beside]
         for node in middles:
             if node.excess <= ROUNDING and node.square < best:
                 best = node.square
-                found.append(Found(best, aim.seed + node.away, own))
+                found.append(Candidate(best, aim.seed + node.away, own))
         put(first, middles[0], own)
         put(middles[-1], last, own)
     found.reverse()
@@ -118,7 +118,7 @@ def nearest(
 
 
 def _promising(
-    sampler: AxisSampler, samples: Samples, measured: Measured, aim: Aim, best: float, part: slice
+    sampler: RailSampler, samples: Samples, measured: Measured, aim: Aim, best: float, part: slice
 ) -> Iterator[tuple[Node, Node, int]]:
     """Yield the ends of intervals that may hold a solution nearer than the best, and their branch."""
     limit = (math.sqrt(best) + _GAIN) ** 2
@@ -164,13 +164,13 @@ def _promising(
             first, second = before[:, number].tolist(), after[:, number].tolist()
             if either_way(first, second, straight) >= limit:
                 continue
-        last, own = column + 1, column // len(samples.places)
+        last, own = column + 1, column // len(samples.positions)
         first_out, last_out = excess[column] > ROUNDING, excess[last] > ROUNDING
         if first_out and last_out and fast == fast:  # not nan: the branch does not end here
             promises = enters
         elif first_out or last_out or not fast <= _FAST:
             promises = True
-        # a branch that runs smoothly within the ranges is lowest beside the lowest of its places, where it falls from there
+        # a branch that runs smoothly within the ranges is lowest beside the lowest of its positions, where it falls from there
         elif squares[last] <= squares[column]:
             at_lowest = not (joined[last + 1] and squares[last + 1] < squares[last])
             promises = at_lowest and not node(last, False).slope < 0.0
@@ -184,7 +184,7 @@ def _promising(
             yield node(column, True), node(last, True), own
 
 
-def _found(samples: Samples, measured: Measured, aim: Aim, column: int) -> Found:
+def _candidate(samples: Samples, measured: Measured, aim: Aim, column: int) -> Candidate:
     """Return a sample as found."""
     square = float(measured.squares[column])
-    return Found(square, aim.seed + measured.away[:, column], column // len(samples.places))
+    return Candidate(square, aim.seed + measured.away[:, column], column // len(samples.positions))

@@ -1,8 +1,8 @@
-"""Intervals between two places of the carriage: how near a branch of the arm may come to the seed in them, and where to look.
+"""Intervals between two positions of the carriage: how near a branch of the arm may come to the seed in them, and where to look.
 
-Between two places every joint is nearly a cubic of the place, and so is the squared distance from the seed; values and rates
-(`opw_along`) at both ends give it. Where joints move too fast for cubics, a bound that holds for joints that turn one way takes the
-cubic's part. In plain floats: only few intervals have to be looked at so closely.
+Between two positions every joint is nearly a cubic of the position, and so is the squared distance from the seed; values and rates
+(`rail_rates`) at both ends give it. Where joints move too fast for cubics, a bound that holds for joints that turn one way takes
+the cubic's part. In plain floats: only few intervals have to be looked at so closely.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from construction_twin.kinematics.opw_along import AT_EDGE
+from construction_twin.kinematics.rail_rates import AT_EDGE
 from construction_twin.kinematics.solution import TURN
 
 #: Out of range by less is rounding [rad].
 ROUNDING = 3e-7
-#: A wrist or an arm that turns by more between two places may turn either way [rad].
+#: A wrist or an arm that turns by more between two positions may turn either way [rad].
 EITHER_WAY = 1.5
 #: Cubics that miss the joints' rates by more are not trusted: than this, or than so much and a share of what the joints move [rad].
 #: Where they are trusted, the distance is off by at most this fraction of it.
@@ -39,7 +39,7 @@ class Aim:
     """What is looked for.
 
     Attributes:
-        seed: Shape (7,). Near which: place [m] and joints [rad], within the ranges.
+        seed: Shape (7,). Near which: position [m] and joints [rad], within the ranges.
         turns: Length 6. By how many whole turns the arm's joints are further than the nearest one; None: nearest within the ranges.
         low, high: Length 6. Ends of the joints' ranges, or of these turns, as distances from the seed [rad].
     """
@@ -51,13 +51,14 @@ class Aim:
 
 
 class Node(NamedTuple):
-    """A branch at a place, all with respect to an `Aim`.
+    """A branch at a position, all with respect to an `Aim`.
 
     Attributes:
-        away, rates: Length 7. Distance of the place [m] and of the joints [rad] from the seed; and their rates, the place's is 1.
+        away, rates: Length 7. Distance of the position [m] and of the joints [rad] from the seed; and their rates, 1 for the
+            position.
         square, slope: Squared distance, and its rate; nan: there is no such branch.
         excess, outwards: By how much the worst joint is out of range [rad], and its rate outwards.
-        edge: At an edge of the reach, within `opw_along.AT_EDGE`.
+        edge: At an edge of the reach, within `rail_rates.AT_EDGE`.
     """
 
     away: list[float]
@@ -70,7 +71,7 @@ class Node(NamedTuple):
 
 
 class Interval(NamedTuple):
-    """Two places of a branch. Ordered by what may be found between them.
+    """Two positions of a branch. Ordered by what may be found between them.
 
     Attributes:
         bound: Nowhere between is the squared distance from the seed less than this, unless at an end; inf: there is nothing
@@ -112,7 +113,7 @@ def make_intervals(
     Args:
         straight: How far joint 5 is from the seed where axes 4 and 6 are in line [rad]; and 1 if joints 4 and 6 have the same sense
             there, -1 if not.
-        edges_known: Whether no branch ends between two places.
+        edges_known: Whether no branch ends between two positions.
     """
     if first.square != first.square or last.square != last.square:
         return _ending(first, last, edges_known)
@@ -151,7 +152,7 @@ def _interval(first: Node, last: Node, aim: Aim, straight: tuple[float, float]) 
 
 
 def _scaled(node: Node, factor: float) -> Node:
-    """Return a node with rates against something other than the place."""
+    """Return a node with rates against something other than the position."""
     rates = [factor * rate for rate in node.rates]
     return node._replace(rates=rates, slope=factor * node.slope, outwards=factor * node.outwards)
 

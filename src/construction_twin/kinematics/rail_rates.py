@@ -3,7 +3,7 @@
 A joint's rate is by how much it turns for each metre of travel. The rates follow from the wrist centre's velocity as seen from the
 base (joints 1 to 3), and from the angular velocity with which the wrist must undo theirs (joints 4 to 6). At a singularity (an
 elbow stretched or folded, a wrist centre on axis 1, axes 4 and 6 in line) they are infinite; near one they are large. In plain
-floats, because they are asked for few places.
+floats, because they are asked for few positions.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from construction_twin.kinematics.opw import OpwModel
 
 #: An axis this level is horizontal.
 _LEVEL = 1e-9
-#: A place at an edge of the reach is this far within it: the arm is almost stretched or folded there [m].
+#: A position at an edge of the reach is this far within it: the arm is almost stretched or folded there [m].
 AT_EDGE = 1e-11
 
 
-class OpwAlong:
+class RailRates:
     """An arm whose base travels.
 
     Args:
@@ -78,14 +78,14 @@ class OpwAlong:
             s6 * last,
         ]
 
-    def steep_places(self, flange: np.ndarray) -> tuple[list[float], tuple[float, float] | None]:
-        """Return the places near which joints 1 to 3 move fast.
+    def steep_positions(self, flange: np.ndarray) -> tuple[list[float], tuple[float, float] | None]:
+        """Return the positions near which joints 1 to 3 move fast.
 
         Args:
-            flange: Shape (4, 4). Target ``opw_T_flange`` with the base at place zero.
+            flange: Shape (4, 4). Target ``opw_T_flange`` with the base at position zero.
 
         Returns:
-            edges: Places just within the edges of a shoulder's reach [m]. Empty for travel that is not level.
+            edges: Positions just within the edges of a shoulder's reach [m]. Empty for travel that is not level.
             at_axis: Where the wrist centre passes axis 1 most closely, and how closely [m]; None for travel that is not level.
         """
         model = self._model
