@@ -122,11 +122,14 @@ def test_a_cache_with_a_wrong_bit_is_not_believed(tmp_path, path, place):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"triangles": np.array([[0, 1, 10**6]], dtype=np.int32)}, "array 'triangles' shorter"),
-        ({"vertices": np.full((3, 3), np.nan)}, "no finite numbers"),
-        ({"poses": np.zeros((1, 12), dtype=object)}, "array|pickle|allow_pickle"),
+        ({"indices": np.array([0, 1, 10**6], dtype=np.int32)}, "array 'indices' shorter"),
+        ({"numbers": np.full(10**6, np.nan)}, "no finite numbers"),
+        ({"numbers": np.zeros(1, dtype=object)}, "array|pickle|allow_pickle"),
+        ({"numbers": np.zeros((3, 3))}, "shape"),
         ({"text": np.frombuffer(b"[]", dtype=np.uint8)}, "TypeError"),
-        ({"more": np.zeros(1)}, "other arrays"),
+        ({"text": np.frombuffer(b"[" * 10**6, dtype=np.uint8)}, "RecursionError"),
+        ({"indices": np.full(10**6, 10**6, dtype=np.int32)}, "corners that are not there"),
+        ({"indices": np.full(10**6, -1, dtype=np.int32)}, "corners that are not there"),
     ],
 )
 def test_what_the_process_wrote_is_checked(tmp_path, path, change, said):
@@ -136,19 +139,48 @@ def test_what_the_process_wrote_is_checked(tmp_path, path, change, said):
     with np.load(kept) as stored:
         arrays = dict(stored)
     np.savez(kept, **(arrays | change))
-    with pytest.raises(BuildingError, match=said):
+    with pytest.raises(BuildingError, match=said) as caught:
         model_file.load(kept, model.file, model.digest)
+    assert "\n" not in str(caught.value)
 
 
-def test_triangles_of_other_corners_are_refused(tmp_path, path):
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        # as many numbers in another shape; a name that is none; one value too few, or of another kind
+        (r'"vertices": {("\w+"): \["numbers", (\d+), (\d+), 3\]', r'"vertices": {\1: ["numbers", \2, 3, \3]'),
+        (r'"vertices": {("\w+"): \["numbers", (\d+), (\d+), 3\]', r'"vertices": {\1: ["numbers", \2, -\3, -3]'),
+        (r'"vertices": {("\w+"): \["numbers"', r'"vertices": {\1: ["text"'),
+        (r'"rotation": {("\w+"): \["numbers", (\d+), 3, 3\]', r'"rotation": {\1: ["numbers", \2, 9]'),
+        (r'"rotation": {("\w+"): \["numbers", (\d+), 3, 3\]', r'"rotation": {\1: ["numbers", -9, 3, 3]'),
+        (r'"triangles": {("\w+"): \["indices", \d+', r'"triangles": {\1: ["numbers", 0'),
+        (r'"name": "wall"', '"name": 7'),
+        (r'"Speed": 0.1', '"Speed": [0.1]'),
+        (r'"lag": 3600.0', '"lag": NaN'),
+        (r'"before": ', '"earlier": '),
+    ],
+)
+def test_a_text_that_is_no_record_is_refused(tmp_path, path, old, new):
     model = read_ifc(path, 1 << 24)
     kept = tmp_path / "model.npz"
     model_file.save(model, kept)
     with np.load(kept) as stored:
         arrays = dict(stored)
-    arrays["triangles"][0, 0] = 10**6
-    np.savez(kept, **arrays)
-    with pytest.raises(BuildingError, match="corners that are not there"):
+    text, changes = re.subn(old, new, arrays["text"].tobytes().decode())
+    assert changes
+    np.savez(kept, **(arrays | {"text": np.frombuffer(text.encode(), dtype=np.uint8)}))
+    with pytest.raises(BuildingError, match="what the reading process wrote") as caught:
+        model_file.load(kept, model.file, model.digest)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_would_not_fit_into_memory_is_not_unpacked(tmp_path, path, monkeypatch):
+    model = read_ifc(path, 1 << 24)
+    kept = tmp_path / "model.npz"
+    model_file.save(model, kept)
+    monkeypatch.setattr(model_file, "MOST_BYTES", 1000)
+    monkeypatch.setattr(np, "load", None)
+    with pytest.raises(BuildingError, match="more than 0 MiB"):
         model_file.load(kept, model.file, model.digest)
 
 
