@@ -16,6 +16,9 @@ from construction_twin.monitor.lag import LagEstimate
 
 #: Twin poses kept for comparison by command stamp: 2 s.
 HISTORY = 500
+#: The twin's stamps rise, by at least a cycle. When they fall by more than this, a clock was set back before a program was started
+#: again that stamps commands: nothing is known of the twin on the clock of before [ns].
+ANOTHER_CLOCK = NANOSECONDS // 50
 #: Kinds of comparison: with the twin's pose for the same command, and with its present one.
 ALIGNED, INSTANT = "aligned", "instant"
 
@@ -49,7 +52,9 @@ class TwinHistory:
         return self._poses[-1] if self._poses else None
 
     def add(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Append a pose; one that is not newer than the newest is ignored."""
+        """Append a pose. One that is not newer than the newest is ignored; one that is far older begins another clock's poses."""
+        if self._poses and stamp < self._poses[-1][0] - ANOTHER_CLOCK:
+            self._poses.clear()
         if not self._poses or stamp > self._poses[-1][0]:
             self._poses.append((stamp, q))
 

@@ -15,6 +15,9 @@ from construction_twin.twin.mirror import MirrorTwin
 #: The first command may differ this much from the pose taken over (docs/architecture.md, law 5): revolute
 #: joints [rad], prismatic ones [m].
 START_TOLERANCE, START_TOLERANCE_LINEAR = math.radians(0.05), 0.0005
+#: The first command of a session that is older by more than this than what was published is of a clock that was set back meanwhile
+#: [ns]: an executor that is started again begins on ROS time. Less is the way of a message; the gate waits 0.1 s for poses.
+ANOTHER_CLOCK = NANOSECONDS // 20
 #: After this long without a command the held pose is repeated by the clock [ns]; executor.TWIN_TIMEOUT must be longer.
 SILENCE = NANOSECONDS // 4
 
@@ -87,7 +90,8 @@ class TwinClock:
     """Decides which stamps the twin's poses are published with: those of its commands, and the clock's while there are none.
 
     Stamps always increase. A command whose stamp is not newer than what was published (it was delayed by more than `SILENCE`)
-    is executed, but its stamp belongs to the past and is not published.
+    is executed, but its stamp belongs to the past and is not published. The first one after a restart may be of an earlier clock,
+    on which they go on then.
     """
 
     def __init__(self):
@@ -98,8 +102,14 @@ class TwinClock:
         self._published = 0
         self._heard: int | None = None
 
+    def is_earlier(self, stamp: int) -> bool:
+        """Return whether a command [ns] is the first one, and of a clock on which it is earlier than what was published."""
+        return self._heard is None and stamp < self._published - ANOTHER_CLOCK
+
     def on_command(self, stamp: int, now: int) -> bool:
         """Take a command that was executed, by stamp and reception [ns]; return whether to publish its pose with its stamp."""
+        if self.is_earlier(stamp):
+            self._published = 0
         self._heard = now
         return self._is_newer(stamp)
 

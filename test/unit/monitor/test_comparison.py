@@ -74,6 +74,12 @@ class TestTwinHistory:
         history.add(stamp, (9.0, 9.0))
         assert history.latest == (T0 + 2 * CYCLE_NS, (0.3, -0.3))
 
+    def test_begins_anew_where_the_stamps_are_of_a_clock_that_was_set_back(self):
+        """What is compared with poses of before would be another moment's; without them the gate hears of the twin, or holds."""
+        history = self.history()
+        history.add(T0 - NANOSECONDS, (0.5, -0.5))
+        assert history.latest == (T0 - NANOSECONDS, (0.5, -0.5)) and history.at(T0) is None
+
     def test_forgets_the_oldest(self):
         history = TwinHistory()
         for k in range(HISTORY + 1):

@@ -83,3 +83,11 @@ def test_its_time_is_its_own(clocks):
     clocks.wall += 10 * NANOSECONDS
     clocks.pass_time(NANOSECONDS)
     assert clocks.cycles.now() == began + NANOSECONDS
+
+
+def test_it_goes_on_from_an_earlier_stamp_when_it_is_told_to(clocks):
+    before = clocks.take(5)[-1]
+    clocks.cycles.begin_at(before - 10 * NANOSECONDS + 1)
+    began = clocks.steady
+    assert clocks.take(3) == [before - 10 * NANOSECONDS + k * CYCLE_NS for k in (1, 2, 3)]
+    assert clocks.steady - began == 3 * CYCLE_NS - 1

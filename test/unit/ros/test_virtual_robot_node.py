@@ -171,3 +171,23 @@ def test_a_wall_clock_that_is_set_is_of_no_account(world, step, session):
     stamps = [stamp for _, stamp in world.published]
     assert stamps == sorted(set(stamps))
     assert all(abs(at + world.offset - stamp) <= CYCLE_NS for at, stamp in world.published if at >= began)
+
+
+@pytest.mark.parametrize("step", [-600.0, -5.0, -0.1])
+def test_commands_of_an_executor_that_began_on_a_clock_that_was_set_back_are_published_with_their_stamps(world, step):
+    """The twin's own time is that of before; nothing else would ever bring twin and arm together again."""
+
+    def restart() -> None:
+        world.wall += round(step * NANOSECONDS)
+        world.offset += round(step * NANOSECONDS)
+        world.node.on_link(Link(session="s2", state=Link.ARMED))
+        world.node.on_physical(world.wall, HOME)
+
+    began = world.play(6 * NANOSECONDS, [(0, 2000), (4000, 5000)], t3000=restart)
+    second = world.between(began + 4000 * MS + 1, began + 5000 * MS)
+    assert len(second) >= 250 and all(abs(at + world.offset - stamp) <= CYCLE_NS for at, stamp in second)
+    # in the silence behind them its pose goes on, on their clock, and stands still nowhere
+    after = world.between(began + 5000 * MS, world.steady)
+    assert all(abs(at + world.offset - stamp) <= CYCLE_NS for at, stamp in after)
+    times = [at for at, _ in second + after]
+    assert max(later - earlier for earlier, later in zip(times, times[1:])) < SILENCE + 3 * CYCLE_NS < TWIN_TIMEOUT

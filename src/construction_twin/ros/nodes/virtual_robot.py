@@ -74,7 +74,9 @@ class VirtualRobotNode:
         for stamp, _ in self._cycles:
             self._restarted.clear()
             with self._lock:
-                if self._robot.pose is not None and self._clock.on_cycle(stamp):
+                # the grid may have gone back since
+                present = stamp <= self._cycles.now()
+                if self._robot.pose is not None and present and self._clock.on_cycle(stamp):
                     self._twin.publish(stamp, self._robot.pose)
                 idle = self._clock.idle(stamp)
             if idle > CYCLE_NS:
@@ -86,6 +88,8 @@ class VirtualRobotNode:
         """Execute a command [rad] with its stamp [ns]."""
         with self._lock:
             if self._robot.execute(stamp, q):
+                if self._clock.is_earlier(stamp):
+                    self._cycles.begin_at(stamp)
                 if self._clock.on_command(stamp, self._cycles.reach(stamp)):
                     self._twin.publish(stamp, q)
                 return

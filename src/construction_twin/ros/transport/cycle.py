@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
 
@@ -16,9 +17,13 @@ CATCH_UP = 80_000_000
 
 
 class Cycles:
-    """A grid that starts on ROS time and advances with the monotonic clock: a wall clock that is set does not disturb it."""
+    """A grid that starts on ROS time and advances with the monotonic clock: a wall clock that is set does not disturb it.
+
+    One thread takes the cycles; others may ask and set its time.
+    """
 
     def __init__(self):
+        self._lock = threading.Lock()
         self._stamp = now_ns() // CYCLE_NS * CYCLE_NS
         self._offset = now_ns() - time.monotonic_ns()
 
@@ -28,12 +33,19 @@ class Cycles:
 
     def reach(self, stamp: int) -> int:
         """Never lag behind a stamp that another node's grid has reached [ns], on a clock that was set since; return `now`."""
-        self._offset = max(self._offset, stamp - time.monotonic_ns())
-        return self.now()
+        with self._lock:
+            self._offset = max(self._offset, stamp - time.monotonic_ns())
+            return self.now()
+
+    def begin_at(self, stamp: int) -> None:
+        """Go on from a stamp [ns], also an earlier one: another node's grid has begun there, on a clock that was set back."""
+        with self._lock:
+            self._stamp, self._offset = stamp // CYCLE_NS * CYCLE_NS, stamp - time.monotonic_ns()
 
     def skip(self) -> None:
         """Leave out the cycles that have passed."""
-        self._stamp = max(self._stamp, self.now() // CYCLE_NS * CYCLE_NS)
+        with self._lock:
+            self._stamp = max(self._stamp, self.now() // CYCLE_NS * CYCLE_NS)
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
         """Wait for one cycle after the other until ROS shuts down.
@@ -43,14 +55,15 @@ class Cycles:
             stalled: 0, or for how long the grid was interrupted because this process was not run for more than `CATCH_UP` [ns].
         """
         while not rospy.is_shutdown():
-            self._stamp += CYCLE_NS
-            remaining = self._stamp - self.now()
+            with self._lock:
+                self._stamp += CYCLE_NS
+                remaining = self._stamp - self.now()
             stalled = 0
             if remaining > 0:
                 time.sleep(remaining / 1e9)
             elif -remaining > CATCH_UP:
                 stalled = -remaining
                 # never back: on a clock that was set back meanwhile the grid would stand still until the clock has caught up
-                self._offset = max(self._offset, now_ns() - time.monotonic_ns())
+                self.reach(now_ns())
                 self.skip()
             yield self._stamp, stalled
