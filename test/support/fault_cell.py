@@ -26,6 +26,7 @@ from processes import ROOT, BrokerProcess, wait_until
 
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.limits import MotionLimits
+from construction_twin.core.udp import bind
 from construction_twin.core.units import CYCLE, radians
 from construction_twin.gateway.trace import TraceEntry, read_trace
 from construction_twin.link.states import LinkState
@@ -34,7 +35,6 @@ from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.rsi.gateway_codec import RobotDecoder
-from construction_twin.rsi.udp import bind
 from construction_twin.scenario.trace_check import trace_excesses
 
 #: Far enough for a motion of seconds [deg].

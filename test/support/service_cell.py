@@ -16,6 +16,7 @@ from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from processes import wait_until
 
+from construction_twin.core.udp import bind
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.service import GatewayService
@@ -24,7 +25,6 @@ from construction_twin.mqtt.fast_client import UserProperties
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, arm_value, reset_value
 from construction_twin.rsi.gateway_codec import RobotEncoder, parse_sensor
-from construction_twin.rsi.udp import bind
 
 AXES = ("A1", "A2")
 # a controller that waits longer than a real one, because this machine may be busy

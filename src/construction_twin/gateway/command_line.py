@@ -13,6 +13,7 @@ import threading
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
 from construction_twin.core.realtime import lock_memory, request_realtime
+from construction_twin.core.udp import address_of, bind
 from construction_twin.gateway.config import GatewayConfig, load_config
 from construction_twin.gateway.log import log_beside_the_loop
 from construction_twin.gateway.service import GatewayService
@@ -22,7 +23,6 @@ from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
 from construction_twin.rsi.ethernet_xml import controller_sends_to
-from construction_twin.rsi.udp import address_of, bind
 
 log = logging.getLogger("rsi_gateway")
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import deque
 from statistics import median
 
-from construction_twin.gateway.rsi_session import IPOC_NS
+from construction_twin.gateway.controller_session import IPOC_NS
 from construction_twin.rsi.gateway_codec import ipoc_step
 
 #: A session is measured for this long before it is first judged [ms of IPOC, at the expected cycle].

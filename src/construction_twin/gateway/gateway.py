@@ -21,11 +21,11 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.controller_clock import ControllerClock
+from construction_twin.gateway.controller_session import ControllerSession, distance_off
 from construction_twin.gateway.ownership import Ownership
 from construction_twin.gateway.part_steps import PartSteps
 from construction_twin.gateway.player import Player
 from construction_twin.gateway.refusals import Refusals
-from construction_twin.gateway.rsi_session import ControllerSession, distance_off
 from construction_twin.gateway.speed_limit import SpeedLimit
 from construction_twin.gateway.states import CAUSES, NOTES, ROWS, Action, Event, Guard, Mode, Occasion, Row, State
 from construction_twin.gateway.status import StateReport, Status

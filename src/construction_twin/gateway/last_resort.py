@@ -10,8 +10,8 @@ import math
 import re
 
 from construction_twin.core.limits import MotionLimits
+from construction_twin.core.udp import MAX_TELEGRAM
 from construction_twin.rsi.gateway_codec import SensorEncoder, ipoc_step
-from construction_twin.rsi.telegram import MAX_TELEGRAM
 
 #: After a longer gap it is unknown whether the controller still has the correction: a program may have started RSI anew, and the
 #: correction would be a jump. It is answered no more, and times out; the arm stands already [ms]. Ten cycles of 4 ms, three of 12.

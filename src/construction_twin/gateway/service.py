@@ -22,6 +22,7 @@ from construction_twin.core.errors import (
     PayloadError,
 )
 from construction_twin.core.histogram import Histogram
+from construction_twin.core.udp import receive
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
@@ -49,7 +50,6 @@ from construction_twin.mqtt.messages import (
 )
 from construction_twin.mqtt.polled_client import PolledClient
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
-from construction_twin.rsi.udp import receive
 
 log = logging.getLogger("rsi_gateway")
 

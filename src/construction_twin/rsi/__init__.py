@@ -1,4 +1,4 @@
-"""The RSI protocol alone: the Ethernet XML, the telegrams of both sides, and the UDP socket.
+"""The RSI protocol alone: the Ethernet XML, and the telegrams of both sides.
 
 In: bytes from the network, values to send, the text of an Ethernet XML. Out: parsed telegrams, bytes of replies, the layout of
 both directions, or a typed error. May import ``core``. Runs on the cell PC. The facts behind it: docs/rsi.md.
@@ -30,8 +30,5 @@ if TYPE_CHECKING:
     from construction_twin.rsi.telegram import ipoc_step as ipoc_step
     from construction_twin.rsi.tool_channels import ToolReader as ToolReader
     from construction_twin.rsi.tool_channels import ToolReading as ToolReading
-    from construction_twin.rsi.udp import address_of as address_of
-    from construction_twin.rsi.udp import bind as bind
-    from construction_twin.rsi.udp import receive as receive
 else:
     __getattr__, __dir__, __all__ = lazy_exports(__name__)

@@ -16,11 +16,8 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 
 from construction_twin.core.errors import ConfigurationError, TelegramError
+from construction_twin.core.udp import MAX_TELEGRAM
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, AxisUnit, default_element
-
-#: Largest telegram [bytes]. With every block declared a KR C4's exceeds 1 kB (docs/rsi.md, section 2) and stays below 2 kB; what is
-#: longer than this is none, and taking it apart would only keep the loop that answers.
-MAX_TELEGRAM = 8192
 
 #: Matches fixed notation without exponent, infinity, underscore or white space; the digit limits keep every match finite.
 _FIXED = r"[+-]?[0-9]{1,15}(?:\.[0-9]{1,32})?"

@@ -25,10 +25,10 @@ from service_cell import (
     stream,
 )
 
+from construction_twin.core.udp import bind
 from construction_twin.core.units import CYCLE, format_allowance
 from construction_twin.gateway.command_line import main
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
-from construction_twin.rsi.udp import bind
 
 
 @pytest.fixture
