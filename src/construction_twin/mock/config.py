@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mock.gripper import Gripper
 from construction_twin.rsi.ethernet_xml import check_axes
-from construction_twin.rsi.layout import AxisUnit, RsiLayout
+from construction_twin.rsi.layout import RsiLayout
 
 #: The cycles that RSI has on a KR C4 [ms] (docs/rsi.md, section 1).
 CYCLES = (4, 12)

@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from construction_twin.controller.telegram import STAMP_WRAP, stamp_step
 from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.mock.config import MockConfig
@@ -31,10 +32,10 @@ from construction_twin.mock.gripper import SimulatedTool
 from construction_twin.mock.own_motion import EmergencyBrake, Program, ToolSpeedLimit
 from construction_twin.mock.refusals import ReplyRefusals
 from construction_twin.mock.servo import Servo
-from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder, SensorTelegram
+from construction_twin.rsi.controller_codec import Reply, RobotEncoder, SensorDecoder
 from construction_twin.rsi.layout import STOP
 from construction_twin.rsi.status_channels import ControllerStatus, status_channels
-from construction_twin.rsi.telegram import IPOC_WRAP, axis_units, ipoc_step
+from construction_twin.rsi.telegram import axis_units
 from construction_twin.rsi.tool_channels import OUT, is_signal
 
 #: The servo is given this long to arrive at the end of a program, and refused replies are over after this long without one [s].
@@ -42,7 +43,7 @@ _SETTLING, _RECOVERY = 1.0, 1.0
 #: On the optional channels, see `status_channels`.
 _T1, _AUT, _ACTIVE = 1, 3, 3
 #: A reply is told to be late when its packet left no longer ago than this [ms].
-_LONGEST_STEP = IPOC_WRAP // 2 - 1
+_LONGEST_STEP = STAMP_WRAP // 2 - 1
 #: Slack of the soft limits [rad]: start + (limit - start) need not round to the limit.
 _RANGE_SLACK = 1e-9
 
@@ -109,7 +110,7 @@ class MockController:
         self._tool_speed = 0.0
         self._settling = 0
         self._open = False
-        self._reply: SensorTelegram | None = None
+        self._reply: Reply | None = None
         self._start_tool: tuple[float, ...] = ()
         self.config = config
         self.servo = servo
@@ -228,16 +229,16 @@ class MockController:
             telegram = self._decoder.parse(data)
         except TelegramError as error:
             return self._refuse("wrong_sentype" if error.reason == "sentype" else "malformed", error.reason, str(error))
-        if telegram.ipoc != self.ipoc or not self._open:
-            behind, beside = divmod(ipoc_step(telegram.ipoc, self.ipoc, _LONGEST_STEP), self.config.cycle)
-            if behind > 0 and not beside and ipoc_step(self._first_ipoc, telegram.ipoc, _LONGEST_STEP) >= 0:
-                late = f"the reply to IPOC {telegram.ipoc} came {behind} cycle{'s' if behind > 1 else ''} late"
+        if telegram.stamp != self.ipoc or not self._open:
+            behind, beside = divmod(stamp_step(telegram.stamp, self.ipoc, _LONGEST_STEP), self.config.cycle)
+            if behind > 0 and not beside and stamp_step(self._first_ipoc, telegram.stamp, _LONGEST_STEP) >= 0:
+                late = f"the reply to IPOC {telegram.stamp} came {behind} cycle{'s' if behind > 1 else ''} late"
                 return self._refuse("late_replies", "late", late)
-            expected = f"the reply carries IPOC {telegram.ipoc}; expected that of the packet, unchanged: {self.ipoc}"
+            expected = f"the reply carries IPOC {telegram.stamp}; expected that of the packet, unchanged: {self.ipoc}"
             return self._refuse("mismatched", "ipoc", expected)
         if not in_time:
             return self._refuse(
-                "late_replies", "late", f"the reply to IPOC {telegram.ipoc} came after the end of its cycle"
+                "late_replies", "late", f"the reply to IPOC {telegram.stamp} came after the end of its cycle"
             )
         if self._reply is not None:
             return self._count("duplicates")
@@ -249,7 +250,7 @@ class MockController:
     def _ipoc_after(self, time: int) -> int:
         """Return IPOC `time` [ms] from now."""
         ipoc = self.ipoc + time
-        return ipoc - IPOC_WRAP if self.config.first_ipoc < IPOC_WRAP <= ipoc else ipoc
+        return ipoc - STAMP_WRAP if self.config.first_ipoc < STAMP_WRAP <= ipoc else ipoc
 
     def press_emergency_stop(self) -> None:
         """Brake to rest within the acceleration limits and end the RSI session; packets cease at once."""
@@ -422,7 +423,7 @@ class MockController:
         self._stop_level = self._stop_level and self._stop_holdon
         return tuple(value if held else 0.0 for value, held in zip(self.applied, self._holdon))
 
-    def _valid_reply(self, reply: SensorTelegram) -> tuple[float, ...]:
+    def _valid_reply(self, reply: Reply) -> tuple[float, ...]:
         if not self.config.cumulative_delay:
             self.delay = 0
         if self.tool is not None:
@@ -432,7 +433,7 @@ class MockController:
         if stop and not self._stop_level:
             self._stop("stop: requested by the PC, RSI_MOVECORR ended")
         self._stop_level = stop
-        wanted = reply.correction
+        wanted = reply.target
         correction = _clamp(wanted, self.correction_lower, self.correction_upper)
         self.stat = 1
         for index, (asked, given) in enumerate(zip(wanted, correction)):

@@ -16,8 +16,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
+from construction_twin.controller.tool import ENABLE
 from construction_twin.rsi.layout import RsiLayout
-from construction_twin.rsi.tool_channels import ENABLE, IN, OUT, names_of
+from construction_twin.rsi.tool_channels import IN, OUT, names_of
 
 _NOTHING: Mapping[str, bool] = MappingProxyType({})
 

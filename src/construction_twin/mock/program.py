@@ -16,6 +16,7 @@ from typing import Annotated, Literal
 
 import pydantic
 
+from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.realtime import request_realtime
 from construction_twin.core.share import share_file
@@ -29,7 +30,7 @@ from construction_twin.mock.servo import IdealServo, RealisticServo, Servo
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.tool import read_tool, tool_of
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml, read_ethernet_xml
-from construction_twin.rsi.layout import AxisUnit, RsiLayout
+from construction_twin.rsi.layout import RsiLayout
 
 log = logging.getLogger(__name__)
 

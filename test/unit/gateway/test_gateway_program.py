@@ -298,7 +298,7 @@ def test_the_gateway_needs_nothing_but_the_standard_library_and_paho(config_file
 
 
 #: Folders whose modules run on the cell PC.
-_CELL_FOLDERS = ("core", "mqtt", "rsi", "gateway")
+_CELL_FOLDERS = ("core", "controller", "mqtt", "rsi", "gateway")
 
 
 def test_every_module_of_the_cell_folders_needs_nothing_but_the_standard_library_and_paho():
