@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.last_resort import LastResort
-from construction_twin.controller.telegram import Telegram
+from construction_twin.controller.telegram import Reply, Telegram
 from construction_twin.controller.tool import GatewayTool, ToolReading
 from construction_twin.core.limits import MotionLimits
 
@@ -47,6 +47,11 @@ class Layout(Protocol):
         ...
 
     @property
+    def switched_holdon(self) -> tuple[bool, ...]:
+        """Per channel of `switched`: whether it keeps its value when a reply is missed, or falls to 0."""
+        ...
+
+    @property
     def not_filled(self) -> tuple[str, ...]:
         """Channels that no reply fills, for people."""
         ...
@@ -54,6 +59,16 @@ class Layout(Protocol):
     @property
     def summary(self) -> str:
         """What is written in telegrams, for people: the few words that a person compares with the controller's file."""
+        ...
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Outputs of a tool that telegrams tell."""
+        ...
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Inputs of a tool that telegrams tell."""
         ...
 
     def document(self) -> dict[str, Any]:
@@ -190,6 +205,25 @@ class SessionRules(Protocol):
 
 
 @dataclass(frozen=True)
+class ControllerSide:
+    """The controller's side of the telegrams, for a mock of it.
+
+    Attributes:
+        encode: A telegram, from its stamp, where the axes are and what they follow (length n each), position and A, B, C of the
+            tool for both (length 6 each), the count of missed replies, what it says of itself, and a tool's outputs and inputs by
+            their names: None where they are not told.
+        decode: A reply, or TelegramError; None: no reply is expected.
+        holds: Length n. Whether an axis keeps its target when a reply is missed, or falls back to the start pose.
+        holds_stop: The same for the end of the program.
+    """
+
+    encode: Callable[..., bytes]
+    decode: Callable[[bytes], Reply] | None
+    holds: tuple[bool, ...]
+    holds_stop: bool
+
+
+@dataclass(frozen=True)
 class Words:
     """What people call things on a make's pendant and in its files.
 
@@ -225,8 +259,11 @@ class Make:
         plain: The layout of an arm without a file, from its axes.
         read_layout: The layout from what `Layout.document` returned; TypeError when it is none.
         check: Raises ConfigurationError when the arm cannot be served as configured.
+        check_axes: Raises ConfigurationError when the layout is not one of these axes.
+        controller_side: Of a mock, from its `MockConfig`.
         read_file: The layout of a file that describes the telegrams, from its text and its name for messages.
         load_file: The same, from its path.
+        load_text: The text of such a file, which was found to be one, from its path.
         write_file: The text of such a file, from the axes.
         sends_to: Address that a controller sends to, from the path of its file, which must say what the layout does.
         tool_channels: The channels of a tool that a layout has, for people; none: a tool without hands.
@@ -243,8 +280,11 @@ class Make:
     encoder: Callable[[Setup], Encoder]
     rules: Callable[[Setup], SessionRules]
     last_resort: Callable[[Setup], LastResort]
+    check_axes: Callable[[Any, Sequence[str]], None]
+    controller_side: Callable[[Any], ControllerSide]
     read_file: Callable[[str, str], Any]
-    load_file: Callable[[str], Any]
+    load_file: Callable[[Any], Any]
+    load_text: Callable[[Any], str]
     write_file: Callable[[Sequence[str]], str]
     sends_to: Callable[[str, Any], str]
     tool_channels: Callable[[Any], tuple[str, ...]]

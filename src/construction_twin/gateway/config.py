@@ -2,7 +2,7 @@
 
 The gateway has neither URDF nor YAML at hand on the cell PC, so `rosrun construction_twin export_gateway_config` writes this
 file. The `motion` part decides what the arm may do and is what the hash covers; hosts and ports are given on the gateway's
-command line. What the controller's Ethernet XML says about the telegrams is part of it. Standard library only. SI units throughout.
+command line. What is fixed about the controller's telegrams is part of it. Standard library only. SI units throughout.
 """
 
 from __future__ import annotations

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
+from construction_twin.rsi.tool_channels import IN, OUT, names_of
+
 #: The only RECEIVE channel without an axis that the gateway fills.
 STOP = "Stop"
 #: Axis names of RSI, six attributes per position block.
@@ -64,6 +66,16 @@ class RsiLayout:
         if not self.switched:
             del document["switched"], document["switched_holdon"]
         return document
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Outputs of a tool that telegrams tell."""
+        return names_of(OUT, self.send)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Inputs of a tool that telegrams tell."""
+        return names_of(IN, self.send)
 
     @property
     def summary(self) -> str:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import Any
 
 from construction_twin.controller.last_resort import BareProtocol, LastResort
-from construction_twin.controller.port import Make, Reader, Setup, Words
+from construction_twin.controller.port import ControllerSide, Make, Reader, Setup, Words
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 from construction_twin.rsi.ethernet_xml import (
+    check_axes,
     check_gateway,
     controller_sends_to,
     load_ethernet_xml,
@@ -17,10 +20,10 @@ from construction_twin.rsi.ethernet_xml import (
 )
 from construction_twin.rsi.ethernet_xml_text import ethernet_xml_text
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
-from construction_twin.rsi.layout import RsiLayout
+from construction_twin.rsi.layout import STOP, RsiLayout
 from construction_twin.rsi.session import RsiSessionRules
 from construction_twin.rsi.status_channels import ControllerStatus, StatusReader, status_channels
-from construction_twin.rsi.tool_channels import ToolReader
+from construction_twin.rsi.tool_channels import IN, OUT, ToolReader, is_signal
 from construction_twin.rsi.tool_check import check_tool
 
 #: Cycles that RSI has [ms], and their names in KRL (docs/rsi.md, section 1).
@@ -68,6 +71,34 @@ def last_resort(setup: Setup) -> LastResort:
     return LastResort(setup.limits, bare, setup.cycle)
 
 
+def controller_side(config: Any) -> ControllerSide:
+    """Return what a KR C4 with this configuration writes and reads."""
+    layout = config.layout
+    told, unseen = [
+        RobotEncoder(config.axes, config.precision, send, config.units)
+        for send in (layout.send, tuple(tag for tag in layout.send if not tag.startswith(f"{OUT}.")))
+    ]
+    rich = bool(status_channels(layout.send)) or any(map(is_signal, layout.send))
+
+    def encode(ipoc, measured, setpoint, measured_pose, setpoint_pose, delay, said, outputs=None, inputs=None) -> bytes:
+        values = ipoc, measured, setpoint, measured_pose, setpoint_pose, delay
+        if not rich:
+            return told.encode(*values)
+        signals = {f"{IN}.{name}": value for name, value in (inputs or {}).items()}
+        if outputs is None:
+            return unseen.encode(*values, said, signals)
+        return told.encode(*values, said, signals | {f"{OUT}.{name}": value for name, value in outputs.items()})
+
+    decode = None
+    if layout.answered:
+        decode = SensorDecoder(
+            layout.sentype, config.axes, layout.receive, config.units, config.stop_required, layout.switched
+        ).parse
+    holdon = dict(zip(layout.receive, layout.holdon))
+    holds = [any(held for channel, held in holdon.items() if channel.partition(".")[2] == axis) for axis in config.axes]
+    return ControllerSide(encode, decode, tuple(holds), holdon.get(STOP, False))
+
+
 def _ipoc(data: bytes) -> int | None:
     found = _find_ipoc(data)
     return int(found[1]) if found else None
@@ -107,8 +138,11 @@ MAKE = Make(
     encoder=encoder,
     rules=RsiSessionRules,
     last_resort=last_resort,
+    check_axes=lambda layout, axes: check_axes(layout, axes, _FILE),
+    controller_side=controller_side,
     read_file=lambda text, where: read_ethernet_xml(text, where).layout,
     load_file=lambda path: load_ethernet_xml(path).layout,
+    load_text=lambda path: load_ethernet_xml(path).text,
     write_file=ethernet_xml_text,
     sends_to=controller_sends_to,
     tool_channels=tool_channels,
