@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from construction_twin.controller.telegram import Telegram
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, radians
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway, State
@@ -28,7 +29,6 @@ from construction_twin.mqtt.messages import CommandProperties, Control, arm_valu
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
-from construction_twin.rsi.telegram import RobotTelegram
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Time at rest before the motion: two of the long stalls [s].
@@ -164,7 +164,7 @@ class Rig:
     def cycle(self, now: int) -> None:
         """Let the controller send a telegram and carry out the answer."""
         self._cycles, self._now = self._cycles + 1, now
-        telegram = RobotTelegram(4 * self._cycles, self._pose, self._origin, 0)
+        telegram = Telegram(4 * self._cycles, self._pose, self._origin, 0)
         correction = self.gateway.on_telegram(telegram, "controller", now)
         self._pose = tuple([start + value for start, value in zip(self._origin, correction)])
         self.positions.append(self._pose)

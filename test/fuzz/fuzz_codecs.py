@@ -26,7 +26,8 @@ from construction_twin.mqtt.messages import (
     read_command_properties,
     read_state_properties,
 )
-from construction_twin.rsi.gateway_codec import RobotDecoder, SensorDecoder
+from construction_twin.rsi.controller_codec import SensorDecoder
+from construction_twin.rsi.gateway_codec import RobotDecoder
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 STATUS = {
@@ -162,10 +163,10 @@ def rsi_codecs(telegram: bytes, count: int, seed: int, progress: Callable[[int],
     for done in range(count):
         if done % 4:
             read = tally.run(lambda: robot.parse(mutate_telegram(telegram, seed + done)[:LARGEST]), TelegramError)
-            values = () if read is None else (*(read.measured or ()), *(read.setpoint or ()), read.ipoc)
+            values = () if read is None else (*(read.measured or ()), *(read.setpoint or ()), read.stamp)
         else:
             read = tally.run(lambda: sensor.parse(mutate_telegram(SENSOR, seed + done)[:LARGEST]), TelegramError)
-            values = () if read is None else (*read.correction, read.ipoc)
+            values = () if read is None else (*read.target, read.stamp)
         assert all(map(math.isfinite, values))
         progress(done + 1)
     return tally

@@ -36,7 +36,7 @@ from construction_twin.mock.servo import IdealServo
 from construction_twin.mqtt.client import subscriptions
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, Topics, arm_value, reset_value
-from construction_twin.rsi.gateway_codec import parse_sensor
+from construction_twin.rsi.controller_codec import parse_sensor
 
 HOME = radians((0.0, -90.0, 90.0, 0.0, 90.0, 0.0))
 FAR = radians((30.0, -60.0, 110.0, 40.0, 60.0, -50.0))
@@ -131,8 +131,8 @@ class Arm:
             except TimeoutError:
                 break
             read = parse_sensor(reply, "ImFree", AXES)
-            demand(not any(read.correction), f"IPOC {read.ipoc} was answered with a motion: {read.correction}")
-            if read.ipoc == self.controller.ipoc:
+            demand(not any(read.target), f"IPOC {read.stamp} was answered with a motion: {read.target}")
+            if read.stamp == self.controller.ipoc:
                 self.controller.receive(reply)
                 self.answered += 1
                 return True

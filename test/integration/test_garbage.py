@@ -29,7 +29,7 @@ from construction_twin.mqtt.fast_client import UserProperties
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import Topics
 from construction_twin.ros.transport.subscriber import PUBLISHERS
-from construction_twin.rsi.gateway_codec import RobotEncoder
+from construction_twin.rsi.controller_codec import RobotEncoder
 
 FAR = JointStringCodec(6).encode(radians(RIGHT))
 #: A joint string of the right length, to spoil one byte or field of.

@@ -26,6 +26,7 @@ from processes import ROOT, BrokerProcess, wait_until
 
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.limits import MotionLimits
+from construction_twin.core.udp import bind
 from construction_twin.core.units import CYCLE, radians
 from construction_twin.gateway.trace import TraceEntry, read_trace
 from construction_twin.link.states import LinkState
@@ -34,7 +35,6 @@ from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.rsi.gateway_codec import RobotDecoder
-from construction_twin.rsi.udp import bind
 from construction_twin.scenario.trace_check import trace_excesses
 
 #: Far enough for a motion of seconds [deg].
@@ -385,8 +385,8 @@ def judge_arm(packets, limits: MotionLimits) -> ArmReport:
     shows the pose of the one before it.
     """
     measured = np.array([packet.measured for packet in packets])
-    ipoc = np.array([packet.ipoc for packet in packets])
-    missed = np.array([packet.delay > 0 for packet in packets])
+    ipoc = np.array([packet.stamp for packet in packets])
+    missed = np.array([packet.missed > 0 for packet in packets])
     # AIPos has 6 decimals of a degree: a step is the difference of two rounded values
     largest = (np.array(limits.acceleration) + limits.allowances(6)) * CYCLE**2 + np.deg2rad(1e-6)
     starts = 0

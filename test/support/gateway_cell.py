@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 import math
 
+from construction_twin.controller.telegram import Telegram
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway, State
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, arm_value, reset_value
-from construction_twin.rsi.gateway_codec import RobotTelegram
 
 CONFIG = GatewayConfig("arm", ("A1", "A2"), (-0.5, -3.2), (0.5, 3.2), (2.0, 4.5), (2.34, 17.4))
 DELAY_CYCLES = 5
@@ -61,7 +61,7 @@ class Cell:
     # the controller
 
     def telegram(self, **changes):
-        telegram = RobotTelegram(self.ipoc, self.measured, self.setpoint, self.delay)
+        telegram = Telegram(self.ipoc, self.measured, self.setpoint, self.delay)
         if self._measures:
             self.gateway.clock.note(self.ipoc, self.now)
         reply = self.gateway.on_telegram(dataclasses.replace(telegram, **changes), self.source, self.now)

@@ -36,7 +36,7 @@ class LossyCell(Cell):
         held = self.measured
         reply = None
         if loss != "t":
-            reply = super().telegram(**({} if self.tells_delay else {"delay": None}) | changes)
+            reply = super().telegram(**({} if self.tells_delay else {"missed": None}) | changes)
         if reply is None or loss == "r":
             self.measured = held
             self.delay += 1

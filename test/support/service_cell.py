@@ -16,6 +16,7 @@ from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from processes import wait_until
 
+from construction_twin.core.udp import bind
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.service import GatewayService
@@ -23,8 +24,7 @@ from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.fast_client import UserProperties
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, arm_value, reset_value
-from construction_twin.rsi.gateway_codec import RobotEncoder, parse_sensor
-from construction_twin.rsi.udp import bind
+from construction_twin.rsi.controller_codec import RobotEncoder, parse_sensor
 
 AXES = ("A1", "A2")
 # a controller that waits longer than a real one, because this machine may be busy
@@ -70,8 +70,8 @@ class Controller(threading.Thread):
         if self._ended.is_set():
             return None
         reply = parse_sensor(data, "ImFree", AXES)
-        assert reply.ipoc == self.ipoc
-        return reply.correction
+        assert reply.stamp == self.ipoc
+        return reply.target
 
     def cycle(self):
         self.ipoc += 4
@@ -178,7 +178,7 @@ class FreeController(Controller):
         found = set()
         with contextlib.suppress(BlockingIOError):
             while True:
-                found.add(parse_sensor(self.socket.recv(65535), "ImFree", AXES).correction)
+                found.add(parse_sensor(self.socket.recv(65535), "ImFree", AXES).target)
         return found
 
 

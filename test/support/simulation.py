@@ -41,8 +41,6 @@ from construction_twin.mqtt.messages import CommandProperties, StateProperties
 from construction_twin.review.plan_under_review import Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
-from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
-from construction_twin.rsi.tool_channels import ToolReader
 from construction_twin.twin.virtual_robot import VirtualRobot
 
 #: Simulated time begins here [ns]: stamps as large as real ones, so that rounding is as real.
@@ -120,15 +118,12 @@ class SimulatedChain:
         self.state_check = StateCheck(MAX_STATE_AGE)
         self.states_refused: Counter[str] = Counter()
         self._link = link
-        self._decoder = RobotDecoder(config.axes, config.units)
-        self._sensor = SensorEncoder.of(config.layout, config.axes, config.units)
-        tool = config.tool
-        self._tool_reader = ToolReader([output.name for output in tool.outputs], tool.inputs) if tool else None
+        self._reader, self._encoder = config.make.reader(config), config.make.encoder(config)
         self._tool_link = ToolLink(lambda: next(ids))
         #: What each answered telegram told the tool's outputs: (stamp of the target [ns], values).
         self.switched: list[tuple[int, tuple[bool, ...]]] = []
         self._played = 0
-        if tool is not None:
+        if config.tool is not None:
             self.gateway.trace = lambda ipoc, session, state, stamp, position, lost: setattr(self, "_played", stamp)
         self._session = ""
         self._restart_after = round(restart_after * NANOSECONDS)
@@ -296,18 +291,18 @@ class SimulatedChain:
 
     def _answer(self, packet: bytes) -> None:
         """What the gateway makes of a packet, and its answer."""
-        telegram = self._decoder.parse(packet)
+        telegram = self._reader.parse(packet)
         tool = self.gateway.tool
-        if tool is not None and self._tool_reader is not None:
-            tool.note(self._tool_reader.read(packet))
+        if tool is not None and self._reader.tool is not None:
+            tool.note(self._reader.tool(packet))
         correction = self.gateway.on_telegram(telegram, "controller", self.now)
         if correction is not None:
-            self.corrections.append((telegram.ipoc, correction))
+            self.corrections.append((telegram.stamp, correction))
             stop, switched = True if self.gateway.ends else None, ()
             if tool is not None:
                 switched = tool.channels(self.gateway.ends)
                 self.switched.append((self._played, switched))
-            reply = self._sensor.encode(correction, telegram.ipoc, stop, switched)
+            reply = self._encoder.encode(correction, telegram.stamp, stop, switched)
             self._carry(self.faults.to_controller, reply, self._take_reply)
         if tool is not None and self.gateway.take_change():
             status = self.gateway.status()

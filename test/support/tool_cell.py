@@ -7,11 +7,11 @@ import dataclasses
 from mock_cell import AXES, CONFIG, HOME, forward_kinematics
 from processes import ROOT
 
+from construction_twin.controller.tool import GatewayTool, ToolOutput
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway, State
 from construction_twin.gateway.inbox import TelegramInbox
-from construction_twin.gateway.tool_config import GatewayTool, ToolOutput
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.gripper import Gripper
 from construction_twin.mock.servo import IdealServo
@@ -112,7 +112,7 @@ class ToolCell:
             stop = True if self.gateway.ends else None
             if not self.delivering:
                 continue
-            self.controller.receive(self.encoder.encode(correction, telegram.ipoc, stop, values))
+            self.controller.receive(self.encoder.encode(correction, telegram.stamp, stop, values))
 
     def restart(self):
         """End RSI and switch it on again, in another session."""

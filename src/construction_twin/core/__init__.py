@@ -88,6 +88,9 @@ if TYPE_CHECKING:
     from construction_twin.core.state_table import cells as cells
     from construction_twin.core.travel_time import StateCheck as StateCheck
     from construction_twin.core.travel_time import TravelTime as TravelTime
+    from construction_twin.core.udp import address_of as address_of
+    from construction_twin.core.udp import bind as bind
+    from construction_twin.core.udp import receive as receive
     from construction_twin.core.units import degrees as degrees
     from construction_twin.core.units import for_people as for_people
     from construction_twin.core.units import from_wire as from_wire

@@ -80,6 +80,16 @@ def outside_tolerance(
     return None
 
 
+def distance_off(
+    q: tuple[float, ...], reference: tuple[float, ...], limits: MotionLimits, tolerances: Sequence[float]
+) -> str:
+    """Return how far the first joint beyond its tolerance [rad], [m] is from its reference, for people; "" when none is."""
+    off = outside_tolerance(q, reference, tolerances)
+    if off is None:
+        return ""
+    return f"{limits.names[off]} is {q[off] - reference[off]:.6f} {'m' if limits.linear[off] else 'rad'}"
+
+
 def braking_distance(step: float, deceleration: float) -> float:
     """Return how far braking goes on after a step.
 

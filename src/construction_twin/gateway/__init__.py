@@ -1,7 +1,7 @@
 """The cell PC's program between MQTT and RSI: the last line before the controller.
 
 In: commands and control messages by MQTT, one RSI telegram every 4 ms. Out: one RSI reply per telegram, the measured state and
-the gateway's status by MQTT. May import ``core``, ``mqtt``, ``rsi`` and paho-mqtt. Runs on the cell PC without ROS.
+the gateway's status by MQTT. May import ``core``, ``controller``, ``mqtt`` and paho-mqtt. Runs on the cell PC without ROS.
 """
 
 from typing import TYPE_CHECKING
@@ -14,15 +14,11 @@ if TYPE_CHECKING:
     from construction_twin.gateway.config import parse_config as parse_config
     from construction_twin.gateway.gateway import Answer as Answer
     from construction_twin.gateway.gateway import Gateway as Gateway
-    from construction_twin.gateway.last_resort import LastResort as LastResort
     from construction_twin.gateway.playout import Playout as Playout
     from construction_twin.gateway.service import GatewayService as GatewayService
     from construction_twin.gateway.states import Event as Event
     from construction_twin.gateway.states import Mode as Mode
     from construction_twin.gateway.states import State as State
-    from construction_twin.gateway.tool_config import GatewayTool as GatewayTool
-    from construction_twin.gateway.tool_config import ToolOutput as ToolOutput
-    from construction_twin.gateway.tool_config import check_tool as check_tool
     from construction_twin.gateway.trace import TraceEntry as TraceEntry
     from construction_twin.gateway.trace import TraceWriter as TraceWriter
     from construction_twin.gateway.trace import read_trace as read_trace

@@ -13,16 +13,15 @@ import threading
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
 from construction_twin.core.realtime import lock_memory, request_realtime
+from construction_twin.core.udp import address_of, bind
 from construction_twin.gateway.config import GatewayConfig, load_config
 from construction_twin.gateway.log import log_beside_the_loop
 from construction_twin.gateway.service import GatewayService
-from construction_twin.gateway.states import NOTES, Mode
+from construction_twin.gateway.states import Mode, note
 from construction_twin.gateway.trace import TraceWriter
 from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
-from construction_twin.rsi.ethernet_xml import controller_sends_to
-from construction_twin.rsi.udp import address_of, bind
 
 log = logging.getLogger("rsi_gateway")
 
@@ -99,7 +98,8 @@ def _run(arguments: argparse.Namespace) -> int:
         broker = Broker(*_address(arguments.broker, "--broker"), protocol=arguments.protocol, account=account)
         topics = Topics(arguments.prefix, config.robot)
         address = _listen_address(arguments.listen, config)
-        told = controller_sends_to(arguments.ethernet_xml, config.layout) if arguments.ethernet_xml else address[0]
+        file = arguments.ethernet_xml
+        told = config.make.sends_to(file, config.layout) if file else address[0]
         controller = address_of(arguments.controller, "--controller") if arguments.controller else None
         if controller is None and not is_loopback(address[0]):
             expected = f"the controller's address: what comes to {address[0]} comes from a network, and only the controller may"
@@ -121,14 +121,17 @@ def _run(arguments: argparse.Namespace) -> int:
         "configuration %s; run %s; listening on %s:%d; broker %s", config.hash[:12], run, *address, arguments.broker
     )
     log.info("telegrams are read from %s", f"{controller} only" if controller else "any sender that begins a session")
+    words = config.make.words
     if address[1] != config.layout.port:
-        log.warning("the Ethernet XML tells the controller to send to port %d, not %d", config.layout.port, address[1])
+        log.warning(
+            "%s tells the controller to send to port %d, not %d", words.description, config.layout.port, address[1]
+        )
     if told != address[0] and address[0] != "0.0.0.0":
-        log.warning("the Ethernet XML tells the controller to send to address %s, not %s", told, address[0])
+        log.warning("%s tells the controller to send to address %s, not %s", words.description, told, address[0])
     if config.layout.not_filled:
         log.info("channels that no reply fills, so they stay as they are: %s", ", ".join(config.layout.not_filled))
     if service.gateway.mode is not Mode.NORMAL:
-        log.warning("mode %s%s", service.gateway.mode.value, NOTES[service.gateway.mode])
+        log.warning("mode %s%s", service.gateway.mode.value, note(service.gateway.mode, words))
     log.info("%s; %s", request_realtime(arguments.realtime), lock_memory())
     # a full collection over everything imported would take longer than the controller waits
     gc.freeze()

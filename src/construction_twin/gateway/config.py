@@ -2,7 +2,7 @@
 
 The gateway has neither URDF nor YAML at hand on the cell PC, so `rosrun construction_twin export_gateway_config` writes this
 file. The `motion` part decides what the arm may do and is what the hash covers; hosts and ports are given on the gateway's
-command line. What the controller's Ethernet XML says about the telegrams is part of it. Standard library only. SI units throughout.
+command line. What is fixed about the controller's telegrams is part of it. Standard library only. SI units throughout.
 """
 
 from __future__ import annotations
@@ -13,18 +13,15 @@ import math
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
+from construction_twin.controller.axis_unit import AxisUnit
+from construction_twin.controller.makes import DEFAULT, make_of
+from construction_twin.controller.port import Layout, Make
+from construction_twin.controller.tool import GatewayTool
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
-from construction_twin.gateway.tool_config import GatewayTool, check_tool
-from construction_twin.rsi.ethernet_xml import check_gateway
-from construction_twin.rsi.layout import AxisUnit, RsiLayout
 
-#: Cycles that RSI has [ms] (docs/rsi.md, section 1).
-CYCLES_MS = (4, 12)
 #: Written into the file; another number means another meaning of its keys.
 FORMAT = 2
-#: Keys of the layout that only an arm with a tool has.
-_OF_TOOLS = ("switched", "switched_holdon")
 
 
 @dataclass(frozen=True)
@@ -35,10 +32,10 @@ class GatewayConfig:
 
     Attributes:
         robot: Name of the robot in MQTT topics.
-        axes: RSI axis names, e.g. ``A1``.
+        axes: Names of the axes in the telegrams, e.g. ``A1``.
         lower, upper: Range [rad]; of `linear` axes [m], and so on.
         velocity, acceleration: [rad/s], [rad/s^2].
-        cycle: The controller's cycle, and what IPOC advances by in it [ms]: 4 (`#IPO_FAST`) or 12 (`#IPO`).
+        cycle: The controller's cycle [ms]; RSI has 4 (`#IPO_FAST`) and 12 (`#IPO`).
         decimals: Decimals of a degree, and of a mm for a linear axis, in the joint string.
         properties: Whether commands carry the MQTT 5 properties session, seq and stamp.
         start_tolerance: A stream may begin this close to the held pose [rad]: revolute axes.
@@ -48,7 +45,7 @@ class GatewayConfig:
         smoothing_cycles: Delay of the smoothing of played targets, in controller cycles; 0 for none.
         silence: The stream may be overdue this long before the gateway brakes and holds [s].
         max_age: A command may have travelled this much longer than the quickest one [s].
-        reference: ``ASPos`` or ``AIPos``: what the corrections are relative to.
+        reference: What the corrections are relative to, in the make's word: RSI has ``ASPos`` and ``AIPos``.
         speed_limit_deadline: A speed limit's source that is silent for longer counts as silent [s].
         speed_limit_silent: Fraction of the velocity limits that holds then, 0 to 1.
         speed_limit_grace: Time in which the sender may obey a lowered limit before the gateway enforces it [s].
@@ -59,8 +56,8 @@ class GatewayConfig:
         e1_offset: Controller's E1 where ours is 0 [rad], [m] when it is linear.
         e1_feedback_scale, e1_correction_scale: What the controller's unit of E1 is off by: wire value = scale * value in deg or mm.
         linear: Those of `axes` that are linear: m in place of rad, mm on the wire.
-        layout: The controller's telegrams, from its Ethernet XML; not given: `RsiLayout.plain`.
-        tool: The tool whose outputs the gateway switches; None: no tool, or one that the Ethernet XML has no channels for.
+        layout: The controller's telegrams, and whose they are; not given: those of RSI, without a file.
+        tool: The tool whose outputs the gateway switches; None: no tool, or one that the layout has no channels for.
     """
 
     robot: str
@@ -91,7 +88,7 @@ class GatewayConfig:
     e1_feedback_scale: float = 1.0
     e1_correction_scale: float = 1.0
     linear: tuple[str, ...] = ()
-    layout: RsiLayout = None  # type: ignore[assignment]  # `__post_init__` puts the plain layout of the axes in its place
+    layout: Layout = None  # type: ignore[assignment]  # `__post_init__` puts the plain layout of the axes in its place
     tool: GatewayTool | None = None
 
     def __post_init__(self):
@@ -106,15 +103,16 @@ class GatewayConfig:
             raise ConfigurationError("lower", self.lower, f"values below upper {self.upper}")
         if min(self.velocity) <= 0 or min(self.acceleration) <= 0:
             raise ConfigurationError("velocity, acceleration", (self.velocity, self.acceleration), "positive limits")
-        if type(self.cycle) is not int or self.cycle not in CYCLES_MS:
-            expected = f"{' or '.join(map(str, CYCLES_MS))} ms: RSI_ON with #IPO_FAST or #IPO"
+        if self.layout is None:
+            object.__setattr__(self, "layout", make_of(DEFAULT).plain(self.axes))
+        cycles = self.make.cycles
+        if type(self.cycle) is not int or self.cycle not in cycles:
+            expected = f"{' or '.join(map(str, cycles))} ms: {self.make.words.cycles}"
             raise ConfigurationError("cycle", self.cycle, expected)
         if type(self.decimals) is not int or not 1 <= self.decimals <= 6:
             raise ConfigurationError("decimals", self.decimals, "1 to 6")
         if not isinstance(self.properties, bool):
             raise ConfigurationError("properties", self.properties, "true or false")
-        if self.reference not in ("ASPos", "AIPos"):
-            raise ConfigurationError("reference", self.reference, "ASPos or AIPos")
         if type(self.smoothing_cycles) is not int or self.smoothing_cycles not in (0, *range(2, 11)):
             raise ConfigurationError("smoothing_cycles", self.smoothing_cycles, "0 (off) or 2 to 10")
         for name in (
@@ -154,10 +152,12 @@ class GatewayConfig:
                 raise ConfigurationError(name, value, "a positive number")
         if not set(self.linear) <= set(self.axes):
             raise ConfigurationError("linear", self.linear, f"some of the axes {', '.join(self.axes)}")
-        if self.layout is None:
-            object.__setattr__(self, "layout", RsiLayout.plain(self.axes))
-        check_gateway(self.layout, self.axes, "Ethernet XML")
-        check_tool(self.tool, self.layout, "Ethernet XML")
+        self.make.check(self)
+
+    @property
+    def make(self) -> Make:
+        """The make of the controller."""
+        return make_of(self.layout.make)
 
     @property
     def period(self) -> float:
@@ -171,7 +171,7 @@ class GatewayConfig:
 
     @property
     def units(self) -> tuple[AxisUnit, ...]:
-        """How each axis is written in RSI."""
+        """How each axis is written in telegrams."""
         e1 = (self.e1_sign, self.e1_offset, self.e1_feedback_scale, self.e1_correction_scale)
         return tuple(AxisUnit(axis in self.linear, *(e1 if axis == "E1" else ())) for axis in self.axes)
 
@@ -200,8 +200,9 @@ class GatewayConfig:
         document = asdict(self)
         if self.tool is None:
             del document["tool"]
-        if not self.layout.switched:
-            document["layout"] = {key: value for key, value in document["layout"].items() if key not in _OF_TOOLS}
+        document["layout"] = self.layout.document()
+        if self.layout.make != DEFAULT:
+            document["make"] = self.layout.make
         return document
 
 
@@ -219,12 +220,13 @@ def parse_config(text: str, where: str) -> GatewayConfig:
         document = json.loads(text)
         motion = _with_tuples(document["motion"])
         known = {field.name for field in fields(GatewayConfig)} - ({"tool"} - set(motion))
+        make = make_of(motion.pop("make", DEFAULT))
         if document["format"] != FORMAT:
             raise ConfigurationError(where, document["format"], f"format {FORMAT}; export it again")
         if set(motion) != known:
             difference = sorted(set(motion) ^ known)
             raise ConfigurationError(where, difference, "no missing or unknown keys; export it again")
-        layout = RsiLayout(**_with_tuples(motion["layout"]))
+        layout = make.read_layout(_with_tuples(motion["layout"]))
         tool = GatewayTool.of_document(motion["tool"]) if "tool" in motion else None
         config = GatewayConfig(**motion | {"layout": layout, "tool": tool})
     except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:

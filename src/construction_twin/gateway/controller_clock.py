@@ -1,10 +1,10 @@
-"""The controller's clock as its telegrams show it: the step of IPOC, the time between telegrams, and the one against the other.
+"""The controller's clock as its telegrams show it: the step of their stamps, the time between them, and the one against the other.
 
 Motion is played, limited and braked per cycle, so a controller with another cycle must be named before it is commanded: limits and
 watchdogs would mean something else. Only medians are judged: lost telegrams, stalls of either machine and jitter shift single steps
 and times by any amount, but not half of them. A clock that is off by less than that refuses nothing, but is named with its figure
-after half a minute, because it changes every speed by as much (docs/rsi.md, section 1). Standard library only; IPOC in ms, times of
-arrival in ns.
+after half a minute, because it changes every speed by as much (docs/rsi.md, section 1). Standard library only; stamps in ms, times
+of arrival in ns.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from __future__ import annotations
 from collections import deque
 from statistics import median
 
-from construction_twin.gateway.rsi_session import IPOC_NS
-from construction_twin.rsi.gateway_codec import ipoc_step
+from construction_twin.controller.port import Make
+from construction_twin.controller.telegram import STAMP_NS, stamp_step
 
-#: A session is measured for this long before it is first judged [ms of IPOC, at the expected cycle].
+#: A session is measured for this long before it is first judged [ms of it, at the expected cycle].
 FIRST = 400
 #: A clock that seems to run at another rate is judged only after so long [ms]: so does one on a machine that is just disturbed.
 PATIENT = 4000
@@ -23,7 +23,7 @@ PATIENT = 4000
 BASE = 200
 #: The rate may differ from 1 by this much: more than any clock's error, and ten times what the playout follows in motion.
 TOLERANCE = 0.05
-#: Beyond this the time between telegrams does not bear out what IPOC says of the cycle: then it is not called a cycle.
+#: Beyond this the time between telegrams does not bear out what stamps say of the cycle: then it is not called a cycle.
 FAR_OFF = 0.25
 #: So many steps in a row of RSI's other cycle, where it is the longer one, are no lost telegrams any more: with a third of all lost
 #: at random it takes decades until they look like this.
@@ -32,7 +32,7 @@ LOSSES = 10
 SHORTER = 3
 #: Telegrams that the figures of the status are taken from.
 SHOWN = 250
-#: A clock off by less than `TOLERANCE` is measured in pieces of this length [ms of IPOC], by the quickest telegram of each.
+#: A clock off by less than `TOLERANCE` is measured in pieces of this length [ms of it], by the quickest telegram of each.
 PIECE = 1000
 #: It is known after so many pieces, from the slopes between pieces that are `SPAN` apart. Two of three slopes must say the same: a
 #: route that changes, a queue that grows for a while, or a wall clock that is set, spoils a few of them.
@@ -42,26 +42,26 @@ PIECES, SPAN = 30, 3
 OFF, RIGHT = 0.001, 0.0008
 #: What the playout follows in motion, however long (docs/conventions.md, section Playout).
 FOLLOWED = 0.005
-#: Names of the cycles in KRL (docs/rsi.md, section 1).
-_MODES = {4: "#IPO_FAST", 12: "#IPO"}
 
 
 class ControllerClock:
-    """What one RSI session shows of its controller's clock.
+    """What one session shows of its controller's clock.
 
     Args:
+        make: Of the controller.
         cycle_ms: The cycle that is expected [ms].
     """
 
-    def __init__(self, cycle_ms: int):
+    def __init__(self, make: Make, cycle_ms: int):
         self._cycle = cycle_ms
+        self._modes, self._words = make.cycles, make.words
         self._first, self._patient, self._base = FIRST // cycle_ms, PATIENT // cycle_ms, BASE // cycle_ms
-        # IPOC as it would be without a wrap, and arrival
+        # the stamp as it would be without a wrap, and arrival
         self._heard: deque[tuple[int, int]] = deque(maxlen=self._patient)
-        # IPOC of the last of them as it was told
-        self._ipoc = 0
-        self._others = {mode: LOSSES if mode > cycle_ms else SHORTER for mode in _MODES if mode != cycle_ms}
-        # per piece: IPOC of its quickest telegram [ms], and that one's arrival minus IPOC [ns]
+        # the stamp of the last of them as it was told
+        self._stamp = 0
+        self._others = {mode: LOSSES if mode > cycle_ms else SHORTER for mode in self._modes if mode != cycle_ms}
+        # per piece: the stamp of its quickest telegram [ms], and that one's arrival minus that [ns]
         self._pieces: deque[tuple[int, int]] = deque(maxlen=PIECES)
         self.restart()
 
@@ -69,11 +69,11 @@ class ControllerClock:
         """Begin with another session."""
         self._heard.clear()
         self._to_judge = self._first
-        #: In one sentence, that the last telegrams have RSI's other cycle, whatever came before; "" until they do. Stays until
-        #: `judge` finds the expected one.
+        #: In one sentence, that the last telegrams have another cycle of the make, whatever came before; "" until they do. Stays
+        #: until `judge` finds the expected one.
         self.changed = ""
         # the last step that was another cycle, where it led, and how many of it came in a row
-        self._other = self._other_ipoc = self._in_a_row = 0
+        self._other = self._other_stamp = self._in_a_row = 0
         self._pieces.clear()
         # of the piece that is open: its end, and its quickest telegram so far
         self._piece_ends = 0
@@ -86,44 +86,44 @@ class ControllerClock:
         # whether it was judged to be another clock: then that is told, and enough
         self._refused = False
 
-    def note(self, ipoc: int, arrived: int) -> None:
+    def note(self, stamp: int, arrived: int) -> None:
         """Take a telegram, also one that is not answered.
 
         Args:
-            ipoc: [ms]
+            stamp: [ms]
             arrived: Time of arrival on any clock that runs in real time [ns].
         """
         heard = self._heard
         if heard:
-            step = ipoc_step(self._ipoc, ipoc, PATIENT)
+            step = stamp_step(self._stamp, stamp, PATIENT)
             if not 0 < step <= PATIENT:
                 if -PATIENT <= step <= 0:
                     # came twice, or behind a newer one
                     return
                 self.restart()
-                self._ipoc = ipoc
+                self._stamp = stamp
             else:
-                self._ipoc, ipoc = ipoc, heard[-1][0] + step
+                self._stamp, stamp = stamp, heard[-1][0] + step
                 if step != self._cycle and step in self._others:
-                    self._note_other(ipoc, step)
+                    self._note_other(stamp, step)
         else:
-            self._ipoc = ipoc
-        heard.append((ipoc, arrived))
+            self._stamp = stamp
+        heard.append((stamp, arrived))
         self._to_judge -= 1
-        lag = arrived - ipoc * IPOC_NS
-        if ipoc >= self._piece_ends:
+        lag = arrived - stamp * STAMP_NS
+        if stamp >= self._piece_ends:
             if self._piece_ends:
                 self._pieces.append(self._quickest)
                 self._piece_closed = True
-            self._piece_ends, self._quickest = ipoc + PIECE, (ipoc, lag)
+            self._piece_ends, self._quickest = stamp + PIECE, (stamp, lag)
         elif lag < self._quickest[1]:
-            self._quickest = (ipoc, lag)
+            self._quickest = (stamp, lag)
 
-    def _note_other(self, ipoc: int, step: int) -> None:
+    def _note_other(self, stamp: int, step: int) -> None:
         """Take a step of the other cycle; the session is measured anew from where the first row of them began."""
-        follows = step == self._other and ipoc - step == self._other_ipoc
+        follows = step == self._other and stamp - step == self._other_stamp
         self._in_a_row = self._in_a_row + 1 if follows else 1
-        self._other, self._other_ipoc = step, ipoc
+        self._other, self._other_stamp = step, stamp
         if self.changed or self._in_a_row != self._others[step]:
             return
         self.changed = self._sentence(step, 1.0)
@@ -164,7 +164,7 @@ class ControllerClock:
             return False
         self._piece_closed = False
         pieces = list(self._pieces)
-        slopes = sorted([(b[1] - a[1]) / ((b[0] - a[0]) * IPOC_NS) for a, b in zip(pieces, pieces[SPAN:])])
+        slopes = sorted([(b[1] - a[1]) / ((b[0] - a[0]) * STAMP_NS) for a, b in zip(pieces, pieces[SPAN:])])
         # arrivals that stand still, or run back, are no controller's: another refuses them
         self.off = 1.0 / max(1.0 + median(slopes), 0.01) - 1.0
         before, third = self.off_sentence, len(slopes) // 3
@@ -188,12 +188,12 @@ class ControllerClock:
         }
 
     def _figures(self, count: int) -> tuple[float, float]:
-        """Return the step of IPOC [ms] and the rate of the clock, from the last `count` telegrams."""
+        """Return the step of the stamps [ms] and the rate of the clock, from the last `count` telegrams."""
         heard = list(self._heard)[-count:]
         pace = median(
             [(later[1] - earlier[1]) / (later[0] - earlier[0]) for earlier, later in zip(heard, heard[self._base :])]
         )
-        return self._step(heard), IPOC_NS / pace if pace > 0.0 else 0.0
+        return self._step(heard), STAMP_NS / pace if pace > 0.0 else 0.0
 
     @staticmethod
     def _step(heard: list[tuple[int, int]]) -> float:
@@ -209,13 +209,13 @@ class ControllerClock:
         )
 
     def _sentence(self, step: float, rate: float) -> str:
-        cycle, mode = self._cycle, _MODES[self._cycle]
+        cycle, stamp = self._cycle, self._words.stamp
         if step != cycle and abs(rate - 1.0) <= FAR_OFF:
-            other = f"; or set the gateway's cycle to {step:g} (rsi_cycle:={step:g})" if step in _MODES else ""
-            found = f"the controller's cycle is {step:g} ms (IPOC steps of {step:g})"
-            return f"{found}; expected {cycle} ms: RSI_ON(..., {mode}){other}"
+            other = f"; or set the gateway's cycle to {step:g} (rsi_cycle:={step:g})" if step in self._modes else ""
+            found = f"the controller's cycle is {step:g} ms ({stamp} steps of {step:g})"
+            return f"{found}; expected {cycle} ms: {self._words.cycle.format(self._modes[cycle])}{other}"
         every = f", a telegram every {step / rate:.1f} ms" if rate else ""
         return (
-            f"the controller's clock runs {rate:.2f} times as fast as real time (IPOC steps of {step:g}{every}); expected IPOC to "
-            f"count milliseconds, {cycle} per telegram: what sends is no controller in real time"
+            f"the controller's clock runs {rate:.2f} times as fast as real time ({stamp} steps of {step:g}{every}); expected "
+            f"{stamp} to count milliseconds, {cycle} per telegram: what sends is no controller in real time"
         )

@@ -12,6 +12,8 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from construction_twin.controller.port import Said
+from construction_twin.controller.telegram import Telegram
 from construction_twin.core.beside import Beside
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
@@ -21,13 +23,13 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.controller_clock import ControllerClock
+from construction_twin.gateway.controller_session import ControllerSession
 from construction_twin.gateway.ownership import Ownership
 from construction_twin.gateway.part_steps import PartSteps
 from construction_twin.gateway.player import Player
 from construction_twin.gateway.refusals import Refusals
-from construction_twin.gateway.rsi_session import ControllerSession, distance_off
 from construction_twin.gateway.speed_limit import SpeedLimit
-from construction_twin.gateway.states import CAUSES, NOTES, ROWS, Action, Event, Guard, Mode, Occasion, Row, State
+from construction_twin.gateway.states import CAUSES, ROWS, Action, Event, Guard, Mode, Occasion, Row, State, note
 from construction_twin.gateway.status import StateReport, Status
 from construction_twin.gateway.stop_report import StopReport
 from construction_twin.gateway.tool_switches import ToolSwitches, stamp_of
@@ -42,8 +44,6 @@ from construction_twin.mqtt.messages import (
     other_protocol,
     protocol_of,
 )
-from construction_twin.rsi.gateway_codec import RobotTelegram
-from construction_twin.rsi.status_channels import ControllerStatus
 
 #: States in which nothing is commanded, and the held pose follows what a program of the controller does.
 HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
@@ -86,6 +86,11 @@ class Gateway:
         self.config = config
         self.run = run
         self.mode = Mode.of(config, commissioning)
+        self._words = config.make.words
+        self._note = note(self.mode, self._words)
+        self._absolute = config.make.absolute
+        # a reply carries the correction as it is
+        self._plain = self.mode is Mode.NORMAL and not self._absolute
         #: The last correction, as it would be without commissioning mode [rad], [m].
         self.correction: tuple[float, ...] = ()
         # the one that the controller had before it, and kept if the last one did not arrive
@@ -102,11 +107,11 @@ class Gateway:
         self.fault_number = 0
         #: What tells of a stop, and cannot fail it.
         self.beside = Beside()
-        #: Called with every answered telegram: IPOC, number of the RSI session, state, stamp of the target [ns] (0: none), position
-        #: [rad], which is origin plus correction, and whether the reply before this one did not arrive. None costs nothing.
+        #: Called with every answered telegram: its stamp, number of the session, state, stamp of the target [ns] (0: none),
+        #: position [rad], which is origin plus correction, whether the reply before this one did not arrive. None costs nothing.
         self.trace: Callable[[int, int, State, int, tuple[float, ...], bool], None] | None = None
         #: Is told of every telegram that is read, by what reads them.
-        self.clock = ControllerClock(config.cycle)
+        self.clock = ControllerClock(config.make, config.cycle)
         self._measures = measures
         self._began = ""
         # what was said of the controller's clock, without figures that waver
@@ -132,15 +137,15 @@ class Gateway:
         self._parts = PartSteps(config.cycle_ns)
         self._answered_stamp = 0
         self._ending = False
-        #: What the controller says of itself, where its Ethernet XML has the optional channels.
-        self._said = ControllerStatus()
+        #: What the controller says of itself, where its telegrams tell.
+        self._said: Said = config.make.nothing_said
         self._machine = Machine(
             ROWS,
             State.NO_CONTROLLER,
             "no telegram yet",
             {
-                Guard.ANSWERS: lambda occasion: "ONLYSEND" if self.mode is Mode.READ_ONLY else "",
-                Guard.READS_ONLY: lambda occasion: "" if self.mode is Mode.READ_ONLY else "no ONLYSEND",
+                Guard.ANSWERS: lambda occasion: "read-only" if self.mode is Mode.READ_ONLY else "",
+                Guard.READS_ONLY: lambda occasion: "" if self.mode is Mode.READ_ONLY else "answered",
                 Guard.HAS_ORIGIN: self._refusal_without_origin,
                 Guard.MAY_ARM: self._refusal_of_arm,
                 Guard.SAME_SESSION: self._refusal_of_second_session,
@@ -182,18 +187,18 @@ class Gateway:
         """Return whether a datagram from `source` may be read: no other sender may disturb a controller that is alive."""
         return self._controller.accepts(source, now)
 
-    def on_telegram(self, telegram: RobotTelegram, source: object, now: int) -> tuple[float, ...] | None:
-        """Take a telegram and return the corrections to answer it with.
+    def on_telegram(self, telegram: Telegram, source: object, now: int) -> tuple[float, ...] | None:
+        """Take a telegram and return the target to answer it with.
 
         Args:
             source: Where it came from; another source is another session.
             now: [ns]
 
         Returns:
-            Shape (n,). Target minus origin [rad]; None when this telegram must not be answered.
+            Shape (n,). Position, or position minus origin, as the make takes it [rad]; None when it must not be answered.
         """
         controller = self._controller
-        if controller.is_repeated(telegram.ipoc, source):
+        if controller.is_repeated(telegram.stamp, source):
             self.counters["telegrams_repeated"] += 1
             return None
         sent = self.correction if self.mode is Mode.NORMAL else ()
@@ -206,7 +211,11 @@ class Gateway:
         state = machine.state
         if self.tool is not None:
             missed = elapsed > self._cycle or controller.counts_missed(telegram)
-            unanswered = f"this RSI session is not answered: {machine.reason}" if state is State.JOINED else ""
+            unanswered = (
+                f"this {self._words.protocol} session is not answered: {machine.reason}"
+                if state is State.JOINED
+                else ""
+            )
             self.tool.hear(unanswered, missed)
         if state is State.JOINED or state is State.READ_ONLY or state is State.FAILED:
             self.counters["telegrams_unanswered"] += 1
@@ -220,7 +229,8 @@ class Gateway:
         drifted = controller.note(telegram)
         follower = player.follower
         if follower is None:
-            refused = machine.state is State.JOINED
+            # without an origin the only target that is known is the correction of none
+            refused = machine.state is State.JOINED or self._absolute
             self.counters["telegrams_unanswered" if refused else "telegrams"] += 1
             return None if refused else (0.0,) * len(self.config.axes)
         if drifted and telegram.setpoint is not None:
@@ -242,23 +252,31 @@ class Gateway:
         if self.tool is not None and machine.state is State.FOLLOWING and player.braking is None:
             self.tool.play(player.stamp)
         if self.trace is not None:
-            self.trace(telegram.ipoc, self.counters["rsi_sessions"], machine.state, player.stamp, position, lost)
+            self.trace(telegram.stamp, self.counters["rsi_sessions"], machine.state, player.stamp, position, lost)
         self.correction = tuple([value - start for value, start in zip(position, controller.origin)])
-        return self.correction if self.mode is Mode.NORMAL else (0.0,) * len(position)
+        return self.correction if self._plain else self._target(self.correction)
 
-    def note_status(self, status: ControllerStatus, unreadable: int) -> None:
+    def _target(self, correction: tuple[float, ...]) -> tuple[float, ...]:
+        """Return what a reply carries for a correction, which is zero in commissioning mode."""
+        if self.mode is not Mode.NORMAL:
+            correction = (0.0,) * len(correction)
+        if not self._absolute:
+            return correction
+        return tuple([start + value for start, value in zip(self._controller.origin, correction)])
+
+    def note_status(self, said: Said, unreadable: int) -> None:
         """Take what a telegram says on its optional channels, and how many of these cannot be read; it changes no answer."""
-        self._said = status
+        self._said = said
         if unreadable:
             self.counters["status_channels_unreadable"] += unreadable
 
     @property
     def kept(self) -> tuple[float, ...]:
-        """The correction that the controller has until the last answer arrives, as it was sent [rad], [m]; () before the first."""
-        return self._kept if self.mode is Mode.NORMAL else (0.0,) * len(self._kept)
+        """The target that the controller has until the last answer arrives, as it was sent [rad], [m]; () before the first."""
+        return self._kept if self._plain else self._target(self._kept)
 
-    def observe(self, telegram: RobotTelegram, correction: tuple[float, ...], lost: bool) -> None:
-        """Take note of a telegram that the last resort answered with `correction` [rad]: the arm's pose is still reported.
+    def observe(self, telegram: Telegram, target: tuple[float, ...], lost: bool) -> None:
+        """Take note of a telegram that the last resort answered with `target` [rad]: the arm's pose is still reported.
 
         `lost` says whether the reply before it did not arrive.
         """
@@ -266,8 +284,10 @@ class Gateway:
             self._controller.measured = telegram.measured
         self._answered_stamp = 0
         if self.trace is not None:
-            position = tuple([start + value for start, value in zip(self._controller.origin, correction)])
-            self.trace(telegram.ipoc, self.counters["rsi_sessions"], self.state, 0, position, lost)
+            position = target
+            if not self._absolute:
+                position = tuple([start + value for start, value in zip(self._controller.origin, target)])
+            self.trace(telegram.stamp, self.counters["rsi_sessions"], self.state, 0, position, lost)
 
     def poll(self, now: int) -> None:
         """Notice silence, of the controller or of a speed limit's source, and what its clock shows; call it at least every 0.1 s.
@@ -357,10 +377,12 @@ class Gateway:
         """
         return self._states.message(self._controller.measured, self._answered_stamp, stamp)
 
-    def _begin_session(self, telegram: RobotTelegram) -> None:
-        controller = self._controller
+    def _begin_session(self, telegram: Telegram) -> None:
+        controller, words = self._controller, self._words
         controller.begin(telegram)
-        self._began = f"RSI session began at IPOC {telegram.ipoc}: {controller.began}{NOTES[self.mode]}"
+        self._began = (
+            f"{words.protocol} session began at {words.stamp} {telegram.stamp}: {controller.began}{self._note}"
+        )
         self._machine.on(Event.SESSION_BEGAN, Occasion(self._began))
         if self._machine.state is State.MEASURING:
             if self._measures:
@@ -383,13 +405,13 @@ class Gateway:
     def _on_session_ended(self, row: Row, occasion: Occasion) -> None:
         self._controller.end()
         self.clock.restart()
-        self._said = ControllerStatus()
+        self._said = self.config.make.nothing_said
         self._player.remove()
         if self.tool is not None:
             self.tool.end_session(occasion.reason)
         self._disarm(occasion.reason)
 
-    def _find_origin(self, telegram: RobotTelegram) -> None:
+    def _find_origin(self, telegram: Telegram) -> None:
         refusal = self._controller.find_origin(telegram)
         if refusal:
             self._machine.on(Event.ORIGIN_REFUSED, Occasion(refusal))
@@ -608,9 +630,9 @@ class Gateway:
                 return Answer(False, refusal)
             return Answer(True, "already armed for this session")
         refusal = another or self._refusal_of_session(control.session)
-        why = f"armed for session {control.session}{NOTES[self.mode]}"
+        why = f"armed for session {control.session}{self._note}"
         refusal = refusal or self._machine.on(Event.ARM, Occasion(why, session=control.session))
-        return Answer(False, refusal) if refusal else Answer(True, f"armed{NOTES[self.mode]}")
+        return Answer(False, refusal) if refusal else Answer(True, f"armed{self._note}")
 
     def _refusal_of_value(self, value: object) -> str:
         """Return in one sentence why the value of an `arm` does not mean this configuration and run; "" when it does."""
@@ -638,7 +660,7 @@ class Gateway:
         if self._changed_cycle:
             return self._changed_cycle
         measured, follower = self._controller.measured, self._player.follower
-        distance = measured and follower and distance_off(measured, follower.position, self.config, DISPLACED)
+        distance = measured and follower and self._controller.distance_off(measured, follower.position, DISPLACED)
         if distance:
             return (
                 f"{distance} off the pose that the gateway holds: the controller moved the arm, or it is still moving; "
@@ -711,14 +733,14 @@ class Gateway:
 
     def _end(self, control: Control) -> Answer:
         if not self.config.layout.stop:
-            return Answer(False, "the Ethernet XML declares no Stop element: end the program on the pendant")
+            return Answer(False, self._words.no_stop)
         if self._player.follower is None or self.state is State.FAILED:
             return Answer(False, f"gateway is {self.state.value}: {self.reason}")
         self.end(f"end asked for {f'by {control.session}' if control.session else 'without a session'}")
-        return Answer(True, "RSI_MOVECORR ends as soon as the arm is at rest")
+        return Answer(True, self._words.ends)
 
     def end(self, reason: str, program: bool = False) -> None:
-        """Brake as in `stop`, and once at rest end RSI_MOVECORR where the Ethernet XML declares `Stop`.
+        """Brake as in `stop`, and once at rest end the controller's program where a reply can.
 
         Args:
             program: Whether this program ends, and asks for it itself: that is no stop of anybody's, and gets no number.
@@ -728,11 +750,11 @@ class Gateway:
 
     @property
     def ends(self) -> bool:
-        """True when replies must carry Stop 1: the end was asked for, and the arm is at rest."""
+        """True when replies must end the controller's program: the end was asked for, and the arm is at rest."""
         return self._ending and self.state in (State.HOLDING, State.MEASURING, State.OTHER_CYCLE)
 
     def _reset(self, control: Control) -> Answer:
-        occasion = Occasion(f"reset{NOTES[self.mode]}", session=control.session, value=control.value)
+        occasion = Occasion(f"reset{self._note}", session=control.session, value=control.value)
         refusal = self._machine.on(Event.RESET, occasion)
         return Answer(False, refusal) if refusal else Answer(True, "reset")
 

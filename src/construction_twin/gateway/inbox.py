@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from construction_twin.controller.telegram import Telegram, stamp_step
 from construction_twin.core.errors import TelegramError
 from construction_twin.gateway.gateway import Gateway
-from construction_twin.rsi.gateway_codec import RobotDecoder, RobotTelegram, ipoc_step
-from construction_twin.rsi.status_channels import StatusReader, status_channels
-from construction_twin.rsi.tool_channels import ToolReader
 
 #: Datagrams read before anything else gets its turn: a flood must not stop the loop.
 DRAIN_LIMIT = 64
@@ -24,7 +22,7 @@ class Arrival:
         arrived: Time of arrival [ns].
     """
 
-    telegram: RobotTelegram
+    telegram: Telegram
     source: tuple
     arrived: int
 
@@ -51,11 +49,8 @@ class TelegramInbox:
         self._receive = receive
         self._clock = clock
         self._controller = controller
-        self._decoder = RobotDecoder(gateway.config.axes, gateway.config.units)
-        channels = status_channels(gateway.config.layout.send)
-        self._status = StatusReader(channels) if channels else None
-        tool = gateway.config.tool
-        self._tool = ToolReader([output.name for output in tool.outputs], tool.inputs) if tool else None
+        reader = gateway.config.make.reader(gateway.config)
+        self._parse, self._said, self._tool = reader.parse, reader.said, reader.tool
         self._timeout_ms = round(gateway.config.timeout * 1000)
 
     def newest(self) -> Arrival | None:
@@ -78,21 +73,21 @@ class TelegramInbox:
             telegram = self._read(data, source)
             if telegram is None:
                 continue
-            self._gateway.clock.note(telegram.ipoc, arrived)
-            if self._status is not None:
-                self._gateway.note_status(*self._status.read(data))
+            self._gateway.clock.note(telegram.stamp, arrived)
+            if self._said is not None:
+                self._gateway.note_status(*self._said(data))
             if newest is not None:
-                behind = ipoc_step(telegram.ipoc, newest.telegram.ipoc, self._timeout_ms)
+                behind = stamp_step(telegram.stamp, newest.telegram.stamp, self._timeout_ms)
                 if source == newest.source and 0 <= behind <= self._timeout_ms:
                     counters["telegrams_repeated"] += 1
                     continue
                 counters["telegrams_skipped"] += 1
             newest = Arrival(telegram, source, arrived)
             if self._tool is not None and self._gateway.tool is not None:
-                self._gateway.tool.note(self._tool.read(data))
+                self._gateway.tool.note(self._tool(data))
         return newest
 
-    def _read(self, data: bytes, source: tuple) -> RobotTelegram | None:
+    def _read(self, data: bytes, source: tuple) -> Telegram | None:
         refusals = self._gateway.refusals
         if self._controller is not None and source[0] != self._controller:
             why = f"datagrams from {source[0]} are not read, because --controller is {self._controller}"
@@ -104,7 +99,7 @@ class TelegramInbox:
             )
             return None
         try:
-            telegram = self._decoder.parse(data)
+            telegram = self._parse(data)
         except TelegramError as error:
             refusals.telegram(error.reason, error)
             return None

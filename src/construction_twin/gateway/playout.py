@@ -1,6 +1,6 @@
 """Playout: from stamped commands with jitter to one target per controller cycle.
 
-Playout time runs on the command sender's clock and advances with IPOC, never with packet arrival (docs/architecture.md, law 1).
+Playout time runs on the command sender's clock and advances with stamps, never with packet arrival (docs/architecture.md, law 1).
 It stays a delay behind the newest command. The delay is what the link's jitter asks for, within bounds, and is changed by whole
 cycles of 4 ms: a stream on that grid is then played exactly on its stamps, except while the delay is being changed. So it is by a
 controller whose cycle is 12 ms, which plays every third of them.
@@ -194,7 +194,7 @@ class Playout:
         Before the first command's stamp the target is the first command, past the newest it is the newest.
 
         Args:
-            elapsed: Controller time since the last call, from IPOC [ns].
+            elapsed: Controller time since the last call, from its stamps [ns].
 
         Returns:
             stamp: Stamp of the target on the sender's clock [ns], between the oldest and the newest command held.

@@ -18,14 +18,15 @@ from typing import TypeVar
 
 from paho.mqtt import client as paho
 
+from construction_twin.controller.port import Encoder
 from construction_twin.core.errors import (
     PayloadError,
 )
 from construction_twin.core.histogram import Histogram
+from construction_twin.core.udp import receive
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
-from construction_twin.gateway.last_resort import LastResort
 from construction_twin.gateway.log import LineLimiter
 from construction_twin.gateway.states import State
 from construction_twin.gateway.status import StatusClock
@@ -48,15 +49,13 @@ from construction_twin.mqtt.messages import (
     read_command_properties,
 )
 from construction_twin.mqtt.polled_client import PolledClient
-from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
-from construction_twin.rsi.udp import receive
 
 log = logging.getLogger("rsi_gateway")
 
 _STATUS_PERIOD = 1.0
 #: The slowest axis comes to rest from full speed in less than 1 s; a controller that went silent is not waited for [s].
 _LONGEST_BRAKING = 3.0
-#: `Stop` is sent for this long: a few telegrams, in case one of them is lost [s].
+#: The end of the program is sent for this long: a few telegrams, in case one of them is lost [s].
 _LAST_STOP = 0.1
 #: What is quoted of an exception in `status` [characters].
 _LONGEST_FAILURE = 300
@@ -93,10 +92,10 @@ class GatewayService:
         self._sock = sock
         self._inbox = TelegramInbox(self.gateway, self._receive, time.monotonic_ns, controller)
         self._topics = topics
-        encoder = None if config.layout.onlysend else SensorEncoder.of(config.layout, config.axes, config.units)
-        self._encoder = encoder
-        self._last_resort = LastResort(config.limits, encoder, config.cycle)
-        self._decoder = RobotDecoder(config.axes, config.units)
+        make = config.make
+        self._encoder = make.encoder(config) if config.layout.answered else None
+        self._last_resort = make.last_resort(config)
+        self._parse = make.reader(config).parse
         # the datagram read last, and its source
         self._datagram: tuple[bytes, tuple] | None = None
         self._thread_failure: BaseException | None = None
@@ -127,7 +126,7 @@ class GatewayService:
     def run(self) -> None:
         """Serve until `stop` is called; then bring the arm to rest before answering ends, because HOLDON would stop it dead.
 
-        Where the Ethernet XML declares `Stop`, RSI_MOVECORR is ended too: a controller left alone would report a timeout.
+        Where a reply can, the controller's program is ended too: a controller left alone would report a timeout.
         """
         try:
             while self._running:
@@ -215,9 +214,9 @@ class GatewayService:
         self._datagram = None
         for _ in range(DRAIN_LIMIT):
             if waiting is not None:
-                ipoc = resort.ipoc_of(*waiting)
-                if ipoc is not None and (newest is None or resort.is_newer(ipoc, newest[0])):
-                    newest = ipoc, *waiting
+                stamp = resort.stamp_of(*waiting)
+                if stamp is not None and (newest is None or resort.is_newer(stamp, newest[0])):
+                    newest = stamp, *waiting
             try:
                 data, _, source = receive(self._sock)
             except OSError:
@@ -226,12 +225,12 @@ class GatewayService:
             waiting = data, source
         if newest is None:
             return
-        ipoc, data, source = newest
-        lost = resort.note_delay(ipoc, data)
-        reply = resort.answer(ipoc)
+        stamp, data, source = newest
+        lost = resort.note_missed(stamp, data)
+        reply = resort.answer(stamp)
         if reply is not None:
             self._answer(reply, source)
-        self.gateway.observe(self._decoder.parse(data), resort.correction, lost)
+        self.gateway.observe(self._parse(data), resort.target, lost)
         self._publish_state()
 
     # -- the loop
@@ -322,17 +321,17 @@ class GatewayService:
         if newest is None:
             return False
         telegram, source = newest.telegram, newest.source
-        correction = self.gateway.on_telegram(telegram, source, time.monotonic_ns())
-        if correction is not None and self._encoder is not None:
+        target = self.gateway.on_telegram(telegram, source, time.monotonic_ns())
+        if target is not None and self._encoder is not None:
             stop = True if self.gateway.ends else None
             switched = self._switched(self._encoder) if self.gateway.tool is not None else ()
-            self._answer(self._encoder.encode(correction, telegram.ipoc, stop, switched), source)
-            self._last_resort.sent(telegram.ipoc, source, correction, self.gateway.kept, telegram.delay)
+            self._answer(self._encoder.encode(target, telegram.stamp, stop, switched), source)
+            self._last_resort.sent(telegram.stamp, source, target, self.gateway.kept, telegram.missed)
             self.reply_time.add((time.time_ns() - newest.arrived) / 1e3)
         self._publish_state()
         return True
 
-    def _switched(self, encoder: SensorEncoder) -> tuple[bool, ...]:
+    def _switched(self, encoder: Encoder) -> tuple[bool, ...]:
         """Return what a reply tells the tool's outputs; the last resort goes on with it."""
         assert self.gateway.tool is not None
         holding = self.gateway.tool.channels()

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from construction_twin.controller.port import Words
 from construction_twin.core import state_table
 from construction_twin.gateway.config import GatewayConfig
 
@@ -18,29 +19,30 @@ class Mode(Enum):
 
     NORMAL = "normal"  # they are sent
     COMMISSIONING = "commissioning"  # they are computed, reported, and zero on the wire
-    READ_ONLY = "read_only"  # ONLYSEND: the controller expects no answer, and gets none
+    READ_ONLY = "read_only"  # the controller expects no answer, and gets none
 
     @classmethod
     def of(cls, config: GatewayConfig, commissioning: bool) -> Mode:
-        """Return the mode: what the Ethernet XML says comes first, because a controller with ONLYSEND takes nothing."""
-        if config.layout.onlysend:
+        """Return the mode: what the layout says comes first, because a controller that expects no answers takes nothing."""
+        if not config.layout.answered:
             return cls.READ_ONLY
         return cls.COMMISSIONING if commissioning else cls.NORMAL
 
 
-#: What is added to a reason, so that an arm at rest is not taken for a fault.
-NOTES = {
-    Mode.NORMAL: "",
-    Mode.COMMISSIONING: "; commissioning: every correction is sent as zero, the arm does not move",
-    Mode.READ_ONLY: "; read-only: the Ethernet XML has ONLYSEND TRUE, so nothing is answered and no motion can be commanded",
-}
+def note(mode: Mode, words: Words) -> str:
+    """Return what is added to a reason, so that an arm at rest is not taken for a fault."""
+    if mode is Mode.NORMAL:
+        return ""
+    if mode is Mode.COMMISSIONING:
+        return "; commissioning: every correction is sent as zero, the arm does not move"
+    return f"; {words.read_only}, so nothing is answered and no motion can be commanded"
 
 
 class State(Enum):
     """States of the gateway; the words are those of `status`, the order is that of a trace's numbers."""
 
     NO_CONTROLLER = "no_controller"  # no telegram for the timeout: nothing to answer
-    READ_ONLY = "read_only"  # ONLYSEND: poses are reported, nothing is answered or commanded
+    READ_ONLY = "read_only"  # no answer is expected: poses are reported, nothing is answered or commanded
     JOINED = "joined_running"  # telegrams whose correction we cannot know: not answered, so that the session times out
     READY = "ready"  # origin captured, holding; waits for `arm`
     ARMED = "armed"  # holding; the session's stream may begin
@@ -61,7 +63,7 @@ class Event(Enum):
     ORIGIN_REFUSED = "telegrams do not tell the origin"
     CONTROLLER_SILENT = "no telegram for the timeout"
     AT_REST = "braking has ended"
-    DRIFTED = "ASPos left the origin by more than the start tolerance"
+    DRIFTED = "the programmed position left the origin by more than the start tolerance"
     STREAM_BEGAN = "the first command of a stream"
     STREAM_SILENT = "the stream is overdue, or too much of it is missing"
     COMMAND_REFUSED = "a command breaks a limit"
@@ -78,7 +80,7 @@ class Guard(Enum):
 
     NONE = ""
     ANSWERS = "the controller expects answers"
-    READS_ONLY = "ONLYSEND"
+    READS_ONLY = "the controller expects no answers"
     HAS_ORIGIN = "the origin is known"
     MAY_ARM = (
         "the origin is known; no fault; the arm is where it is held; the session has not had its turn; "

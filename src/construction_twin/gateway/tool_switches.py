@@ -16,11 +16,10 @@ from collections import Counter, deque
 from collections.abc import Callable
 from enum import Enum
 
+from construction_twin.controller.port import Layout
+from construction_twin.controller.tool import ENABLE, GatewayTool, ToolReading
 from construction_twin.core import state_table
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.gateway.tool_config import GatewayTool
-from construction_twin.rsi.layout import RsiLayout
-from construction_twin.rsi.tool_channels import ENABLE, ToolReading
 
 #: A switch further ahead of the playout than this is refused [s]: it would be one for a motion that nobody sees yet.
 MOST_AHEAD = 2.0
@@ -120,7 +119,7 @@ class ToolSwitches:
         counters: The gateway's.
     """
 
-    def __init__(self, tool: GatewayTool, layout: RsiLayout, cycle_ns: int, counters: Counter[str]):
+    def __init__(self, tool: GatewayTool, layout: Layout, cycle_ns: int, counters: Counter[str]):
         self.tool = tool
         self._names = tuple(output.name for output in tool.outputs)
         self._off = frozenset(output.name for output in tool.outputs if output.on_stop == "off")
@@ -271,7 +270,7 @@ class ToolSwitches:
         self._replies.clear()
 
     def channels(self, ending: bool = False) -> tuple[bool, ...]:
-        """Return what a reply carries, one value per name of `RsiLayout.switched`.
+        """Return what a reply carries, one value per name of `Layout.switched`.
 
         Args:
             ending: The reply carries Stop 1: outputs that are `off` without RSI are switched off with it.

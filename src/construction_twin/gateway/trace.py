@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+from construction_twin.controller.telegram import stamp_step
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.gateway.states import State
-from construction_twin.rsi.gateway_codec import ipoc_step
 
 #: Begins every trace; the number is the format's.
 MAGIC = b"rsitrace1\n"
@@ -95,7 +95,7 @@ class TraceEntry:
 
     def time_since(self, earlier: TraceEntry) -> int:
         """Return the controller's time since an earlier entry of the same session [ms]."""
-        return ipoc_step(earlier.ipoc, self.ipoc, _LONGEST_STEP)
+        return stamp_step(earlier.ipoc, self.ipoc, _LONGEST_STEP)
 
 
 class TraceWriter:

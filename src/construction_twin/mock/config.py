@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
+from construction_twin.controller.axis_unit import AxisUnit
+from construction_twin.controller.makes import DEFAULT, make_of
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mock.gripper import Gripper
-from construction_twin.rsi.ethernet_xml import check_axes
-from construction_twin.rsi.layout import AxisUnit, RsiLayout
 
-#: The cycles that RSI has on a KR C4 [ms] (docs/rsi.md, section 1).
-CYCLES = (4, 12)
 _BOUNDS = ("correction_lower", "correction_upper", "correction_monitor")
 
 
@@ -24,7 +23,7 @@ class MockConfig:
         start_pose: Pose in which the first session starts [rad], inside the soft limits.
         lower, upper: Soft limits [rad].
         velocity, acceleration: Limits that the supervision is a multiple of [rad/s], [rad/s^2].
-        layout: The Ethernet configuration; a reply that does not fit it does not count. Default: `RsiLayout.plain`.
+        layout: The Ethernet configuration; a reply that does not fit it does not count. Default: that of RSI without a file.
         units: How each axis is written in the telegrams; default: deg, and no axis linear.
         cycle: Length of a controller cycle, and what IPOC advances by in it [ms]: 4 (`#IPO_FAST`) or 12 (`#IPO`, KR C2).
         precision: Decimals of sent values, 1 to 32. Real controllers default to 1 and run with 4; 6 keeps an evaluation exact.
@@ -50,7 +49,7 @@ class MockConfig:
     upper: tuple[float, ...]
     velocity: tuple[float, ...]
     acceleration: tuple[float, ...]
-    layout: RsiLayout | None = None
+    layout: Any = None
     units: tuple[AxisUnit, ...] = ()
     cycle: int = 4
     precision: int = 6
@@ -69,15 +68,16 @@ class MockConfig:
 
     def __post_init__(self) -> None:
         if self.layout is None:
-            object.__setattr__(self, "layout", RsiLayout.plain(self.axes))
-        check_axes(self.rsi_layout, self.axes, "Ethernet XML")
+            object.__setattr__(self, "layout", make_of(DEFAULT).plain(self.axes))
+        make = make_of(self.layout.make)
+        make.check_axes(self.layout, self.axes)
         count = len(self.axes)
         for name in ("start_pose", "lower", "upper", "velocity", "acceleration", *_BOUNDS):
             values = getattr(self, name)
             if values is not None and (len(values) != count or not all(map(math.isfinite, values))):
                 raise ConfigurationError(name, values, f"{count} finite numbers, one per axis")
-        if self.cycle not in CYCLES:
-            raise ConfigurationError("cycle", self.cycle, f"{' or '.join(map(str, CYCLES))} ms")
+        if self.cycle not in make.cycles:
+            raise ConfigurationError("cycle", self.cycle, f"{' or '.join(map(str, make.cycles))} ms")
         for name, allowed in (("timeout", self.timeout >= 1), ("first_ipoc", self.first_ipoc >= 0)):
             if not allowed:
                 raise ConfigurationError(name, getattr(self, name), "a larger number")
@@ -89,9 +89,3 @@ class MockConfig:
     def period(self) -> float:
         """Length of a cycle [s]."""
         return self.cycle / 1000
-
-    @property
-    def rsi_layout(self) -> RsiLayout:
-        """`layout`, or its default."""
-        assert self.layout is not None  # set by __post_init__
-        return self.layout

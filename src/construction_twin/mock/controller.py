@@ -22,7 +22,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
 
+from construction_twin.controller.makes import make_of
+from construction_twin.controller.telegram import STAMP_WRAP, Reply, stamp_step
 from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.mock.config import MockConfig
@@ -31,18 +35,13 @@ from construction_twin.mock.gripper import SimulatedTool
 from construction_twin.mock.own_motion import EmergencyBrake, Program, ToolSpeedLimit
 from construction_twin.mock.refusals import ReplyRefusals
 from construction_twin.mock.servo import Servo
-from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder, SensorTelegram
-from construction_twin.rsi.layout import STOP
-from construction_twin.rsi.status_channels import ControllerStatus, status_channels
-from construction_twin.rsi.telegram import IPOC_WRAP, axis_units, ipoc_step
-from construction_twin.rsi.tool_channels import OUT, is_signal
 
 #: The servo is given this long to arrive at the end of a program, and refused replies are over after this long without one [s].
 _SETTLING, _RECOVERY = 1.0, 1.0
 #: On the optional channels, see `status_channels`.
 _T1, _AUT, _ACTIVE = 1, 3, 3
 #: A reply is told to be late when its packet left no longer ago than this [ms].
-_LONGEST_STEP = IPOC_WRAP // 2 - 1
+_LONGEST_STEP = STAMP_WRAP // 2 - 1
 #: Slack of the soft limits [rad]: start + (limit - start) need not round to the limit.
 _RANGE_SLACK = 1e-9
 
@@ -102,14 +101,13 @@ class MockController:
 
     def __init__(self, config: MockConfig, servo: Servo, forward_kinematics: ForwardKinematics):
         self.pressed = self.needs_person = self.deaf = False
-        self.told = ControllerStatus()
         self.ramp: EmergencyBrake | None = None
         self.program: Program | None = None
         self._tool_limit: ToolSpeedLimit | None = None
         self._tool_speed = 0.0
         self._settling = 0
         self._open = False
-        self._reply: SensorTelegram | None = None
+        self._reply: Reply | None = None
         self._start_tool: tuple[float, ...] = ()
         self.config = config
         self.servo = servo
@@ -118,25 +116,19 @@ class MockController:
         self.refusals = ReplyRefusals(round(_RECOVERY / config.period))
         self.reported: tuple[float, ...] = config.start_pose
         self._forward_kinematics = forward_kinematics
-        layout = config.rsi_layout
-        self._tells_status = bool(status_channels(layout.send))
-        self._encoder = RobotEncoder(config.axes, config.precision, layout.send, config.units)
+        layout = config.layout
+        make = make_of(layout.make)
+        self.told: Any = make.nothing_said
+        self._absolute, self._stamp_word = make.absolute, make.words.stamp
+        side = make.controller_side(config)
+        self._encode, self._decode = side.encode, side.decode
         self.tool: SimulatedTool | None = None
-        if layout.switched or any(map(is_signal, layout.send)):
+        if layout.switched or layout.outputs or layout.inputs:
             self.tool = SimulatedTool(layout, config.gripper, config.period, config.tool_gated)
-            unseen = tuple(tag for tag in layout.send if not tag.startswith(f"{OUT}."))
-            self._encoder_without_outputs = RobotEncoder(config.axes, config.precision, unseen, config.units)
-        self._decoder: SensorDecoder | None = None
-        if not layout.onlysend:
-            self._decoder = SensorDecoder(
-                layout.sentype, config.axes, layout.receive, config.units, config.stop_required, layout.switched
-            )
-        holdon = dict(zip(layout.receive, layout.holdon))
-        axis_of = {channel: channel.partition(".")[2] for channel in holdon}
         #: Per axis, whether a missed reply keeps its correction.
-        self._holdon = tuple(any(holdon[c] for c in holdon if axis_of[c] == axis) for axis in config.axes)
-        self._stop_declared, self._stop_holdon = layout.stop, holdon.get(STOP, False)
-        linear = [unit.linear for unit in axis_units(config.axes, config.units)]
+        self._holdon = side.holds
+        self._stop_declared, self._stop_holdon = layout.stop, side.holds_stop
+        self._linear = linear = [unit.linear for unit in config.units] or [False] * len(config.axes)
         self._people_units = [(1e3, "mm") if slides else (math.degrees(1.0), "deg") for slides in linear]
         self._max_step = _per_cycle(config.velocity, config.velocity_factor * config.period)
         self._max_step_change = _per_cycle(config.acceleration, config.acceleration_factor * config.period**2)
@@ -156,13 +148,14 @@ class MockController:
         return tuple([angle - slip for angle, slip in zip(self.measured, self.encoders.slip)])
 
     @property
-    def status(self) -> ControllerStatus:
+    def status(self) -> Any:
         """What the optional channels say: T1 while the tool's speed is limited, else AUT; a program that runs; full override."""
         told = self.told
-        return ControllerStatus(
-            told.mode or (_T1 if self._tool_speed else _AUT),
-            told.program or _ACTIVE,
-            100.0 if told.override is None else told.override,
+        return replace(
+            told,
+            mode=told.mode or (_T1 if self._tool_speed else _AUT),
+            program=told.program or _ACTIVE,
+            override=100.0 if told.override is None else told.override,
         )
 
     def restart(self, pose: Sequence[float] | None = None) -> None:
@@ -205,11 +198,15 @@ class MockController:
         self._reply = None
         self.counters["packets"] += 1
         pose = _flat(self._forward_kinematics(self.reported))
-        values = self.ipoc, self.reported, self.start_pose, pose, self._start_tool, self.delay
-        if self.tool is not None:
-            encoder = self._encoder_without_outputs if self.tool.hidden else self._encoder
-            return encoder.encode(*values, self.status, self.tool.signals)
-        return self._encoder.encode(*values, self.status) if self._tells_status else self._encoder.encode(*values)
+        values = self.ipoc, self.reported, self._followed, pose, self._start_tool, self.delay, self.status
+        if self.tool is None:
+            return self._encode(*values, {}, {})
+        return self._encode(*values, None if self.tool.hidden else self.tool.outputs, self.tool.inputs)
+
+    @property
+    def _followed(self) -> tuple[float, ...]:
+        """What a telegram says that the axes follow [rad], shape (n,)."""
+        return self.setpoint if self._absolute else self.start_pose
 
     def receive(self, data: bytes, in_time: bool = True) -> bool:
         """Take one datagram that is read during the open cycle.
@@ -220,24 +217,26 @@ class MockController:
         Returns:
             True when it is the reply of this cycle; everything else is counted by its kind and has no effect.
         """
-        if not self.running or self._decoder is None:
+        if not self.running or self._decode is None:
             return self._count("unexpected")
         if self.deaf:
             return self._count("ignored")
         try:
-            telegram = self._decoder.parse(data)
+            telegram = self._decode(data)
         except TelegramError as error:
             return self._refuse("wrong_sentype" if error.reason == "sentype" else "malformed", error.reason, str(error))
-        if telegram.ipoc != self.ipoc or not self._open:
-            behind, beside = divmod(ipoc_step(telegram.ipoc, self.ipoc, _LONGEST_STEP), self.config.cycle)
-            if behind > 0 and not beside and ipoc_step(self._first_ipoc, telegram.ipoc, _LONGEST_STEP) >= 0:
-                late = f"the reply to IPOC {telegram.ipoc} came {behind} cycle{'s' if behind > 1 else ''} late"
+        if telegram.stamp != self.ipoc or not self._open:
+            behind, beside = divmod(stamp_step(telegram.stamp, self.ipoc, _LONGEST_STEP), self.config.cycle)
+            if behind > 0 and not beside and stamp_step(self._first_ipoc, telegram.stamp, _LONGEST_STEP) >= 0:
+                late = f"the reply to {self._stamp_word} {telegram.stamp} came {behind} cycle{'s' if behind > 1 else ''} late"
                 return self._refuse("late_replies", "late", late)
-            expected = f"the reply carries IPOC {telegram.ipoc}; expected that of the packet, unchanged: {self.ipoc}"
+            expected = f"the reply carries {self._stamp_word} {telegram.stamp}; expected that of the packet, unchanged: {self.ipoc}"
             return self._refuse("mismatched", "ipoc", expected)
         if not in_time:
             return self._refuse(
-                "late_replies", "late", f"the reply to IPOC {telegram.ipoc} came after the end of its cycle"
+                "late_replies",
+                "late",
+                f"the reply to {self._stamp_word} {telegram.stamp} came after the end of its cycle",
             )
         if self._reply is not None:
             return self._count("duplicates")
@@ -249,7 +248,7 @@ class MockController:
     def _ipoc_after(self, time: int) -> int:
         """Return IPOC `time` [ms] from now."""
         ipoc = self.ipoc + time
-        return ipoc - IPOC_WRAP if self.config.first_ipoc < IPOC_WRAP <= ipoc else ipoc
+        return ipoc - STAMP_WRAP if self.config.first_ipoc < STAMP_WRAP <= ipoc else ipoc
 
     def press_emergency_stop(self) -> None:
         """Brake to rest within the acceleration limits and end the RSI session; packets cease at once."""
@@ -385,13 +384,13 @@ class MockController:
         config = self.config
         for index, (axis, value, lower, upper) in enumerate(zip(config.axes, pose, config.lower, config.upper)):
             if not lower - _RANGE_SLACK <= value <= upper + _RANGE_SLACK:
-                raise JointRangeError(axis, value, lower, upper, axis_units(config.axes, config.units)[index].linear)
+                raise JointRangeError(axis, value, lower, upper, self._linear[index])
 
     def _close_cycle(self) -> None:
         if self.program is not None:
             self.start_pose = self._programmed_pose(self.program)
             self._start_tool = _flat(self._forward_kinematics(self.start_pose))
-        if self._decoder is None:
+        if self._decode is None:
             self.setpoint = self.start_pose
             # ONLYSEND: RSI_MOVECORR is not called, nothing is expected, nothing is corrected
             self.servo.step(self.setpoint)
@@ -422,7 +421,7 @@ class MockController:
         self._stop_level = self._stop_level and self._stop_holdon
         return tuple(value if held else 0.0 for value, held in zip(self.applied, self._holdon))
 
-    def _valid_reply(self, reply: SensorTelegram) -> tuple[float, ...]:
+    def _valid_reply(self, reply: Reply) -> tuple[float, ...]:
         if not self.config.cumulative_delay:
             self.delay = 0
         if self.tool is not None:
@@ -432,7 +431,9 @@ class MockController:
         if stop and not self._stop_level:
             self._stop("stop: requested by the PC, RSI_MOVECORR ended")
         self._stop_level = stop
-        wanted = reply.correction
+        wanted = reply.target
+        if self._absolute:
+            wanted = tuple([target - start for target, start in zip(wanted, self.start_pose)])
         correction = _clamp(wanted, self.correction_lower, self.correction_upper)
         self.stat = 1
         for index, (asked, given) in enumerate(zip(wanted, correction)):

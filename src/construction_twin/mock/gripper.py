@@ -16,8 +16,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from construction_twin.rsi.layout import RsiLayout
-from construction_twin.rsi.tool_channels import ENABLE, IN, OUT, names_of
+from construction_twin.controller.port import Layout
+from construction_twin.controller.tool import ENABLE
 
 _NOTHING: Mapping[str, bool] = MappingProxyType({})
 
@@ -52,25 +52,19 @@ class SimulatedTool:
         fails, lost, hidden: Faults: the grip does not close; it has let go; the telegrams do not tell the outputs.
     """
 
-    def __init__(self, layout: RsiLayout, gripper: Gripper, period: float, gated: bool = True):
+    def __init__(self, layout: Layout, gripper: Gripper, period: float, gated: bool = True):
         self._names = layout.switched
         self._holdon = layout.switched_holdon
         self._gripper = gripper
         self._gated = gated
         self._wait = max(1, round(gripper.time / period))
-        self.outputs = {name: False for name in names_of(OUT, layout.send)}
-        self.inputs = {name: False for name in names_of(IN, layout.send)}
+        self.outputs = {name: False for name in layout.outputs}
+        self.inputs = {name: False for name in layout.inputs}
         self.inputs |= {name: value for name, value in gripper.opened.items() if name in self.inputs}
         self.fails = self.lost = self.hidden = False
         self._target: Mapping[str, bool] = _NOTHING
         self._due = 0
         self.begin_session()
-
-    @property
-    def signals(self) -> dict[str, bool]:
-        """Values of the channels of SEND by their TAGs."""
-        told = {f"{IN}.{name}": value for name, value in self.inputs.items()}
-        return told | {f"{OUT}.{name}": value for name, value in self.outputs.items()}
 
     @property
     def holds(self) -> bool:

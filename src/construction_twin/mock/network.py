@@ -22,11 +22,11 @@ from queue import Empty, SimpleQueue
 from typing import TypeVar
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.udp import ask_for_stamps, receive
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mock.arrival import ArrivalClock
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard
-from construction_twin.rsi.udp import ask_for_stamps, receive
 
 log = logging.getLogger(__name__)
 

@@ -12,10 +12,12 @@ import signal
 import sys
 import threading
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import pydantic
 
+from construction_twin.controller.axis_unit import AxisUnit
+from construction_twin.controller.makes import DEFAULT, make_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.realtime import request_realtime
 from construction_twin.core.share import share_file
@@ -28,8 +30,6 @@ from construction_twin.mock.network import MockRsi
 from construction_twin.mock.servo import IdealServo, RealisticServo, Servo
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.tool import read_tool, tool_of
-from construction_twin.rsi.ethernet_xml import load_ethernet_xml, read_ethernet_xml
-from construction_twin.rsi.layout import AxisUnit, RsiLayout
 
 log = logging.getLogger(__name__)
 
@@ -135,8 +135,8 @@ def gateway_address(settings: MockSettings) -> tuple[str, int]:
     return settings.gateway_host, layout.port
 
 
-def _layout(settings: MockSettings) -> RsiLayout | None:
-    return read_ethernet_xml(settings.ethernet_xml, "Ethernet XML").layout if settings.ethernet_xml else None
+def _layout(settings: MockSettings) -> Any:
+    return make_of(DEFAULT).read_file(settings.ethernet_xml, "Ethernet XML") if settings.ethernet_xml else None
 
 
 def _units(settings: MockSettings, robot: RobotModel) -> tuple[AxisUnit, ...]:
@@ -225,7 +225,7 @@ def checked_settings(options: dict) -> MockSettings:
     """Return the settings that `parse_arguments` gave; ConfigurationError when one makes no sense."""
     host, _, port = options.pop("gateway").rpartition(":")
     if "ethernet_xml" in options:
-        options["ethernet_xml"] = load_ethernet_xml(options["ethernet_xml"]).text
+        options["ethernet_xml"] = make_of(DEFAULT).load_text(options["ethernet_xml"])
     if "tool" in options:
         options["tool"] = read_tool(options["tool"]).tool.model_dump()
     try:

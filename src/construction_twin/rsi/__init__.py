@@ -1,7 +1,7 @@
-"""The RSI protocol alone: the Ethernet XML, the telegrams of both sides, and the UDP socket.
+"""The RSI protocol alone: the Ethernet XML, and the telegrams of both sides.
 
 In: bytes from the network, values to send, the text of an Ethernet XML. Out: parsed telegrams, bytes of replies, the layout of
-both directions, or a typed error. May import ``core``. Runs on the cell PC. The facts behind it: docs/rsi.md.
+both directions, or a typed error. May import ``core`` and ``controller``. Runs on the cell PC. The facts behind it: docs/rsi.md.
 """
 
 from typing import TYPE_CHECKING
@@ -21,17 +21,9 @@ if TYPE_CHECKING:
     from construction_twin.rsi.gateway_codec import RobotDecoder as RobotDecoder
     from construction_twin.rsi.gateway_codec import SensorEncoder as SensorEncoder
     from construction_twin.rsi.gateway_codec import parse_robot as parse_robot
-    from construction_twin.rsi.layout import AxisUnit as AxisUnit
     from construction_twin.rsi.layout import RsiLayout as RsiLayout
     from construction_twin.rsi.status_channels import ControllerStatus as ControllerStatus
     from construction_twin.rsi.status_channels import StatusReader as StatusReader
-    from construction_twin.rsi.telegram import RobotTelegram as RobotTelegram
-    from construction_twin.rsi.telegram import SensorTelegram as SensorTelegram
-    from construction_twin.rsi.telegram import ipoc_step as ipoc_step
     from construction_twin.rsi.tool_channels import ToolReader as ToolReader
-    from construction_twin.rsi.tool_channels import ToolReading as ToolReading
-    from construction_twin.rsi.udp import address_of as address_of
-    from construction_twin.rsi.udp import bind as bind
-    from construction_twin.rsi.udp import receive as receive
 else:
     __getattr__, __dir__, __all__ = lazy_exports(__name__)

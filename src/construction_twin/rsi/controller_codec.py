@@ -10,11 +10,12 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from xml.etree import ElementTree
 
+from construction_twin.controller.axis_unit import AxisUnit
+from construction_twin.controller.telegram import Reply
 from construction_twin.core.errors import ConfigurationError, TelegramError
-from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, AxisUnit
+from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP
 from construction_twin.rsi.status_channels import NAMES, ControllerStatus, status_channels
 from construction_twin.rsi.telegram import (
-    SensorTelegram,
     attribute_template,
     axis_units,
     check_axis_names,
@@ -162,7 +163,7 @@ class SensorDecoder:
             (*(element for element, _ in self._slots), STOP, "IPOC", *((SET,) if switched else ()))
         )
 
-    def parse(self, data: bytes) -> SensorTelegram:
+    def parse(self, data: bytes) -> Reply:
         """Read a reply.
 
         Args:
@@ -186,7 +187,7 @@ class SensorDecoder:
         values = [read_number(found[element], axis) for element, axis in self._slots]
         correction = tuple([value * factor for value, factor in zip(values, self._factors)])
         switched = self._switches(found.get(SET)) if self._switched else ()
-        return SensorTelegram(read_ipoc(found), correction, self._stop(found.get(STOP)), switched)
+        return Reply(read_ipoc(found), correction, self._stop(found.get(STOP)), switched)
 
     def _switches(self, element: ElementTree.Element | None) -> tuple[bool, ...]:
         if element is None:
@@ -209,7 +210,7 @@ class SensorDecoder:
         return element.text == "1"
 
 
-def parse_sensor(data: bytes, sentype: str, axes: tuple[str, ...]) -> SensorTelegram:
+def parse_sensor(data: bytes, sentype: str, axes: tuple[str, ...]) -> Reply:
     """Read one reply with the usual channels; `SensorDecoder` is for every cycle."""
     return SensorDecoder(sentype, axes).parse(data)
 

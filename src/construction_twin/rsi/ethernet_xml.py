@@ -19,10 +19,11 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from xml.etree import ElementTree
 
+from construction_twin.controller.tool import ENABLE
 from construction_twin.core.errors import EthernetXmlError
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, RsiLayout
 from construction_twin.rsi.status_channels import doubled_channel
-from construction_twin.rsi.tool_channels import ENABLE, IN, OUT, SET, is_set_channel, names_of
+from construction_twin.rsi.tool_channels import IN, OUT, SET, is_set_channel, names_of
 
 #: A file of this kind is a few kB [bytes].
 MAX_BYTES = 256 * 1024

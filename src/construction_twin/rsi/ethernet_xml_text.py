@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from construction_twin.controller.tool import ENABLE
 from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, default_element
-from construction_twin.rsi.tool_channels import ENABLE, IN, OUT, SET
+from construction_twin.rsi.tool_channels import IN, OUT, SET
 
 #: Address of the PC and its UDP port, and the `Type` of replies; the user edits the address.
 ADDRESS, PORT, SENTYPE = "192.168.1.10", 49152, "ImFree"

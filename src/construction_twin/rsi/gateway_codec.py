@@ -13,20 +13,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+from construction_twin.controller.axis_unit import AxisUnit
+from construction_twin.controller.telegram import Telegram
 from construction_twin.core.errors import TelegramError
-from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder, parse_sensor
-from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, AxisUnit, RsiLayout
+from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, RsiLayout
 from construction_twin.rsi.telegram import (
-    MAX_TELEGRAM,
-    RobotTelegram,
-    SensorTelegram,
     attribute_template,
     axis_units,
     check_names,
     check_values,
     correction_channels,
     find_children,
-    ipoc_step,
     is_fixed_in_bytes,
     is_number,
     is_number_in_bytes,
@@ -38,11 +35,6 @@ from construction_twin.rsi.telegram import (
 )
 from construction_twin.rsi.telegram_cache import TelegramShape, is_count
 from construction_twin.rsi.tool_channels import set_element
-
-__all__ = [
-    "CORRECTION_DECIMALS", "MAX_TELEGRAM", "RobotDecoder", "RobotEncoder", "RobotTelegram", "SensorDecoder", "SensorEncoder",
-    "SensorTelegram", "ipoc_step", "parse_robot", "parse_sensor",
-]  # fmt: skip
 
 #: Decimals of a degree or mm in a correction, as every known driver sends them (docs/rsi.md, section 3).
 CORRECTION_DECIMALS = 6
@@ -78,7 +70,7 @@ class RobotDecoder:
         self._relearn_in = 0
         self._setpoint: tuple[list[bytes], tuple[float, ...]] = [], ()
 
-    def parse(self, data: bytes) -> RobotTelegram:
+    def parse(self, data: bytes) -> Telegram:
         """Read a controller packet.
 
         The root's attribute and unknown elements are ignored; a packet holding only `IPOC` is legal, and so are an XML declaration
@@ -103,7 +95,7 @@ class RobotDecoder:
                 return known
         found = find_children(read_document(document, "Rob"), self._wanted)
         delay = found.get("Delay")
-        telegram = RobotTelegram(
+        telegram = Telegram(
             read_ipoc(found),
             self._positions(found, self._measured_blocks),
             self._positions(found, self._setpoint_blocks),
@@ -115,14 +107,14 @@ class RobotDecoder:
             self._learn(document, telegram)
         return telegram
 
-    def _learn(self, data: bytes, telegram: RobotTelegram) -> None:
+    def _learn(self, data: bytes, telegram: Telegram) -> None:
         self._relearn_in = RELEARN_AFTER
         self._shape = TelegramShape.of(data, self._in_shape)
         if self._shape is not None and self._of_shape(self._shape, data) != telegram:
             # the same words stand elsewhere too, e.g. in an element of an element
             self._shape = None
 
-    def _of_shape(self, shape: TelegramShape, data: bytes) -> RobotTelegram | None:
+    def _of_shape(self, shape: TelegramShape, data: bytes) -> Telegram | None:
         """Read a telegram of the same shape as the last one; None when it does not, or when it is to be refused."""
         found = shape.read(data)
         if found is None:
@@ -134,7 +126,7 @@ class RobotDecoder:
         if texts[count:] != self._setpoint[0]:
             # it is the same for as long as the controller is only corrected
             self._setpoint = texts[count:], self._si(texts[count:])
-        return RobotTelegram(ipoc, self._si(texts[:count]), self._setpoint[1], int(delay))
+        return Telegram(ipoc, self._si(texts[:count]), self._setpoint[1], int(delay))
 
     def _si(self, texts: list) -> tuple[float, ...]:
         return tuple([float(text) * factor - zero for text, (factor, zero) in zip(texts, self._scale)])
@@ -229,7 +221,7 @@ class SensorEncoder:
         return (template % (*values, ipoc)).replace(b'"-0.000000"', b'"0.000000"')
 
 
-def parse_robot(data: bytes, axes: tuple[str, ...]) -> RobotTelegram:
+def parse_robot(data: bytes, axes: tuple[str, ...]) -> Telegram:
     """Read one controller packet of a robot whose axes are all revolute; `RobotDecoder` is for every cycle."""
     return RobotDecoder(axes).parse(data)
 

@@ -1,14 +1,15 @@
-"""What an Ethernet XML fixes about the telegrams of one controller, and the units in which each axis appears in them.
+"""What an Ethernet XML fixes about the telegrams of one controller.
 
-Both ends are built from this: the gateway and the mock read it from the same file (`ethernet_xml`). Standard library only; the
-values of an `AxisUnit` are the only place besides the codec where degrees and millimetres of the wire appear.
+Both ends are built from this: the gateway and the mock read it from the same file (`ethernet_xml`). Standard library only.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar
+
+from construction_twin.rsi.tool_channels import IN, OUT, names_of
 
 #: The only RECEIVE channel without an axis that the gateway fills.
 STOP = "Stop"
@@ -34,6 +35,8 @@ class RsiLayout:
         switched_holdon: Per channel of `switched`, as `holdon`.
     """
 
+    make: ClassVar[str] = "rsi"
+
     sentype: str
     port: int
     onlysend: bool
@@ -52,6 +55,39 @@ class RsiLayout:
         send = ("RIst", "RSol", "AIPos", "ASPos", *external, "Delay")
         return cls("ImFree", 49152, False, send, receive, (True,) * len(receive))
 
+    @classmethod
+    def of_document(cls, document: dict[str, Any]) -> RsiLayout:
+        """Return the layout that `document` was made from; TypeError when it is none."""
+        return cls(**document)
+
+    def document(self) -> dict[str, Any]:
+        """Return what file and hash hold: of an arm without a tool, what they held before there were tools."""
+        document = asdict(self)
+        if not self.switched:
+            del document["switched"], document["switched_holdon"]
+        return document
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Outputs of a tool that telegrams tell."""
+        return names_of(OUT, self.send)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Inputs of a tool that telegrams tell."""
+        return names_of(IN, self.send)
+
+    @property
+    def summary(self) -> str:
+        """SENTYPE and what a reply carries, for people."""
+        carried = "read-only" if self.onlysend else f"channels {', '.join(self.receive)}"
+        return f"SENTYPE {self.sentype}, {carried}"
+
+    @property
+    def answered(self) -> bool:
+        """False with ONLYSEND."""
+        return not self.onlysend
+
     @property
     def stop(self) -> bool:
         """True when replies carry the `Stop` element."""
@@ -61,55 +97,3 @@ class RsiLayout:
 def default_element(axis: str) -> str:
     """Return the usual name of the element that carries an axis' correction."""
     return "EK" if axis in EXTERNAL_AXES else "AK"
-
-
-@dataclass(frozen=True)
-class AxisUnit:
-    """How one axis is written in RSI: ``feedback = feedback_scale * unit * (sign * x + offset)``.
-
-    `unit` is degrees per rad, or mm per m for a linear axis. A correction has no offset and a scale of its own: a controller
-    that reports an axis in another unit need not take it in that unit (docs/rsi.md, section 11).
-
-    Attributes:
-        linear: True: x in m and mm on the wire; False: rad and deg.
-        sign: +1 or -1.
-        offset: [rad] or [m], on the controller's side.
-        feedback_scale, correction_scale: Positive; 1 when the controller keeps to its own units.
-    """
-
-    linear: bool = False
-    sign: int = 1
-    offset: float = 0.0
-    feedback_scale: float = 1.0
-    correction_scale: float = 1.0
-
-    @property
-    def feedback_factor(self) -> float:
-        """Wire units of a position per rad or m."""
-        return self._per_unit * self.feedback_scale * self.sign
-
-    @property
-    def reading_factor(self) -> float:
-        """Rad or m per wire unit of a position."""
-        inverse = 1e-3 if self.linear else math.pi / 180.0
-        return inverse / self.feedback_scale * self.sign
-
-    @property
-    def zero(self) -> float:
-        """What is subtracted from a position after `reading_factor` [rad] or [m]."""
-        return self.sign * self.offset
-
-    @property
-    def correction_factor(self) -> float:
-        """Wire units of a correction per rad or m."""
-        return self._per_unit * self.correction_scale * self.sign
-
-    @property
-    def correction_reading_factor(self) -> float:
-        """Rad or m per wire unit of a correction."""
-        inverse = 1e-3 if self.linear else math.pi / 180.0
-        return inverse / self.correction_scale * self.sign
-
-    @property
-    def _per_unit(self) -> float:
-        return 1e3 if self.linear else 180.0 / math.pi

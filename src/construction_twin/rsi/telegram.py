@@ -12,15 +12,12 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from xml.etree import ElementTree
 
+from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.core.errors import ConfigurationError, TelegramError
-from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, AxisUnit, default_element
-
-#: Largest telegram [bytes]. With every block declared a KR C4's exceeds 1 kB (docs/rsi.md, section 2) and stays below 2 kB; what is
-#: longer than this is none, and taking it apart would only keep the loop that answers.
-MAX_TELEGRAM = 8192
+from construction_twin.core.udp import MAX_TELEGRAM
+from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, default_element
 
 #: Matches fixed notation without exponent, infinity, underscore or white space; the digit limits keep every match finite.
 _FIXED = r"[+-]?[0-9]{1,15}(?:\.[0-9]{1,32})?"
@@ -39,62 +36,7 @@ _DECLARATION = re.compile(
 ).match
 _COUNT = re.compile(r"[0-9]{1,20}").fullmatch
 _UINT64_MAX = 2**64 - 1
-#: A controller that counts IPOC in 32 bits goes on with 0 here (docs/rsi.md, section 4).
-IPOC_WRAP = 2**32
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}").fullmatch
-
-
-@dataclass(frozen=True, slots=True)
-class RobotTelegram:
-    """One controller packet.
-
-    Attributes:
-        ipoc: Controller time [ms], 0 to 2^64 - 1; the reply must carry it unchanged. How far it is on: `ipoc_step`.
-        measured: Length n. Actual axis positions, `AIPos` and `EIPos` [rad] ([m] for a linear axis); None when the packet has none
-            (first packet of old controllers).
-        setpoint: Length n. Programmed axis positions, `ASPos` and `ESPos`; constant during a correction.
-        delay: The controller's count of cycles without a valid reply.
-    """
-
-    ipoc: int
-    measured: tuple[float, ...] | None
-    setpoint: tuple[float, ...] | None
-    delay: int | None
-
-
-@dataclass(frozen=True, slots=True)
-class SensorTelegram:
-    """One reply.
-
-    Attributes:
-        ipoc: Echo of the packet it answers.
-        correction: Length n. Axis corrections [rad] ([m] for a linear axis), relative to the session's start pose.
-        stop: Content of the `Stop` element; None without one.
-        switched: Channels of a tool, in the order of `RsiLayout.switched`.
-    """
-
-    ipoc: int
-    correction: tuple[float, ...]
-    stop: bool | None
-    switched: tuple[bool, ...] = ()
-
-
-def ipoc_step(before: int, ipoc: int, longest: int) -> int:
-    """Return how far a controller's clock is on from one telegram to another of the same session.
-
-    Args:
-        before, ipoc: IPOC of both [ms].
-        longest: Largest step that is plausible within a session [ms], less than 2^31. A count that went past 2^32, or back over it,
-            is taken for a step only when it is no longer; everything else is the plain difference.
-
-    Returns:
-        [ms]; negative when the second telegram is the older one.
-    """
-    step = ipoc - before
-    if -longest <= step <= longest or before >= IPOC_WRAP or ipoc >= IPOC_WRAP:
-        return step
-    wrapped = step + IPOC_WRAP if step < 0 else step - IPOC_WRAP
-    return wrapped if -longest <= wrapped <= longest else step
 
 
 def without_declaration(data: bytes) -> bytes:

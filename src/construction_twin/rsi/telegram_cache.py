@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from construction_twin.rsi.telegram import MAX_TELEGRAM
+from construction_twin.core.udp import MAX_TELEGRAM
 
 #: What values may consist of, all of them together, so that they cannot change what is around them.
 _is_plain = re.compile(rb"[-+.0-9A-Za-z]*").fullmatch

@@ -14,35 +14,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
+from construction_twin.controller.tool import ENABLE, ToolReading, is_tool_name
 from construction_twin.core.errors import ConfigurationError
 
 #: Elements of the channels.
 SET, OUT, IN = "Set", "Out", "In"
-#: The channel without which none of the outputs may be changed; no output can have its name.
-ENABLE = "Enable"
 
-_is_name = re.compile(r"[a-z][a-z0-9_]{0,23}").fullmatch
 _ATTRIBUTE = re.compile(rb"([A-Za-z][A-Za-z0-9_]*)\s*=\s*[\"']([^\"'<>]*)[\"']").findall
 _VALUES = {b"0": False, b"1": True}
-
-
-@dataclass(frozen=True, slots=True)
-class ToolReading:
-    """What a telegram tells of a tool.
-
-    Attributes:
-        outputs, inputs: In the order of the reader's names.
-    """
-
-    outputs: tuple[bool, ...]
-    inputs: tuple[bool, ...]
-
-
-def is_tool_name(name: str) -> bool:
-    """Return whether an output or input of a tool can be called so."""
-    return _is_name(name) is not None
 
 
 def is_set_channel(tag: str) -> bool:

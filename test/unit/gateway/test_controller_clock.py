@@ -20,13 +20,14 @@ from construction_twin.gateway.controller_clock import (
     ControllerClock,
 )
 from construction_twin.gateway.states import State
+from construction_twin.rsi.make import MAKE as RSI
 
 MS = 1_000_000
 
 
 def judged(telegrams, cycle_ms=4):
     """Return the first thing that a clock says of (IPOC [ms], arrival [ms]), and after how many telegrams; None when nothing."""
-    clock = ControllerClock(cycle_ms)
+    clock = ControllerClock(RSI, cycle_ms)
     for count, (ipoc, arrived) in enumerate(telegrams, 1):
         clock.note(ipoc, round(arrived * MS))
         said = clock.judge()
@@ -113,7 +114,7 @@ def test_the_wall_clock_may_be_set_meanwhile():
 
 
 def test_another_session_is_measured_anew():
-    clock = ControllerClock(4)
+    clock = ControllerClock(RSI, 4)
     for ipoc, at in regular(12, 12.0, 90):
         clock.note(ipoc, round(at * MS))
     # RSI was started again, with a count of its own
@@ -126,7 +127,7 @@ def test_another_session_is_measured_anew():
 
 @pytest.mark.parametrize("expected, other, needed", [(4, 12, LOSSES), (12, 4, SHORTER)])
 def test_a_change_of_the_cycle_within_a_session_is_seen_in_a_few_telegrams(expected, other, needed):
-    clock = ControllerClock(expected)
+    clock = ControllerClock(RSI, expected)
     for ipoc, at in regular(expected, float(expected), 500):
         clock.note(ipoc, round(at * MS))
     assert clock.judge() == "" and not clock.changed
@@ -142,7 +143,7 @@ def test_a_change_of_the_cycle_within_a_session_is_seen_in_a_few_telegrams(expec
 
 
 def test_a_changed_cycle_is_forgotten_once_the_expected_one_is_back():
-    clock, ipoc = ControllerClock(4), 10**9
+    clock, ipoc = ControllerClock(RSI, 4), 10**9
     for step, count in ((4, 500), (12, 30), (4, 200)):
         for _ in range(count):
             ipoc += step
@@ -169,7 +170,7 @@ def bursts(seed, cycle_ms=4):
 @pytest.mark.parametrize("cycle_ms", [4, 12])
 def test_losses_pauses_and_swapped_telegrams_never_look_like_a_change_of_the_cycle(seed, cycle_ms):
     for telegrams in (disturbed(seed, cycle_ms), bursts(seed, cycle_ms)):
-        clock = ControllerClock(cycle_ms)
+        clock = ControllerClock(RSI, cycle_ms)
         for ipoc, arrived in telegrams:
             clock.note(ipoc, round(arrived * MS))
             assert not clock.changed
@@ -177,14 +178,14 @@ def test_losses_pauses_and_swapped_telegrams_never_look_like_a_change_of_the_cyc
 
 def test_every_second_telegram_lost_is_no_change_either():
     # steps of 8, as exact as another cycle: but no controller has one of 8 ms
-    clock = ControllerClock(4)
+    clock = ControllerClock(RSI, 4)
     for ipoc, at in regular(8, 8.0):
         clock.note(ipoc, round(at * MS))
     assert not clock.changed
 
 
 def test_figures_are_reported_once_they_are_known():
-    clock = ControllerClock(4)
+    clock = ControllerClock(RSI, 4)
     unknown = {
         "expected_ms": 4, "ipoc_step_ms": None, "telegram_ms": None, "rate": None, "off_percent": None, "sentence": "",
     }  # fmt: skip
@@ -425,9 +426,9 @@ def heard(clock, telegrams, end=math.inf):
     ],
 )  # fmt: skip
 def test_a_clock_a_little_off_is_named_with_its_figure_after_half_a_minute(cycle_ms, off, sentence):
-    clock, telegrams = ControllerClock(cycle_ms), regular(cycle_ms, cycle_ms / (1.0 + off), 60_000 // cycle_ms)
+    clock, telegrams = ControllerClock(RSI, cycle_ms), regular(cycle_ms, cycle_ms / (1.0 + off), 60_000 // cycle_ms)
     assert heard(clock, telegrams, KNOWN - 2 * PIECE) == ("", 0) and clock.report()["off_percent"] is None
-    assert heard(ControllerClock(cycle_ms), telegrams) == (sentence, 1)
+    assert heard(ControllerClock(RSI, cycle_ms), telegrams) == (sentence, 1)
     heard(clock, telegrams)
     report = clock.report()
     assert report["off_percent"] == pytest.approx(100.0 * off, abs=1e-3) and report["sentence"] == sentence
@@ -462,13 +463,13 @@ def troubled(seed, cycle_ms=4, off=0.0, seconds=90):
 @pytest.mark.parametrize("seed", range(20))
 def test_stalls_bursts_queues_and_a_wall_clock_that_is_set_are_never_called_a_clock_that_is_off(seed, cycle_ms):
     off = random.Random(seed).uniform(-2e-4, 2e-4)
-    assert heard(ControllerClock(cycle_ms), troubled(seed, cycle_ms, off)) == ("", 0)
+    assert heard(ControllerClock(RSI, cycle_ms), troubled(seed, cycle_ms, off)) == ("", 0)
 
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("off", [-0.03, 0.005])
 def test_nor_do_they_hide_one_that_is(seed, off):
-    clock = ControllerClock(4)
+    clock = ControllerClock(RSI, 4)
     said, _ = heard(clock, troubled(seed, 4, off))
     assert f"% {'slow' if off < 0 else 'fast'} against this PC's" in said
     assert clock.off == pytest.approx(off, rel=0.1)
@@ -478,12 +479,12 @@ def test_a_clock_that_comes_right_again_is_no_longer_named():
     slow = regular(4, 4.0 * 1.01, 15_000)
     last, at = slow[-1]
     right = [(last + 4 * k, at + 4.0 * k) for k in range(1, 15_000)]
-    clock = ControllerClock(4)
+    clock = ControllerClock(RSI, 4)
     assert heard(clock, slow)[0] and heard(clock, right) == ("", 1)
 
 
 def test_a_clock_that_is_refused_is_not_named_twice():
-    clock = ControllerClock(4)
+    clock = ControllerClock(RSI, 4)
     for ipoc, at in regular(4, 2.0, 20_000):
         clock.note(ipoc, round(at * MS))
         clock.judge()

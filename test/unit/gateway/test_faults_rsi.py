@@ -68,7 +68,7 @@ def test_replies_dropped_on_the_network_are_not_made_up_in_a_step(tmp_path, lost
         cell.udp.answers_to_lose = lost
         cell.wait(lambda: cell.udp.counters["lost"] == before + lost, "the replies to be lost")
         # the network is good again, so every packet tells what became of the reply before
-        cell.wait(lambda: any(packet.delay >= lost for packet in cell.packets[since:]), "the controller to count them")
+        cell.wait(lambda: any(packet.missed >= lost for packet in cell.packets[since:]), "the controller to count them")
         assert cell.finish() == 0, "nobody needs to reset anything"
         found = report(f"{lost} replies lost", cell, since)
         assert found.missed >= lost and found.starts >= 1
@@ -101,7 +101,7 @@ def test_a_cut_shorter_than_timeout_leaves_the_session_alone(tmp_path):
         sessions = cell.counter("rsi_sessions")
         cell.move()
         cell.impair_rsi(Profile(cut=0.2))
-        cell.wait(lambda: cell.packets[-1].delay >= 25, "the controller to miss replies")
+        cell.wait(lambda: cell.packets[-1].missed >= 25, "the controller to miss replies")
         cell.finish()
         found = report("cut of 0.2 s", cell)
         assert found.missed >= 25

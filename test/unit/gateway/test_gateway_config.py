@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 import yaml
 
+from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.core.errors import ConfigurationError, EthernetXmlError
 from construction_twin.gateway.config import GatewayConfig, load_config, parse_config
 from construction_twin.robot.description import AxisMapping, read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
-from construction_twin.rsi.layout import AxisUnit
 
 ROOT = Path(__file__).resolve().parents[3]
 CONFIG = GatewayConfig("arm", ("A1", "A2"), (-3.0, -1.0), (3.0, 1.0), (2.0, 1.0), (2.5, 5.0))

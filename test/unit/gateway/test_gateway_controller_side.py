@@ -16,8 +16,9 @@ from service_cell import AXES, CONFIG, START, client_of, controller_of, free_por
 
 from construction_twin.core.errors import TelegramError
 from construction_twin.gateway.states import State
+from construction_twin.rsi.controller_codec import SensorDecoder
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
-from construction_twin.rsi.gateway_codec import RobotDecoder, SensorDecoder
+from construction_twin.rsi.gateway_codec import RobotDecoder
 from construction_twin.rsi.layout import RsiLayout
 
 PLAIN = RsiLayout.plain(AXES)
@@ -40,7 +41,7 @@ def exchange(controller, decoder):
     controller.ipoc += 4
     controller.send()
     reply = decoder.parse(controller.socket.recv(65535))
-    assert reply.ipoc == controller.ipoc
+    assert reply.stamp == controller.ipoc
     return reply
 
 

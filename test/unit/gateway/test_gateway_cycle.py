@@ -9,16 +9,15 @@ import random
 import pytest
 from gateway_cell import START, Cell, following, slow
 
+from construction_twin.controller.last_resort import LONGEST_GAP_MS
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.follower import Follower
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, format_allowance
 from construction_twin.gateway.config import parse_config
-from construction_twin.gateway.last_resort import LONGEST_GAP_MS, LastResort
 from construction_twin.gateway.playout import Playout, PlayoutBounds
 from construction_twin.gateway.slew import CALM, CATCH_UP, URGENT, Slew
 from construction_twin.gateway.states import State
-from construction_twin.rsi.gateway_codec import SensorEncoder
 
 PERIOD = 0.012
 FINE = {"cycle": 12, "decimals": 6}
@@ -230,19 +229,19 @@ def test_jitter_between_telegrams_makes_the_delay_no_longer_than_it_must_be():
 
 def test_the_last_resort_brakes_per_cycle_of_12_ms():
     config = Cell(cycle=12).config
-    resort = LastResort(config.limits, SensorEncoder.of(config.layout, config.axes, config.units), config.cycle)
+    resort = config.make.last_resort(config)
     resort.sent(1012, "controller", (0.012, 0.0), (0.0, 0.0), 0)
     resort.take_over()
     last, step = 0.012, 0.012
     for k in range(1, 40):
         assert resort.answer(1012 + 12 * k) is not None
-        new = resort.correction[0] - last
+        new = resort.target[0] - last
         assert new == pytest.approx(max(0.0, step - config.acceleration[0] * PERIOD**2), abs=1e-12)
-        last, step = resort.correction[0], new
+        last, step = resort.target[0], new
     assert resort.at_rest
     # two missed telegrams are no new session, four are beyond what it can know
-    assert resort.answer(resort.ipoc + 36) is not None
-    assert resort.answer(resort.ipoc + 48) is None and LONGEST_GAP_MS < 48
+    assert resort.answer(resort.stamp + 36) is not None
+    assert resort.answer(resort.stamp + 48) is None and LONGEST_GAP_MS < 48
 
 
 def test_durations_are_in_time_not_in_cycles():

@@ -40,7 +40,7 @@ def broken_once(original):
 #: Part of the service and name of the method that begins to raise in motion, and how many replies may be missing.
 PARTS = {
     "inbox": lambda service: (service._inbox, "newest"),
-    "telegram decoder": lambda service: (service._inbox._decoder, "parse"),
+    "telegram decoder": lambda service: (service._inbox, "_parse"),
     "RSI session": lambda service: (service.gateway._controller, "hear"),
     "playout": lambda service: (service.gateway._player._playout, "advance"),
     "follower": lambda service: (service.gateway._player.follower, "follow"),

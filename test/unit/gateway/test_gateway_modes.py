@@ -21,7 +21,8 @@ from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.servo import IdealServo
-from construction_twin.rsi.gateway_codec import RobotDecoder, RobotEncoder, SensorEncoder
+from construction_twin.rsi.controller_codec import RobotEncoder
+from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.layout import RsiLayout
 
 PLAIN = RsiLayout.plain(("A1", "A2"))
@@ -247,7 +248,7 @@ class TrackCell(Cell):
                 return
             telegram = self.decoder.parse(packet)
             reply = self.gateway.on_telegram(telegram, self.source, self.now)
-            self.bytes.append(self.encoder.encode(reply, telegram.ipoc, True if self.gateway.ends else None))
+            self.bytes.append(self.encoder.encode(reply, telegram.stamp, True if self.gateway.ends else None))
             self.mock.receive(self.bytes[-1])
 
 

@@ -25,10 +25,10 @@ from service_cell import (
     stream,
 )
 
+from construction_twin.core.udp import bind
 from construction_twin.core.units import CYCLE, format_allowance
 from construction_twin.gateway.command_line import main
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
-from construction_twin.rsi.udp import bind
 
 
 @pytest.fixture
@@ -298,7 +298,7 @@ def test_the_gateway_needs_nothing_but_the_standard_library_and_paho(config_file
 
 
 #: Folders whose modules run on the cell PC.
-_CELL_FOLDERS = ("core", "mqtt", "rsi", "gateway")
+_CELL_FOLDERS = ("core", "controller", "mqtt", "rsi", "gateway")
 
 
 def test_every_module_of_the_cell_folders_needs_nothing_but_the_standard_library_and_paho():

@@ -15,8 +15,7 @@ from service_cell import (
 )
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.rsi.telegram import MAX_TELEGRAM
-from construction_twin.rsi.udp import address_of, bind
+from construction_twin.core.udp import MAX_TELEGRAM, address_of, bind
 
 
 def test_every_telegram_is_answered_without_any_broker(topics):

@@ -78,7 +78,7 @@ def test_a_running_session_is_not_answered_until_it_has_timed_out(off):
 
 def test_a_telegram_with_only_an_ipoc_is_answered_with_zero_and_counted():
     cell = Cell()
-    assert cell.cycle(measured=None, setpoint=None, delay=None) == (0.0, 0.0)
+    assert cell.cycle(measured=None, setpoint=None, missed=None) == (0.0, 0.0)
     assert cell.count("telegrams_without_pose") == 1
     assert not cell.arm()[0]
     assert cell.cycle() == (0.0, 0.0)
@@ -231,17 +231,17 @@ def test_late_replies_are_the_increments_of_delay():
     cell = Cell()
     cell.cycle(2)
     for delay in (0, 1, 3, 3, 0, 2):
-        cell.cycle(delay=delay)
+        cell.cycle(missed=delay)
     assert cell.count("late_replies") == 1 + 2 + 2
 
 
 def test_a_delay_in_the_first_telegram_belongs_to_the_start_and_an_absent_one_means_nothing():
     cell = Cell()
-    cell.cycle(delay=7)
-    cell.cycle(delay=7)
-    cell.cycle(delay=None)
+    cell.cycle(missed=7)
+    cell.cycle(missed=7)
+    cell.cycle(missed=None)
     assert cell.count("late_replies") == 0
-    cell.cycle(delay=8)
+    cell.cycle(missed=8)
     assert cell.count("late_replies") == 1
 
 

@@ -13,7 +13,7 @@ from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
 from construction_twin.gateway.refusals import LONGEST_REFUSAL
 from construction_twin.gateway.states import State
 from construction_twin.gateway.status import QUIET, StatusClock
-from construction_twin.rsi.gateway_codec import RobotEncoder
+from construction_twin.rsi.controller_codec import RobotEncoder
 
 HERE, THERE = ("192.168.1.20", 49152), ("192.168.1.20", 49153)
 ENCODER = RobotEncoder(CONFIG.axes, 6)
@@ -44,7 +44,7 @@ class Line:
         """Put these in and read; return the IPOC of what is answered, its source and which datagram it was."""
         self.waiting.extend(thing if isinstance(thing, tuple) else (thing, HERE) for thing in things)
         found = self.inbox.newest()
-        return found and (found.telegram.ipoc, found.source, found.arrived)
+        return found and (found.telegram.stamp, found.source, found.arrived)
 
     def counted(self) -> dict:
         return dict(self.gateway.counters)

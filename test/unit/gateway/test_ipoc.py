@@ -9,12 +9,10 @@ from gateway_cell import CONFIG, DELAY_CYCLES, START, Cell, slow
 from hypothesis import given
 from hypothesis import strategies as st
 
+from construction_twin.controller.telegram import STAMP_WRAP, stamp_step
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import State
-from construction_twin.gateway.last_resort import LastResort
 from construction_twin.gateway.trace import TraceWriter, read_trace
-from construction_twin.rsi.gateway_codec import SensorEncoder
-from construction_twin.rsi.telegram import IPOC_WRAP, ipoc_step
 from construction_twin.scenario.motion import trace_arrays
 from construction_twin.scenario.trace_check import trace_excesses
 
@@ -27,45 +25,52 @@ def moving(ipoc, cycles=100, trace=None):
     cell.cycle(3)
     assert cell.arm()[0]
     cell.stream(slow(k) for k in range(cycles))
-    cell.ipoc = cell.ipoc % IPOC_WRAP if ipoc < IPOC_WRAP else cell.ipoc
+    cell.ipoc = cell.ipoc % STAMP_WRAP if ipoc < STAMP_WRAP else cell.ipoc
     assert cell.state is State.FOLLOWING
     return cell
 
 
 def wrap(cell):
     """The next telegram is the first one past 2^32."""
-    assert cell.ipoc + 4 >= IPOC_WRAP
-    cell.ipoc -= IPOC_WRAP
+    assert cell.ipoc + 4 >= STAMP_WRAP
+    cell.ipoc -= STAMP_WRAP
 
 
 class TestTheStep:
     def test_is_the_difference(self):
-        assert [ipoc_step(1000, ipoc, 400) for ipoc in (1004, 1400, 1000, 996, 5000, 0)] == [4, 400, 0, -4, 4000, -1000]
+        assert [stamp_step(1000, ipoc, 400) for ipoc in (1004, 1400, 1000, 996, 5000, 0)] == [
+            4,
+            400,
+            0,
+            -4,
+            4000,
+            -1000,
+        ]
 
     @pytest.mark.parametrize("offset", [0, 1, 2, 3])
     def test_goes_past_two_to_the_32_in_either_direction(self, offset):
-        last = IPOC_WRAP - 4 + offset
-        assert ipoc_step(last, offset, 400) == 4 and ipoc_step(offset, last, 400) == -4
+        last = STAMP_WRAP - 4 + offset
+        assert stamp_step(last, offset, 400) == 4 and stamp_step(offset, last, 400) == -4
 
     def test_that_is_longer_than_plausible_is_no_wrap(self):
-        assert ipoc_step(IPOC_WRAP - 4, 396, 400) == 400
-        assert ipoc_step(IPOC_WRAP - 4, 400, 400) == 400 - (IPOC_WRAP - 4)
+        assert stamp_step(STAMP_WRAP - 4, 396, 400) == 400
+        assert stamp_step(STAMP_WRAP - 4, 400, 400) == 400 - (STAMP_WRAP - 4)
 
     def test_of_a_count_that_has_more_than_32_bits_does_not_wrap(self):
-        assert ipoc_step(IPOC_WRAP + 4, 4, 400) == -IPOC_WRAP
-        assert ipoc_step(2**64 - 4, 0, 400) == -(2**64 - 4)
+        assert stamp_step(STAMP_WRAP + 4, 4, 400) == -STAMP_WRAP
+        assert stamp_step(2**64 - 4, 0, 400) == -(2**64 - 4)
 
-    @given(st.integers(0, IPOC_WRAP - 1), st.integers(-400, 400))
+    @given(st.integers(0, STAMP_WRAP - 1), st.integers(-400, 400))
     def test_is_the_same_wherever_the_count_stands(self, before, step):
-        assert ipoc_step(before, (before + step) % IPOC_WRAP, 400) == step
+        assert stamp_step(before, (before + step) % STAMP_WRAP, 400) == step
 
 
 @pytest.mark.parametrize("offset", [0, 1, 2, 3])
 def test_a_wrap_in_mid_motion_is_a_cycle_like_any_other(offset):
-    cell = moving(IPOC_WRAP - 4 * 50 + offset)
+    cell = moving(STAMP_WRAP - 4 * 50 + offset)
     before = cell.measured[0]
     for k in range(100, 300):
-        if cell.ipoc + 4 >= IPOC_WRAP:
+        if cell.ipoc + 4 >= STAMP_WRAP:
             wrap(cell)
         cell.stream([slow(k)])
         assert abs(cell.measured[0] - before) < 2e-3
@@ -78,7 +83,7 @@ def test_a_wrap_in_mid_motion_is_a_cycle_like_any_other(offset):
 
 @pytest.mark.parametrize("missed", [1, 10, 99])
 def test_telegrams_that_were_lost_at_the_wrap_are_lost_telegrams(missed):
-    cell = moving(IPOC_WRAP)
+    cell = moving(STAMP_WRAP)
     wrap(cell)
     cell.ipoc += 4 * missed
     assert cell.cycle() is not None
@@ -86,10 +91,10 @@ def test_telegrams_that_were_lost_at_the_wrap_are_lost_telegrams(missed):
 
 
 def test_a_telegram_from_before_the_wrap_that_comes_late_is_a_repeated_one():
-    cell = moving(IPOC_WRAP)
+    cell = moving(STAMP_WRAP)
     wrap(cell)
     cell.cycle()
-    cell.ipoc += IPOC_WRAP - 8
+    cell.ipoc += STAMP_WRAP - 8
     assert cell.cycle() is None
     assert (cell.count("telegrams_repeated"), cell.count("rsi_sessions")) == (1, 1)
     assert cell.state is State.FOLLOWING
@@ -98,11 +103,11 @@ def test_a_telegram_from_before_the_wrap_that_comes_late_is_a_repeated_one():
 @pytest.mark.parametrize(
     "last, ipoc",
     [
-        (IPOC_WRAP, 404),  # one ms longer than the timeout, and on
-        (IPOC_WRAP, 10_000),
+        (STAMP_WRAP, 404),  # one ms longer than the timeout, and on
+        (STAMP_WRAP, 10_000),
         (4_208_163_634, 0),  # far from the end of 32 bits
         (1_000_000, 996),
-        (IPOC_WRAP + 4_000, 4),  # a count that did not stop there
+        (STAMP_WRAP + 4_000, 4),  # a count that did not stop there
         (2**63 + 4_000, 4),
         (2**64 - 4, 0),
     ],
@@ -116,7 +121,7 @@ def test_any_other_ipoc_that_goes_back_is_a_new_session(last, ipoc):
 
 
 def test_a_wrap_after_silence_begins_a_session():
-    cell = moving(IPOC_WRAP)
+    cell = moving(STAMP_WRAP)
     cell.now += NANOSECONDS
     cell.gateway.poll(cell.now)
     wrap(cell)
@@ -139,24 +144,24 @@ def test_a_count_of_64_bits_is_followed_and_recorded(tmp_path, ipoc):
 
 def test_a_trace_across_the_wrap_is_judged_like_any_other(tmp_path):
     writer = TraceWriter(str(tmp_path / "trace"), 2)
-    cell = moving(IPOC_WRAP - 400, trace=writer.record)
+    cell = moving(STAMP_WRAP - 400, trace=writer.record)
     for k in range(100, 300):
-        if cell.ipoc + 4 >= IPOC_WRAP:
+        if cell.ipoc + 4 >= STAMP_WRAP:
             wrap(cell)
         cell.stream([slow(k)])
     writer.close()
     entries = read_trace(str(tmp_path / "trace"))
-    assert min(entry.ipoc for entry in entries) < 8 and max(entry.ipoc for entry in entries) > IPOC_WRAP - 8
+    assert min(entry.ipoc for entry in entries) < 8 and max(entry.ipoc for entry in entries) > STAMP_WRAP - 8
     assert trace_excesses(entries, cell.config.limits, 3) == []
     assert trace_arrays(entries, 0.004)[1].sum() == 1
 
 
-@pytest.mark.parametrize("start", [IPOC_WRAP - 2_000, IPOC_WRAP + 2_000, 2**64 - 100_000])
+@pytest.mark.parametrize("start", [STAMP_WRAP - 2_000, STAMP_WRAP + 2_000, 2**64 - 100_000])
 def test_the_controller_s_cycle_and_clock_are_measured_across_it(start):
     cell = Cell(measures=True)
     cell.ipoc = start
     for _ in range(1500):
-        if start < IPOC_WRAP <= cell.ipoc + 4:
+        if start < STAMP_WRAP <= cell.ipoc + 4:
             wrap(cell)
         cell.cycle()
     report = cell.gateway.status()["cycle"]
@@ -171,30 +176,30 @@ def telegram(ipoc):
     return b'<Rob Type="KUKA"><AIPos A1="0"/><IPOC>%d</IPOC></Rob>' % ipoc
 
 
-@pytest.mark.parametrize("last", [1400, IPOC_WRAP - 4, 2**63 - 4, 2**63, 2**64 - 8])
+@pytest.mark.parametrize("last", [1400, STAMP_WRAP - 4, 2**63 - 4, 2**63, 2**64 - 8])
 def test_the_last_resort_answers_the_same_telegrams(last):
-    resort = LastResort(CONFIG.limits, SensorEncoder.of(CONFIG.layout, CONFIG.axes, CONFIG.units))
+    resort = CONFIG.make.last_resort(CONFIG)
     resort.sent(last, PEER, (0.004, -0.004), (0.0, 0.0), 0)
     resort.take_over()
-    following = 0 if last == IPOC_WRAP - 4 else last + 4
-    found = resort.ipoc_of(telegram(following), PEER)
+    following = 0 if last == STAMP_WRAP - 4 else last + 4
+    found = resort.stamp_of(telegram(following), PEER)
     assert found == following
-    before = resort.correction
+    before = resort.target
     reply = resort.answer(found)
     assert reply is not None and b"<IPOC>%d</IPOC>" % following in reply
-    assert resort.correction != before, "it brakes on, it does not take the arm to be standing"
+    assert resort.target != before, "it brakes on, it does not take the arm to be standing"
     for late in (last, last - 4, following, 2**64):
-        assert resort.ipoc_of(telegram(late), PEER) is None
+        assert resort.stamp_of(telegram(late), PEER) is None
 
 
 def test_a_session_near_its_origin_makes_no_step_at_a_wrap():
     """Where the correction is almost zero nothing else shows that a session goes on."""
     cell = Cell()
-    cell.ipoc = IPOC_WRAP - 4 * 30
+    cell.ipoc = STAMP_WRAP - 4 * 30
     cell.cycle(3)
     assert cell.arm()[0]
     for k in range(40):
-        if cell.ipoc + 4 >= IPOC_WRAP:
+        if cell.ipoc + 4 >= STAMP_WRAP:
             wrap(cell)
         cell.stream([(START[0] + 1e-4 * (1 - math.cos(0.1 * k)), START[1])])
     assert (cell.state, cell.count("rsi_sessions")) == (State.FOLLOWING, 1)

@@ -265,7 +265,7 @@ class TestADelayThatCannotBe:
         cell = moving()
         cell.send(curve(cell.sent))
         before = cell.arrived[-2][1]
-        cell.cycle(delay=jump)
+        cell.cycle(missed=jump)
         assert cell.count("delay_irregular") == 1
         budget = cell.config.acceleration[0] * CYCLE**2
         assert 0.0 <= cell.measured[0] - before[0] <= 1.01 * budget
@@ -276,7 +276,7 @@ class TestADelayThatCannotBe:
         held = cell.arrived[-2][1]
         for k in range(600):
             cell.send(curve(cell.sent + k))
-            cell.cycle(delay=k + 1)
+            cell.cycle(missed=k + 1)
         assert cell.gateway.fault and cell.count("stops_replies") == 1
         assert max(abs(a - b) for a, b in zip(cell.measured, held)) < 1e-3
 
@@ -285,7 +285,7 @@ class TestADelayThatCannotBe:
         for delay in (1, 1, 1, 1):
             cell.send(curve(cell.sent))
             cell.sent += 1
-            cell.cycle(delay=delay)
+            cell.cycle(missed=delay)
         assert (cell.count("standstills"), cell.count("delay_irregular")) == (1, 0)
 
     def test_one_that_falls_to_what_it_cannot_be_is_counted_and_nothing_more(self):
@@ -293,7 +293,7 @@ class TestADelayThatCannotBe:
         for delay in (1, 2, 3, 1):
             cell.send(curve(cell.sent))
             cell.sent += 1
-            cell.cycle(delay=delay)
+            cell.cycle(missed=delay)
         assert (cell.count("standstills"), cell.count("delay_irregular")) == (3, 1)
         assert cell.state is State.FOLLOWING
 

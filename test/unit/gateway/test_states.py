@@ -112,7 +112,7 @@ def dry(cell):
 def lose_replies(cell):
     for k in range(700):
         cell.send(slow(100 + k))
-        cell.cycle(delay=k + 1)
+        cell.cycle(missed=k + 1)
 
 
 def ignore_speed_limit(cell):

@@ -12,12 +12,12 @@ import yaml
 from processes import ROOT
 from tool_cell import LAYOUT, TOOL, ToolCell, switched_off_on_stop
 
+from construction_twin.controller.tool import GatewayTool, ToolOutput, is_tool_name
 from construction_twin.core.errors import ConfigurationError, EthernetXmlError
 from construction_twin.gateway.config import parse_config
-from construction_twin.gateway.tool_config import GatewayTool, ToolOutput, check_tool
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
-from construction_twin.rsi.tool_channels import is_tool_name
+from construction_twin.rsi.tool_check import check_tool
 
 FILE = yaml.safe_load((ROOT / "config/tools/vacuum_frame.yaml").read_text())
 XML = {name: (ROOT / f"krl/ethernet/{name}_ethernet.xml").read_text() for name in ("ctwin", "ctwin_tool")}

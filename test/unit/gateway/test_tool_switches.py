@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from mock_cell import HOME
 from tool_cell import LAYOUT, TOOL, ToolCell, switched_off_on_stop
 
+from construction_twin.controller.tool import ToolOutput, ToolReading
 from construction_twin.core.state_table import cells
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.gateway import State
-from construction_twin.gateway.tool_config import ToolOutput
 from construction_twin.gateway.tool_switches import (
     LONGEST_DIFFERENCE,
     MOST_AHEAD,
@@ -27,7 +27,6 @@ from construction_twin.gateway.tool_switches import (
     ToolSwitches,
 )
 from construction_twin.mock.faults import Fault, FaultBoard
-from construction_twin.rsi.tool_channels import ToolReading
 
 GRIPPED = {"vacuum_reached": True}
 
@@ -474,7 +473,7 @@ TRUE = ToolReading((True,), (True,))
 def without_delay(gateway):
     """Return the gateway's `on_telegram` for a controller that does not count late replies."""
     hear = gateway.on_telegram
-    return lambda telegram, source, now: hear(dataclasses.replace(telegram, delay=None), source, now)
+    return lambda telegram, source, now: hear(dataclasses.replace(telegram, missed=None), source, now)
 
 
 def test_an_output_that_is_off_without_rsi_goes_off_at_a_gap_in_the_telegrams():

@@ -15,10 +15,10 @@ import pytest
 from gateway_cell import CONFIG, START, following
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.udp import bind
 from construction_twin.gateway.command_line import main
 from construction_twin.gateway.gateway import State
 from construction_twin.gateway.trace import TraceEntry, TraceWriter, read_trace
-from construction_twin.rsi.udp import bind
 
 
 def test_it_holds_what_was_answered_cycle_by_cycle(tmp_path):

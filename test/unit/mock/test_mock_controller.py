@@ -30,9 +30,9 @@ def test_a_ten_seconds_are_2500_packets_and_10000_on_the_ipoc():
     cell = Cell()
     packets = cell.cycles(2500) + [cell.cycle(ZERO)]
     assert cell.mock.counters["packets"] == 2501
-    assert packets[0].ipoc == 4_208_163_634
-    assert packets[-1].ipoc - packets[0].ipoc == 10_000
-    assert {b.ipoc - a.ipoc for a, b in zip(packets, packets[1:])} == {4}
+    assert packets[0].stamp == 4_208_163_634
+    assert packets[-1].stamp - packets[0].stamp == 10_000
+    assert {b.stamp - a.stamp for a, b in zip(packets, packets[1:])} == {4}
     assert cell.mock.counters["missed"] == 0
 
 
@@ -40,18 +40,18 @@ def test_b_a_reply_to_the_previous_packet_is_not_applied():
     cell = Cell()
     cell.cycles(5)
     cell.cycle(step(0, 0.01), ipoc_offset=-4)
-    assert cell.cycle(ZERO).delay == 1
+    assert cell.cycle(ZERO).missed == 1
     assert cell.mock.applied == ZERO
     assert cell.mock.counters["late_replies"] == 1
-    assert cell.cycle(ZERO).delay == 0
+    assert cell.cycle(ZERO).missed == 0
 
 
 def test_b_a_late_reply_beside_the_right_one_does_not_disturb():
     cell = Cell()
     cell.cycles(5)
     packet = cell.cycle(step(0, 0.01))
-    cell.mock.receive(cell.encoder.encode(step(0, 0.2), packet.ipoc - 4))
-    assert cell.cycle(ZERO).delay == 0
+    cell.mock.receive(cell.encoder.encode(step(0, 0.2), packet.stamp - 4))
+    assert cell.cycle(ZERO).missed == 0
     assert cell.mock.applied == pytest.approx(step(0, 0.01))
     assert cell.mock.counters["late_replies"] == 1
 
@@ -61,14 +61,14 @@ def test_replies_to_no_packet_of_the_session_are_mismatched(offset):
     cell = Cell()
     cell.cycles(5)
     cell.cycle(ZERO, ipoc_offset=offset)
-    assert cell.cycle(ZERO).delay == 1
+    assert cell.cycle(ZERO).missed == 1
     assert cell.mock.counters["mismatched"] == 1
 
 
 def test_the_first_of_two_replies_counts():
     cell = Cell()
     packet = cell.cycle(step(0, 0.01))
-    assert not cell.mock.receive(cell.encoder.encode(step(0, 0.02), packet.ipoc))
+    assert not cell.mock.receive(cell.encoder.encode(step(0, 0.02), packet.stamp))
     cell.cycle(ZERO)
     assert cell.mock.applied == pytest.approx(step(0, 0.01))
     assert cell.mock.counters["duplicates"] == 1
@@ -78,7 +78,7 @@ def test_c_silence_of_100_cycles_stops_rsi_at_400_ms():
     cell = Cell()
     cell.cycles(10)
     silent = cell.cycles(100, None)
-    assert [packet.delay for packet in silent] == list(range(100))
+    assert [packet.missed for packet in silent] == list(range(100))
     assert_stopped(cell, "timeout: 100 cycles")
     assert cell.mock.flag
     assert cell.mock.counters["packets"] == 110
@@ -98,7 +98,7 @@ def test_one_reply_in_time_resets_the_consecutive_count():
     for _ in range(5):
         cell.cycles(99, None)
         cell.cycle(ZERO)
-    assert cell.cycle(ZERO).delay == 0
+    assert cell.cycle(ZERO).missed == 0
     assert cell.mock.counters["missed"] == 5 * 99
 
 
@@ -107,7 +107,7 @@ def test_the_cumulative_count_is_never_reset():
     for _ in range(9):
         cell.cycle(None)
         cell.cycle(ZERO)
-    assert cell.cycle(None).delay == 9
+    assert cell.cycle(None).missed == 9
     assert_stopped(cell, "timeout: 10 cycles")
 
 
@@ -202,7 +202,7 @@ def test_g_stop_ends_the_session():
     cell = Cell(layout=WITH_STOP)
     cell.cycles(5)
     packet = parse_robot(cell.mock.begin_cycle(), AXES)
-    cell.mock.receive(cell.encoder.encode(ZERO, packet.ipoc, stop=True))
+    cell.mock.receive(cell.encoder.encode(ZERO, packet.stamp, stop=True))
     assert_stopped(cell, "stop: requested")
     assert not cell.mock.flag
 
@@ -230,12 +230,12 @@ def test_h_cartesian_actual_follows_and_cartesian_setpoint_stays():
 def test_i_a_new_session_starts_at_another_pose_with_another_ipoc():
     cell = Cell()
     cell.cycles(50, step(0, 0.2))
-    last = cell.packets[-1].ipoc
+    last = cell.packets[-1].stamp
     pose = radians((10, -80, 70, 5, 60, -20))
     cell.mock.restart(pose)
     packets = cell.cycles(10)
-    assert packets[0].ipoc > last + 400
-    assert packets[0].delay == 0
+    assert packets[0].stamp > last + 400
+    assert packets[0].missed == 0
     assert {packet.setpoint for packet in packets} == {packets[0].setpoint}
     assert packets[-1].measured == packets[0].measured == pytest.approx(pose, abs=1e-9)
     assert (cell.mock.session, cell.mock.applied, cell.mock.running) == (2, ZERO, True)
@@ -283,7 +283,7 @@ def test_unusable_replies_count_as_missing():
     for data in (b"", b"garbage", b"<Sen Type='ImFree'><IPOC>4</IPOC></Sen>", b"\xff" * 2000):
         cell.mock.begin_cycle()
         assert not cell.mock.receive(data)
-    assert cell.cycle(ZERO).delay == 4
+    assert cell.cycle(ZERO).missed == 4
     assert cell.mock.counters["malformed"] == 4
 
 
@@ -345,7 +345,7 @@ def test_the_same_replies_give_the_same_packets():
 )
 def test_an_ipoc_of_32_bits_wraps_and_a_larger_one_does_not(first, after):
     cell = Cell(first_ipoc=first)
-    assert [packet.ipoc for packet in cell.cycles(5)] == after
+    assert [packet.stamp for packet in cell.cycles(5)] == after
     assert cell.mock.counters["missed"] == 0
     # a reply to the telegram before the wrap is late, as elsewhere
     cell.cycle(ZERO, ipoc_offset=after[1] - (after[-1] + 4))

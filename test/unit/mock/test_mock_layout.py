@@ -8,6 +8,7 @@ import math
 import pytest
 from processes import ROOT
 
+from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.core.errors import ConfigurationError, EthernetXmlError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.mock.config import MockConfig
@@ -23,7 +24,7 @@ from construction_twin.mock.servo import IdealServo
 from construction_twin.robot.description import read_robot_files
 from construction_twin.rsi.ethernet_xml import read_ethernet_xml
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
-from construction_twin.rsi.layout import AxisUnit, RsiLayout
+from construction_twin.rsi.layout import RsiLayout
 
 #: A track in m, two axes in rad.
 AXES = ("E1", "A1", "A2")
@@ -53,7 +54,7 @@ class Cell:
             return None
         packet = self.decoder.parse(data)
         if correction is not None:
-            self.mock.receive(self.encoder.encode(correction, packet.ipoc, stop))
+            self.mock.receive(self.encoder.encode(correction, packet.stamp, stop))
         return packet
 
 
@@ -113,7 +114,7 @@ def test_a_missed_reply_is_no_stop():
 
 def answer_without_stop(cell, correction=ZERO):
     """Run a cycle whose reply has corrections and IPOC only, as ROS-Industrial's driver sends them."""
-    ipoc = cell.decoder.parse(cell.mock.begin_cycle()).ipoc
+    ipoc = cell.decoder.parse(cell.mock.begin_cycle()).stamp
     return cell.mock.receive(SensorEncoder("ImFree", AXES, (), UNITS).encode(correction, ipoc))
 
 
@@ -122,7 +123,7 @@ def test_a_reply_without_the_declared_stop_counts_and_is_counted():
     for k in range(20):
         assert answer_without_stop(cell, (0.001 * k, 0.0, 0.0))
     packet = cell.cycle((0.02, 0.0, 0.0))
-    assert packet.measured[0] == pytest.approx(1.519, abs=1e-7) and packet.delay == 0
+    assert packet.measured[0] == pytest.approx(1.519, abs=1e-7) and packet.missed == 0
     assert (cell.mock.counters["missed"], cell.mock.counters["without_stop"]) == (0, 20)
     cell.cycle(stop=True)
     assert cell.cycle() is None
@@ -159,8 +160,8 @@ def test_with_onlysend_it_sends_for_ever_expects_nothing_and_takes_nothing():
     cell = Cell(layout=dataclasses.replace(PLAIN, onlysend=True, receive=(), holdon=()), timeout=10)
     packets = [cell.cycle(None) for _ in range(500)]
     assert None not in packets
-    assert {packet.delay for packet in packets} == {0}
-    reply = SensorEncoder("ImFree", AXES, (), UNITS).encode((0.01, 0.0, 0.0), packets[-1].ipoc)
+    assert {packet.missed for packet in packets} == {0}
+    reply = SensorEncoder("ImFree", AXES, (), UNITS).encode((0.01, 0.0, 0.0), packets[-1].stamp)
     assert not cell.mock.receive(reply)
     assert cell.cycle(None).measured == pytest.approx(START)
     assert (cell.mock.counters["unexpected"], cell.mock.counters["missed"], cell.mock.flag) == (1, 0, False)
@@ -171,7 +172,7 @@ def test_a_gateway_with_other_names_is_not_understood():
     cell = Cell(timeout=5)
     other = SensorEncoder.of(names, AXES, UNITS)
     for _ in range(5):
-        ipoc = cell.decoder.parse(cell.mock.begin_cycle()).ipoc
+        ipoc = cell.decoder.parse(cell.mock.begin_cycle()).stamp
         assert not cell.mock.receive(other.encode(ZERO, ipoc))
     assert cell.mock.begin_cycle() is None
     assert cell.mock.reason.startswith("timeout") and cell.mock.counters["malformed"] == 5

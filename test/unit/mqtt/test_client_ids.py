@@ -22,11 +22,11 @@ from processes import ROOT, listens, wait_until
 from service_cell import CONFIG
 from site_broker import Listener, SiteBroker, free_ports
 
+from construction_twin.core.udp import bind
 from construction_twin.gateway.service import GatewayService
 from construction_twin.mqtt.client import OFFLINE, Broker, make_client
 from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.messages import Topics
-from construction_twin.rsi.udp import bind
 
 ID = "one-bridge-0123456789abcdef"
 WILL_TOPIC = "twin/one/bridge/status"

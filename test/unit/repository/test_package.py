@@ -22,7 +22,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 # fmt: off
 #: What each extra is for; where an extra contains another, the folders of both.
 FOLDERS = {
-    "gateway": {"core", "mqtt", "rsi", "gateway", "link"},
+    "gateway": {"core", "controller", "mqtt", "rsi", "gateway", "link"},
     "evaluation": {"core", "robot", "kinematics", "evaluation"},
     "planning": {
         "scene", "planning", "coordination", "review", "twin", "monitor", "execution", "mock", "scenario", "views",

@@ -11,12 +11,12 @@ import pytest
 import touched
 import yaml
 
+from construction_twin.controller.last_resort import LONGEST_GAP_MS
 from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.boundary import FIRE_TIMEOUT, LEAD, SCENE_TIMEOUT
 from construction_twin.execution.newest_reading import REMEMBERED
 from construction_twin.execution.segment_run import RECORD_TIMEOUT
-from construction_twin.gateway.last_resort import LONGEST_GAP_MS
 from construction_twin.link.observations import STATUS_TIMEOUT
 from construction_twin.review.record import KEPT
 from construction_twin.robot.executed_path import WAY_BACK_TOLERANCE

@@ -33,7 +33,7 @@ EXEMPT: dict[str, dict[str, str]] = {
     },
     "test/unit/gateway/test_gateway_failure.py": dict.fromkeys(
         (
-            "_controller", "_decoder", "_encoder", "_inbox", "_mqtt", "_player", "_playout", "_selector", "_states",
+            "_controller", "_encoder", "_inbox", "_mqtt", "_player", "_playout", "_selector", "_states",
             "_status", "_stream",
         ),
         "injection: an exception that nobody foresaw is put into each part of a running gateway, and a part has no other handle",

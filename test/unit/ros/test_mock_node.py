@@ -44,7 +44,7 @@ class Pc(threading.Thread):
                 data, source = self.socket.recvfrom(65535)
             except TimeoutError:
                 continue
-            ipoc = parse_robot(data, AXES).ipoc
+            ipoc = parse_robot(data, AXES).stamp
             self.socket.sendto(self.encoder.encode(self.correction, ipoc, self.stop), source)
 
     def close(self):

@@ -8,17 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from construction_twin.controller.telegram import Reply, Telegram
 from construction_twin.core.errors import ConfigurationError, TelegramError
+from construction_twin.core.udp import MAX_TELEGRAM
 from construction_twin.core.units import radians
-from construction_twin.rsi.gateway_codec import (
-    MAX_TELEGRAM,
-    RobotEncoder,
-    RobotTelegram,
-    SensorEncoder,
-    SensorTelegram,
-    parse_robot,
-    parse_sensor,
-)
+from construction_twin.rsi.controller_codec import RobotEncoder, parse_sensor
+from construction_twin.rsi.gateway_codec import SensorEncoder, parse_robot
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 HOME = radians((0, -90, 90, 0, 90, 0))
@@ -62,7 +57,7 @@ def test_robot_telegram_has_the_golden_bytes():
 
 
 def test_golden_robot_telegram_is_read():
-    assert parse_robot(GOLDEN_ROB, AXES) == RobotTelegram(4208163634, HOME, HOME, 0)
+    assert parse_robot(GOLDEN_ROB, AXES) == Telegram(4208163634, HOME, HOME, 0)
 
 
 def test_sensor_telegram_has_the_golden_bytes():
@@ -73,7 +68,7 @@ def test_sensor_telegram_has_the_golden_bytes():
 
 
 def test_golden_sensor_telegram_is_read():
-    assert parse_sensor(GOLDEN_SEN, "ImFree", AXES) == SensorTelegram(4208163634, CORRECTION, None)
+    assert parse_sensor(GOLDEN_SEN, "ImFree", AXES) == Reply(4208163634, CORRECTION, None)
 
 
 def test_zero_has_no_sign_in_either_direction():
@@ -86,18 +81,18 @@ def test_zero_has_no_sign_in_either_direction():
 def test_axis_names_choose_the_attributes_and_their_order():
     telegram = parse_robot(rob(aipos(A2="-90.0", A6="7") + "<IPOC>12</IPOC>"), ("A6", "A2"))
     assert telegram.measured == radians((7, -90))
-    assert telegram.setpoint is None and telegram.delay is None
+    assert telegram.setpoint is None and telegram.missed is None
 
 
 def test_nearly_empty_first_packet_is_legal():
     telegram = parse_robot(b"<Rob TYPE='KUKA'><IPOC>123645634563</IPOC></Rob>", AXES)
-    assert telegram == RobotTelegram(123645634563, None, None, None)
+    assert telegram == Telegram(123645634563, None, None, None)
 
 
 def test_unknown_elements_white_space_and_root_attribute_do_not_matter():
     data = rob(f"\n <Digout o1='1' /> {aipos()} <EStr>hello</EStr><Source1>x</Source1>\n<IPOC>8</IPOC>\n")
     assert parse_robot(data, AXES).measured == radians((1.5,) * 6)
-    assert parse_robot(b"<Rob><IPOC>8</IPOC></Rob>", AXES).ipoc == 8
+    assert parse_robot(b"<Rob><IPOC>8</IPOC></Rob>", AXES).stamp == 8
 
 
 @pytest.mark.parametrize(
@@ -231,7 +226,7 @@ def test_malformed_telegrams_are_refused_with_their_reason(data, reason):
 def test_deeply_nested_telegrams_are_refused_or_read_without_harm():
     depth = (MAX_TELEGRAM - 40) // 7
     assert depth > 1000 and refused(b"<Rob>" + b"<a>" * depth) == "xml"
-    assert parse_robot(b"<Rob>" + b"<a>" * depth + b"</a>" * depth + b"<IPOC>4</IPOC></Rob>", AXES).ipoc == 4
+    assert parse_robot(b"<Rob>" + b"<a>" * depth + b"</a>" * depth + b"<IPOC>4</IPOC></Rob>", AXES).stamp == 4
 
 
 @pytest.mark.parametrize(
@@ -286,15 +281,15 @@ def test_precision_outside_the_controllers_range_is_refused(precision):
 @given(six_angles, ipocs, st.sampled_from([None, False, True]))
 def test_corrections_survive_the_wire_to_half_a_decimal(correction, ipoc, stop):
     telegram = parse_sensor(SensorEncoder("ImFree", AXES).encode(correction, ipoc, stop), "ImFree", AXES)
-    assert (telegram.ipoc, telegram.stop) == (ipoc, stop)
-    for sent, received in zip(correction, telegram.correction):
+    assert (telegram.stamp, telegram.stop) == (ipoc, stop)
+    for sent, received in zip(correction, telegram.target):
         assert abs(sent - received) <= math.radians(0.5e-6) * (1 + 1e-6)
 
 
 @given(six_angles, six_angles, ipocs, st.integers(0, 2**31), st.integers(1, 32))
 def test_positions_survive_the_wire_to_half_a_decimal(measured, setpoint, ipoc, delay, precision):
     telegram = parse_robot(RobotEncoder(AXES, precision).encode(ipoc, measured, setpoint, POSE, POSE, delay), AXES)
-    assert (telegram.ipoc, telegram.delay) == (ipoc, delay)
+    assert (telegram.stamp, telegram.missed) == (ipoc, delay)
     tolerance = math.radians(0.5 * 10.0**-precision) * (1 + 1e-6) + 1e-13
     for sent, received in zip(measured + setpoint, telegram.measured + telegram.setpoint):
         assert abs(sent - received) <= tolerance
@@ -319,4 +314,4 @@ def test_mutated_telegrams_raise_nothing_but_telegram_errors(data):
             telegram = parse()
         except TelegramError:
             continue
-        assert 0 <= telegram.ipoc < 2**64
+        assert 0 <= telegram.stamp < 2**64

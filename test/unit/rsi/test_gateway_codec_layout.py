@@ -11,9 +11,11 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from rsi_mutations import mutate
 
+from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.core.errors import ConfigurationError, TelegramError
-from construction_twin.rsi.gateway_codec import RobotDecoder, RobotEncoder, SensorDecoder, SensorEncoder
-from construction_twin.rsi.layout import AxisUnit, RsiLayout
+from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
+from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
+from construction_twin.rsi.layout import RsiLayout
 
 #: The track first, as other drivers order their joints; the XML has it last.
 AXES = ("E1", "A1", "A2", "A3", "A4", "A5", "A6")
@@ -43,7 +45,7 @@ def test_a_track_stands_in_its_own_blocks_in_millimetres():
 def test_a_packet_of_a_track_is_read_in_metres():
     telegram = RobotDecoder(AXES, UNITS).parse(encode(Q))
     assert telegram.measured == pytest.approx(Q) and telegram.setpoint == pytest.approx(Q)
-    assert (telegram.ipoc, telegram.delay) == (8, 3)
+    assert (telegram.stamp, telegram.missed) == (8, 3)
 
 
 def test_blocks_have_six_attributes_however_many_axes_there_are():
@@ -79,7 +81,7 @@ def test_the_controller_reads_what_the_gateway_wrote_and_misses_what_is_not_ther
     correction = (0.002, *map(math.radians, (1, 2, 3, 4, 5, 6)))
     data = SensorEncoder.of(LAYOUT, AXES, UNITS).encode(correction, 12, stop=True)
     telegram = decoder.parse(data)
-    assert telegram.correction == pytest.approx(correction) and telegram.stop is True
+    assert telegram.target == pytest.approx(correction) and telegram.stop is True
     for part in (b"<Stop>1</Stop>", b'<EKorr E1="2.000000"/>', b' A4="4.000000"', b"AKorr"):
         with pytest.raises(TelegramError):
             decoder.parse(data.replace(part, b"" if part != b"AKorr" else b"AK"))
@@ -144,7 +146,7 @@ def test_positions_and_corrections_survive_any_unit(value, linear, sign, offset,
     assert telegram.measured == pytest.approx((value,), abs=step + 1e-9)
     assert telegram.setpoint == pytest.approx((offset,), abs=step + 1e-9)
     reply = SensorEncoder("ImFree", ("E1",), (), (unit,)).encode((value,), 4)
-    read = SensorDecoder("ImFree", ("E1",), (), (unit,)).parse(reply).correction
+    read = SensorDecoder("ImFree", ("E1",), (), (unit,)).parse(reply).target
     assert read == pytest.approx((value,), abs=1e-6 / abs(unit.correction_factor) + 1e-9)
 
 
@@ -166,7 +168,7 @@ def test_mutated_telegrams_are_read_or_refused_with_a_known_reason(seed):
             except TelegramError as error:
                 assert error.reason in reasons
                 continue
-            assert 0 <= telegram.ipoc < 2**64
+            assert 0 <= telegram.stamp < 2**64
             for values in filter(
                 None, (getattr(telegram, name, None) for name in ("measured", "setpoint", "correction"))
             ):

@@ -18,8 +18,9 @@ from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import TelegramInbox
 from construction_twin.gateway.states import State
 from construction_twin.mock.faults import Fault, FaultBoard
+from construction_twin.rsi.controller_codec import RobotEncoder
 from construction_twin.rsi.ethernet_xml import check_gateway, read_ethernet_xml
-from construction_twin.rsi.gateway_codec import RobotDecoder, RobotEncoder, parse_robot
+from construction_twin.rsi.gateway_codec import RobotDecoder, parse_robot
 from construction_twin.rsi.layout import RsiLayout
 from construction_twin.rsi.status_channels import ControllerStatus, StatusReader, status_channels
 
@@ -53,7 +54,7 @@ def test_the_codec_reads_such_telegrams_as_any_other_and_learns_their_shape(chan
     decoder = RobotDecoder(CONFIG.axes)
     for k, mode in enumerate((3, 3, 3, 1, 1)):
         read = decoder.parse(telegram(send, ControllerStatus(mode, 3, 100), 1000 + 4 * k))
-        assert (read.ipoc, read.measured) == (1000 + 4 * k, pytest.approx(START, abs=1e-8))
+        assert (read.stamp, read.measured) == (1000 + 4 * k, pytest.approx(START, abs=1e-8))
 
 
 def test_only_the_channels_that_the_file_declares_are_read():
@@ -227,7 +228,7 @@ def mock(channels=PLAIN):
 
 def said(cell, channels=PLAIN):
     data = cell.mock.begin_cycle()
-    cell.mock.receive(cell.encoder.encode((0.0,) * 6, parse_robot(data, cell.config.axes).ipoc))
+    cell.mock.receive(cell.encoder.encode((0.0,) * 6, parse_robot(data, cell.config.axes).stamp))
     return StatusReader(channels).read(data)[0]
 
 

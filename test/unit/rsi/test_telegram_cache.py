@@ -10,10 +10,12 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from rsi_mutations import mutate
 
+from construction_twin.controller.axis_unit import AxisUnit
+from construction_twin.controller.telegram import Telegram
 from construction_twin.core.errors import TelegramError
 from construction_twin.rsi import gateway_codec as codec
-from construction_twin.rsi.gateway_codec import RobotDecoder, RobotEncoder, RobotTelegram
-from construction_twin.rsi.layout import AxisUnit
+from construction_twin.rsi.controller_codec import RobotEncoder
+from construction_twin.rsi.gateway_codec import RobotDecoder
 from construction_twin.rsi.telegram_cache import TelegramShape
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -31,7 +33,7 @@ def telegram(axes=AXES, seed: int = 0, ipoc: int = 4208163634, units=(), delay: 
     return RobotEncoder(axes, 6, blocks, units).encode(ipoc, values, values[::-1], six, six[::-1], delay)
 
 
-def outcome(decoder: RobotDecoder, data: bytes) -> RobotTelegram | str:
+def outcome(decoder: RobotDecoder, data: bytes) -> Telegram | str:
     try:
         return decoder.parse(data)
     except TelegramError as error:

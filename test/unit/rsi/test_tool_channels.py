@@ -9,12 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from processes import ROOT
 
+from construction_twin.controller.tool import ToolReading
 from construction_twin.core.errors import ConfigurationError, EthernetXmlError, TelegramError
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 from construction_twin.rsi.ethernet_xml import check_gateway, load_ethernet_xml, read_ethernet_xml, tool_channels
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.layout import RsiLayout
-from construction_twin.rsi.tool_channels import ToolReader, ToolReading
+from construction_twin.rsi.tool_channels import ToolReader
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 ZERO = (0.0,) * 6
@@ -83,7 +84,7 @@ def test_outputs_of_another_driver_stay_what_they_were():
 def test_what_is_sent_is_read(vacuum, lamp, reached):
     data = packet({"Out.vacuum": vacuum, "Out.lamp": lamp, "In.reached": reached})
     assert reader().read(data) == ToolReading((vacuum, lamp), (reached,))
-    assert data.count(b"<Out ") == 1 and RobotDecoder(AXES).parse(data).ipoc == 4711
+    assert data.count(b"<Out ") == 1 and RobotDecoder(AXES).parse(data).stamp == 4711
 
 
 def test_the_same_reading_is_the_same_object_and_a_change_is_seen_at_once():
@@ -127,8 +128,8 @@ def test_what_is_switched_arrives(switched, stop):
     telegram = SensorDecoder("ImFree", AXES, receive, (), True, SWITCHED).parse(
         encoder.encode(ZERO, 4711, stop, switched)
     )
-    assert (telegram.ipoc, telegram.switched, telegram.stop) == (4711, switched, bool(stop))
-    assert telegram.correction == ZERO
+    assert (telegram.stamp, telegram.switched, telegram.stop) == (4711, switched, bool(stop))
+    assert telegram.target == ZERO
 
 
 def test_without_values_every_channel_is_0():

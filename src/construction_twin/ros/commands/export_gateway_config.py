@@ -12,7 +12,6 @@ from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import check_writable
 from construction_twin.ros.shared.gateway_config import config_from_parameters
 from construction_twin.ros.shared.master import await_master
-from construction_twin.rsi.ethernet_xml import tool_channels
 
 
 def main() -> None:
@@ -36,11 +35,10 @@ def main() -> None:
         Path(arguments.output).write_text(config.to_json(), encoding="utf-8")
     except (ConstructionTwinError, OSError) as error:
         sys.exit(f"export_gateway_config: {error}")
-    layout = config.layout
+    layout, make = config.layout, config.make
     print(
-        f"{arguments.output}: configuration {config.hash[:12]} of {config.robot}, {config.decimals} decimals; RSI on UDP port "
-        f"{layout.port}, SENTYPE {layout.sentype}, "
-        + ("read-only" if layout.onlysend else f"channels {', '.join(layout.receive)}")
-        + (f"; tool {config.tool.name}, {', '.join(tool_channels(layout))}" if config.tool else "; no tool")
+        f"{arguments.output}: configuration {config.hash[:12]} of {config.robot}, {config.decimals} decimals; "
+        f"{make.words.protocol} on UDP port {layout.port}, {layout.summary}"
+        + (f"; tool {config.tool.name}, {', '.join(make.tool_channels(layout))}" if config.tool else "; no tool")
         + (f"; not filled, so they stay as they are: {', '.join(layout.not_filled)}" if layout.not_filled else "")
     )

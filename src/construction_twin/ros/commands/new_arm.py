@@ -16,13 +16,13 @@ import rospkg
 import rospy
 import yaml
 
+from construction_twin.controller.makes import DEFAULT, make_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import check_writable
 from construction_twin.robot.description import RobotModel, load_robot, read_robot_files
 from construction_twin.robot.new_robot import find_ends, new_description, robot_name, robot_yaml, with_home
 from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
 from construction_twin.ros.shared.gateway_config import gateway_config
-from construction_twin.rsi.ethernet_xml_text import ethernet_xml_text
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.home import Home, find_home
 from construction_twin.scene.objects import Scene
@@ -110,7 +110,7 @@ def _make(options: argparse.Namespace, command: str) -> list[str]:
     }
     _check_folder(folder, files, options.force)
     shipped = _shipped("config/scene.yaml")
-    ethernet = ethernet_xml_text([axis.rsi for axis in robot.axes])
+    ethernet = make_of(DEFAULT).write_file([axis.rsi for axis in robot.axes])
     # what the gateway would refuse is told before the long part
     gateway_config(robot, yaml.safe_load(read_text(_shipped("config/gateway.yaml"))) | {"ethernet_xml": ethernet})
     coarse = sample_self_collision(robot, min(_COARSE, options.samples))

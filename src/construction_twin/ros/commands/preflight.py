@@ -20,6 +20,7 @@ import rosgraph
 import rospkg
 
 from construction_twin.broker.start import DEFAULT_PORT, listener_ports, trial
+from construction_twin.controller.makes import DEFAULT, make_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import check_writable
 from construction_twin.core.network import port_is_free, reaches_itself
@@ -36,7 +37,6 @@ from construction_twin.ros.shared.master import running
 from construction_twin.ros.shared.params import ros_home, settings_of
 from construction_twin.ros.shared.roslaunch_above import command_lines, roslaunch_above, say_below
 from construction_twin.ros.shared.start_claim import claim
-from construction_twin.rsi.ethernet_xml import load_ethernet_xml
 from construction_twin.scenario.definition import read_scenario
 from construction_twin.scene.cell import load_cell
 from construction_twin.scene.collision_bodies import RobotBodies
@@ -94,7 +94,7 @@ def _check_ethernet_xml(given: Given, robot: RobotModel) -> None:
     if given.get("arm") == "none" or is_bare(given):
         return
     path = given["ethernet_xml"]
-    load_ethernet_xml(path)
+    make_of(DEFAULT).load_file(path)
     settings = read_mapping(str(_package() / "config" / "gateway.yaml"), "link settings")
     cycle = int(given.get("rsi_cycle", "4"))
     given_here = {"decimals": int(given.get("decimals", "3")), "cycle": cycle, "ethernet_xml": read_text(path)}
@@ -361,7 +361,7 @@ def port_problem(given: Given) -> str:
     if given.get("arm") == "none" or not has_gateway_here(given) or "ethernet_xml" not in given:
         return ""
     port = given.get("rsi_port", "0")
-    number = int(port) or load_ethernet_xml(given["ethernet_xml"]).layout.port
+    number = int(port) or make_of(DEFAULT).load_file(given["ethernet_xml"]).port
     host = given.get("rsi_listen", "127.0.0.1")
     if not port_is_free(socket.SOCK_DGRAM, number, host):
         return (

@@ -121,7 +121,7 @@ class MockRsiNode:
             "stop_ramp": self._ramp(),
             "counters": self._mock.counters,
             "config": self._settings.model_dump(exclude={"ethernet_xml"}),
-            "ethernet": asdict(controller.config.rsi_layout),
+            "ethernet": asdict(controller.config.layout),
         }
 
     def _ramp(self) -> dict | None:

@@ -9,14 +9,14 @@ from collections.abc import Mapping
 
 import rospy
 
+from construction_twin.controller.makes import DEFAULT, make_of
+from construction_twin.controller.tool import GatewayTool, ToolOutput
 from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.gateway.tool_config import GatewayTool, ToolOutput, has_hands
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.tool import Tool, tool_of
 from construction_twin.ros.shared.params import robot_from_parameters
-from construction_twin.rsi.ethernet_xml import check_gateway, read_ethernet_xml
 
 #: Timeout of the ETHERNET object in every context that is known to be used with ROS [cycles] (docs/rsi.md, section 5).
 TIMEOUT = 100
@@ -58,12 +58,11 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
     """
     axes = tuple(axis.rsi for axis in robot.axes)
     settings = dict(settings)
+    make = make_of(settings.pop("make", DEFAULT))
     if "ethernet_xml" in settings:
-        ethernet = read_ethernet_xml(settings.pop("ethernet_xml"), "Ethernet XML")
-        check_gateway(ethernet.layout, axes, ethernet.where)
-        settings["layout"] = ethernet.layout
+        settings["layout"] = make.read_file(settings.pop("ethernet_xml"), "Ethernet XML")
     tool = settings.pop("tool", None)
-    if tool and "layout" in settings and has_hands(settings["layout"]):
+    if tool and "layout" in settings and make.tool_channels(settings["layout"]):
         settings["tool"] = gateway_tool(tool_of(tool, "tool"))
     timeout, cycle = settings.pop("timeout", TIMEOUT), settings.get("cycle", 4)
     if type(timeout) is not int or timeout < 1:

@@ -8,8 +8,10 @@ import sys
 import time
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.rsi.telegram import MAX_TELEGRAM
 
+#: Largest telegram [bytes]. With every block declared a KR C4's exceeds 1 kB (docs/rsi.md, section 2) and stays below 2 kB; what is
+#: longer than this is none, and taking it apart would only keep the loop that answers.
+MAX_TELEGRAM = 8192
 #: Linux: ask the kernel for each datagram's time of arrival, so that the reply time includes waiting for the processor. Python has
 #: no name for it; 35 on x86 and ARM, 64 bit.
 _SO_TIMESTAMPNS = 35

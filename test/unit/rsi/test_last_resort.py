@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import pytest
 from gateway_cell import CONFIG
 
+from construction_twin.controller.last_resort import LONGEST_GAP_MS, LastResort
 from construction_twin.core.units import CYCLE
-from construction_twin.gateway.last_resort import LONGEST_GAP_MS, LastResort
-from construction_twin.rsi.gateway_codec import SensorEncoder, parse_sensor
+from construction_twin.rsi.controller_codec import parse_sensor
 from construction_twin.rsi.layout import RsiLayout
+from construction_twin.rsi.make import last_resort
 
 PEER = ("192.168.1.20", 49152)
 AXES = CONFIG.axes
@@ -20,7 +22,7 @@ ROUNDED = math.radians(2e-6)
 
 
 def made(layout=None):
-    return LastResort(CONFIG.limits, SensorEncoder.of(layout or CONFIG.layout, AXES, CONFIG.units))
+    return last_resort(dataclasses.replace(CONFIG, layout=layout or CONFIG.layout))
 
 
 def taken_over(speed=(1.0, -2.0), cycles=100, **options):
@@ -38,20 +40,20 @@ def telegram(ipoc):
 
 def ask(resort, ipoc, source=PEER):
     """Return the reply's correction, or None when there is none."""
-    found = resort.ipoc_of(telegram(ipoc), source)
+    found = resort.stamp_of(telegram(ipoc), source)
     reply = None if found is None else resort.answer(found)
     if reply is None:
         return None
     read = parse_sensor(reply, "ImFree", AXES)
-    assert read.ipoc == ipoc
-    return read.correction
+    assert read.stamp == ipoc
+    return read.target
 
 
 def test_it_brakes_with_every_axis_acceleration_limit_and_holds():
     resort = taken_over()
     before, last = [v * CYCLE * 99 for v in (1.0, -2.0)], [v * CYCLE * 100 for v in (1.0, -2.0)]
     for k in range(300):
-        correction = ask(resort, resort.ipoc + 4)
+        correction = ask(resort, resort.stamp + 4)
         for axis, budget in enumerate(BUDGET):
             change = (correction[axis] - last[axis]) - (last[axis] - before[axis])
             assert abs(change) <= budget + 2 * ROUNDED
@@ -63,32 +65,32 @@ def test_it_brakes_with_every_axis_acceleration_limit_and_holds():
 
 def test_at_rest_it_repeats_what_was_sent():
     resort = taken_over(speed=(0.0, 0.0))
-    assert [ask(resort, resort.ipoc + 4) for _ in range(3)] == [(0.0, 0.0)] * 3
+    assert [ask(resort, resort.stamp + 4) for _ in range(3)] == [(0.0, 0.0)] * 3
 
 
 def test_a_repeated_telegram_an_older_one_and_one_of_somebody_else_get_no_answer():
     resort = taken_over()
-    last = resort.ipoc
+    last = resort.stamp
     assert ask(resort, last) is None and ask(resort, last - 4) is None
     assert ask(resort, last + 4, ("192.168.1.21", 49152)) is None
-    assert resort.ipoc_of(b"garbage", PEER) is None
-    assert resort.ipoc_of(b"<IPOC>" + b"9" * 9000 + b"</IPOC>", PEER) is None
+    assert resort.stamp_of(b"garbage", PEER) is None
+    assert resort.stamp_of(b"<IPOC>" + b"9" * 9000 + b"</IPOC>", PEER) is None
     assert ask(resort, last + 4) is not None
 
 
 def test_after_missed_telegrams_the_arm_stands_and_is_held_where_it_stands():
     resort = taken_over()
-    where = resort.correction
-    assert ask(resort, resort.ipoc + 16) == pytest.approx(where, abs=ROUNDED)
+    where = resort.target
+    assert ask(resort, resort.stamp + 16) == pytest.approx(where, abs=ROUNDED)
     assert resort.at_rest
 
 
 def test_after_a_long_gap_a_correction_would_be_a_jump_and_is_not_sent():
     resort = taken_over()
-    assert ask(resort, resort.ipoc + LONGEST_GAP_MS + 4) is None
-    assert ask(resort, resort.ipoc + 4) is None
+    assert ask(resort, resort.stamp + LONGEST_GAP_MS + 4) is None
+    assert ask(resort, resort.stamp + 4) is None
     still = taken_over(speed=(0.0, 0.0))
-    assert ask(still, still.ipoc + LONGEST_GAP_MS + 4) == (0.0, 0.0)
+    assert ask(still, still.stamp + LONGEST_GAP_MS + 4) == (0.0, 0.0)
 
 
 def test_a_correction_of_another_session_is_no_speed():
@@ -103,15 +105,15 @@ def test_who_was_never_answered_gets_no_answer():
     resort = made()
     resort.take_over()
     assert ask(resort, 1000) is None and not resort.ends
-    without = LastResort(CONFIG.limits, None)
+    without = LastResort(CONFIG.limits, None, 4)
     without.take_over()
     assert ask(without, 1000) is None and without.at_rest
 
 
 def test_it_ends_the_program_only_once_the_arm_is_at_rest():
     channels = (*RsiLayout.plain(AXES).receive, "Stop")
-    layout = RsiLayout("ImFree", 49152, False, ("AIPos", "ASPos"), channels, (True,) * len(channels))
-    resort = LastResort(CONFIG.limits, SensorEncoder.of(layout, AXES, CONFIG.units))
+    layout = RsiLayout("ImFree", 49152, False, ("AIPos", "ASPos", "Delay"), channels, (True,) * len(channels))
+    resort = made(layout)
     for k in range(1, 50):
         resort.sent(4 * k, PEER, (0.004 * k, 0.0), (0.004 * (k - 1), 0.0), 0)
     resort.take_over()
@@ -119,7 +121,7 @@ def test_it_ends_the_program_only_once_the_arm_is_at_rest():
     ends = []
     for _ in range(300):
         moving = not resort.at_rest
-        reply = resort.answer(resort.ipoc + 4)
+        reply = resort.answer(resort.stamp + 4)
         ends.append((moving, b"<Stop>1</Stop>" in reply))
     assert ends[0] == (True, False) and ends[-1] == (False, True)
 
@@ -130,9 +132,9 @@ def counted(ipoc, delay):
 
 def ask_counted(resort, ipoc, delay):
     """Return the correction of the reply to a telegram with `Delay`."""
-    assert resort.ipoc_of(counted(ipoc, delay), PEER) == ipoc
-    resort.note_delay(ipoc, counted(ipoc, delay))
-    return parse_sensor(resort.answer(ipoc), "ImFree", AXES).correction
+    assert resort.stamp_of(counted(ipoc, delay), PEER) == ipoc
+    resort.note_missed(ipoc, counted(ipoc, delay))
+    return parse_sensor(resort.answer(ipoc), "ImFree", AXES).target
 
 
 @pytest.mark.parametrize("lost", [1, 3])
@@ -140,26 +142,26 @@ def ask_counted(resort, ipoc, delay):
 def test_after_replies_that_did_not_arrive_it_holds_the_last_one_that_did(braked, lost):
     resort = taken_over()
     for _ in range(braked):
-        ask_counted(resort, resort.ipoc + 4, 0)
-    arrived = ask_counted(resort, resort.ipoc + 4, 0)
-    held = [ask_counted(resort, resort.ipoc + 4, number) for number in range(lost + 1)]
+        ask_counted(resort, resort.stamp + 4, 0)
+    arrived = ask_counted(resort, resort.stamp + 4, 0)
+    held = [ask_counted(resort, resort.stamp + 4, number) for number in range(lost + 1)]
     # the first of these arrived where `braked` of them did; those after it are counted as missed, one by one
     assert held[0] != arrived
     assert all(correction == pytest.approx(arrived, abs=ROUNDED) for correction in held[1:])
     assert resort.at_rest
-    assert ask_counted(resort, resort.ipoc + 4, 0) == pytest.approx(arrived, abs=ROUNDED)
+    assert ask_counted(resort, resort.stamp + 4, 0) == pytest.approx(arrived, abs=ROUNDED)
 
 
 def test_a_count_of_the_whole_session_is_read_the_same():
     resort = taken_over()
-    resort.sent(resort.ipoc, PEER, resort.correction, tuple(v * CYCLE * 99 for v in (1.0, -2.0)), 7)
-    first = ask_counted(resort, resort.ipoc + 4, 7)
+    resort.sent(resort.stamp, PEER, resort.target, tuple(v * CYCLE * 99 for v in (1.0, -2.0)), 7)
+    first = ask_counted(resort, resort.stamp + 4, 7)
     assert not resort.at_rest
-    assert ask_counted(resort, resort.ipoc + 4, 7) != first
+    assert ask_counted(resort, resort.stamp + 4, 7) != first
 
 
 def test_the_last_reply_of_the_gateway_may_be_the_lost_one():
     resort = taken_over()
     before = tuple(v * CYCLE * 99 for v in (1.0, -2.0))
-    assert ask_counted(resort, resort.ipoc + 4, 1) == pytest.approx(before, abs=ROUNDED)
+    assert ask_counted(resort, resort.stamp + 4, 1) == pytest.approx(before, abs=ROUNDED)
     assert resort.at_rest

@@ -1,0 +1,61 @@
+"""The units in which an axis appears in telegrams: the only place besides a make's codec where degrees and millimetres appear.
+
+Standard library only.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class AxisUnit:
+    """How one axis is written on the wire: ``feedback = feedback_scale * unit * (sign * x + offset)``.
+
+    `unit` is degrees per rad, or mm per m for a linear axis. A correction has no offset and a scale of its own: a controller
+    that reports an axis in another unit need not take it in that unit (docs/rsi.md, section 11).
+
+    Attributes:
+        linear: True: x in m and mm on the wire; False: rad and deg.
+        sign: +1 or -1.
+        offset: [rad] or [m], on the controller's side.
+        feedback_scale, correction_scale: Positive; 1 when the controller keeps to its own units.
+    """
+
+    linear: bool = False
+    sign: int = 1
+    offset: float = 0.0
+    feedback_scale: float = 1.0
+    correction_scale: float = 1.0
+
+    @property
+    def feedback_factor(self) -> float:
+        """Wire units of a position per rad or m."""
+        return self._per_unit * self.feedback_scale * self.sign
+
+    @property
+    def reading_factor(self) -> float:
+        """Rad or m per wire unit of a position."""
+        inverse = 1e-3 if self.linear else math.pi / 180.0
+        return inverse / self.feedback_scale * self.sign
+
+    @property
+    def zero(self) -> float:
+        """What is subtracted from a position after `reading_factor` [rad] or [m]."""
+        return self.sign * self.offset
+
+    @property
+    def correction_factor(self) -> float:
+        """Wire units of a correction per rad or m."""
+        return self._per_unit * self.correction_scale * self.sign
+
+    @property
+    def correction_reading_factor(self) -> float:
+        """Rad or m per wire unit of a correction."""
+        inverse = 1e-3 if self.linear else math.pi / 180.0
+        return inverse / self.correction_scale * self.sign
+
+    @property
+    def _per_unit(self) -> float:
+        return 1e3 if self.linear else 180.0 / math.pi

@@ -1,0 +1,147 @@
+"""What answers a controller after the gateway itself has failed: brakes from the last target that was sent, then holds.
+
+It is small and is built at the start. From the code that may have failed it uses only the text of a reply, copied beforehand. A
+make brings the functions that find a telegram's stamp and fill in such a text, and no decoder, session, playout or encoder.
+Pure. Standard library only; rad, m for linear axes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from construction_twin.controller.telegram import stamp_step
+from construction_twin.core.limits import MotionLimits
+from construction_twin.core.udp import MAX_TELEGRAM
+
+#: After a longer gap it is unknown whether the controller still has the target: a program may have started a session anew, and the
+#: target would be a jump. It is answered no more, and times out; the arm stands already [ms]. Ten cycles of 4 ms, three of 12.
+LONGEST_GAP_MS = 40
+_LARGEST_STAMP = 2**64 - 1
+#: What lies further behind, or further ahead past a wrap, is no telegram of the session [ms].
+_LONGEST_STEP = 60_000
+
+
+@dataclass(frozen=True)
+class BareProtocol:
+    """The little that the last resort knows of a make.
+
+    Attributes:
+        stamp: The stamp of a datagram [ms]; None when it has none.
+        missed: The controller's count of cycles without a valid reply; None when it has none.
+        write: The reply to a stamp, from the text of a reply and the target, shape (n,) [rad], [m].
+        texts: Texts of replies that do not end the controller's program, and that do.
+    """
+
+    stamp: Callable[[bytes], int | None]
+    missed: Callable[[bytes], int | None]
+    write: Callable[[bytes, tuple[float, ...], int], bytes]
+    texts: tuple[bytes, bytes]
+
+
+class LastResort:
+    """Remembers what was sent; after `take_over` answers in the gateway's place.
+
+    Args:
+        bare: None: the controller expects no answers, and gets none.
+        cycle_ms: The controller's cycle [ms].
+
+    Attributes:
+        ending: True: once at rest, replies end the controller's program.
+        target: Shape (n,). Sent last; () before the first.
+        stamp: Answered last.
+    """
+
+    def __init__(self, limits: MotionLimits, bare: BareProtocol | None, cycle_ms: int):
+        self._cycle = cycle_ms
+        self._budget = tuple(a * cycle_ms * cycle_ms * 1e-6 for a in limits.acceleration)
+        self._bare = bare
+        self._texts = bare.texts if bare else (b"", b"")
+        self._source: object = None
+        # what the controller had before the last target, and its count of missed replies then
+        self._kept: tuple[float, ...] = ()
+        self._missed = 0
+        self._step: tuple[float, ...] = ()
+        self._over = bare is None
+        self.target: tuple[float, ...] = ()
+        self.stamp = 0
+        self.ending = False
+
+    def sent(
+        self, stamp: int, source: object, target: tuple[float, ...], kept: tuple[float, ...], missed: int | None
+    ) -> None:
+        """Take note of a reply that the gateway has sent.
+
+        Args:
+            stamp: Of the telegram [ms].
+            source: To whom.
+            target: Shape (n,). [rad], [m]
+            kept: Shape (n,) or (). The target that the controller had before, and keeps if this one does not arrive; () for none.
+            missed: The controller's count in the telegram.
+        """
+        self.target, self._kept, self.stamp, self._source = target, kept, stamp, source
+        self._missed = missed or 0
+
+    def hold(self, holding: bytes, ending: bytes) -> None:
+        """Take the texts of replies that leave a tool's outputs as they were sent last: not ending the program, and ending it."""
+        self._texts = holding, ending
+
+    def take_over(self) -> None:
+        """Begin to answer: with the last step that was commanded."""
+        if len(self._kept) == len(self.target):
+            self._step = tuple([new - old for new, old in zip(self.target, self._kept)])
+        else:
+            self._step = (0.0,) * len(self.target)
+
+    @property
+    def at_rest(self) -> bool:
+        """True when the target changes no more."""
+        return not any(self._step)
+
+    @property
+    def ends(self) -> bool:
+        """True when replies end the program."""
+        return self.ending and self.at_rest and not self._over and bool(self.target)
+
+    def stamp_of(self, data: bytes, source: object) -> int | None:
+        """Return the stamp of a datagram to be answered; None when it is an old one, or not from the session's controller."""
+        if self._over or self._bare is None or source != self._source or len(data) > MAX_TELEGRAM:
+            return None
+        stamp = self._bare.stamp(data)
+        return stamp if stamp is not None and stamp <= _LARGEST_STAMP and self.is_newer(stamp, self.stamp) else None
+
+    @staticmethod
+    def is_newer(stamp: int, other: int) -> bool:
+        """Return whether a telegram follows another one, by their stamps [ms]."""
+        return stamp_step(other, stamp, _LONGEST_STEP) > 0
+
+    def note_missed(self, stamp: int, data: bytes) -> bool:
+        """Go back to what the controller has if a telegram says that the last reply did not arrive; return whether it does.
+
+        Call it before `answer`, with the same telegram. Its count has risen by every cycle since the last one then.
+        """
+        missed = self._bare.missed(data) if self._bare is not None else None
+        if missed is None:
+            return False
+        before, self._missed = self._missed, missed
+        cycles = max(1, stamp_step(self.stamp, stamp, _LONGEST_STEP) // self._cycle)
+        lost = missed - before >= cycles and len(self._kept) == len(self.target)
+        if lost:
+            self.target = self._kept
+            self._step = (0.0,) * len(self._step)
+        return lost
+
+    def answer(self, stamp: int) -> bytes | None:
+        """Brake on by one step and return the reply to a telegram that `stamp_of` found; None when the session is over."""
+        elapsed = stamp_step(self.stamp, stamp, _LONGEST_STEP)
+        if self._bare is None or (elapsed > LONGEST_GAP_MS and any(self.target)):
+            self._over = True
+            return None
+        if elapsed > self._cycle:
+            self._step = (0.0,) * len(self._step)
+        self._step = tuple([math.copysign(max(0.0, abs(v) - most), v) for v, most in zip(self._step, self._budget)])
+        self._kept = self.target
+        self.target = tuple([value + step for value, step in zip(self.target, self._step)])
+        self.stamp = stamp
+        return self._bare.write(self._texts[self.ends], self.target, stamp)

@@ -1,0 +1,66 @@
+"""What a telegram of any robot controller tells, and how far its clock is on from one to another.
+
+rad and m; the controller's clock in ms. Standard library only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+#: A controller that counts its time in 32 bits goes on with 0 here (docs/rsi.md, section 4).
+STAMP_WRAP = 2**32
+#: A stamp counts milliseconds [ns].
+STAMP_NS = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Telegram:
+    """One telegram of a controller.
+
+    Attributes:
+        stamp: Controller time [ms], 0 to 2^64 - 1, which the reply answers. How far it is on: `stamp_step`.
+        measured: Length n. Where the axes are [rad] ([m] for a linear axis); None when the telegram does not tell.
+        setpoint: Length n. What the axes follow without corrections; constant while it is only corrected. Where it takes absolute
+            targets: the one that it follows.
+        missed: The controller's count of cycles without a valid reply.
+    """
+
+    stamp: int
+    measured: tuple[float, ...] | None
+    setpoint: tuple[float, ...] | None
+    missed: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """One reply, as a controller reads it.
+
+    Attributes:
+        stamp: Of the telegram that it answers.
+        target: Length n. Positions of the axes, or corrections to an origin, as the make has it [rad] ([m] for a linear axis).
+        stop: Whether it ends the controller's program; None when it does not say.
+        switched: Channels of a tool, in the order of `Layout.switched`.
+    """
+
+    stamp: int
+    target: tuple[float, ...]
+    stop: bool | None
+    switched: tuple[bool, ...] = ()
+
+
+def stamp_step(before: int, stamp: int, longest: int) -> int:
+    """Return how far a controller's clock is on from one telegram to another of the same session.
+
+    Args:
+        before, stamp: Of both [ms].
+        longest: Largest step that is plausible within a session [ms], less than 2^31. A count that went past 2^32, or back over it,
+            is taken for a step only when it is no longer; everything else is the plain difference.
+
+    Returns:
+        [ms]; negative when the second telegram is the older one.
+    """
+    step = stamp - before
+    if -longest <= step <= longest or before >= STAMP_WRAP or stamp >= STAMP_WRAP:
+        return step
+    wrapped = step + STAMP_WRAP if step < 0 else step - STAMP_WRAP
+    return wrapped if -longest <= wrapped <= longest else step

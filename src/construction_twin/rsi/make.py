@@ -1,0 +1,149 @@
+"""RSI as a make of controller: the functions behind the port, each bound once at the start. Standard library only."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from construction_twin.controller.last_resort import BareProtocol, LastResort
+from construction_twin.controller.port import ControllerSide, Make, Reader, Setup, Words
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
+from construction_twin.rsi.ethernet_xml import (
+    check_axes,
+    check_gateway,
+    controller_sends_to,
+    load_ethernet_xml,
+    read_ethernet_xml,
+    tool_channels,
+)
+from construction_twin.rsi.ethernet_xml_text import ethernet_xml_text
+from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
+from construction_twin.rsi.layout import STOP, RsiLayout
+from construction_twin.rsi.session import RsiSessionRules
+from construction_twin.rsi.status_channels import ControllerStatus, StatusReader, status_channels
+from construction_twin.rsi.tool_channels import IN, OUT, ToolReader, is_signal
+from construction_twin.rsi.tool_check import check_tool
+
+#: Cycles that RSI has [ms], and their names in KRL (docs/rsi.md, section 1).
+CYCLES = {4: "#IPO_FAST", 12: "#IPO"}
+#: The file's name in messages about a configuration.
+_FILE = "Ethernet XML"
+_find_ipoc = re.compile(rb"<IPOC>\s*([0-9]{1,20})\s*</IPOC>").search
+_find_delay = re.compile(rb"""<Delay\s+D\s*=\s*["']([0-9]{1,20})["']""").search
+
+
+def check(setup: Setup) -> None:
+    """Check that RSI can serve an arm as it is configured.
+
+    Raises:
+        ConfigurationError: For a reference that RSI has not.
+        EthernetXmlError: As `check_gateway` and `check_tool`.
+    """
+    if setup.reference not in ("ASPos", "AIPos"):
+        raise ConfigurationError("reference", setup.reference, "ASPos or AIPos")
+    check_gateway(setup.layout, setup.axes, _FILE)
+    check_tool(setup.tool, setup.layout, _FILE)
+
+
+def reader(setup: Setup) -> Reader:
+    """Return what reads the telegrams of one configuration."""
+    channels, tool = status_channels(setup.layout.send), setup.tool
+    return Reader(
+        RobotDecoder(setup.axes, setup.units).parse,
+        StatusReader(channels).read if channels else None,
+        ToolReader([output.name for output in tool.outputs], tool.inputs).read if tool else None,
+    )
+
+
+def encoder(setup: Setup) -> SensorEncoder:
+    """Return what writes the replies of one configuration."""
+    return SensorEncoder.of(setup.layout, setup.axes, setup.units)
+
+
+def last_resort(setup: Setup) -> LastResort:
+    """Return what answers RSI after the gateway has failed."""
+    if not setup.layout.answered:
+        return LastResort(setup.limits, None, setup.cycle)
+    copied = encoder(setup)
+    bare = BareProtocol(_ipoc, _delay, _filling(copied.order), (copied.template(None), copied.template(True)))
+    return LastResort(setup.limits, bare, setup.cycle)
+
+
+def controller_side(config: Any) -> ControllerSide:
+    """Return what a KR C4 with this configuration writes and reads."""
+    layout = config.layout
+    told, unseen = [
+        RobotEncoder(config.axes, config.precision, send, config.units)
+        for send in (layout.send, tuple(tag for tag in layout.send if not tag.startswith(f"{OUT}.")))
+    ]
+    rich = bool(status_channels(layout.send)) or any(map(is_signal, layout.send))
+
+    def encode(ipoc, measured, setpoint, measured_pose, setpoint_pose, delay, said, outputs=None, inputs=None) -> bytes:
+        values = ipoc, measured, setpoint, measured_pose, setpoint_pose, delay
+        if not rich:
+            return told.encode(*values)
+        signals = {f"{IN}.{name}": value for name, value in (inputs or {}).items()}
+        if outputs is None:
+            return unseen.encode(*values, said, signals)
+        return told.encode(*values, said, signals | {f"{OUT}.{name}": value for name, value in outputs.items()})
+
+    decode = None
+    if layout.answered:
+        decode = SensorDecoder(
+            layout.sentype, config.axes, layout.receive, config.units, config.stop_required, layout.switched
+        ).parse
+    holdon = dict(zip(layout.receive, layout.holdon))
+    holds = [any(held for channel, held in holdon.items() if channel.partition(".")[2] == axis) for axis in config.axes]
+    return ControllerSide(encode, decode, tuple(holds), holdon.get(STOP, False))
+
+
+def _ipoc(data: bytes) -> int | None:
+    found = _find_ipoc(data)
+    return int(found[1]) if found else None
+
+
+def _delay(data: bytes) -> int | None:
+    found = _find_delay(data)
+    return int(found[1]) if found else None
+
+
+def _filling(order: Sequence[tuple[int, float]]):
+    def fill(text: bytes, target: tuple[float, ...], ipoc: int) -> bytes:
+        filled = text % (*[target[index] * factor for index, factor in order], ipoc)
+        return filled.replace(b'"-0.000000"', b'"0.000000"')
+
+    return fill
+
+
+MAKE = Make(
+    absolute=False,
+    cycles=CYCLES,
+    words=Words(
+        protocol="RSI",
+        stamp="IPOC",
+        read_only="read-only: the Ethernet XML has ONLYSEND TRUE",
+        no_stop="the Ethernet XML declares no Stop element: end the program on the pendant",
+        ends="RSI_MOVECORR ends as soon as the arm is at rest",
+        cycle="RSI_ON(..., {})",
+        cycles=f"RSI_ON with {' or '.join(CYCLES.values())}",
+        description="the Ethernet XML",
+    ),
+    nothing_said=ControllerStatus(),
+    plain=RsiLayout.plain,
+    read_layout=RsiLayout.of_document,
+    check=check,
+    reader=reader,
+    encoder=encoder,
+    rules=RsiSessionRules,
+    last_resort=last_resort,
+    check_axes=lambda layout, axes: check_axes(layout, axes, _FILE),
+    controller_side=controller_side,
+    read_file=lambda text, where: read_ethernet_xml(text, where).layout,
+    load_file=lambda path: load_ethernet_xml(path).layout,
+    load_text=lambda path: load_ethernet_xml(path).text,
+    write_file=ethernet_xml_text,
+    sends_to=controller_sends_to,
+    tool_channels=tool_channels,
+)

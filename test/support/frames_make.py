@@ -1,0 +1,171 @@
+"""A second make of controller, for tests: binary frames of a fixed length, absolute targets, a cycle of 8 ms, no tool.
+
+A telegram is session, cycle, missed replies, and two positions per axis: where it is, and the target that it follows; a reply is
+session, cycle, end, and a target per axis. Angles are float64 in rad. Cycles count from 0 in each session; as a stamp the session
+stands above the time, so that another session never looks like a step.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import asdict, dataclass
+from typing import ClassVar
+
+from construction_twin.controller import makes
+from construction_twin.controller.last_resort import BareProtocol, LastResort
+from construction_twin.controller.port import ControllerSide, Make, Reader, Words
+from construction_twin.controller.telegram import Reply, Telegram
+from construction_twin.core.errors import TelegramError
+from construction_twin.core.limits import distance_off
+
+CYCLE_MS = 8
+SESSION = 2**40
+TELEGRAM_HEAD, REPLY_HEAD = struct.Struct("<4sIIH"), struct.Struct("<4sIIB")
+ASKS, TELLS = b"FRMT", b"FRMR"
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The layout."""
+
+    make: ClassVar[str] = "frames"
+    port: int = 50_000
+    answered: bool = True
+    stop: bool = True
+    summary: ClassVar[str] = "binary frames"
+    switched: ClassVar[tuple] = ()
+    switched_holdon: ClassVar[tuple] = ()
+    outputs: ClassVar[tuple] = ()
+    inputs: ClassVar[tuple] = ()
+    not_filled: ClassVar[tuple] = ()
+
+    def document(self) -> dict:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Nothing:
+    """It says nothing of itself."""
+
+    mode: int | None = None
+    program: int | None = None
+    override: float | None = None
+    sentence: ClassVar[str] = ""
+
+    def report(self) -> dict:
+        return {}
+
+
+def stamp_of(session: int, cycle: int) -> int:
+    return session * SESSION + cycle * CYCLE_MS
+
+
+def counts_of(stamp: int) -> tuple[int, int]:
+    return stamp // SESSION, stamp % SESSION // CYCLE_MS
+
+
+def unpack(head: struct.Struct, magic: bytes, values: int, data: bytes) -> tuple:
+    """Return what a frame holds; TelegramError for another length, another beginning, or a number that is none."""
+    body = struct.Struct(f"{head.format}{values}d")
+    if len(data) != body.size:
+        raise TelegramError("size", f"frame of {len(data)} B; expected {body.size} B")
+    found = body.unpack(data)
+    if found[0] != magic:
+        raise TelegramError("root", f"the frame begins with {found[0]!r}; expected {magic!r}")
+    if not all(abs(value) < 1e3 for value in found[-values:]):
+        raise TelegramError("number", f"the frame holds {found[-values:]}; expected angles")
+    return found[1:]
+
+
+def reader(setup) -> Reader:
+    count = len(setup.axes)
+
+    def parse(data: bytes) -> Telegram:
+        session, cycle, missed, *values = unpack(TELEGRAM_HEAD, ASKS, 2 * count, data)
+        return Telegram(stamp_of(session, cycle), tuple(values[:count]), tuple(values[count:]), missed)
+
+    return Reader(parse)
+
+
+class FrameEncoder:
+    def template(self, stop, switched=()) -> bytes:
+        return b"\1" if stop else b"\0"
+
+    def encode(self, target, stamp, stop=None, switched=()) -> bytes:
+        return fill(self.template(stop), tuple(target), stamp)
+
+
+def fill(text: bytes, target: tuple[float, ...], stamp: int) -> bytes:
+    return REPLY_HEAD.pack(TELLS, *counts_of(stamp), text[0]) + struct.pack(f"<{len(target)}d", *target)
+
+
+class Rules:
+    """A session tells its number: only its beginning has to be judged."""
+
+    follows, drifted = False, ""
+
+    def __init__(self, setup):
+        self._limits, self._tolerances = setup.limits, setup.start_tolerances
+
+    def begin(self) -> None:
+        pass
+
+    def origin(self, telegram) -> tuple[tuple[float, ...], str]:
+        off = distance_off(telegram.measured, telegram.setpoint, self._limits, self._tolerances)
+        return (
+            ((), f"{off} off the target that it follows: joined a running session") if off else (telegram.measured, "")
+        )
+
+    def restarted(self, telegram, origin, correction, moving) -> str:
+        return ""
+
+
+def last_resort(setup) -> LastResort:
+    size = TELEGRAM_HEAD.size + 16 * len(setup.axes)
+
+    def read(data: bytes):
+        return TELEGRAM_HEAD.unpack_from(data) if len(data) == size and data.startswith(ASKS) else None
+
+    bare = BareProtocol(
+        lambda data: (found := read(data)) and stamp_of(*found[1:3]),
+        lambda data: (found := read(data)) and found[3],
+        fill,
+        (b"\0", b"\1"),
+    )
+    return LastResort(setup.limits, bare, setup.cycle)
+
+
+def controller_side(config) -> ControllerSide:
+    count = len(config.axes)
+
+    def encode(stamp, measured, followed, *more) -> bytes:
+        missed = more[2]
+        head = TELEGRAM_HEAD.pack(ASKS, *counts_of(stamp), missed)
+        return head + struct.pack(f"<{2 * count}d", *measured, *followed)
+
+    def decode(data: bytes) -> Reply:
+        session, cycle, stop, *target = unpack(REPLY_HEAD, TELLS, count, data)
+        return Reply(stamp_of(session, cycle), tuple(target), bool(stop))
+
+    return ControllerSide(encode, decode, (True,) * count, False)
+
+
+MAKE = Make(
+    absolute=True,
+    cycles={CYCLE_MS: "8 ms"},
+    words=Words("frames", "cycle", "read-only", "", "it ends", "{}", "8 ms", "the frames"),
+    nothing_said=Nothing(),
+    plain=lambda axes: Frames(),
+    read_layout=lambda document: Frames(**document),
+    check=lambda setup: None,
+    reader=reader,
+    encoder=lambda setup: FrameEncoder(),
+    rules=Rules,
+    last_resort=last_resort,
+    check_axes=lambda layout, axes: None,
+    controller_side=controller_side,
+    # it has no file
+    **dict.fromkeys(("read_file", "load_file", "load_text", "write_file", "sends_to"), None),
+    tool_channels=lambda layout: (),
+)
+makes.MODULES["frames"] = __name__

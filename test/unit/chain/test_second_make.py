@@ -1,0 +1,216 @@
+"""A second make of controller runs the whole chain: absolute targets in binary frames, 8 ms, and its own faults."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import deque
+
+import frames_make
+import numpy as np
+import pytest
+from chain_samples import REACH, ROBOT, SETTINGS, make_plan, play_to_the_end
+from frames_make import CYCLE_MS, SESSION, Frames, fill, stamp_of
+from simulation import SimulatedChain
+
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.execution.executor import ExecutorState
+from construction_twin.gateway.config import parse_config
+from construction_twin.gateway.gateway import Gateway
+from construction_twin.gateway.inbox import TelegramInbox
+from construction_twin.gateway.states import State
+from construction_twin.link.states import LinkState
+from construction_twin.mock.controller import MockController
+from construction_twin.mock.faults import Fault
+from construction_twin.mock.program import MockSettings, build_controller, make_forward_kinematics
+from construction_twin.mock.servo import IdealServo
+from construction_twin.ros.shared.gateway_config import gateway_config
+
+CONFIG = dataclasses.replace(gateway_config(ROBOT, SETTINGS | {"decimals": 6}), layout=Frames(), cycle=CYCLE_MS)
+PEER = ("192.168.1.30", 50_000)
+#: Where the arm of a frame stands [rad].
+ARM = np.array(ROBOT.home)
+
+
+def made(**options) -> SimulatedChain:
+    """Return a chain that is ready for a plan."""
+    plain = build_controller(MockSettings(gateway_host="simulated", gateway_port=1), ROBOT).config
+    config = dataclasses.replace(
+        plain, layout=Frames(), cycle=CYCLE_MS, units=(), first_ipoc=stamp_of(1, 0), restart_gap=SESSION
+    )
+    controller = MockController(config, IdealServo(3, config.period), make_forward_kinematics(ROBOT))
+    chain = SimulatedChain(ROBOT, CONFIG, controller, **options)
+    assert chain.run_until(lambda: chain.ready, 5.0), (chain.supervisor.reason, chain.gateway.reason)
+    return chain
+
+
+def moving(**options) -> SimulatedChain:
+    """Return a chain in the middle of a plan."""
+    chain = made(**options)
+    chain.play(make_plan(chain, REACH, duration=6.0))
+    chain.run_for(3.0)
+    assert chain.gateway.state is State.FOLLOWING
+    return chain
+
+
+def frame(cycle, measured=ARM, followed=None, session=1, missed=0) -> bytes:
+    encode = frames_make.controller_side(CONFIG).encode
+    return encode(stamp_of(session, cycle), measured, measured if followed is None else followed, (), (), missed)
+
+
+class Wire:
+    """An inbox and the gateway behind it, without a socket."""
+
+    def __init__(self):
+        self.gateway = Gateway(CONFIG, "run1")
+        self.waiting: deque = deque()
+        self.now = NANOSECONDS
+        self.inbox = TelegramInbox(self.gateway, self._receive, lambda: self.now)
+
+    def _receive(self):
+        if not self.waiting:
+            raise BlockingIOError
+        return self.waiting.popleft(), self.now, PEER
+
+    def take(self, *frames):
+        """Return the target of the newest of the frames; None when nothing is answered."""
+        self.now += CYCLE_MS * 1_000_000
+        self.waiting.extend(frames)
+        newest = self.inbox.newest()
+        return newest and self.gateway.on_telegram(newest.telegram, PEER, self.now)
+
+
+def test_a_plan_is_played_to_its_end_in_agreement_and_the_arm_stands_at_the_goal():
+    chain = made()
+    play_to_the_end(chain, make_plan(chain, REACH, duration=6.0, waypoints=100))
+    assert np.abs(np.array(chain.controller.measured) - REACH).max() <= 1e-8
+    assert not [change for change in chain.transitions if change.source.name == "IN_SYNC"]
+    counters = chain.gateway.counters
+    assert (counters["late_replies"], counters["settling"], counters["rsi_sessions"]) == (0, 0, 1)
+    poses = dict(chain.twin_poses)
+    pairs = [(q, poses[stamp]) for _, q, _, stamp in chain.feedback if stamp in poses]
+    assert len(pairs) > 500
+    # the servo lags by two of its cycles
+    assert max(np.abs(np.array(q) - twin).max() for q, twin in pairs) < 0.05
+
+
+def test_its_replies_are_positions_within_the_limits_and_no_increments():
+    chain = made()
+    chain.play(make_plan(chain, REACH))
+    assert chain.run_until(lambda: chain.executor.outcome == "finished", 20.0)
+    targets = np.array([target for _, target in chain.corrections])
+    assert np.abs(targets[0] - ROBOT.home).max() < 1e-12
+    velocity = np.diff(targets, axis=0) / CONFIG.period
+    assert (np.abs(velocity) <= np.array(ROBOT.velocity) + 1e-5).all()
+    assert (targets >= np.array(ROBOT.lower)).all() and (targets <= np.array(ROBOT.upper)).all()
+
+
+def test_a_stop_brings_the_arm_to_rest():
+    chain = moving()
+    chain.gateway.stop("asked for")
+    assert chain.run_until(lambda: chain.gateway.state is State.HOLDING, 3.0)
+    chain.run_for(0.2)
+    held = chain.controller.measured
+    chain.run_for(0.2)
+    assert chain.controller.measured == held and chain.controller.running
+
+
+def test_a_session_that_is_started_anew_is_another_one_and_the_arm_stays_until_a_person_resets():
+    chain = moving()
+    chain.requests.append(chain.controller.restart)
+    chain.run_for(0.1)
+    assert chain.gateway.counters["rsi_sessions"] == 2
+    assert chain.executor.state is not ExecutorState.PLAYING
+    where = chain.controller.measured
+    chain.run_for(1.0)
+    assert np.abs(np.array(chain.controller.measured) - where).max() < 1e-6
+    # it was in the middle of a plan: nothing arms until a person says so
+    assert (chain.gateway.state, chain.supervisor.state) == (State.READY, LinkState.NEEDS_RESET)
+
+
+@pytest.mark.parametrize("direction", ["to_pc", "to_controller"])
+def test_frames_that_are_lost_both_ways_cost_no_step(direction):
+    chain = moving()
+    chain.faults.inject(Fault("drop", values=(0.2,), direction=direction))
+    before = len(chain.measured)
+    chain.run_for(1.0)
+    poses = np.array([q for _, q in chain.measured[before - 1 :]])
+    assert (np.abs(np.diff(poses, axis=0)) / CONFIG.period <= np.array(ROBOT.velocity) * 1.001).all()
+    assert chain.controller.counters["missed"] > 10 and chain.controller.running
+    assert chain.gateway.counters["standstills"] > 0
+
+
+def test_a_late_frame_is_a_repeated_one():
+    wire = Wire()
+    assert wire.take(frame(10)) == pytest.approx(tuple(ARM))
+    assert wire.take(frame(12), frame(11)) is not None
+    assert wire.take(frame(11)) is None
+    assert wire.gateway.counters["telegrams_repeated"] == 2
+
+
+@pytest.mark.parametrize(
+    "thing, reason",
+    [
+        (b"", "size"),
+        (frame(3)[:-1], "size"),
+        (frame(3) + b"\0", "size"),
+        (b"GARB" + frame(3)[4:], "root"),
+        (frame(3, ARM * float("nan")), "number"),
+    ],
+    ids=["empty", "too short", "too long", "garbage", "no number"],
+)
+def test_what_is_no_frame_is_refused_counted_and_takes_nobody_s_place(thing, reason):
+    wire = Wire()
+    assert wire.take(frame(1)) is not None
+    assert wire.take(frame(2), thing) is not None
+    assert wire.gateway.counters[f"telegram_refused_{reason}"] == 1
+    assert wire.gateway.status()["last_refusal"].startswith(f"telegram {reason}: ")
+
+
+def test_an_arm_that_follows_somebody_else_s_target_is_not_answered():
+    wire = Wire()
+    assert wire.take(frame(1, ARM, ARM + 0.1)) is None
+    assert wire.gateway.state is State.JOINED and "joined a running session" in wire.gateway.reason
+
+
+def test_the_last_resort_brakes_from_the_last_target_and_answers_on():
+    resort = CONFIG.make.last_resort(CONFIG)
+    step = 0.002
+    for cycle in range(1, 20):
+        targets = [tuple(ARM + step * n) for n in (cycle, cycle - 1)]
+        resort.sent(stamp_of(1, cycle), PEER, *targets, 0)
+    resort.take_over()
+    decode, before = frames_make.controller_side(CONFIG).decode, np.array(targets[0])
+    for cycle in range(20, 200):
+        stamp = resort.stamp_of(frame(cycle), PEER)
+        assert not resort.note_missed(stamp, frame(cycle))
+        reply = decode(resort.answer(stamp))
+        assert reply.stamp == stamp_of(1, cycle)
+        assert (np.array(reply.target) - before <= step).all()
+        before = np.array(reply.target)
+    assert resort.at_rest and resort.stamp_of(b"garbage", PEER) is None
+
+
+def test_after_a_lost_reply_the_last_resort_goes_back_to_what_the_controller_has():
+    resort = CONFIG.make.last_resort(CONFIG)
+    resort.sent(stamp_of(1, 5), PEER, tuple(ARM + 0.002), tuple(ARM), 0)
+    resort.take_over()
+    assert resort.note_missed(stamp_of(1, 6), frame(6, missed=1))
+    assert resort.answer(stamp_of(1, 6)) == fill(b"\0", tuple(ARM), stamp_of(1, 6))
+
+
+def test_commissioning_holds_the_arm_where_it_began():
+    gateway = Gateway(CONFIG, "run1", commissioning=True)
+    telegram = CONFIG.make.reader(CONFIG).parse(frame(1))
+    assert gateway.on_telegram(telegram, PEER, NANOSECONDS) == tuple(ARM)
+
+
+def test_without_a_pose_nothing_is_answered(monkeypatch):
+    """Where no origin is known there is no target to send."""
+    monkeypatch.setattr(frames_make.Rules, "origin", lambda self, telegram: ((), ""))
+    gateway = Gateway(CONFIG, "run1")
+    assert gateway.on_telegram(CONFIG.make.reader(CONFIG).parse(frame(1)), PEER, NANOSECONDS) is None
+
+
+def test_its_configuration_names_the_make_and_is_read_again():
+    assert parse_config(CONFIG.to_json(), "file") == CONFIG
+    assert '"make": "frames"' in CONFIG.to_json()
