@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from construction_twin.kinematics.chain import Pose
+from construction_twin.kinematics.ranges import TURN
 from construction_twin.kinematics.redundant import RedundantInverse
-from construction_twin.kinematics.solution import TURN
 
 #: Values of the held joint in the first division; then parts of each promising interval, and how many intervals, each time.
 _VALUES, _PARTS, _KEPT = 2000, 40, (24, 10, 6)

@@ -8,25 +8,20 @@ from __future__ import annotations
 import abc
 import math
 from collections.abc import Sequence
-from itertools import product
 
 import numpy as np
 
 from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.ranges import TURN
 from construction_twin.kinematics.solution import (
-    TURN,
     Configuration,
     IkSettings,
     IkSolution,
     InverseKinematics,
-    refine,
-    residual,
 )
 from construction_twin.robot.description import JointValues
 
 _HALF_TURN = 0.5 * TURN
-#: Candidates that miss the pose by less than this are refined; the others are not solutions [m], [rad].
-_REFINABLE = 1e-3
 
 
 class BranchInverse(InverseKinematics, abc.ABC):
@@ -40,9 +35,7 @@ class BranchInverse(InverseKinematics, abc.ABC):
     def __init__(self, chain: Chain, settings: IkSettings):
         super().__init__(chain, settings)
         slack = settings.tolerance_rad
-        self._ranges = list(zip(chain.robot.lower, chain.robot.upper))
-        self._slack = [(lower - slack, upper + slack) for lower, upper in zip(chain.robot.lower, chain.robot.upper)]
-        ranges = [(joint, lower, upper) for joint, (lower, upper) in enumerate(self._slack)]
+        ranges = [(joint, lower - slack, upper + slack) for joint, (lower, upper) in enumerate(self._ends)]
         self._narrow_first = sorted(ranges, key=lambda bounds: bounds[2] - bounds[1])
 
     def nearest_branch(
@@ -127,31 +120,6 @@ class BranchInverse(InverseKinematics, abc.ABC):
         """
         if not np.isfinite(branch).all():
             return []
-        choices = []
-        for joint, (value, (lower, upper)) in enumerate(zip(branch.tolist(), self._slack)):
-            turns = range(math.ceil((lower - value) / TURN), math.floor((upper - value) / TURN) + 1)
-            choices.append([value] if joint in kept else [value + TURN * turn for turn in turns])
-        found = (self.confirmed(q, pose, seed, configuration) for q in product(*choices))
+        every = self.ranges.turned(branch.tolist(), self.settings.tolerance_rad, kept)
+        found = (self.confirmed(q, pose, seed, configuration) for q in every)
         return [solution for solution in found if solution is not None]
-
-    def confirmed(
-        self, q: JointValues, pose: Pose, seed: JointValues, configuration: Configuration | None
-    ) -> IkSolution | None:
-        """Return joint values as a solution if forward kinematics confirms them; near misses are refined first."""
-        q = [
-            lower if value < lower else upper if value > upper else value
-            for value, (lower, upper) in zip(q, self._ranges)
-        ]
-        error_m, error_rad = residual(self.chain, q, pose)
-        if not self.is_solved(error_m, error_rad):
-            if not max(error_m, error_rad) < _REFINABLE:
-                return None
-            q = refine(self.chain, np.array(q), pose).tolist()
-            error_m, error_rad = residual(self.chain, q, pose)
-            if not self.is_solved(error_m, error_rad):
-                return None
-        return IkSolution(np.array(q), error_m, error_rad, math.dist(q, seed), configuration)
-
-    def is_solved(self, error_m: float, error_rad: float) -> bool:
-        """Return whether a residual is within the tolerances."""
-        return error_m <= self.settings.tolerance_m and error_rad <= self.settings.tolerance_rad

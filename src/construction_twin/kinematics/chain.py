@@ -30,6 +30,12 @@ class Pose:
     position: np.ndarray
     rotation: np.ndarray
 
+    def matrix(self) -> np.ndarray:
+        """Return the pose as a homogeneous matrix, shape (4, 4)."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.position
+        return matrix
+
 
 class Chain:
     """The serial chain from ``robot.base_link`` to ``robot.tip_link``.

@@ -23,9 +23,9 @@ from construction_twin.core.motion_errors import (
 from construction_twin.kinematics.branches import BranchInverse
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.opw import OpwModel
+from construction_twin.kinematics.ranges import TURN
 from construction_twin.kinematics.singular_wrist import SingularWrist
 from construction_twin.kinematics.solution import (
-    TURN,
     ArmKind,
     Configuration,
     IkSettings,

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.closed_form import ClosedFormInverse
 from construction_twin.kinematics.figures import Problem
 from construction_twin.kinematics.opw import NotOpw
@@ -38,28 +38,17 @@ def dense_search(chain: Chain) -> Callable[[Problem], float]:
     Raises:
         ValueError: If the chain is no such arm.
     """
-    model = find_rail(chain)
-    if isinstance(model, NotOpw):
-        raise ValueError(f"the arm is not one of the OPW kind on a linear axis: {model.reason}")
-    arm = ClosedFormInverse(*model, IkSettings())
+    found = find_rail(chain)
+    if isinstance(found, NotOpw):
+        raise ValueError(f"the arm is not one of the OPW kind on a linear axis: {found.reason}")
+    carriage, model = found
+    arm = ClosedFormInverse(carriage.arm, model, IkSettings())
     lower, upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
     even = np.linspace(lower[0], upper[0], _POSITIONS)
-    home = np.array(chain.robot.home)
-    home[0] = 0.0
-    whole, part = chain.forward(home), arm.chain.forward(home[1:])
-    rotation, axis = part.rotation @ whole.rotation.T, chain.jacobian(home)[:3, 0]
 
     def solve(task: Problem, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return joint values, shape (m, 8, 7), and their distances from the seed, shape (m, 8); inf: none in range."""
-        first, second = (
-            arm.flange(
-                Pose(
-                    rotation @ (task.pose.position - position * axis - whole.position) + part.position,
-                    rotation @ task.pose.rotation,
-                )
-            )
-            for position in (0.0, 1.0)
-        )
+        first, second = (arm.flange(carriage.seen_from(task.pose, position)) for position in (0.0, 1.0))
         flanges = first + positions[:, None, None] * (second - first)
         q = np.concatenate(
             [np.broadcast_to(positions[:, None, None], (len(positions), 8, 1)), arm.branches(flanges).q], axis=2

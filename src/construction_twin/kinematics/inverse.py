@@ -1,6 +1,9 @@
 """Inverse kinematics of any arm behind one interface: in closed form where the arm allows it, by search where not.
 
-Users of solutions import from here; the classes behind are chosen by the arm's geometry.
+Users of solutions import from here; the classes behind are chosen by the arm's geometry. Two of them solve one joint more than a
+closed form has. `redundant` takes any arm of seven joints, and could take an arm of the OPW kind on a linear axis, too. `rail`
+knows how fast the joints of such an arm move along the axis, and looks between two samples wherever something nearer may be: it
+takes half the time, and `redundant` gives a solution that is farther in one pose of eight (docs/measurements.md).
 """
 
 from __future__ import annotations
@@ -54,7 +57,7 @@ def inverse_kinematics(
         reason = form.reason
     rail = find_rail(chain)
     if not isinstance(rail, NotOpw):
-        return RailInverse(chain, ClosedFormInverse(*rail, settings), NumericInverse(chain, settings, rng, clock))
+        return RailInverse(chain, *rail, NumericInverse(chain, settings, rng, clock))
     redundant = find_redundant(chain)
     if not isinstance(redundant, NoClosedForm):
         return RedundantInverse(chain, *redundant, NumericInverse(chain, settings, rng, clock))

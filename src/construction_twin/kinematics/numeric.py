@@ -9,21 +9,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from itertools import islice, product
+from itertools import islice
 from typing import NoReturn
 
 import numpy as np
 import PyKDL
 
 from construction_twin.core.motion_errors import (
-    BranchError,
     NotFoundError,
     UnreachableError,
 )
 from construction_twin.core.units import for_people
 from construction_twin.kinematics.chain import Chain, Pose, to_frame
+from construction_twin.kinematics.ranges import TURN
 from construction_twin.kinematics.solution import (
-    TURN,
     ArmKind,
     Configuration,
     IkSettings,
@@ -31,6 +30,7 @@ from construction_twin.kinematics.solution import (
     InverseKinematics,
     check_pose,
     pose_error,
+    refuse_configuration,
     residual,
 )
 from construction_twin.robot.description import JointValues
@@ -74,12 +74,10 @@ class NumericInverse(InverseKinematics):
         self._why = why
         self._rng = rng
         self._clock = clock
-        self._lower, self._upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
-        self._turns = np.where(chain.robot.linear, 0.0, TURN)
-        self._redundant = len(self._lower) > 6
+        self._redundant = len(self.ranges.lower) > 6
         self._solver = PyKDL.ChainIkSolverPos_LMA(chain.kdl, _SOLVER_EPS, settings.iterations, _SOLVER_STEP)
-        self._start = PyKDL.JntArray(len(self._lower))
-        self._end = PyKDL.JntArray(len(self._lower))
+        self._start = PyKDL.JntArray(len(self.ranges.lower))
+        self._end = PyKDL.JntArray(len(self.ranges.lower))
 
     @property
     def kind(self) -> ArmKind:
@@ -116,33 +114,26 @@ class NumericInverse(InverseKinematics):
         for index, value in enumerate(start):
             self._start[index] = float(value)
         self._solver.CartToJnt(self._start, target, self._end)
-        return np.array([self._end[index] for index in range(len(self._lower))])
+        return np.array([self._end[index] for index in range(len(self.ranges.lower))])
 
     def starts(self, seed: np.ndarray) -> Iterator[np.ndarray]:
         """Yield starting points: the seed, home, then random ones, near the seed and anywhere in the ranges in turn."""
         yield seed
         yield np.array(self.chain.robot.home)
-        reach = np.minimum(self._upper - self._lower, TURN) / 4.0
+        reach = np.minimum(self.ranges.upper - self.ranges.lower, TURN) / 4.0
         for number in range(self.settings.seeds - 2):
             if number % 2:
-                yield self._rng.uniform(self._lower, self._upper)
+                yield self._rng.uniform(self.ranges.lower, self.ranges.upper)
             else:
                 near = self._rng.normal(seed, reach)
-                yield np.clip(near, self._lower, self._upper)
+                yield np.clip(near, self.ranges.lower, self.ranges.upper)
 
-    def into_range(self, q: np.ndarray, seed: np.ndarray) -> np.ndarray:
-        """Return joint values moved by whole turns as near to the seed as the ranges allow; prismatic joints unchanged."""
-        turns = np.where(self._turns > 0.0, self._turns, np.inf)
+    def near(self, q: np.ndarray, seed: np.ndarray) -> np.ndarray:
+        """Return joint values, shape (n,), with the turns nearest to a seed; out of range by rounding: at the end of the range."""
         slack = self.settings.tolerance_rad
-        near = q + self._turns * np.rint((seed - q) / turns)
-        near = near - self._turns * np.ceil(np.maximum(near - self._upper - slack, 0.0) / turns)
-        near = near + self._turns * np.ceil(np.maximum(self._lower - slack - near, 0.0) / turns)
-        edge = np.clip(near, self._lower, self._upper)
-        return np.where(np.abs(edge - near) <= slack, edge, near)
-
-    def excess(self, q: np.ndarray) -> np.ndarray:
-        """Return by how much each joint is out of range, shape (n,); 0 or less: it is in range."""
-        return np.maximum(self._lower - q, q - self._upper)
+        q = self.ranges.into_range(q, seed, slack)
+        edge = np.clip(q, self.ranges.lower, self.ranges.upper)
+        return np.where(np.abs(edge - q) <= slack, edge, q)
 
     def is_singular(self, q: np.ndarray) -> bool:
         """Return whether there are directions in which the tip cannot move; an arm of six joints then has a self-motion."""
@@ -159,16 +150,16 @@ class NumericInverse(InverseKinematics):
         Returns:
             Shape (n,). Within the ranges; whether it reaches the pose is for the caller to check.
         """
-        q = np.clip(q, self._lower, self._upper)
+        q = np.clip(q, self.ranges.lower, self.ranges.upper)
         for _ in range(_SELF_MOTIONS):
             error = pose_error(self.chain.forward(q), pose)
             step = self._step(q, seed - q, error)
             # joints that would leave their range stand still, and the step is computed again for the others
-            stuck = ((q <= self._lower) & (step < 0.0)) | ((q >= self._upper) & (step > 0.0))
+            stuck = ((q <= self.ranges.lower) & (step < 0.0)) | ((q >= self.ranges.upper) & (step > 0.0))
             if stuck.any():
                 step = self._step(q, seed - q, error, ~stuck)
             length = float(np.abs(step).max())
-            q = np.clip(q + step * min(1.0, _STEP / max(length, _STEP)), self._lower, self._upper)
+            q = np.clip(q + step * min(1.0, _STEP / max(length, _STEP)), self.ranges.lower, self.ranges.upper)
             if length < _SETTLED:
                 break
         return q
@@ -183,7 +174,7 @@ class NumericInverse(InverseKinematics):
                 if length < 0.1 * self.settings.tolerance_m:
                     return length
                 step = _damped(self.chain.jacobian(q)[:3], error)
-                q = np.clip(q + step, self._lower, self._upper)
+                q = np.clip(q + step, self.ranges.lower, self.ranges.upper)
             best = min(best, length)
         return best
 
@@ -204,8 +195,7 @@ class _Search:
     def __init__(self, inverse: NumericInverse, pose: Pose, seed: JointValues, configuration: Configuration | None):
         inverse.chain.robot.check_range(seed)
         check_pose(pose)
-        if configuration is not None and configuration != Configuration():
-            raise BranchError(str(configuration), (), "has no meaning for an arm without a spherical wrist")
+        refuse_configuration(configuration)
         self._inverse = inverse
         self._settings = inverse.settings
         self._pose = pose
@@ -267,19 +257,19 @@ class _Search:
 
     def _try(self, start: np.ndarray) -> IkSolution | None:
         inverse = self._inverse
-        q = inverse.into_range(inverse.solve_from(start, self._target), self._seed)
+        q = inverse.near(inverse.solve_from(start, self._target), self._seed)
         # forward kinematics decides whether this is the pose; the solver's own verdict is not used
         error = residual(inverse.chain, q, self._pose)
-        if not self._is_solved(error):
+        if not inverse.is_solved(*error):
             # on an arm of metres a radian is about a metre
             self._residual = min(self._residual, error, key=lambda error: math.hypot(*error))
             return None
         if inverse._redundant or self._is_free(q):
             moved = inverse.towards(q, self._seed, self._pose)
             moved_error = residual(inverse.chain, moved, self._pose)
-            if self._is_solved(moved_error):
+            if inverse.is_solved(*moved_error):
                 q, error = moved, moved_error
-        if inverse.excess(q).max() > 0.0:
+        if inverse.ranges.excesses(q).max() > 0.0:
             self._outside.append(q)
             return None
         return IkSolution(q, *error, math.dist(q, self._seed), None)
@@ -293,20 +283,13 @@ class _Search:
         self._isolated.append(q)
         return False
 
-    def _is_solved(self, error: tuple[float, float]) -> bool:
-        return error[0] <= self._settings.tolerance_m and error[1] <= self._settings.tolerance_rad
-
     def _turned(self, solution: IkSolution) -> Iterator[IkSolution]:
         """Yield a solution with every choice of whole turns within the ranges."""
         inverse = self._inverse
-        choices = []
-        for value, lower, upper, turn in zip(solution.q, inverse._lower, inverse._upper, inverse._turns):
-            first, last = (math.ceil((lower - value) / turn), math.floor((upper - value) / turn)) if turn else (0, 0)
-            choices.append([value + turn * number for number in range(first, last + 1)])
-        for q in product(*choices):
-            error = residual(inverse.chain, q, self._pose)
-            if self._is_solved(error):
-                yield IkSolution(np.array(q), *error, math.dist(q, self._seed), None)
+        for q in inverse.ranges.turned(solution.q.tolist(), self._settings.tolerance_rad):
+            other = inverse.confirmed(q, self._pose, self._seed)
+            if other is not None:
+                yield other
 
     def _check_reach(self) -> None:
         chain = self._inverse.chain
@@ -322,8 +305,8 @@ class _Search:
         """Return what the search saw besides solutions: part of a sentence, or ""."""
         inverse, robot = self._inverse, self._inverse.chain.robot
         if self._outside:
-            nearest = min(self._outside, key=lambda q: inverse.excess(q).max())
-            joint = int(inverse.excess(nearest).argmax())
+            nearest = min(self._outside, key=lambda q: inverse.ranges.excesses(q).max())
+            joint = int(inverse.ranges.excesses(nearest).argmax())
             unit = "m" if robot.linear[joint] else "rad"
             at, low, high = (
                 for_people(value, unit) for value in (nearest[joint], robot.lower[joint], robot.upper[joint])

@@ -15,7 +15,7 @@ import numpy as np
 import py_opw_kinematics
 
 from construction_twin.kinematics.axes import TOLERANCE, Axis, intersection, joint_axes
-from construction_twin.kinematics.chain import Chain, to_pose
+from construction_twin.kinematics.chain import Chain, Pose, to_pose
 
 #: Poses on which the parameters are checked against KDL.
 _CHECKS = 50
@@ -173,7 +173,7 @@ def _measure(axes: list[Axis], wrist: np.ndarray, chain: Chain) -> OpwModel:
     theta4 = math.atan2(np.cross(y, side) @ f, y @ side)
     theta5 = math.atan2(g @ np.cross(side, f), g @ f)
     references = (z, y, y, f, side, g)
-    flange = _matrix(np.column_stack([np.cross(side, g), side, g]), wrist + g * ((tip.position - wrist) @ g))
+    flange = Pose(wrist + g * ((tip.position - wrist) @ g), np.column_stack([np.cross(side, g), side, g])).matrix()
     return OpwModel(
         a1=float(shoulder @ x),
         a2=float(forearm @ np.cross(y, f)),
@@ -184,20 +184,14 @@ def _measure(axes: list[Axis], wrist: np.ndarray, chain: Chain) -> OpwModel:
         c4=float((tip.position - wrist) @ g),
         offsets=(0.0, -theta2, _half_open(theta2 - math.atan2(f @ x, f @ z)), -theta4, -theta5, 0.0),
         signs=tuple(1 if axis @ reference > 0.0 else -1 for axis, reference in zip(d, references)),
-        base_T_opw=_matrix(np.column_stack([x, y, z]), origin),
-        flange_T_tip=np.linalg.inv(flange) @ _matrix(tip.rotation, tip.position),
+        base_T_opw=Pose(origin, np.column_stack([x, y, z])).matrix(),
+        flange_T_tip=np.linalg.inv(flange) @ tip.matrix(),
     )
 
 
 def _half_open(angle: float) -> float:
     """Return an angle in [-pi, pi)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
-
-
-def _matrix(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation, position
-    return matrix
 
 
 def _largest_gap(model: OpwModel, chain: Chain) -> float:
@@ -208,5 +202,5 @@ def _largest_gap(model: OpwModel, chain: Chain) -> float:
     for q in rng.uniform(chain.robot.lower, chain.robot.upper, (_CHECKS, 6)):
         found = model.base_T_opw @ solver.forward(tuple(q.tolist())).as_matrix() @ model.flange_T_tip
         pose = chain.forward(q)
-        worst = max(worst, float(np.abs(found - _matrix(pose.rotation, pose.position)).max()))
+        worst = max(worst, float(np.abs(found - pose.matrix()).max()))
     return worst

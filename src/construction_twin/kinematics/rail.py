@@ -19,6 +19,7 @@ import numpy as np
 
 from construction_twin.core.motion_errors import BranchError, KinematicsError, UnreachableError
 from construction_twin.kinematics import rail_search
+from construction_twin.kinematics.carriage import Carriage, carries
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.numeric import NumericInverse
@@ -27,18 +28,17 @@ from construction_twin.kinematics.rail_intervals import ROUNDING
 from construction_twin.kinematics.rail_samples import SINGULAR, RailSampler, Samples
 from construction_twin.kinematics.rail_search import Candidate
 from construction_twin.kinematics.rail_singularities import find_singularities
+from construction_twin.kinematics.ranges import TURN
 from construction_twin.kinematics.solution import (
-    TURN,
     ArmKind,
     Configuration,
     IkSolution,
     InverseKinematics,
     check_pose,
     distinct,
-    residual,
+    spaced,
 )
 from construction_twin.robot.description import JointValues
-from construction_twin.robot.urdf import chain_joints, parse_urdf
 
 #: Number of evenly spaced positions at which singular wrists, and the reason for no solution, are looked for.
 _POSITIONS = 101
@@ -50,25 +50,17 @@ _AT_REACH = 1e-6
 _SIDES = ([0, 1, 4, 5], [2, 3, 6, 7])
 #: Solutions nearer to each other than this are one [rad]: they differ only in how exactly the nearest position was found.
 _SAME = 0.01
-#: Besides the nearest ones, `all` returns solutions that are further apart than this [rad], at most so many.
-_APART, _MOST = 0.35, 64
+#: Besides the nearest ones, `all` returns at most so many.
+_MOST = 64
 
 
-def find_rail(chain: Chain) -> tuple[Chain, OpwModel] | NotOpw:
-    """Return the arm on a linear axis, with its model, or why the chain is not one.
-
-    Returns:
-        arm, model: The six joints behind the first one; the carriage is their base.
-    """
-    robot = chain.robot
-    if robot.linear != (True,) + (False,) * 6:
+def find_rail(chain: Chain) -> tuple[Carriage, OpwModel] | NotOpw:
+    """Return the carriage of an arm on a linear axis, with the arm's model, or why the chain is not one."""
+    if not carries(chain):
         return NotOpw("it is not one prismatic joint followed by six revolute ones")
-    joints = chain_joints(parse_urdf(robot.urdf), robot.base_link, robot.tip_link)
-    carriage = next(joint.child for joint in joints if joint.name == robot.joint_names[0])
-    lists = ("joint_names", "lower", "upper", "velocity", "acceleration", "jerk", "home", "axes", "linear")
-    arm = Chain(replace(robot, base_link=carriage, **{name: getattr(robot, name)[1:] for name in lists}))
-    model = find_opw(arm)
-    return model if isinstance(model, NotOpw) else (arm, model)
+    carriage = Carriage(chain)
+    model = find_opw(carriage.arm)
+    return model if isinstance(model, NotOpw) else (carriage, model)
 
 
 class RailInverse(InverseKinematics):
@@ -76,29 +68,23 @@ class RailInverse(InverseKinematics):
 
     Args:
         chain: All seven joints.
-        arm: The six on the carriage.
+        carriage, model: From `find_rail`.
         search: For the whole chain.
     """
 
-    def __init__(self, chain: Chain, arm: ClosedFormInverse, search: NumericInverse):
-        super().__init__(chain, arm.settings)
-        self._arm = arm
+    def __init__(self, chain: Chain, carriage: Carriage, model: OpwModel, search: NumericInverse):
+        super().__init__(chain, search.settings)
+        self._carriage = carriage
+        self._arm = arm = ClosedFormInverse(carriage.arm, model, search.settings)
         self._search = search
-        self._ranges = list(zip(chain.robot.lower, chain.robot.upper))
-        self._even = np.linspace(*self._ranges[0], _POSITIONS)
-        home = np.array(chain.robot.home)
-        home[0] = 0.0
-        whole, part = chain.forward(home), arm.chain.forward(home[1:])
-        # base_T_carriage with the carriage at zero, and the direction in which it travels
-        self._rotation = whole.rotation @ part.rotation.T
-        self._origin = whole.position - self._rotation @ part.position
-        self._axis = chain.jacobian(home)[:3, 0]
-        # ... and the same in the directions of the arm's model
-        self._travel = arm.model.base_T_opw[:3, :3].T @ (self._rotation.T @ self._axis)
-        self._along = RailSampler(arm, self._travel, *self._ranges[0])
+        self._even = np.linspace(*self._ends[0], _POSITIONS)
+        # the direction of travel in the directions of the arm's model
+        travel = arm.model.base_T_opw[:3, :3].T @ (carriage.rotation.T @ carriage.direction)
+        self._travel = travel
+        self._along = RailSampler(arm, travel, *self._ends[0])
         # from a target of the whole chain to one of the arm's model, with the carriage at zero
         base_T_carriage = np.eye(4)
-        base_T_carriage[:3, :3], base_T_carriage[:3, 3] = self._rotation, self._origin
+        base_T_carriage[:3, :3], base_T_carriage[:3, 3] = carriage.rotation, carriage.origin
         self._opw_T_base = np.linalg.inv(base_T_carriage @ arm.model.base_T_opw)
         self._tip_T_flange = np.linalg.inv(arm.model.flange_T_tip)
 
@@ -172,14 +158,12 @@ class RailInverse(InverseKinematics):
 
     def _flange(self, pose: Pose) -> np.ndarray:
         """Return a target as the arm's model has it with the carriage at zero, see `ClosedFormInverse.flange`."""
-        target = np.eye(4)
-        target[:3, :3], target[:3, 3] = pose.rotation, pose.position
-        return self._opw_T_base @ target @ self._tip_T_flange
+        return self._opw_T_base @ pose.matrix() @ self._tip_T_flange
 
     def _choices_of_turns(self, seed: np.ndarray) -> Iterator[tuple[int, ...]]:
         """Return by how many whole turns each of the arm's joints may be further than the nearest one, in all combinations."""
         choices = []
-        for near, (low, high) in zip(seed[1:].tolist(), self._ranges[1:]):
+        for near, (low, high) in zip(seed[1:].tolist(), self._ends[1:]):
             turns = range(math.ceil((low - near) / TURN - 0.5), math.floor((high - near) / TURN + 0.5) + 1)
             choices.append(turns if high - low >= TURN else (0,))
         return product(*choices)
@@ -187,35 +171,30 @@ class RailInverse(InverseKinematics):
     def _first_confirmed(self, candidates: Sequence[Candidate], pose: Pose, seed: np.ndarray) -> list[IkSolution]:
         """Return the first of candidates that forward kinematics confirms, as a list; empty if there is none."""
         for candidate in candidates:
-            solution = self._confirmed(candidate.q.tolist(), pose, seed, SLOTS[candidate.slot])
+            solution = self._solution(candidate, pose, seed)
             if solution is not None:
                 return [solution]
         return []
 
+    def _solution(self, candidate: Candidate, pose: Pose, seed: np.ndarray) -> IkSolution | None:
+        """Return a candidate as a solution; None: forward kinematics does not confirm it."""
+        return self.confirmed(candidate.q.tolist(), pose, seed, SLOTS[candidate.slot])
+
     def _spaced(
         self, samples: Samples, found: Sequence[IkSolution], pose: Pose, seed: np.ndarray
     ) -> Iterator[IkSolution]:
-        """Yield solutions at other positions than the ones found, the nearest first, each apart from all others.
+        """Return solutions at other positions than the ones found, the nearest first, each apart from all others.
 
         Whole turns are those nearest to the seed: with other ones the arm would touch the same things.
         """
         aim = self._along.aim(seed)
         candidates = rail_search.within(samples, self._along.measure(samples, aim), aim)
         joints = np.array([candidate.q for candidate in candidates]).reshape(-1, len(seed))
-        apart = np.full(len(joints), math.inf)
-        for solution in found:
-            np.minimum(apart, np.linalg.norm(joints - solution.q, axis=1), out=apart)
-        for _ in range(_MOST):
-            left = np.flatnonzero(apart > _APART)
-            if not len(left):
-                return
-            number = int(left[0])
-            np.minimum(apart, np.linalg.norm(joints - joints[number], axis=1), out=apart)
-            yield from self._first_confirmed([candidates[number]], pose, seed)
+        return spaced(joints, found, _MOST, lambda number: self._solution(candidates[number], pose, seed))
 
     def _singular_positions(self, flange: np.ndarray) -> list[float]:
         """Return the positions where the wrist of a branch is exactly singular."""
-        low, high = self._ranges[0]
+        low, high = self._ends[0]
 
         def wrist(positions: np.ndarray) -> np.ndarray:
             return self._arm.branches(self._along.flanges(flange, positions)).wrist[:, :4]
@@ -245,25 +224,16 @@ class RailInverse(InverseKinematics):
             for margin, slots in zip(margins, _SIDES)
         )
 
-    def _confirmed(
-        self, q: list[float], pose: Pose, seed: np.ndarray, configuration: Configuration | None
-    ) -> IkSolution | None:
-        q = [min(max(value, lower), upper) for value, (lower, upper) in zip(q, self._ranges)]
-        error_m, error_rad = residual(self.chain, q, pose)
-        if error_m > self.settings.tolerance_m or error_rad > self.settings.tolerance_rad:
-            return None
-        return IkSolution(np.array(q), error_m, error_rad, math.dist(q, seed), configuration)
-
     def _nearest_at(
         self, position: float, pose: Pose, seed: np.ndarray, configuration: Configuration | None
     ) -> list[IkSolution]:
         """Return the nearest solution with the carriage at a position, as a list; empty if there is none."""
-        of_arm = self._arm.find(self._seen_from(pose, position), seed[1:].tolist(), configuration)
+        of_arm = self._arm.find(self._carriage.seen_from(pose, position), seed[1:].tolist(), configuration)
         return [] if of_arm is None else self._lifted(position, of_arm, pose, seed)
 
     def _lifted(self, position: float, of_arm: IkSolution, pose: Pose, seed: np.ndarray) -> list[IkSolution]:
         """Return the arm's solution at a position as one of the whole chain; empty if forward kinematics does not confirm it."""
-        solution = self._confirmed([position, *of_arm.q.tolist()], pose, seed, of_arm.configuration)
+        solution = self.confirmed([position, *of_arm.q.tolist()], pose, seed, of_arm.configuration)
         return [] if solution is None else [solution]
 
     def _families(
@@ -272,7 +242,7 @@ class RailInverse(InverseKinematics):
         """Yield all solutions with a singular wrist, at the positions where it is singular."""
         for position in singular:
             try:
-                of_arm = self._arm.all(self._seen_from(pose, position), seed[1:], configuration)
+                of_arm = self._arm.all(self._carriage.seen_from(pose, position), seed[1:], configuration)
             except KinematicsError:
                 continue  # out of range at this position, or not in this configuration
             for solution in of_arm:
@@ -283,11 +253,6 @@ class RailInverse(InverseKinematics):
     def _wrist_angle(self, q: np.ndarray) -> float:
         """Return |sin| of the angle between axes 4 and 6."""
         return abs(math.sin(q[5] - self._arm.model.signs[4] * self._arm.model.offsets[4]))
-
-    def _seen_from(self, pose: Pose, position: float) -> Pose:
-        """Return ``carriage_T_tip`` of a target with the carriage at a position."""
-        origin = self._origin + position * self._axis
-        return Pose(self._rotation.T @ (pose.position - origin), self._rotation.T @ pose.rotation)
 
     def _search_or_explain(self, pose: Pose, seed: np.ndarray, configuration: Configuration | None) -> IkSolution:
         """Return the solution that the search finds, or raise the error that says why there is none."""
@@ -311,7 +276,7 @@ class RailInverse(InverseKinematics):
         branches, _, extension = self._arm.branches(self._along.flanges(self._flange(pose), positions))
         best = int(extension.argmax())
         if extension[best] < 0.0:
-            carriage_T_tip = self._seen_from(pose, float(positions[best]))
+            carriage_T_tip = self._carriage.seen_from(pose, float(positions[best]))
             raise UnreachableError(-float(extension[best]), self._arm.is_too_close(self._arm.flange(carriage_T_tip)))
         rows = branches.reshape(-1, 6)
         self._arm.raise_range_error(rows[np.isfinite(rows).all(axis=1)])

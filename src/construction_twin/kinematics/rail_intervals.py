@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from construction_twin.kinematics.rail_rates import AT_EDGE
-from construction_twin.kinematics.solution import TURN
+from construction_twin.kinematics.ranges import TURN
 
 #: Out of range by less is rounding [rad].
 ROUNDING = 3e-7

@@ -16,7 +16,7 @@ import numpy as np
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.rail_intervals import Aim, Node, make_node
 from construction_twin.kinematics.rail_rates import RailRates
-from construction_twin.kinematics.solution import TURN
+from construction_twin.kinematics.ranges import TURN
 
 #: Number of evenly spaced positions along the axis; and where it is not level, so that the edges of the reach are not known.
 _POSITIONS, _OBLIQUE = 31, 151

@@ -13,30 +13,29 @@ from __future__ import annotations
 import bisect
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from construction_twin.core.motion_errors import BranchError
 from construction_twin.kinematics.axes import joint_axes
+from construction_twin.kinematics.carriage import Carriage, carries
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.decomposition import ClosedForm, NoClosedForm, find_closed_form
 from construction_twin.kinematics.numeric import NumericInverse
 from construction_twin.kinematics.self_motion import SelfMotion
 from construction_twin.kinematics.solution import (
-    TURN,
     ArmKind,
     Configuration,
     IkSolution,
     InverseKinematics,
     check_pose,
     pose_error,
-    refine,
+    refuse_configuration,
     residual,
+    spaced,
 )
 from construction_twin.robot.description import JointValues
-from construction_twin.robot.urdf import chain_joints, parse_urdf
 
 #: Joints to hold, those first whose model does not depend on the held value: the last joint, the first, then the others.
 _ORDER = (6, 0, 2, 4, 1, 5, 3)
@@ -46,10 +45,10 @@ _FEW, _VALUES, _FINER = 40, 56, 321
 _STEPS, _LONGEST, _SETTLED = 8, 0.3, 2e-3
 #: Where the seed misses the pose by less, first only values within a window around the seed's are tried [m], [rad].
 _BESIDE, _WINDOW = 0.5, 1.0
-#: Samples that `all` returns are farther apart than this [rad]; and how many of them, at most.
-_APART, _MOST = 0.35, 64
-#: A sample out of range by less may slide into it [rad]; and how many samples are tried.
-_NEARLY, _SLID = 0.4, 6
+#: `all` returns at most so many, whole turns not counted.
+_MOST = 64
+#: A sample out of range by less may slide into it [rad]; how many samples are tried, and how far apart they are [rad].
+_NEARLY, _SLID, _APART = 0.4, 6, 0.35
 #: A solution that misses the pose by more is improved by Newton steps [m], [rad].
 _EXACT = 1e-8
 
@@ -89,22 +88,16 @@ class _Held:
 
 
 class _Carried:
-    """Six joints solved with the linear axis that carries them held at a place."""
+    """Six joints solved with the linear axis that carries them held at a position."""
 
-    def __init__(self, form: ClosedForm, whole: Chain, arm: Chain):
+    def __init__(self, form: ClosedForm, carriage: Carriage):
         self._solve = form.solver().calculate_IK
-        home = np.array(whole.robot.home)
-        home[0] = 0.0
-        base, part = whole.forward(home), arm.forward(home[1:])
-        self._axis = whole.jacobian(home)[:3, 0]
-        rotation = base.rotation @ part.rotation.T
-        self._carriage_T_base = np.eye(4)
-        self._carriage_T_base[:3, :3] = rotation.T
-        self._carriage_T_base[:3, 3] = -rotation.T @ (base.position - rotation @ part.position)
+        self._direction = carriage.direction
+        self._carriage_T_base = carriage.seen_from(Pose(np.zeros(3), np.eye(3)), 0.0).matrix()
 
     def solver(self, value: float) -> _Solve:
         """Return the same as `_Held.solver`."""
-        travel = value * self._axis
+        travel = value * self._direction
 
         def solve(target: np.ndarray) -> _OnCarriage:
             moved = target.copy()
@@ -121,14 +114,15 @@ class _Carried:
 def find_redundant(chain: Chain) -> tuple[ClosedForm, int] | NoClosedForm:
     """Return the closed form of seven joints with one held, and which one from 0, or why there is none."""
     linear = chain.robot.linear
-    if len(linear) != 7 or any(linear[1:]):
+    carried = carries(chain)
+    if not carried and linear != (False,) * 7:
         revolute = linear.count(False)
         return NoClosedForm(
             f"it has {revolute} revolute and {len(linear) - revolute} prismatic joints, not six or seven revolute ones, "
             "or six behind a prismatic one"
         )
-    if linear[0]:
-        arm = arm_on_carriage(chain)
+    if carried:
+        arm = Carriage(chain).arm
         form = find_closed_form(arm, joint_axes(arm))
         return form if isinstance(form, NoClosedForm) else (form, 0)
     axes = joint_axes(chain)
@@ -143,15 +137,6 @@ def find_redundant(chain: Chain) -> tuple[ClosedForm, int] | NoClosedForm:
     return NoClosedForm(f"with none of its joints held the others have a closed form; with joint 7 held {reason}")
 
 
-def arm_on_carriage(chain: Chain) -> Chain:
-    """Return the six joints behind a prismatic one; the carriage is their base."""
-    robot = chain.robot
-    joints = chain_joints(parse_urdf(robot.urdf), robot.base_link, robot.tip_link)
-    carriage = next(joint.child for joint in joints if joint.name == robot.joint_names[0])
-    lists = ("joint_names", "lower", "upper", "velocity", "acceleration", "jerk", "home", "axes", "linear")
-    return Chain(replace(robot, base_link=carriage, **{name: getattr(robot, name)[1:] for name in lists}))
-
-
 class RedundantInverse(InverseKinematics):
     """Inverse kinematics of seven joints, one of them held.
 
@@ -162,14 +147,11 @@ class RedundantInverse(InverseKinematics):
     """
 
     def __init__(self, chain: Chain, form: ClosedForm, held: int, search: NumericInverse):
-        super().__init__(chain, search.settings)
+        super().__init__(chain, search.settings, _EXACT, math.inf)
         self.form, self.held = form, held
         self._search = search
-        robot = chain.robot
-        self._lower, self._upper = np.array(robot.lower), np.array(robot.upper)
-        self._turns = np.where(robot.linear, 0.0, TURN)
         self._motion = SelfMotion(chain, held)
-        self._arm = _Carried(form, chain, arm_on_carriage(chain)) if robot.linear[held] else _Held(form)
+        self._arm = _Carried(form, Carriage(chain)) if carries(chain) else _Held(form)
         self._solvers = {count: self._divided(count) for count in (_FEW, _VALUES, _FINER)}
 
     @property
@@ -180,7 +162,7 @@ class RedundantInverse(InverseKinematics):
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """See `InverseKinematics.nearest`: where the arm slides from the nearest sample; `all` may know a nearer one."""
         start = self._checked(pose, seed, configuration)
-        target = _matrix(pose)
+        target = pose.matrix()
         return (
             self._beside(target, pose, start) or self._slid(target, pose, start) or self._thorough(target, pose, start)
         )
@@ -191,20 +173,20 @@ class RedundantInverse(InverseKinematics):
             return None
         found = self._along(*self._samples(_VALUES, target, float(seed[self.held])), target, pose, seed, beside=True)
         # what is nearer than this has the held joint within the window
-        return found[0] if found and found[0].distance < _WINDOW else None
+        return found if found is not None and found.distance < _WINDOW else None
 
     def _slid(self, target: np.ndarray, pose: Pose, seed: np.ndarray) -> IkSolution | None:
         """Return the solution to which the arm slides from the nearest sample within the ranges; None: there is no such sample."""
-        samples = self._motion.into_range(self._samples(_FEW, target)[0], seed)
-        samples = samples[self._motion.excess(samples) <= 0.0]
+        samples = self.ranges.into_range(self._samples(_FEW, target)[0], seed)
+        samples = samples[self.ranges.excess(samples) <= 0.0]
         if not len(samples):
             return None
         ways = samples - seed
         nearest = samples[np.einsum("mn,mn->m", ways, ways).argmin()]
-        slid = self._confirmed(self._slide(nearest, seed, pose), pose, seed)
-        if slid and slid[0].distance <= math.dist(nearest, seed):
-            return slid[0]
-        return next(iter(self._confirmed(nearest, pose, seed) + slid), None)
+        slid = self.confirmed(self._slide(nearest, seed, pose).tolist(), pose, seed)
+        if slid is not None and slid.distance <= math.dist(nearest, seed):
+            return slid
+        return self.confirmed(nearest.tolist(), pose, seed) or slid
 
     def _slide(self, q: np.ndarray, seed: np.ndarray, pose: Pose) -> np.ndarray:
         """Return where along the self-motion the distance from the seed is least: Newton's method, derivatives by differences."""
@@ -222,7 +204,7 @@ class RedundantInverse(InverseKinematics):
             step = min(max(-slope / curvature, -_LONGEST), _LONGEST)
             # the interval of steps that leave every joint in its range; joints that hardly move do not count
             moving = np.abs(direction) > 1e-9
-            ends = np.array([(self._lower - q)[moving], (self._upper - q)[moving]]) / direction[moving]
+            ends = np.array([(self.ranges.lower - q)[moving], (self.ranges.upper - q)[moving]]) / direction[moving]
             low, high = float(ends.min(axis=0).max()), float(ends.max(axis=0).min())
             step = min(max(step, low), high) if low <= high else 0.5 * (low + high)
             q = q + step * direction + right[:6].T @ ((left.T @ error) / np.maximum(sizes, 1e-6))
@@ -235,12 +217,12 @@ class RedundantInverse(InverseKinematics):
         beside = max(residual(self.chain, seed, pose)) < _BESIDE
         for count in (_VALUES, _FINER):
             found = self._along(*self._samples(count, target), target, pose, seed, beside)
-            if found:
-                return found[0]
+            if found is not None:
+                return found
         for q in self._almost(target, seed)[:_SLID]:
-            found = self._confirmed(self._search.towards(q, seed, pose), pose, seed)
-            if found:
-                return found[0]
+            found = self.confirmed(self._search.towards(q, seed, pose).tolist(), pose, seed)
+            if found is not None:
+                return found
         return self._search.nearest(pose, seed)
 
     def all(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> list[IkSolution]:
@@ -249,13 +231,12 @@ class RedundantInverse(InverseKinematics):
         Whoever has to avoid contacts takes the first that is free: the choice of the free joint is his.
         """
         start = self._checked(pose, seed, configuration)
-        target = _matrix(pose)
+        target = pose.matrix()
         found = [self._thorough(target, pose, start)]
-        samples = self._motion.into_range(self._samples(_VALUES, target)[0], start)
-        inside = samples[self._motion.excess(samples) <= 0.0]
-        for q in inside[((inside - start) ** 2).sum(axis=1).argsort()]:
-            if len(found) < _MOST and all(math.dist(q, other.q) > _APART for other in found):
-                found += self._confirmed(q, pose, start)
+        samples = self.ranges.into_range(self._samples(_VALUES, target)[0], start)
+        inside = samples[self.ranges.excess(samples) <= 0.0]
+        inside = inside[((inside - start) ** 2).sum(axis=1).argsort()]
+        found += spaced(inside, found, _MOST - 1, lambda number: self.confirmed(inside[number].tolist(), pose, start))
         turned = [other for solution in found for other in self._turned(solution, pose, start)]
         return sorted(turned, key=lambda solution: solution.distance)
 
@@ -265,8 +246,8 @@ class RedundantInverse(InverseKinematics):
         Args:
             value: [rad] or [m]
         """
-        found = self._arm.solver(value)(_matrix(pose))
-        return found.Q[~found.is_LS].reshape(-1, len(self._lower))
+        found = self._arm.solver(value)(pose.matrix())
+        return found.Q[~found.is_LS].reshape(-1, len(self.ranges.lower))
 
     def configuration(self, q: JointValues) -> None:
         """Return None: these arms have no named configurations."""
@@ -275,15 +256,12 @@ class RedundantInverse(InverseKinematics):
     def _checked(self, pose: Pose, seed: JointValues, configuration: Configuration | None) -> np.ndarray:
         self.chain.robot.check_range(seed)
         check_pose(pose)
-        if configuration is not None and configuration != Configuration():
-            raise BranchError(
-                str(configuration), (), "has no meaning for an arm without a spherical wrist of the OPW kind"
-            )
+        refuse_configuration(configuration)
         return np.array(seed, dtype=float)
 
     def _divided(self, count: int) -> tuple[list[float], list[_Solve]]:
         """Return the values of a division of the held joint's range, and their solvers."""
-        values = np.linspace(self._lower[self.held], self._upper[self.held], count).tolist()
+        values = np.linspace(self.ranges.lower[self.held], self.ranges.upper[self.held], count).tolist()
         return values, [self._arm.solver(value) for value in values]
 
     def _samples(self, count: int, target: np.ndarray, around: float | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -301,7 +279,7 @@ class RedundantInverse(InverseKinematics):
         q = [each.Q for each in found]
         counts = np.array([len(rows) for rows in q])
         if not counts.any():
-            return np.empty((0, len(self._lower))), counts
+            return np.empty((0, len(self.ranges.lower))), counts
         samples = np.concatenate([rows for rows in q if len(rows)])
         if self.form.exact:
             solved = ~np.concatenate([each.is_LS for each in found])
@@ -318,23 +296,23 @@ class RedundantInverse(InverseKinematics):
         pose: Pose,
         seed: np.ndarray,
         beside: bool,
-    ) -> list[IkSolution]:
-        """Return the nearest solution along the self-motions, as a list."""
+    ) -> IkSolution | None:
+        """Return the nearest solution along the self-motions; None: there is none."""
 
         def point(q: np.ndarray) -> np.ndarray | None:
             found = self._arm.solver(float(q[self.held]))(target)
             if not len(found.Q) or found.is_LS.all():
                 return None
-            ways = self._motion.wrapped(found.Q - q)
+            ways = self.ranges.wrapped(found.Q - q)
             return found.Q[np.einsum("mn,mn->m", ways, ways).argmin()]
 
         best = self._motion.nearest(samples, counts, pose, seed, point, beside)
-        return [] if best is None else self._confirmed(best, pose, seed)
+        return None if best is None else self.confirmed(best.tolist(), pose, seed)
 
     def _almost(self, target: np.ndarray, seed: np.ndarray) -> np.ndarray:
         """Return samples that are almost in range, nearest to the ranges first."""
-        q = self._motion.into_range(self._samples(_FINER, target)[0], seed)
-        excess = self._motion.excess(q)
+        q = self.ranges.into_range(self._samples(_FINER, target)[0], seed)
+        excess = self.ranges.excess(q)
         order = excess.argsort()
         kept: list[np.ndarray] = []
         for each in q[order[excess[order] < _NEARLY]]:
@@ -342,37 +320,8 @@ class RedundantInverse(InverseKinematics):
                 kept.append(each)
         return np.array(kept).reshape(-1, len(seed))
 
-    def _confirmed(self, q: np.ndarray, pose: Pose, seed: np.ndarray) -> list[IkSolution]:
-        """Return joint values as a solution if forward kinematics confirms them, after Newton steps where needed; as a list."""
-        q = np.clip(q, self._lower, self._upper)
-        error = residual(self.chain, q, pose)
-        if max(error) > _EXACT:
-            q = refine(self.chain, q, pose)
-            error = residual(self.chain, q, pose)
-            if not self._is_solved(error):
-                return []
-        return [IkSolution(q, *error, math.dist(q, seed), None)]
-
     def _turned(self, solution: IkSolution, pose: Pose, seed: np.ndarray) -> list[IkSolution]:
         """Return a solution with every choice of whole turns within the ranges."""
-        found = [solution]
-        for joint, turn in enumerate(self._turns):
-            if turn and self._upper[joint] - self._lower[joint] >= turn:
-                for one in list(found):
-                    for q in (
-                        np.arange(one.q[joint] - turn, self._lower[joint] - 1e-9, -turn).tolist()
-                        + np.arange(one.q[joint] + turn, self._upper[joint] + 1e-9, turn).tolist()
-                    ):
-                        other = one.q.copy()
-                        other[joint] = q
-                        found += self._confirmed(other, pose, seed)
-        return found
-
-    def _is_solved(self, error: tuple[float, float]) -> bool:
-        return error[0] <= self.settings.tolerance_m and error[1] <= self.settings.tolerance_rad
-
-
-def _matrix(pose: Pose) -> np.ndarray:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.position
-    return matrix
+        own = tuple(solution.q.tolist())
+        others = (q for q in self.ranges.turned(own, self.settings.tolerance_rad) if q != own)
+        return [solution, *(other for q in others if (other := self.confirmed(q, pose, seed)) is not None)]

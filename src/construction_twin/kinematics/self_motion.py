@@ -21,10 +21,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.kinematics.axes import Axis, joint_axes
+from construction_twin.kinematics.axes import Axis, alignment, joint_axes
 from construction_twin.kinematics.batch_kinematics import BatchKinematics, tangents
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.kinematics.solution import TURN
+from construction_twin.kinematics.ranges import TURN, Ranges
 from construction_twin.robot.description import RobotModel
 
 #: A curve is longer than the straight way along a link by no more than this factor, as far as pruning is concerned.
@@ -76,15 +76,11 @@ def find_hinges(axes: Sequence[Axis], linear: Sequence[bool]) -> list[Hinge]:
             continue
         first, middle, last = axes[joint - 1 : joint + 2]
         axis = middle.direction
-        # the cosine between the outer axes is constant + cosine cos(q) + sine sin(q)
-        constant = float(first.direction @ axis) * float(axis @ last.direction)
-        cosine = float(first.direction @ last.direction) - constant
-        sine = float(first.direction @ np.cross(axis, last.direction))
-        size = math.hypot(cosine, sine)
+        outer = alignment(first.direction, axis, last.direction)
         for sense in (1.0, -1.0):
-            if size < 1e-3 or abs(constant + sense * size - sense) > 1e-3:
+            if outer.size < 1e-3 or abs(outer.constant + sense * outer.size - sense) > 1e-3:
                 continue
-            angle = math.atan2(sense * sine, sense * cosine)
+            angle = math.atan2(sense * outer.sine, sense * outer.cosine)
             spoke = last.point - middle.point
             across = np.cross(axis, spoke)
             turned = spoke + across * math.sin(angle) + np.cross(axis, across) * (1.0 - math.cos(angle))
@@ -119,23 +115,7 @@ class SelfMotion:
             for hinge in find_hinges(joint_axes(chain), robot.linear)
             if abs(hinge.joint - held) != 1 and _can_pass(hinge, robot)
         ]
-        self.lower, self.upper = np.array(robot.lower), np.array(robot.upper)
-        self.turns = np.where(robot.linear, 0.0, TURN)
-        self._middle, self._half = 0.5 * (self.lower + self.upper), 0.5 * (self.upper - self.lower)
-
-    def wrapped(self, ways: np.ndarray) -> np.ndarray:
-        """Return differences of joint values without their whole turns."""
-        return ways - self.turns * np.rint(ways * (1.0 / TURN))
-
-    def into_range(self, q: np.ndarray, seed: np.ndarray) -> np.ndarray:
-        """Return joint values, shape (m, n), moved by whole turns into the ranges where possible, there near the seed."""
-        q = seed + self.wrapped(q - seed)
-        q = np.where((q > self.upper) & (q - self.turns >= self.lower), q - self.turns, q)
-        return np.where((q < self.lower) & (q + self.turns <= self.upper), q + self.turns, q)
-
-    def excess(self, q: np.ndarray) -> np.ndarray:
-        """Return by how much joint values, shape (..., n), are out of range, the worst joint; 0 or less: they are in range."""
-        return (np.abs(q - self._middle) - self._half).max(axis=-1)
+        self.ranges = Ranges(robot)
 
     def nearest(
         self,
@@ -180,13 +160,13 @@ class _Samples:
 
     def __init__(self, motion: SelfMotion, samples: np.ndarray, counts: np.ndarray, seed: np.ndarray):
         self.motion, self.seed = motion, seed
-        self.q = motion.into_range(samples, seed)
+        self.q = motion.ranges.into_range(samples, seed)
         # the first and the last layer are empty, so that every layer has two neighbours
         self._counts = np.concatenate([[0], counts, [0]])
         self.layer = np.repeat(np.arange(len(self._counts)), self._counts)
         self.away = self.q - seed
         self.distance = _size(self.away)
-        self.excess = motion.excess(self.q)
+        self.excess = motion.ranges.excess(self.q)
         number = np.arange(len(self.q))
         self._branch = number - (np.cumsum(self._counts) - self._counts)[self.layer]
         self._table = np.full((len(self._counts), int(self._counts.max())), -1)
@@ -200,14 +180,14 @@ class _Samples:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return links that may lead nearer to the seed than a limit: sample, neighbour, side, the way there, and its length."""
         motion = self.motion
-        ways = motion.wrapped(self.q[neighbours] - self.q[near, None])
+        ways = motion.ranges.wrapped(self.q[neighbours] - self.q[near, None])
         lengths = _size(ways)
         ends = _size(self.away[near, None] + ways)
         bound = 0.5 * (self.distance[near, None] + ends - _BULGE * lengths)
         row, side = np.nonzero((bound < limit) & (neighbours >= 0))
         node, other, ways, lengths = near[row], neighbours[row, side], ways[row, side], lengths[row, side]
         end = self.q[node] + ways
-        out = np.maximum(self.excess[node], 0.0) + np.maximum(motion.excess(end), 0.0)
+        out = np.maximum(self.excess[node], 0.0) + np.maximum(motion.ranges.excess(end), 0.0)
         # a link is looked at from one end, unless whole turns make it another one when seen from the other end
         turned = np.abs(end - self.q[other]).max(axis=1, initial=0.0) > 1.0
         folded = np.where(self.layer[node] == self.layer[other], side, 2)
@@ -235,7 +215,7 @@ class _Samples:
             if len(loose):
                 choices = np.concatenate([table[layer[loose]], table[next_layer[loose]]], axis=1)
                 own = chosen[loose, None]
-                lengths = _size(self.motion.wrapped(self.q[choices] - self.q[own]))
+                lengths = _size(self.motion.ranges.wrapped(self.q[choices] - self.q[own]))
                 lengths[(choices < 0) | (choices == own)] = math.inf
                 best = lengths.argmin(axis=1)
                 rows = np.arange(len(loose))
@@ -406,9 +386,9 @@ class _Search:
         centre = samples.q[beside] + way[:, None] * along
         first, second = centre[:, one, None], centre[:, two, None] + _TURNS
         turn = 0.5 * (seed[one] - first - hinge.sense * (seed[two] - second))
-        ends = np.array([second - motion.upper[two], second - motion.lower[two]]) * hinge.sense
-        low = np.maximum(motion.lower[one] - first, ends.min(axis=0))
-        high = np.minimum(motion.upper[one] - first, ends.max(axis=0))
+        ends = np.array([second - motion.ranges.upper[two], second - motion.ranges.lower[two]]) * hinge.sense
+        low = np.maximum(motion.ranges.lower[one] - first, ends.min(axis=0))
+        high = np.minimum(motion.ranges.upper[one] - first, ends.max(axis=0))
         turn = np.clip(turn, low, np.maximum(low, high))
         q = np.repeat(centre[:, None], len(_TURNS), axis=1)
         q[:, :, one] += turn
@@ -437,7 +417,7 @@ class _Search:
                 return
             missed = math.dist(found, expected)
             distance = math.dist(found, self._seed)
-            if distance < self._distance and motion.excess(found) <= 1e-4:
+            if distance < self._distance and motion.ranges.excess(found) <= 1e-4:
                 self._best, self._distance = found, distance
             # beside the foot of a perpendicular of this length the distance hardly changes
             if missed < (_AT_END if at_end else math.sqrt(_BETWEEN * distance)) and step < 0.05:
@@ -458,7 +438,7 @@ class _Search:
         if abs(points[2, motion.held] - points[1, motion.held]) > 0.15 * (places[2] - places[1]):
             found = self._point(q)
             if found is not None:
-                way = motion.wrapped(found - q)
+                way = motion.ranges.wrapped(found - q)
                 if way @ way < 0.04:
                     return q + way
         flat, arrived, _ = motion.batch.projected(q[None], self._pose)
@@ -476,12 +456,12 @@ class _Search:
         side = 1 if after > before else -1
         if here >= _NEVER or math.isinf(max(before, after)):
             return along[row], True
-        inside, outside = self._motion.excess(q[[row, row + side]]).tolist()
+        inside, outside = self._motion.ranges.excess(q[[row, row + side]]).tolist()
         return along[row] + side * step * min(max(-inside / (outside - inside + 1e-15), 0.0), 1.0), True
 
     def _value(self, q: np.ndarray, doubt: np.ndarray | float) -> np.ndarray:
         """Return the distance from the seed; for joint values out of range by more than `doubt`, more than any distance."""
-        excess = self._motion.excess(q)
+        excess = self._motion.ranges.excess(q)
         return np.where(excess <= doubt, _size(q - self._seed), _NEVER + excess)
 
     def _take(self, q: np.ndarray) -> None:

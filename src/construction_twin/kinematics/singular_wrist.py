@@ -8,7 +8,7 @@ import numpy as np
 
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.opw import OpwModel
-from construction_twin.kinematics.solution import TURN
+from construction_twin.kinematics.ranges import TURN
 from construction_twin.robot.description import JointValues
 
 #: A joint that is out of range by less is at the end of its range but for rounding [rad].

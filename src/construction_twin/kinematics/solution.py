@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import abc
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from construction_twin.core.motion_errors import BranchError, KinematicsError
 from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.ranges import Ranges
 from construction_twin.robot.description import JointValues
 
-#: One turn [rad].
-TURN = 2.0 * math.pi
 #: How far a target's rotation matrix may be from orthonormal; more would not pass as a residual anyway.
 _ORTHONORMAL = 5e-7
 #: Solutions nearer to each other than this are one [rad].
 _SAME = 1e-5
+#: Solutions along a self-motion are spaced by this, at least [rad].
+_APART = 0.35
+#: What almost is a solution misses the pose by less [m], [rad].
+_REFINABLE = 1e-3
 _WORDS = {
     "front": "shoulder",
     "back": "shoulder",
@@ -124,11 +127,21 @@ class ArmKind:
 
 
 class InverseKinematics(abc.ABC):
-    """From a pose of the tip to joint values. `inverse.inverse_kinematics` makes the one that fits the arm."""
+    """From a pose of the tip to joint values. `inverse.inverse_kinematics` makes the one that fits the arm.
 
-    def __init__(self, chain: Chain, settings: IkSettings):
+    Args:
+        exact: Joint values that miss the pose by more are improved by Newton steps before they are a solution [m], [rad]. Default:
+            by more than the tolerances.
+        refinable: Those that miss it by more than this are none [m], [rad].
+    """
+
+    def __init__(self, chain: Chain, settings: IkSettings, exact: float | None = None, refinable: float = _REFINABLE):
         self.chain = chain
         self.settings = settings
+        self.ranges = Ranges(chain.robot)
+        self._exact = min(settings.tolerance_m, settings.tolerance_rad) if exact is None else exact
+        self._refinable = refinable
+        self._ends = list(zip(chain.robot.lower, chain.robot.upper))
 
     @property
     @abc.abstractmethod
@@ -183,6 +196,36 @@ class InverseKinematics(abc.ABC):
     @abc.abstractmethod
     def configuration(self, q: JointValues) -> Configuration | None:
         """Return in which configuration joint values are [rad]; None: the arm has no named configurations."""
+
+    def is_solved(self, error_m: float, error_rad: float) -> bool:
+        """Return whether a residual is within the tolerances."""
+        return error_m <= self.settings.tolerance_m and error_rad <= self.settings.tolerance_rad
+
+    def confirmed(
+        self, q: JointValues, pose: Pose, seed: JointValues, configuration: Configuration | None = None
+    ) -> IkSolution | None:
+        """Return joint values, moved to the end of a range where they are beyond it, as a solution; None: they are none.
+
+        Forward kinematics decides; near misses are improved by Newton steps first.
+
+        Args:
+            q: Length n. Beyond the ranges at most by rounding.
+            configuration: For the solution.
+        """
+        # plain floats: in closed form the nearest branch takes as long as this
+        q = [
+            lower if value < lower else upper if value > upper else value
+            for value, (lower, upper) in zip(q, self._ends)
+        ]
+        error = residual(self.chain, q, pose)
+        if max(error) > self._exact:
+            if not max(error) < self._refinable:
+                return None
+            q = refine(self.chain, np.array(q), pose).tolist()
+            error = residual(self.chain, q, pose)
+            if not self.is_solved(*error):
+                return None
+        return IkSolution(np.array(q), *error, math.dist(q, seed), configuration)
 
 
 def check_pose(pose: Pose) -> None:
@@ -240,6 +283,40 @@ def distinct(solutions: Sequence[IkSolution], same: float = _SAME) -> list[IkSol
         if all(math.dist(solution.q, other.q) > same for other in kept):
             kept.append(solution)
     return kept
+
+
+def spaced(
+    q: np.ndarray, kept: Sequence[IkSolution], most: int, confirm: Callable[[int], IkSolution | None]
+) -> Iterator[IkSolution]:
+    """Yield solutions along the self-motions of a pose, in a given order, each apart from all others by `_APART`.
+
+    Args:
+        q: Shape (m, n). Samples of the self-motions, those first which are wanted most.
+        kept: Solutions from which they are apart, too.
+        most: So many, at most.
+        confirm: Returns a sample, by its number, as a solution; None: it is none.
+    """
+    apart = np.full(len(q), math.inf)
+    for solution in kept:
+        np.minimum(apart, np.linalg.norm(q - solution.q, axis=1), out=apart)
+    while most > 0 and (apart > _APART).any():
+        number = int((apart > _APART).argmax())
+        apart[number] = 0.0
+        found = confirm(number)
+        if found is not None:
+            most -= 1
+            np.minimum(apart, np.linalg.norm(q - found.q, axis=1), out=apart)
+            yield found
+
+
+def refuse_configuration(configuration: Configuration | None) -> None:
+    """Refuse a configuration that makes a choice, for arms that have no named ones.
+
+    Raises:
+        BranchError: If it does.
+    """
+    if configuration is not None and configuration != Configuration():
+        raise BranchError(str(configuration), (), "has no meaning for an arm without a spherical wrist of the OPW kind")
 
 
 def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8, within: bool = True) -> np.ndarray:

@@ -18,7 +18,6 @@ from typing import NoReturn, TypeVar
 import numpy as np
 
 from construction_twin.core.motion_errors import (
-    BranchError,
     KinematicsError,
     NotFoundError,
     OrientationError,
@@ -26,18 +25,20 @@ from construction_twin.core.motion_errors import (
     UnreachableError,
     UnreachableOrientationError,
 )
+from construction_twin.kinematics.axes import Alignment, alignment
 from construction_twin.kinematics.branches import BranchInverse
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.decomposition import ClosedForm
 from construction_twin.kinematics.numeric import NumericInverse
+from construction_twin.kinematics.ranges import TURN
 from construction_twin.kinematics.solution import (
-    TURN,
     ArmKind,
     Configuration,
     IkSolution,
     check_pose,
     distinct,
     refine,
+    refuse_configuration,
     residual,
 )
 from construction_twin.robot.description import JointValues
@@ -71,7 +72,10 @@ class SubproblemInverse(BranchInverse):
         self._target = np.eye(4)
         self._elements, self._ones = self._target.reshape(16), np.ones(16)
         self._missed = np.zeros(0, dtype=bool)
-        self._alignments = [each for triple in _TRIPLES if (each := _alignment(form.directions, triple)) is not None]
+        between = ((triple[1], alignment(*form.directions[list(triple)])) for triple in _TRIPLES)
+        self._alignments = [
+            (joint, axes.constant, axes.cosine, axes.sine) for joint, axes in between if _may_align(axes)
+        ]
         near = _SINGULAR if form.exact else _SINGULAR_NEAR
         self._aligned = 1.0 - 0.5 * near * near
 
@@ -83,7 +87,7 @@ class SubproblemInverse(BranchInverse):
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """See `InverseKinematics.nearest`."""
         self.chain.robot.check_range(seed)
-        _refuse(configuration)
+        refuse_configuration(configuration)
         start = [float(value) for value in seed]
         best, complete = self._nearest_branch(self.branches(pose), pose, start)
         if complete:
@@ -93,7 +97,7 @@ class SubproblemInverse(BranchInverse):
     def all(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> list[IkSolution]:
         """See `InverseKinematics.all`."""
         self.chain.robot.check_range(seed)
-        _refuse(configuration)
+        refuse_configuration(configuration)
         start = [float(value) for value in seed]
         rows = self.branches(pose)
         polished, lost = (rows, False) if self.form.exact else self._all_polished(rows, pose)
@@ -153,7 +157,7 @@ class SubproblemInverse(BranchInverse):
         for row in polished:
             nearest = self.nearest_branch([row], seed)
             if nearest is not None and (best is None or nearest[1] < best.distance**2):
-                best = self.confirmed(nearest[2], pose, seed, None) or best
+                best = self.confirmed(nearest[2], pose, seed) or best
         return best, complete
 
     def _all_polished(self, rows: Sequence[Sequence[float]], pose: Pose) -> tuple[list[list[float]], bool]:
@@ -224,20 +228,6 @@ class SubproblemInverse(BranchInverse):
         raise kind(robot.joint_names[joint], float(q[row, joint]), low, high, linear)
 
 
-def _refuse(configuration: Configuration | None) -> None:
-    if configuration is not None and configuration != Configuration():
-        raise BranchError(str(configuration), (), "has no meaning for an arm without a spherical wrist of the OPW kind")
-
-
-def _alignment(directions: np.ndarray, triple: tuple[int, int, int]) -> tuple[int, float, float, float] | None:
-    """Return how the cosine between two axes depends on the joint between them; None: they are never in line.
-
-    The cosine is ``constant + cosine cos(q) + sine sin(q)``; returned are the joint and these three numbers.
-    """
-    first, turning, last = directions[list(triple)]
-    constant = float((first @ turning) * (turning @ last))
-    cosine, sine = float(first @ last) - constant, float(first @ np.cross(turning, last))
-    size = math.hypot(cosine, sine)
-    if size < 1e-3 or abs(constant) + size < 1.0 - 0.5 * _SINGULAR_NEAR**2:
-        return None
-    return triple[1], constant, cosine, sine
+def _may_align(axes: Alignment) -> bool:
+    """Return whether some angle of the joint between two axes brings them in line."""
+    return axes.size >= 1e-3 and abs(axes.constant) + axes.size >= 1.0 - 0.5 * _SINGULAR_NEAR**2

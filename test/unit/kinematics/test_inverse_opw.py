@@ -99,8 +99,8 @@ def test_any_tool_and_any_base(offset, rpy):
 
 
 def test_the_arm_on_the_track_is_the_arm_on_the_floor():
-    arm, model = find_rail(Chain(TRACK))
-    assert arm.robot.base_link == "track_carriage"
+    carriage, model = find_rail(Chain(TRACK))
+    assert carriage.arm.robot.base_link == "track_carriage"
     assert (model.a1, model.a2, model.c1, model.c2) == pytest.approx((0.35, 0.041, 0.675, 1.15))
 
 

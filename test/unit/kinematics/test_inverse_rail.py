@@ -28,7 +28,8 @@ from construction_twin.scene.self_collision import sample_self_collision
 
 RAIL = make_inverse(TRACK)
 SEARCH = dense_search(RAIL.chain)
-ARM = ClosedFormInverse(*find_rail(RAIL.chain), IkSettings())
+CARRIAGE, MODEL = find_rail(RAIL.chain)
+ARM = ClosedFormInverse(CARRIAGE.arm, MODEL, IkSettings())
 #: The track and the arm's model have the same directions.
 TRAVEL = np.array([1.0, 0.0, 0.0])
 ALONG = RailRates(ARM.model, TRAVEL)
