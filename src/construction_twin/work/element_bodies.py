@@ -41,7 +41,7 @@ from construction_twin.work.solids import (
 )
 
 #: Changes when the same body would give other pieces.
-_VERSION = 1
+_VERSION = 2
 #: Triangles beyond which a body is not divided.
 _MOST_DIVIDED = 20_000
 #: Triangles beyond which a body is not divided by planes of its faces: they are those of curved faces.
@@ -217,7 +217,7 @@ def _candidates(body: Body, closed: manifold3d.Manifold | None, settings: BodySe
     hulls = [mesh_of(part)[0] for part in separate]
     if len(hulls) <= settings.pieces:
         yield "hull", hulls
-    cut = convex_cells(*mesh_of(closed), settings.pieces) if len(body.triangles) <= _MOST_CUT else None
+    cut = convex_cells(closed, settings.pieces) if len(body.triangles) <= _MOST_CUT else None
     if cut is not None:
         yield "cut", cut
     for concavity in (settings.bound, 0.4 * settings.bound):
