@@ -23,6 +23,7 @@ from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.packages import with_mesh_files
 from construction_twin.scene.mesh_file import parse_mesh
 from construction_twin.scene.objects import SceneObject, one_of, read_mesh_file
+from construction_twin.scene.triangle_mesh import surface
 
 #: A closed mesh is convex when no vertex lies further outside one of its faces than this fraction of its size.
 _CONVEX_TOLERANCE = 1e-6
@@ -243,11 +244,7 @@ def _mesh(item: SceneObject) -> coal.CollisionGeometry:
         )
     x, y, z = item.size
     vertices, triangles = parse_mesh(where, item.mesh, contents, (x, y, z))
-    mesh = coal.BVHModelOBBRSS()
-    mesh.beginModel(len(triangles), len(vertices))
-    mesh.addVertices(vertices)
-    mesh.addTriangles(triangles)
-    mesh.endModel()
+    mesh = surface(vertices, triangles)
     if is_convex(*mesh_triangles(mesh)):
         try:
             mesh.buildConvexHull(True, "Qt")

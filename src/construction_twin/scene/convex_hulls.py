@@ -21,6 +21,7 @@ from scipy.stats import qmc
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.scene.collision_bodies import RobotBodies, is_convex, mesh_triangles
 from construction_twin.scene.mesh_file import binary_stl
+from construction_twin.scene.triangle_mesh import hull_mesh
 
 #: Points by which a volume is estimated where it cannot be calculated, and their seed: a power of 2, as Sobol's sequence asks.
 _POINTS, _SEED = 2048, 0
@@ -83,7 +84,7 @@ def mesh_hulls(bodies: RobotBodies) -> list[Hull]:
         estimated = volume is None
         if volume is None:
             volume = estimated_volume(vertices, triangles, hull)
-        corners, faces = np.unique(_outwards(hull), return_inverse=True)
+        corners, faces = hull_mesh(hull)
         hulls.append(
             Hull(
                 body.link,
@@ -91,21 +92,12 @@ def mesh_hulls(bodies: RobotBodies) -> list[Hull]:
                 len(triangles),
                 volume,
                 estimated,
-                hull.points[corners],
-                faces.reshape(-1, 3),
+                corners,
+                faces,
                 float(hull.volume),
             )
         )
     return hulls
-
-
-def _outwards(hull: ConvexHull) -> np.ndarray:
-    """Return the faces of a hull, all counterclockwise seen from outside."""
-    first, second, third = (hull.points[hull.simplices[:, corner]] for corner in range(3))
-    inwards = np.einsum("ij,ij->i", np.cross(second - first, third - first), hull.equations[:, :3]) < 0
-    faces = hull.simplices.copy()
-    faces[inwards] = faces[inwards][:, ::-1]
-    return faces
 
 
 def closed_volume(vertices: np.ndarray, triangles: np.ndarray) -> float | None:

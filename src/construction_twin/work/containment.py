@@ -13,6 +13,7 @@ import manifold3d
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from construction_twin.scene.triangle_mesh import surface
 from construction_twin.work.solids import hull_solid, mesh_of, triangle_area, union
 
 #: What lies further outside of all pieces is not held [m]; also the thickness below which a leftover is rounding.
@@ -118,11 +119,7 @@ def _inside(body: manifold3d.Manifold) -> np.ndarray:
 
 def distances(points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return the distance of each point from triangles, shape (n,) [m]."""
-    mesh = coal.BVHModelOBBRSS()
-    mesh.beginModel(len(triangles), len(vertices))
-    mesh.addVertices(np.ascontiguousarray(vertices))
-    mesh.addTriangles(np.ascontiguousarray(triangles.astype(np.int32)))
-    mesh.endModel()
+    mesh = surface(vertices, triangles)
     radius = 1e-9
     point, here = coal.Sphere(radius), coal.Transform3s.Identity()
     request, result = coal.DistanceRequest(), coal.DistanceResult()

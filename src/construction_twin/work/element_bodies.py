@@ -25,6 +25,7 @@ from construction_twin.core.work_errors import BodyError, WorkError
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.scene.mesh_file import MOST_TRIANGLES
 from construction_twin.scene.objects import SceneObject
+from construction_twin.scene.triangle_mesh import hull_mesh
 from construction_twin.work.building import Body, Element, Extrusion
 from construction_twin.work.containment import HELD, excess, lost
 from construction_twin.work.convex_cells import convex_cells
@@ -41,7 +42,7 @@ from construction_twin.work.solids import (
 )
 
 #: Changes when the same body would give other pieces.
-_VERSION = 1
+_VERSION = 2
 #: Triangles beyond which a body is not divided.
 _MOST_DIVIDED = 20_000
 #: Triangles beyond which a body is not divided by planes of its faces: they are those of curved faces.
@@ -217,7 +218,7 @@ def _candidates(body: Body, closed: manifold3d.Manifold | None, settings: BodySe
     hulls = [mesh_of(part)[0] for part in separate]
     if len(hulls) <= settings.pieces:
         yield "hull", hulls
-    cut = convex_cells(*mesh_of(closed), settings.pieces) if len(body.triangles) <= _MOST_CUT else None
+    cut = convex_cells(closed, settings.pieces) if len(body.triangles) <= _MOST_CUT else None
     if cut is not None:
         yield "cut", cut
     for concavity in (settings.bound, 0.4 * settings.bound):
@@ -346,13 +347,7 @@ def _description(points: np.ndarray, folder: Path) -> dict:
     box = _as_box(points)
     if box is not None:
         return {**box, "shape": "box", "padding": 0.0, "mesh": ""}
-    hull = ConvexHull(points)
-    first, second, third = (hull.points[hull.simplices[:, corner]] for corner in range(3))
-    inwards = np.einsum("ij,ij->i", np.cross(second - first, third - first), hull.equations[:, :3]) < 0
-    faces = hull.simplices.copy()
-    faces[inwards] = faces[inwards][:, ::-1]
-    used, triangles = np.unique(faces, return_inverse=True)
-    mesh = _write_mesh(hull.points[used], triangles.reshape(-1, 3), folder)
+    mesh = _write_mesh(*hull_mesh(ConvexHull(points)), folder)
     place = {"size": [1.0, 1.0, 1.0], "position": [0.0, 0.0, 0.0], "quaternion": [0.0, 0.0, 0.0, 1.0]}
     return {"shape": "mesh", **place, "padding": 0.0, "mesh": mesh}
 

@@ -232,7 +232,7 @@ def child(monkeypatch, program):
     monkeypatch.setattr(subprocess, "Popen", other)
 
 
-SAY = "import os, sys, signal; pipe = int(sys.argv[-1]); "
+SAY = "import os, sys, signal; pipe = 1; "
 ENDS = {
     "killed": (SAY + "os.kill(os.getpid(), 9)", r"signal 9 \(SIGKILL\) before it began"),
     "crashed": (
@@ -242,7 +242,9 @@ ENDS = {
     "silent": (SAY, "code 0 and no result"),
     "nonsense": (SAY + "os.write(pipe, b'hello\\n'); signal.pause()", "signal 9"),
     "endless line": (SAY + "\nwhile True: os.write(pipe, b'x' * 4096)", "no result|signal"),
-    "liar": (SAY + 'os.write(pipe, b\'{"ok": "00"}\\n\')', "other contents"),
+    "message of no kind": (SAY + "os.write(pipe, b'{\"ok\": [1, 2, 3]}\\n'); signal.pause()", "signal 9"),
+    "error without its parts": (SAY + "os.write(pipe, b'{\"error\": [1]}\\n'); signal.pause()", "signal 9"),
+    "liar": (SAY + "open(sys.argv[3], 'wb').write(b'PK')", "what the reading process wrote: found BadZipFile"),
     "raised": ("raise RuntimeError", "code 1 and no result"),
 }
 
@@ -253,6 +255,12 @@ def test_however_the_process_ends_it_is_one_sentence(path, monkeypatch, program,
     with pytest.raises(BuildingError, match=said) as caught:
         read_building(path)
     assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_written_meanwhile_is_not_read(path, monkeypatch):
+    monkeypatch.setattr(reading, "_digest", lambda *_: "00")
+    with pytest.raises(BuildingError, match="other contents when it was read again"):
+        read_building(path)
 
 
 def test_a_process_that_takes_too_long_is_ended(path, monkeypatch):

@@ -1,7 +1,7 @@
-"""The process that reads one IFC file: `python -m construction_twin.work.ifc.child FILE OUTPUT BYTES MEMORY CPU FD`.
+"""The process that reads one IFC file: `python -m construction_twin.work.ifc.child FILE SHA256 OUTPUT BYTES MEMORY CPU`.
 
-Its limits are its own and hold before ifcopenshell is imported. It writes the model into OUTPUT, and lines of JSON into the
-pipe FD: `{"progress": [what, done, all]}` while it reads, and at the end `{"ok": SHA-256}` or `{"error": [what, found, expected]}`.
+Its limits are its own and hold before ifcopenshell is imported. It writes the model into OUTPUT and ends with 0, and lines of JSON
+to standard output: `{"progress": [what, done, all]}` while it reads, `{"error": [what, found, expected]}` where it cannot.
 Whoever starts it believes none of that without a check.
 """
 
@@ -18,38 +18,42 @@ def main(arguments: list[str]) -> int:
     """Read a file and write what is in it.
 
     Args:
-        arguments: File, output, and the bounds: its largest size [bytes], memory [bytes], processor time [s], and the number of the
-            pipe.
+        arguments: File, its SHA-256, output, and the bounds: its largest size [bytes], memory [bytes], processor time [s].
 
     Returns:
         The exit code.
     """
-    path, output = arguments[:2]
-    most_bytes, memory, cpu, pipe = map(int, arguments[2:])
+    path, digest, output = arguments[:3]
+    most_bytes, memory, cpu = map(int, arguments[3:])
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu + 5))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    # what C++ writes to standard output is no message
+    pipe = os.dup(1)
+    os.dup2(2, 1)
     # after the limits: what is imported is C++ of several hundred MB
     from construction_twin.core.work_errors import BuildingError
     from construction_twin.work.ifc.model_file import save
     from construction_twin.work.ifc.reader import read_ifc
 
-    def say(**message: object) -> None:
-        os.write(pipe, json.dumps(message).encode() + b"\n")
+    def say(kind: str, *values: str | int) -> None:
+        os.write(pipe, json.dumps({kind: values}).encode() + b"\n")
 
     try:
-        model = read_ifc(path, most_bytes, lambda what, done, whole: say(progress=[what, done, whole]))
+        model = read_ifc(path, most_bytes, lambda *step: say("progress", *step))
+        if model.digest != digest:
+            say("error", "the file", "other contents when it was read again", "a file that nobody writes")
+            return 1
         save(model, Path(output))
     except BuildingError as error:
-        say(error=[error.what, error.found, error.expected])
+        say("error", error.what, error.found, error.expected)
         return 1
     except MemoryError:
-        say(error=["the file", f"more than {memory >> 20} MiB of memory needed", "a smaller model"])
+        say("error", "the file", f"more than {memory >> 20} MiB of memory needed", "a smaller model")
         return 1
     except OSError as error:
-        say(error=["the result", error.strerror or str(error), "room on the disk for it"])
+        say("error", "the result", error.strerror or str(error), "room on the disk for it")
         return 1
-    say(ok=model.digest)
     return 0
 
 

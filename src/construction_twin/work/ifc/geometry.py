@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from construction_twin.core.work_errors import BuildingError
+from construction_twin.scene.triangle_mesh import hull_mesh, surface
 from construction_twin.work.building import Body, Extrusion
 from construction_twin.work.ifc.notes import Notes, Where
 from construction_twin.work.ifc.profiles import is_curved
@@ -164,7 +165,7 @@ def pieces_of(bodies: Sequence[Body]) -> int:
         return len(pieces)
     low = np.array([vertices.min(axis=0) for vertices, _ in pieces]) - _TOUCH
     high = np.array([vertices.max(axis=0) for vertices, _ in pieces])
-    meshes = [_mesh(*piece) for piece in pieces]
+    meshes = [surface(*piece) for piece in pieces]
     groups = list(range(len(pieces)))
     for one in range(len(pieces)):
         near = (low[one] <= high[one + 1 :]).all(axis=1) & (low[one + 1 :] <= high[one]).all(axis=1)
@@ -172,15 +173,6 @@ def pieces_of(bodies: Sequence[Body]) -> int:
             if groups[one] != groups[other] and _touch(meshes[one], meshes[other]):
                 groups = [groups[one] if group == groups[other] else group for group in groups]
     return len(set(groups))
-
-
-def _mesh(vertices: np.ndarray, triangles: np.ndarray) -> coal.BVHModelOBBRSS:
-    mesh = coal.BVHModelOBBRSS()
-    mesh.beginModel(len(triangles), len(vertices))
-    mesh.addVertices(np.ascontiguousarray(vertices))
-    mesh.addTriangles(np.ascontiguousarray(triangles.astype(np.int32)))
-    mesh.endModel()
-    return mesh
 
 
 def _touch(one: coal.BVHModelOBBRSS, other: coal.BVHModelOBBRSS) -> bool:
@@ -219,15 +211,9 @@ def hull(points: np.ndarray) -> tuple[Body, ...]:
         points: Shape (n, 3)
     """
     try:
-        found = ConvexHull(points)
+        vertices, triangles = hull_mesh(ConvexHull(points))
     except QhullError:
         return ()
-    corners, triangles = np.unique(found.simplices, return_inverse=True)
-    vertices = points[corners]
-    triangles = triangles.reshape(-1, 3)
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), found.equations[:, :3]) < 0
-    triangles[inward] = triangles[inward][:, ::-1]
     return (Body(vertices, triangles.astype(np.int32)),)
 
 

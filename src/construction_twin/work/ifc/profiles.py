@@ -68,7 +68,7 @@ def _finished(position: np.ndarray, loops: list[Outline]) -> Outlines | None:
         corners = _without_repeats(np.array(loop, dtype=float).reshape(-1, 2) @ position[:2, :2].T + position[:2, 2])
         if len(corners) < 3 or not np.isfinite(corners).all():
             return None
-        placed.append(corners if _area(corners) * turn > 0 else corners[::-1])
+        placed.append(corners if signed_area(corners) * turn > 0 else corners[::-1])
     return placed[0], tuple(placed[1:])
 
 
@@ -78,7 +78,8 @@ def _without_repeats(corners: np.ndarray) -> np.ndarray:
     return corners[keep]
 
 
-def _area(corners: np.ndarray) -> float:
+def signed_area(corners: np.ndarray) -> float:
+    """Return the area of a polygon, shape (k, 2); negative where its corners go clockwise."""
     x, y = (corners - corners[0]).T
     return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
 

@@ -17,7 +17,6 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.files import read_file
@@ -112,24 +111,19 @@ def _digest(path: Path, bounds: Bounds) -> str:
 def _read(path: Path, digest: str, output: Path, bounds: Bounds, progress: Progress) -> BuildingModel:
     if importlib.util.find_spec("ifcopenshell") is None:
         raise ConfigurationError("ifcopenshell", None, "that it is installed; run setup/setup.sh work")
-    last = _run(path, output, bounds, progress)
-    if last["ok"] != digest:
-        raise BuildingError(path.name, "the file", "other contents when it was read again", "a file that nobody writes")
+    _run(path, digest, output, bounds, progress)
     try:
         return load(output, path.name, digest)
     except OSError as error:
         raise BuildingError(path.name, "what the reading process wrote", str(error), "a whole model") from error
 
 
-def _run(path: Path, output: Path, bounds: Bounds, progress: Progress) -> dict[str, Any]:
-    """Let another process read, and return its last message."""
-    reader, writer = os.pipe()
+def _run(path: Path, digest: str, output: Path, bounds: Bounds, progress: Progress) -> None:
+    """Let another process read, and return when it has written the model."""
     late = threading.Event()
-    with os.fdopen(reader, "rb") as pipe:
-        try:
-            process = _start(path, output, bounds, writer)
-        finally:
-            os.close(writer)
+    error: list[str] | None = None
+    where = "before it began"
+    with _start(path, digest, output, bounds) as process:
 
         def stop() -> None:
             late.set()
@@ -137,66 +131,42 @@ def _run(path: Path, output: Path, bounds: Bounds, progress: Progress) -> dict[s
 
         timer = threading.Timer(bounds.wall, stop)
         timer.start()
-        heard = _Heard()
         try:
-            if not heard.listen(pipe, progress):
-                process.kill()
+            assert process.stdout is not None
+            while line := process.stdout.readline(_LINE):
+                if (message := _message(line)) is None:
+                    error = None
+                    process.kill()
+                    break
+                if message[0] == "error":
+                    error = message[1:]
+                    continue
+                what, done, whole = message[1], int(message[2]), int(message[3])
+                where = f"after {done} of {whole} in step {what!r}"
+                progress(what, done, whole)
             code = process.wait()
         finally:
             timer.cancel()
             process.kill()
-            process.wait()
-    if heard.error is not None:
-        raise BuildingError(path.name, *heard.error)
-    if code != 0 or heard.last is None or late.is_set():
-        found = f"{_how_it_ended(code, late.is_set(), bounds)}{heard.where}"
+    if error is not None:
+        raise BuildingError(path.name, *error)
+    if code != 0 or late.is_set() or not output.exists():
+        found = f"{_how_it_ended(code, late.is_set(), bounds)} {where}"
         raise BuildingError(
             path.name, "the process that read the file", found, "a file that can be read within its bounds"
         )
-    return heard.last
 
 
-class _Heard:
-    """What the reading process said.
-
-    Attributes:
-        last: Its message of success.
-        error: What, found, expected.
-    """
-
-    def __init__(self) -> None:
-        self.last: dict[str, Any] | None = None
-        self.error: tuple[str, str, str] | None = None
-        self._progress: tuple[str, int, int] | None = None
-
-    @property
-    def where(self) -> str:
-        """How far it came, for a sentence."""
-        if self._progress is None:
-            return " before it began"
-        what, done, whole = self._progress
-        return f" after {done} of {whole} in step {what!r}"
-
-    def listen(self, pipe: BinaryIO, progress: Progress) -> bool:
-        """Listen until it ends, and return True; or until it says what is no message, and return False."""
-        while line := pipe.readline(_LINE):
-            try:
-                self._take(json.loads(line), progress)
-            except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-                self.last = self.error = None
-                return False
-        return True
-
-    def _take(self, message: dict[str, Any], progress: Progress) -> None:
-        if "progress" in message:
-            what, done, whole = message["progress"]
-            self._progress = (str(what)[:40], int(done), int(whole))
-            progress(*self._progress)
-        elif "error" in message:
-            what, found, expected = (str(each)[:500] for each in message["error"])
-            self.error = (what, found, expected)
-        else:
-            self.last = {"ok": str(message["ok"])}
+def _message(line: bytes) -> list[str] | None:
+    """Return what a line of the reading process says: ``error`` or ``progress`` and three texts; None: it is no message."""
+    try:
+        ((kind, values),) = json.loads(line).items()
+        first, second, third = map(str, values)
+        if kind == "progress":
+            return [kind, first[:40], str(int(second)), str(int(third))]
+        return [kind, first[:500], second[:500], third[:500]] if kind == "error" else None
+    except (ValueError, TypeError, AttributeError, RecursionError):
+        return None
 
 
 def _how_it_ended(code: int, late: bool, bounds: Bounds) -> str:
@@ -209,22 +179,14 @@ def _how_it_ended(code: int, late: bool, bounds: Bounds) -> str:
     return f"an end with code {code} and no result"
 
 
-def _start(path: Path, output: Path, bounds: Bounds, pipe: int) -> subprocess.Popen:
-    numbers = (bounds.file_bytes, bounds.memory_bytes, int(bounds.cpu), pipe)
+def _start(path: Path, digest: str, output: Path, bounds: Bounds) -> subprocess.Popen[bytes]:
+    given = (path.absolute(), digest, output.absolute(), bounds.file_bytes, bounds.memory_bytes, int(bounds.cpu))
     paths = [_SOURCES, *filter(None, [os.environ.get("PYTHONPATH")])]
     return subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            f"{__package__}.child",
-            str(path.absolute()),
-            str(output.absolute()),
-            *map(str, numbers),
-        ],
+        [sys.executable, "-m", f"{__package__}.child", *map(str, given)],
         # one thread: more would be counted as memory each
         env=os.environ | {"PYTHONPATH": os.pathsep.join(paths), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-        pass_fds=(pipe,),
         stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
     )

@@ -16,7 +16,7 @@ from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.work.building import Extrusion
 from construction_twin.work.ifc.notes import Where, label
-from construction_twin.work.ifc.profiles import outlines
+from construction_twin.work.ifc.profiles import outlines, signed_area
 
 #: Identifiers of representations that are a body, the best first.
 _BODIES = ("Body", "Body-FallBack", "Facetation", "Tessellation", "Mesh")
@@ -183,7 +183,7 @@ def extent(given: Extrusion) -> tuple[np.ndarray, np.ndarray, float, float]:
         volume, outer: With its holes, and as if it had none [m³].
     """
     corners = corners_of(given)
-    outer, *holes = (_area(loop) for loop in (given.outline, *given.holes))
+    outer, *holes = (signed_area(loop) for loop in (given.outline, *given.holes))
     length = given.depth * abs(float(given.direction[2]))
     return corners.min(axis=0), corners.max(axis=0), (outer + sum(holes)) * length, outer * length
 
@@ -198,8 +198,3 @@ def corners_of(given: Extrusion) -> np.ndarray:
 def crosses_itself(given: Extrusion) -> bool:
     """Return whether the profile of an extrusion crosses itself: nobody can say then what of it is solid."""
     return not shapely.Polygon(given.outline, given.holes).is_valid
-
-
-def _area(corners: np.ndarray) -> float:
-    x, y = (corners - corners[0]).T
-    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
