@@ -60,14 +60,18 @@ class Book:
                 former={**self.former, entry.task: memory},
                 former_element={**self.former_element, entry.task: element},
             )
-        tasks = {**self.tasks, entry.task: _taken(self.tasks[entry.task], entry)}
+        former_state, memory = self.tasks[entry.task].state, _taken(self.tasks[entry.task], entry)
+        tasks = {**self.tasks, entry.task: memory}
+        if memory.state is TaskState.READY or (memory.state in SETTLED) != (former_state in SETTLED):
+            # only then somebody waits who did not, or waits no longer
+            tasks = _settled(self.after, tasks)
         former = {
             # what is said of an element now replaces what was known of it by a task that is no more
             task: memory
             for task, memory in self.former.items()
             if not entry.element or self.former_element[task] != entry.element
         }
-        return replace(self, tasks=_settled(self.after, tasks), former=former)
+        return replace(self, tasks=tasks, former=former)
 
     def check(self, entry: Entry) -> None:
         """Refuse what does not fit the present states, before it is written.

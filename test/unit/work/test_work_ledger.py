@@ -395,3 +395,19 @@ def test_an_event_makes_another_book_and_leaves_the_former_as_it_was():
     assert [book.standing for book in books] == [()] * 7 + [("plate",)] * 2
     assert books[-1].open == ("stud", "board") and books[-1].busy == ""
     assert fold(AFTER, [entry for entry, _ in STEPS]).tasks == books[-1].tasks
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(list(AFTER)), st.sampled_from([*TaskEvent]), st.sampled_from(["in_stock", "placed"])),
+        max_size=60,
+    )
+)
+def test_a_task_waits_exactly_while_another_one_before_it_is_not_settled(events):
+    book = fold(AFTER)
+    for task, event, answer in events:
+        entry = Entry(event.value, task, answer=answer)
+        if event not in (TaskEvent.FREED, TaskEvent.BLOCKED) and book.tasks[task].takes(entry):
+            book = book.then(entry)
+        assert all(bool(book.missing(name)) for name in book.in_state(TaskState.WAITING))
+        assert not any(book.missing(name) for name in book.in_state(TaskState.READY))
