@@ -44,8 +44,9 @@ from construction_twin.ros.shared.work_listener import WorkListener
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work.desk import ElementFacts, Prepared
+from construction_twin.work.events import Entry
 from construction_twin.work.jobs import WorkSegment
-from construction_twin.work.ledger import Entry, read_entries
+from construction_twin.work.ledger import read_entries
 from construction_twin.work.racks import Slot, StockPlan
 from construction_twin.work.schedule import Job, Schedule
 from construction_twin.work.shared_desk import SharedDesk

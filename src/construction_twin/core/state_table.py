@@ -74,6 +74,16 @@ def by_cause(table: tuple[Row[S, E, G, A], ...]) -> dict[tuple[S, E], tuple[Row[
     }
 
 
+def row_of(rows: Causes[S, E, G, A], state: S, event: E, holds: Callable[[G], bool]) -> Row[S, E, G, A] | None:
+    """Return the row that applies to an event, for a state that is a value and not a machine's; None: the event does not fit.
+
+    Args:
+        rows: The table, `by_cause`.
+        holds: Asked of the guards but the one that always holds.
+    """
+    return next((row for row in rows[state, event] if not row.guard.value or holds(row.guard)), None)
+
+
 @dataclass(frozen=True, slots=True)
 class Occasion:
     """What came with an event.

@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from construction_twin.work.desk import Prepared as Prepared
     from construction_twin.work.desk import WorkRefused as WorkRefused
     from construction_twin.work.element_bodies import element_shapes as element_shapes
+    from construction_twin.work.events import Entry as Entry
     from construction_twin.work.jobs import PlaceJob as PlaceJob
     from construction_twin.work.jobs import WorkPlan as WorkPlan
     from construction_twin.work.jobs import WorkSegment as WorkSegment
-    from construction_twin.work.ledger import Entry as Entry
     from construction_twin.work.ledger import Ledger as Ledger
     from construction_twin.work.placement import Placement as Placement
     from construction_twin.work.placement import check_placement as check_placement

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -14,13 +15,15 @@ from construction_twin.core.work_errors import WorkError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Tool
 from construction_twin.scene.objects import SceneObject, product
+from construction_twin.work.book import Book
 from construction_twin.work.built import Deviation, Piece, deviation, objects_of, pose_of_tuple, pose_tuple
+from construction_twin.work.events import ACCEPTED, Entry
 from construction_twin.work.following import Grip, question
-from construction_twin.work.ledger import ACCEPTED, Entry, Ledger
+from construction_twin.work.ledger import Ledger
 from construction_twin.work.racks import StockPlan
 from construction_twin.work.schedule import Schedule
 from construction_twin.work.site import inverse
-from construction_twin.work.task_states import ANSWERS, PLANNABLE, UNDER_WAY, TaskState
+from construction_twin.work.task_states import ANSWERS, PLANNABLE, SETTLED, UNDER_WAY, TaskState
 
 #: Words for where the schedule comes from, as `WorkTasks.msg` has them.
 FROM_MODEL, FROM_PERSON, PROPOSED = "model", "accepted", "proposed"
@@ -174,9 +177,14 @@ class Desk:
         self.failures: dict[str, str] = {}
 
     @property
+    def book(self) -> Book:
+        """What the ledger says now."""
+        return self.ledger.book
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What a person should know of model, schedule and ledger before anything is accepted or planned."""
-        return (*self.prepared.notes, *self.prepared.schedule.notes, *self.ledger.book.strange)
+        return (*self.prepared.notes, *self.prepared.schedule.notes, *self.book.strange)
 
     # -- the schedule
 
@@ -185,7 +193,7 @@ class Desk:
         """``model``, ``accepted`` or ``proposed``."""
         if not self.prepared.schedule.proposed:
             return FROM_MODEL
-        return FROM_PERSON if self.ledger.book.accepted == self.prepared.schedule_digest else PROPOSED
+        return FROM_PERSON if self.book.accepted == self.prepared.schedule_digest else PROPOSED
 
     def accept(self, person: str, reason: str) -> str:
         """Take a person's word that the proposed schedule is right; return a sentence.
@@ -200,14 +208,9 @@ class Desk:
 
     # -- what can be planned
 
-    def busy(self) -> str:
-        """Return the task that is under review or under way; empty: none."""
-        found = self.ledger.book.in_state(TaskState.PLANNED, *UNDER_WAY)
-        return found[0] if found else ""
-
     def next(self, now: int) -> str:
         """Return the task that comes next; empty: none can be planned."""
-        return next((job for job in self.ledger.book.tasks if not self.obstacle(job, now)), "")
+        return next((job for job in self.book.tasks if not self.obstacle(job, now)), "")
 
     def obstacle(self, task: str, now: int) -> str:
         """Return why a task cannot be planned now, as a sentence; empty: it can.
@@ -215,7 +218,7 @@ class Desk:
         Args:
             now: Since 1970 [ns].
         """
-        book = self.ledger.book
+        book = self.book
         if task not in book.tasks:
             return f"there is no task {task!r}; `twin work list` names them"
         if self.schedule_word == PROPOSED:
@@ -223,7 +226,7 @@ class Desk:
         asking = book.in_state(TaskState.ASKS)
         if asking:
             return f"{self.title(asking[0])} asks first: {self._question(asking[0])}"
-        busy = self.busy()
+        busy = book.busy
         if busy:
             what = "under review" if book.tasks[busy].state is TaskState.PLANNED else "under way"
             return f"{self.title(busy)} is {what}"
@@ -257,9 +260,9 @@ class Desk:
         So it is after a grip that was not confirmed, when the element was said to lie in its stock. The next approach would suck
         it too early, and no plan opens a grip that holds nothing.
         """
-        book = self.ledger.book
+        book = self.book
         doubtful = book.in_state(TaskState.ASKS, TaskState.PLANNED, *UNDER_WAY)
-        if not grip.commanded or doubtful or any(memory.in_grip for memory in book.tasks.values()):
+        if not grip.commanded or doubtful or book.in_grip:
             return ""
         names = ", ".join(grip.commanded)
         values = ", ".join(
@@ -289,12 +292,12 @@ class Desk:
         """
         self._known(task)
         self._named(person)
-        state = self.ledger.book.tasks[task].state
+        state = self.book.tasks[task].state
         if state is TaskState.ASKS:
             raise WorkRefused(f"{self.title(task)} asks first: {self._question(task)}")
         if state not in (TaskState.WAITING, TaskState.READY, TaskState.HELD):
             raise WorkRefused(f"{self.title(task)} is {state.value} and cannot be skipped")
-        self.ledger.add(Entry("skipped", task, self.element_of(task), person=person, reason=reason))
+        self._add("skipped", task, person=person, reason=reason)
         if task in self.prepared.removals:
             return (
                 f"{self.title(task)} is skipped: what comes after it no longer waits; {self._element(task).name} stays"
@@ -310,10 +313,10 @@ class Desk:
         self._named(person)
         if task not in self.prepared.removals:
             raise WorkRefused(f"{self.title(task)} takes nothing down: `removed` is for what the model has taken down")
-        memory = self.ledger.book.tasks[task]
+        memory = self.book.tasks[task]
         if memory.state is TaskState.DONE:
             raise WorkRefused(f"{self._element(task).name} is gone already")
-        self.ledger.add(Entry("removed", task, self.element_of(task), person=person, reason=reason))
+        self._add("removed", task, person=person, reason=reason)
         return f"{person} says that {self._element(task).name} is gone: it is no obstacle from now on"
 
     def redo(self, task: str, person: str, reason: str) -> str:
@@ -323,32 +326,33 @@ class Desk:
         """
         self._known(task)
         self._named(person)
-        book = self.ledger.book
+        book = self.book
         if book.tasks[task].state is TaskState.CARRIED:
             said = reason or "a person doubts that it is in the grip"
-            self.ledger.add(Entry("unknown", task, self.element_of(task), person=person, reason=said))
+            self._add("unknown", task, person=person, reason=said)
             return f"{self.title(task)} asks: {self._question(task)}"
         if book.tasks[task].state not in (TaskState.DONE, TaskState.SKIPPED, TaskState.HELD):
             raise WorkRefused(f"{self.title(task)} is {book.tasks[task].state.value}; it was not done or skipped yet")
         later = book.followers(task)
         if later:
             raise WorkRefused(f"{self.title(later[0])} came after {self.title(task)}: redo that first")
-        if task in self.prepared.removals:
-            self.ledger.add(Entry("redone", task, self.element_of(task), person=person, reason=reason))
+        taken_down = task in self.prepared.removals
+        if not taken_down:
+            self._slot_free(task)
+        self._add("redone", task, person=person, reason=reason)
+        if taken_down:
             return (
                 f"{self._element(task).name} counts as standing again: an obstacle until a person says that it is gone"
             )
-        self._slot_free(task)
-        self.ledger.add(Entry("redone", task, self.element_of(task), person=person, reason=reason))
         return f"{self.title(task)} is to be done again; {self._element(task).name} counts as back in its stock"
 
     def lost(self) -> str:
         """Take note that the tool is surely open: what counts as carried is asked about; return a sentence, empty: nothing is."""
-        held = self.ledger.book.in_state(TaskState.CARRIED)
+        held = self.book.in_state(TaskState.CARRIED)
         if not held:
             return ""
         reason = "the tool says that it holds nothing"
-        self.ledger.add(Entry("unknown", held[0], self.element_of(held[0]), reason=reason))
+        self._add("unknown", held[0], reason=reason)
         return f"{reason}: {self.title(held[0])} asks: {self._question(held[0])}"
 
     def answer(self, task: str, answer: str, person: str, reason: str) -> str:
@@ -358,7 +362,7 @@ class Desk:
         """
         self._known(task)
         self._named(person)
-        memory = self.ledger.book.tasks[task]
+        memory = self.book.tasks[task]
         possible = memory.possible_answers()
         if not possible:
             raise WorkRefused(f"{self.title(task)} is {memory.state.value} and asks nothing")
@@ -368,7 +372,7 @@ class Desk:
             )
         if answer == "in_stock":
             self._slot_free(task)
-        self.ledger.add(Entry("answered", task, self.element_of(task), answer=answer, person=person, reason=reason))
+        self._add("answered", task, answer=answer, person=person, reason=reason)
         return f"{self.title(task)}: {self._element(task).name}: {ANSWERS[answer]}"
 
     def measured(self, element: str, pose: Pose, person: str, reason: str) -> Deviation:
@@ -380,8 +384,8 @@ class Desk:
         task = next((job.id for job in self.prepared.schedule.jobs if job.element == element), "")
         if not task:
             raise WorkRefused(f"no task places element {element!r}; `twin work list` names them")
-        state = self.ledger.book.tasks[task].state
-        if state not in (TaskState.DONE, TaskState.SKIPPED):
+        state = self.book.tasks[task].state
+        if state not in SETTLED:
             raise WorkRefused(f"{self._element(task).name} is not placed yet: {self.title(task)} is {state.value}")
         found = deviation(pose, self._element(task).base_T_goal)
         if not (found.distance <= _FARTHEST and np.isfinite(found.angle)):
@@ -389,8 +393,7 @@ class Desk:
                 f"the pose is {found.distance:.3g} m from where the model has {self._element(task).name}; "
                 f"expected within {_FARTHEST:g} m, in the robot's base_link"
             )
-        entry = Entry("measured", task, element, pose=pose_tuple(pose), person=person, reason=reason)
-        self.ledger.add(entry)
+        self._add("measured", task, pose=pose_tuple(pose), person=person, reason=reason)
         return found
 
     # -- what stands where
@@ -398,22 +401,22 @@ class Desk:
     @property
     def in_doubt(self) -> bool:
         """Whether the model was changed and a person has not said yet what of the record is still so: nothing is tidied then."""
-        book = self.ledger.book
+        book = self.book
         doubted = (TaskState.WAITING, TaskState.READY, TaskState.DONE, TaskState.SKIPPED)
         return any(book.tasks[task].before in doubted for task in book.in_state(TaskState.ASKS))
 
     def wanted_scene(self) -> tuple[dict[str, SceneObject], tuple[str, ...]]:
         """Return the work's objects of the scene by name, and the elements whose objects are left as they are."""
-        book = self.ledger.book
+        book = self.book
         gone = {element for task, element in self.prepared.removals.items() if book.tasks[task].gone}
         wanted = {item.name: item for item in (*self.prepared.tool_objects, *self._standing(gone))}
         # what stands, but is no longer in the model, goes only when a person takes it out
-        alone = [element for element in self.ledger.book.left_behind if element not in self.prepared.elements]
+        alone = [element for element in self.book.left_behind if element not in self.prepared.elements]
         present = self._present()
         for job in self.prepared.schedule.jobs:
             facts, slot = self.prepared.elements[job.element], self.prepared.stock.slots.get(job.element)
             piece = Piece(facts.bodies, slot.base_T_element if slot is not None else None, facts.base_T_goal)
-            memory = self.ledger.book.tasks[job.id]
+            memory = self.book.tasks[job.id]
             objects = objects_of(piece, memory, job.element in present, self._tip_link)
             if objects is None:
                 alone.append(job.element)
@@ -423,7 +426,7 @@ class Desk:
 
     def _standing(self, gone: Collection[str]) -> Iterator[SceneObject]:
         """Return what stands without a task; what a former task of ours placed, where that task left it."""
-        left = self.ledger.book.left_behind
+        left = self.book.left_behind
         for item in self.prepared.standing:
             element = item.name.split("/", 1)[0]
             memory = left.get(element)
@@ -436,7 +439,7 @@ class Desk:
 
     def forms(self, task: str) -> tuple[tuple[SceneObject, ...], ...]:
         """Return the objects of a task's element as the record can have them: in its stock, in the grip, at its place."""
-        facts, memory = self._element(task), self.ledger.book.tasks[task]
+        facts, memory = self._element(task), self.book.tasks[task]
         slot = self.prepared.stock.slots.get(self.element_of(task))
         places = [(slot.base_T_element, "")] if slot is not None else []
         if memory.base_T_element:
@@ -450,7 +453,7 @@ class Desk:
 
     def deviation(self, task: str) -> Deviation | None:
         """Return how far a placed element stands from the model; None: it is not placed, or where was not measured."""
-        memory = self.ledger.book.tasks[task]
+        memory = self.book.tasks[task]
         if not (memory.placed and memory.base_T_element) or memory.as_planned:
             return None
         return deviation(pose_of_tuple(memory.base_T_element), self._element(task).base_T_goal)
@@ -466,7 +469,7 @@ class Desk:
         found = []
         present, following = self._present(), self.next(now)
         for job in self.prepared.schedule.jobs:
-            memory, facts = self.ledger.book.tasks[job.id], self.prepared.elements[job.element]
+            memory, facts = self.book.tasks[job.id], self.prepared.elements[job.element]
             if memory.placed:
                 far = self.deviation(job.id)
                 where = pose_of_tuple(memory.base_T_element) if memory.base_T_element else facts.base_T_goal
@@ -484,7 +487,7 @@ class Desk:
 
     def rows(self, now: int) -> tuple[TaskRow, ...]:
         """Return every task, in order."""
-        return tuple(self._row(task, now) for task in self.ledger.book.tasks)
+        return tuple(self._row(task, now) for task in self.book.tasks)
 
     def title(self, task: str) -> str:
         """Return a task's name for sentences."""
@@ -493,19 +496,16 @@ class Desk:
 
     def summary(self, now: int) -> str:
         """Return one sentence: what the work waits for."""
-        book = self.ledger.book
+        book = self.book
         if not book.tasks:
             return "the model has no task for this arm"
         following = self.next(now)
         if following:
             return f"{self.title(following)} can be planned"
-        if len(book.in_state(TaskState.DONE, TaskState.SKIPPED)) == len(book.tasks):
-            return "every task is done or skipped"
-        open_ones = [name for name in book.tasks if book.tasks[name].state not in (TaskState.DONE, TaskState.SKIPPED)]
-        return self.obstacle(open_ones[0], now)
+        return self.obstacle(book.open[0], now) if book.open else "every task is done or skipped"
 
     def _row(self, task: str, now: int) -> TaskRow:
-        job, memory = self.prepared.schedule.job(task), self.ledger.book.tasks[task]
+        job, memory = self.prepared.schedule.job(task), self.book.tasks[task]
         facts = self._element(task)
         return TaskRow(
             id=task,
@@ -531,14 +531,14 @@ class Desk:
         """Return what a task waits for, with what a person should know of it and its element while that can still matter."""
         reason = self._waits_for(task, now)
         remarks = self.prepared.schedule.remarks.get(task, ())
-        if not remarks or self.ledger.book.tasks[task].state is TaskState.DONE:
+        if not remarks or self.book.tasks[task].state is TaskState.DONE:
             return reason
         return ". ".join([*filter(None, [reason]), *(f"Note: {remark}" for remark in remarks)])
 
     def _waits_for(self, task: str, now: int) -> str:
-        memory = self.ledger.book.tasks[task]
+        memory = self.book.tasks[task]
         if memory.state is TaskState.WAITING:
-            return f"waits for {', '.join(map(self.title, self.ledger.book.missing(task)))}"
+            return f"waits for {', '.join(map(self.title, self.book.missing(task)))}"
         if memory.state in PLANNABLE:
             return self.failures.get(task) or self.obstacle(task, now) or "can be planned"
         if memory.state is TaskState.PLANNED:
@@ -555,16 +555,12 @@ class Desk:
         return ""
 
     def _question(self, task: str) -> str:
-        return question(self.ledger.book.tasks[task], self._element(task).name)
+        return question(self.book.tasks[task], self._element(task).name)
 
     def _lag(self, task: str, now: int) -> str:
-        tasks = self.ledger.book.tasks
+        tasks = self.book.tasks
         started = {name: memory.begun_ns / 1e9 for name, memory in tasks.items() if memory.begun_ns}
-        finished = {
-            name: memory.settled_ns / 1e9
-            for name, memory in tasks.items()
-            if memory.state in (TaskState.DONE, TaskState.SKIPPED)
-        }
+        finished = {name: memory.settled_ns / 1e9 for name, memory in tasks.items() if memory.state in SETTLED}
         # what was skipped has started, too
         started = {**finished, **started}
         blockers = self.prepared.schedule.blockers(task, started, finished, now / 1e9)
@@ -587,20 +583,17 @@ class Desk:
 
     def _taken(self) -> list[str]:
         """Return the elements that do not lie in their stock any more."""
-        taken = []
-        for job in self.prepared.schedule.jobs:
-            memory = self.ledger.book.tasks[job.id]
-            # of a skipped task a person takes the element out, so that the next can be delivered
-            skipped = memory.state is TaskState.SKIPPED
-            if memory.in_grip or memory.placed or memory.gone or skipped:
-                taken.append(job.element)
-        return taken
+        tasks = self.book.tasks
+        return [job.element for job in self.prepared.schedule.jobs if tasks[job.id].taken]
 
     def _element(self, task: str) -> ElementFacts:
         return self.prepared.elements[self.element_of(task)]
 
+    def _add(self, event: str, task: str, **said: Any) -> None:
+        self.ledger.add(Entry(event, task, self.element_of(task), **said))
+
     def _known(self, task: str) -> None:
-        if task not in self.ledger.book.tasks:
+        if task not in self.book.tasks:
             raise WorkRefused(f"there is no task {task!r}; `twin work list` names them")
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""What the executor's reports mean for the task whose plan it plays: the lines to be written, before anybody acts on them.
+"""What the executor's reports mean for the task whose plan it plays: the events to be written, before anybody acts on them.
 
 Pure. The executor goes on from the boundary at which the element is gripped or released only when the scene has changed, and the
 scene is changed after these lines are on the disk: without `gripped` no element was carried anywhere, without `released` none was
@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 from construction_twin.robot.segments import Switch
 from construction_twin.robot.tool import Tool
-from construction_twin.work.ledger import Entry
-from construction_twin.work.task_states import UNDER_WAY, TaskEvent, TaskMemory, TaskState
+from construction_twin.work.events import Entry
+from construction_twin.work.task_memory import TaskMemory
+from construction_twin.work.task_states import UNDER_WAY, TaskEvent, TaskState
 
 #: Outcome of a plan that reached its end.
 FINISHED = "finished"
@@ -138,19 +139,28 @@ def grip_of(tool: Tool, outputs: Mapping[str, bool], inputs: Mapping[str, bool])
     return Grip(True, bool(asked) or holds, asked)
 
 
-class _Line:
-    """Collects the lines of one task, each checked against the state that those before it leave."""
+class _Events:
+    """Collects the events of one task; its state after them is computed as the ledger computes it.
+
+    Attributes:
+        memory: What they leave of the task.
+    """
 
     def __init__(self, memory: TaskMemory, element: str, plan: str):
-        self._state = memory.state
-        self._memory = memory
+        self.memory = memory
         self._element, self._plan = element, plan
         self.entries: list[Entry] = []
 
+    @property
+    def state(self) -> TaskState:
+        """The task's, after them."""
+        return self.memory.state
+
     def add(self, event: TaskEvent, reason: str = "", pose: tuple[float, ...] = (), source: str = "") -> None:
-        """Add one line."""
-        task, element = self._memory.task, self._element
+        """Add one event."""
+        task, element = self.memory.task, self._element
         entry = Entry(event.value, task, element, plan=self._plan, pose=pose, source=source, reason=reason)
+        self.memory = self.memory.then(entry)
         self.entries.append(entry)
 
 
@@ -163,106 +173,88 @@ def follow(
     as_built: tuple[float, ...] = (),
     source: str = "",
 ) -> list[Entry]:
-    """Return the lines that a report adds to the task of a plan; none when it says nothing new of it.
+    """Return the events that a report adds to the task of a plan; none when it says nothing new of it.
 
     Args:
         as_built: Length 7 or 0. Where the element stands if it is let go now; empty: not known.
-        source: Where that comes from, `ledger.MEASURED` or `ledger.PLANNED`.
+        source: Where that comes from, `events.MEASURED` or `events.PLANNED`.
     """
     if report.plan != plan.id or memory.state not in (TaskState.PLANNED, *UNDER_WAY):
         return []
-    lines = _Line(memory, element, plan.id)
-    state = memory.state
-    if state is TaskState.PLANNED:
+    events = _Events(memory, element, plan.id)
+    if memory.state is TaskState.PLANNED:
         if not report.playing and not report.outcome:
             return []
         if not memory.plan:
-            lines.add(TaskEvent.PLANNED)
-        lines.add(TaskEvent.BEGUN)
-        state = TaskState.CARRYING if memory.in_grip else TaskState.WORKING
+            events.add(TaskEvent.PLANNED)
+        events.add(TaskEvent.BEGUN)
     ended = not report.playing and bool(report.outcome)
     # a plan that has come to its end has been through everything
     segment = 10**6 if ended and report.outcome == FINISHED else report.segment
-    state = _through(lines, state, plan, segment, report, as_built, source)
+    _through(events, plan, segment, report, as_built, source)
     if ended:
-        _end(lines, state, plan, report, grip)
-    return lines.entries
+        _end(events, plan, report, grip)
+    return events.entries
 
 
 def _through(
-    lines: _Line,
-    state: TaskState,
-    plan: Followed,
-    segment: int,
-    report: Report,
-    as_built: tuple[float, ...],
-    source: str,
-) -> TaskState:
-    """Add what lies behind, up to the present segment; return the state that follows."""
+    events: _Events, plan: Followed, segment: int, report: Report, as_built: tuple[float, ...], source: str
+) -> None:
+    """Add what lies behind, up to the present segment."""
     confirmed = report.confirmed or (report.wants_scene and report.playing)
     stands = report.at_boundary or report.wants_scene or report.confirmed
-    if state is TaskState.WORKING and plan.grips >= 0 and (segment > plan.grips or (segment == plan.grips and stands)):
-        lines.add(TaskEvent.GRIPPING)
-        state = TaskState.GRIPPING
-    # of a plan that is not known any more, no segment says that the grip closed or let go
-    gripped = plan.grips >= 0 and (segment > plan.grips or (segment == plan.grips and confirmed))
-    if state is TaskState.GRIPPING and gripped:
-        lines.add(TaskEvent.GRIPPED)
-        state = TaskState.CARRYING
-    let_go = plan.releases
-    if state is TaskState.CARRYING and let_go >= 0 and (segment > let_go or (segment == let_go and stands)):
-        lines.add(TaskEvent.RELEASING)
-        state = TaskState.RELEASING
-    released = let_go >= 0 and (segment > let_go or (segment == let_go and confirmed))
-    if state is TaskState.RELEASING and released:
-        lines.add(TaskEvent.RELEASED, pose=as_built, source=source if as_built else "")
-        state = TaskState.RETREATING
-    return state
+
+    def behind(number: int, at_its_end: bool) -> bool:
+        # of a plan that is not known any more, no segment says that the grip closed or let go
+        return number >= 0 and (segment > number or (segment == number and at_its_end))
+
+    if events.state is TaskState.WORKING and behind(plan.grips, stands):
+        events.add(TaskEvent.GRIPPING)
+    if events.state is TaskState.GRIPPING and behind(plan.grips, confirmed):
+        events.add(TaskEvent.GRIPPED)
+    if events.state is TaskState.CARRYING and behind(plan.releases, stands):
+        events.add(TaskEvent.RELEASING)
+    if events.state is TaskState.RELEASING and behind(plan.releases, confirmed):
+        events.add(TaskEvent.RELEASED, pose=as_built, source=source if as_built else "")
 
 
-def _end(lines: _Line, state: TaskState, plan: Followed, report: Report, grip: Grip) -> None:
+def _end(events: _Events, plan: Followed, report: Report, grip: Grip) -> None:
     reason = f"{report.outcome}: {report.reason}"
-    if state is TaskState.RETREATING:
-        lines.add(TaskEvent.FINISHED if report.outcome == FINISHED else TaskEvent.STOPPED, reason)
-    elif state is TaskState.WORKING:
+    if events.state is TaskState.RETREATING and report.outcome == FINISHED:
+        events.add(TaskEvent.FINISHED, reason)
+        return
+    if events.state is TaskState.WORKING and not (0 <= report.segment < plan.grips or grip.surely_open):
         # from the segment on at whose end the grip closes, it may have closed: unless the tool says that it did not
-        before = 0 <= report.segment < plan.grips
-        if before or grip.surely_open:
-            lines.add(TaskEvent.STOPPED, reason)
-        else:
-            lines.add(TaskEvent.GRIPPING)
-            lines.add(TaskEvent.STOPPED, reason)
-    elif state is TaskState.GRIPPING and grip.surely_open:
-        lines.add(TaskEvent.NOT_GRIPPED, reason)
-    else:
-        lines.add(TaskEvent.STOPPED, reason)
+        events.add(TaskEvent.GRIPPING)
+    surely_not = events.state is TaskState.GRIPPING and grip.surely_open
+    events.add(TaskEvent.NOT_GRIPPED if surely_not else TaskEvent.STOPPED, reason)
 
 
 def after_restart(memory: TaskMemory, element: str, verdict: Verdict, grip: Grip) -> list[Entry]:
-    """Return the lines for a task whose plan the executor does not report any more, or never did.
+    """Return the events of a task whose plan the executor does not report any more, or never did.
 
     Args:
         verdict: Of the plan that the ledger names.
     """
-    lines = _Line(memory, element, verdict.plan or memory.plan)
+    events = _Events(memory, element, verdict.plan or memory.plan)
     if memory.state is TaskState.PLANNED:
         if verdict.under_review:
             if not memory.plan:
-                lines.add(TaskEvent.PLANNED)
+                events.add(TaskEvent.PLANNED)
         elif verdict.started is False:
-            lines.add(TaskEvent.DROPPED, "it was never approved")
+            events.add(TaskEvent.DROPPED, "it was never approved")
         elif grip.surely_open and not memory.in_grip:
             # nothing can have been carried: the line that must be written before is not there
-            lines.add(TaskEvent.DROPPED, "nothing was gripped")
+            events.add(TaskEvent.DROPPED, "nothing was gripped")
         else:
-            lines.add(TaskEvent.UNKNOWN, "whether the plan was carried out is not known")
+            events.add(TaskEvent.UNKNOWN, "whether the plan was carried out is not known")
     elif memory.state is TaskState.WORKING and grip.surely_open:
-        lines.add(TaskEvent.STOPPED, "nothing was gripped")
+        events.add(TaskEvent.STOPPED, "nothing was gripped")
     elif memory.state is TaskState.GRIPPING and grip.surely_open:
-        lines.add(TaskEvent.NOT_GRIPPED, "nothing was gripped")
+        events.add(TaskEvent.NOT_GRIPPED, "nothing was gripped")
     elif memory.state in UNDER_WAY:
-        lines.add(TaskEvent.UNKNOWN, f"what became of the plan is not known; the last known was {memory.state.value}")
-    return lines.entries
+        events.add(TaskEvent.UNKNOWN, f"what became of the plan is not known; the last known was {memory.state.value}")
+    return events.entries
 
 
 def question(memory: TaskMemory, element_name: str) -> str:

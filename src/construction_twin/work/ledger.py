@@ -1,217 +1,30 @@
-"""The ledger: what was done of a building model, one line per step, on the disk before anybody acts on it.
+"""The ledger: the log of what was done of a building model, one event per line, on the disk before anybody acts on it.
 
-A chained file (`review.chained_file`), one per robot and name of the model. Replaying it gives the state of every task, so that a
-node that was killed at any instant comes back with what is true. Its file is the only memory. When the model has changed since, a
-person is asked about everything that was touched. Metres; poses as x, y, z and quaternion x, y, z, w.
+A chained file (`review.chained_file`), one per robot and name of the model. From its events `book.fold` computes the state of every
+task, so that a node that was killed at any instant comes back with what is true. Its file is the only memory. When the model has
+changed since, a person is asked about everything that was touched.
 """
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.work_errors import LedgerError
 from construction_twin.review.chained_file import ChainedFile, read_whole
-from construction_twin.work.task_states import (
-    SETTLED,
-    UNDER_WAY,
-    NotNow,
-    TaskEvent,
-    TaskMemory,
-    TaskOccasion,
-    TaskState,
-)
+from construction_twin.work.book import Book, fold
+from construction_twin.work.events import CHANGED, MENDED, OPENED, Entry, entry_of
+from construction_twin.work.task_memory import NotNow
 
-#: Lines that are about no task.
-OPENED, ACCEPTED, MENDED, CHANGED = "opened", "accept_schedule", "mended", "changed"
-_OF_NO_TASK = (OPENED, ACCEPTED, MENDED, CHANGED)
-#: Where the pose of an element that was let go comes from.
-MEASURED, PLANNED = "measured", "planned"
-_MODEL_CHANGED = "the model was changed"
 #: Largest ledger that is read [bytes].
 LARGEST = 256 * 2**20
 
 
-@dataclass(frozen=True)
-class Entry:
-    """One line of the ledger.
-
-    Attributes:
-        event: A `TaskEvent`'s word, or `OPENED`, `ACCEPTED`, `MENDED`, `CHANGED`.
-        task, element: GlobalIds; empty where it is about neither.
-        source: Of the pose of `released`: `MEASURED` by the arm's own feedback, or `PLANNED`: as planned, not measured.
-        plan, offer, grip: `offer` is named in the plan's `source`, so that a plan whose id was never learnt is known again.
-        pose: Length 7 or 0
-        model, cell, schedule: SHA-256 of the model's file; path of the cell file; SHA-256 of the schedule that was accepted.
-        time_ns: When it was written, since 1970 [ns].
-    """
-
-    event: str
-    task: str = ""
-    element: str = ""
-    plan: str = ""
-    offer: str = ""
-    grip: str = ""
-    pose: tuple[float, ...] = ()
-    source: str = ""
-    answer: str = ""
-    person: str = ""
-    reason: str = ""
-    model: str = ""
-    cell: str = ""
-    schedule: str = ""
-    time_ns: int = 0
-
-    @property
-    def said(self) -> TaskOccasion:
-        """What of it concerns the task's state."""
-        return TaskOccasion(
-            self.reason,
-            self.time_ns,
-            self.answer,
-            self.plan,
-            self.offer,
-            self.grip,
-            self.pose,
-            self.person,
-            self.source,
-        )
-
-    def fields(self) -> dict:
-        """Return what is written of it: all that is not empty."""
-        return {name: value for name, value in asdict(self).items() if value and name != "time_ns"}
-
-
-class Book:
-    """The state of every task, as the lines read so far tell it.
-
-    Args:
-        after: Ids of the tasks that must be settled before each task, in the order in which they can be done.
-
-    Attributes:
-        accepted: Digest of the schedule that a person has accepted; empty: none.
-        model, cell: SHA-256 of the model and path of the cell that were worked with last; empty: none yet.
-        former: What is known of tasks that the schedule does not have any more.
-    """
-
-    def __init__(self, after: Mapping[str, tuple[str, ...]]):
-        self._after = dict(after)
-        self.tasks = {task: TaskMemory(task) for task in self._after}
-        self.accepted = self.model = self.cell = ""
-        self.former: dict[str, TaskMemory] = {}
-        self._element_of: dict[str, str] = {}
-        self._settle()
-
-    @property
-    def strange(self) -> tuple[str, ...]:
-        """One sentence for each task which the schedule does not have any more."""
-        return tuple(
-            f"the ledger has task {task} of element {self._element_of[task]} as {memory.state.value}, "
-            "which the schedule does not have any more"
-            for task, memory in self.former.items()
-        )
-
-    @property
-    def left_behind(self) -> dict[str, TaskMemory]:
-        """What is known of elements that were taken from their stock by such tasks, by GlobalId."""
-        return {self._element_of[task]: memory for task, memory in self.former.items() if _touched(memory)}
-
-    def doubts(self, elements: Mapping[str, str]) -> list[Entry]:
-        """Return the lines by which a person is asked about all that was touched for another version of the model.
-
-        Args:
-            elements: GlobalId of the element that each task of the present schedule places.
-        """
-        left, found = self.left_behind, []
-        for task, memory in self.tasks.items():
-            element = elements.get(task, "")
-            if memory.state is TaskState.ASKS:
-                continue
-            if _touched(memory):
-                # what is on its way out stands; only then can it be asked about
-                times = 2 if memory.state is TaskState.RETREATING else 1
-                found += [Entry("unknown", task, element, reason=_MODEL_CHANGED)] * times
-            elif element in left and memory.state in (TaskState.WAITING, TaskState.READY):
-                pose = left[element].base_T_element
-                found.append(Entry("unknown", task, element, pose=pose, reason=f"{_MODEL_CHANGED}, and its task"))
-        return found
-
-    def missing(self, task: str) -> tuple[str, ...]:
-        """Return the predecessors that are neither done nor skipped."""
-        return tuple(name for name in self._after[task] if name in self.tasks and not self._is_settled(name))
-
-    def followers(self, task: str) -> tuple[str, ...]:
-        """Return the tasks that wait for this one and have begun or are done."""
-        still = (TaskState.WAITING, TaskState.READY, TaskState.SKIPPED)
-        return tuple(
-            name for name, before in self._after.items() if task in before and self.tasks[name].state not in still
-        )
-
-    def check(self, entry: Entry) -> None:
-        """Refuse what does not fit the present states, before it is written.
-
-        Raises:
-            LedgerError: If there is no such task.
-            NotNow: If it does not fit the states.
-        """
-        if entry.event in _OF_NO_TASK:
-            return
-        event = TaskEvent(entry.event)
-        if entry.task not in self.tasks:
-            raise LedgerError("ledger", f"no task {entry.task!r}; expected one of the schedule's {len(self.tasks)}")
-        memory = self.tasks[entry.task]
-        if not memory.takes(event, entry.answer):
-            raise NotNow(entry.task, memory.state, event)
-
-    def take(self, entry: Entry) -> None:
-        """Take one line.
-
-        Raises:
-            NotNow: If it does not fit the states that the lines before it left.
-        """
-        if entry.event == ACCEPTED:
-            self.accepted = entry.schedule
-        if entry.event in (OPENED, CHANGED):
-            self.model, self.cell = entry.model, entry.cell
-        if entry.event in _OF_NO_TASK:
-            return
-        if entry.task in self.tasks:
-            memory = self.tasks[entry.task]
-            # what is said of an element now replaces what was known of it by a task that is no more
-            same = [task for task in self.former if entry.element and self._element_of[task] == entry.element]
-            for task in same:
-                del self.former[task]
-        else:
-            memory = self.former.setdefault(entry.task, TaskMemory(entry.task))
-            self._element_of[entry.task] = entry.element or self._element_of.get(entry.task, "")
-        event = TaskEvent(entry.event)
-        if memory.state is TaskState.WAITING and not memory.takes(event, entry.answer):
-            # what was done was done, even if a schedule that was changed since would have had it wait
-            memory.apply(TaskEvent.FREED)
-        memory.apply(event, entry.said)
-        self._settle()
-
-    def in_state(self, *states: TaskState) -> tuple[str, ...]:
-        """Return the tasks in any of these states, in their order."""
-        return tuple(name for name, memory in self.tasks.items() if memory.state in states)
-
-    def _is_settled(self, task: str) -> bool:
-        return self.tasks[task].state in SETTLED
-
-    def _settle(self) -> None:
-        for name, memory in self.tasks.items():
-            if memory.state is TaskState.WAITING and not self.missing(name):
-                memory.apply(TaskEvent.FREED)
-            elif memory.state is TaskState.READY and self.missing(name):
-                memory.apply(TaskEvent.BLOCKED)
-
-
 class Ledger:
-    """The file and the book that follows from it. Not for several threads at once.
+    """The file, and what its events say. Not for several threads at once.
 
     Args:
         after: See `Book`.
@@ -219,6 +32,9 @@ class Ledger:
         clock: Returns the time since 1970 in UTC [ns].
         cell: Path of the cell file, for the record.
         elements: GlobalId of the element that each task places.
+
+    Attributes:
+        book: What all lines so far say.
 
     Raises:
         LedgerError: If the file cannot be read or written, or a line of it cannot be true.
@@ -269,7 +85,7 @@ class Ledger:
         return self._file.state.head
 
     def add(self, entry: Entry) -> None:
-        """Write a line, then take it; when this returns it is on the disk.
+        """Write an event, then count with it; when this returns it is on the disk.
 
         Raises:
             NotNow: If it does not fit; nothing is written.
@@ -278,34 +94,25 @@ class Ledger:
         self.book.check(entry)
         now = self._clock()
         self._file.append(now, entry.fields())
-        self.book.take(replace(entry, time_ns=now))
+        self.book = self.book.then(replace(entry, time_ns=now))
 
     def close(self) -> None:
         """Let go of the file."""
         self._file.close()
 
 
-def _touched(memory: TaskMemory) -> bool:
-    """Return whether an element may be elsewhere than in its stock, or is asked about."""
-    doubtful = (TaskState.PLANNED, TaskState.ASKS, *UNDER_WAY)
-    if memory.state is TaskState.DONE and memory.gone:
-        # what was taken down is gone, whatever the model says since
-        return False
-    return memory.placed or memory.in_grip or memory.state is TaskState.DONE or memory.state in doubtful
-
-
 def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> Book:
-    """Return the book that the lines of a ledger leave.
+    """Return what the lines of a ledger say.
 
     Raises:
         LedgerError: Naming the line.
     """
-    book = Book(after)
+    book = fold(after)
     for number, entry in enumerate(read_entries(path), start=1):
         if number == 1 and entry.event != OPENED:
             raise LedgerError(str(path), f"line 1 is {entry.event!r}; expected {OPENED!r}: this is no ledger")
         try:
-            book.take(entry)
+            book = book.then(entry)
         except NotNow as error:
             raise LedgerError(str(path), f"line {number}: {error}") from error
     return book
@@ -323,20 +130,6 @@ def read_entries(path: Path) -> Iterator[Entry]:
         raise LedgerError(str(path), "cannot be read") from error
     for number, line in enumerate(content.splitlines(), start=1):
         try:
-            yield _entry(json.loads(line))
+            yield entry_of(json.loads(line))
         except (ValueError, TypeError, AttributeError) as error:
             raise LedgerError(str(path), f"line {number} is none of a ledger: {error}") from error
-
-
-def _entry(fields: dict) -> Entry:
-    known = {name: value for name, value in fields.items() if name not in ("time", "previous")}
-    pose = tuple(map(float, known.pop("pose", ())))
-    if len(pose) not in (0, 7) or not all(map(math.isfinite, pose)):
-        raise ValueError(f"a pose of {pose}; expected seven finite numbers")
-    time_ns = int(known.pop("time_ns", 0))
-    if not all(isinstance(value, str) for value in known.values()):
-        raise ValueError("expected texts")
-    event = known.get("event", "")
-    if event not in _OF_NO_TASK:
-        TaskEvent(event)
-    return Entry(**known, pose=pose, time_ns=time_ns)

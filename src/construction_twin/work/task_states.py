@@ -1,17 +1,14 @@
 """The states of a task of a building model: one table of states, events, guards, actions and next states.
 
-Pure. Every event but two is a line of the ledger, so that the state of every task follows from replaying it; `FREED` and `BLOCKED`
-follow from the states of other tasks. What cannot be known after a kill ends in `ASKS`: a person says what is so.
+Pure. Every event but two is a line of the ledger, from which `book` computes the state of every task; `FREED` and `BLOCKED` follow
+from the states of other tasks. What cannot be known after a kill ends in `ASKS`: a person says what is so.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from enum import Enum
 
 from construction_twin.core import state_table
-from construction_twin.core.work_errors import WorkError
 
 
 class TaskState(Enum):
@@ -96,7 +93,7 @@ PLANNABLE = (_S.READY, _S.CARRIED)
 #: States for which no other task waits.
 SETTLED = (_S.DONE, _S.SKIPPED)
 
-#: What is not in the table is refused by `TaskMemory`.
+#: What is not in the table is refused by `task_memory.TaskMemory`.
 TABLE: tuple[Row, ...] = (
     *rows(_S.WAITING, _E.FREED, _S.READY),
     *rows(_S.READY, _E.BLOCKED, _S.WAITING),
@@ -137,9 +134,6 @@ TABLE: tuple[Row, ...] = (
 )
 
 ROWS = state_table.by_cause(TABLE)
-#: States in which an element is surely not in the grip.
-_NOT_HELD = (_S.WAITING, _S.READY, _S.DONE, _S.SKIPPED)
-
 #: What a person can answer, and what it means; the question adds which of them are possible.
 ANSWERS = {
     "in_stock": "it lies in its stock, and the grip is empty",
@@ -147,167 +141,5 @@ ANSWERS = {
     "placed": "it stands at its place, and the grip is empty",
     "gone": "it is none of these: it was taken away; it waits until it is skipped or done again",
 }
-_SAYS = {"in_stock": _G.SAYS_STOCK, "in_grip": _G.SAYS_GRIP, "placed": _G.SAYS_PLACED, "gone": _G.SAYS_GONE}
-
-
-class NotNow(WorkError):
-    """An event does not fit the state of a task."""
-
-    def __init__(self, task: str, state: TaskState, event: TaskEvent):
-        self.task, self.state, self.event = task, state, event
-        super().__init__(f"task {task} is {state.value}; {event.value!r} does not follow from that")
-
-
-@dataclass(frozen=True, slots=True)
-class TaskOccasion(state_table.Occasion):
-    """What a line of the ledger says with an event; `now` is when it was written [ns].
-
-    Attributes:
-        answer: One of `ANSWERS`.
-        pose: Length 7 or 0. How it will be held (`OFFERED`), or where it stands (`RELEASED`, `MEASURED`) or is said to stand
-            (`UNKNOWN`).
-        person: Who measured.
-        source: Where the pose of `RELEASED` comes from; ``planned``: it is as planned, not measured.
-    """
-
-    answer: str = ""
-    plan: str = ""
-    offer: str = ""
-    grip: str = ""
-    pose: tuple[float, ...] = ()
-    person: str = ""
-    source: str = ""
-
-
-_NOTHING_SAID = TaskOccasion()
-
-
-@dataclass
-class TaskMemory:
-    """What the ledger says of one task.
-
-    Attributes:
-        before: The state that a question is about: in which its answer was lost.
-        plan, offer, grip: Of the plan under review or under way; `grip` stays with the element.
-        in_grip: The element is held by the tool, as far as is known.
-        gone: It is neither in its stock nor placed; of a task that is done: taken down.
-        tool0_T_element, base_T_element: Length 7 or 0. How it is held, or will be, and where it stands as built: x, y, z [m],
-            quaternion x, y, z, w. Empty: not known.
-        measured: Who measured where it stands; empty: it is the arm's own pose when it let go, or not known.
-        as_planned: Where it stands is where the plan had it: nothing was measured.
-        begun_ns, settled_ns: When it was begun, and when it was done or skipped, last, since 1970 [ns]; 0: not yet.
-    """
-
-    task: str
-    before: TaskState = TaskState.WAITING
-    plan: str = ""
-    offer: str = ""
-    grip: str = ""
-    in_grip: bool = False
-    placed: bool = False
-    gone: bool = False
-    tool0_T_element: tuple[float, ...] = ()
-    base_T_element: tuple[float, ...] = ()
-    measured: str = ""
-    as_planned: bool = False
-    begun_ns: int = 0
-    settled_ns: int = 0
-
-    def __post_init__(self):
-        self._machine = state_table.Machine(
-            ROWS,
-            TaskState.WAITING,
-            "",
-            state_table.conditions(
-                {Guard.IN_GRIP: lambda said: self.in_grip} | {guard: self._is_answer(guard) for guard in _SAYS.values()}
-            ),
-            {
-                Action.KEEP_PLAN: self._keep_plan,
-                Action.FORGET_PLAN: self._forget_plan,
-                Action.IN_GRIP: self._in_grip,
-                Action.NOT_IN_GRIP: self._not_in_grip,
-                Action.PLACED: self._placed,
-                Action.PLACED_AS_TOLD: self._placed_as_told,
-                Action.GONE: self._gone,
-                Action.REMOVED: self._gone,
-                Action.DOUBTED: self._doubted,
-                Action.MEASURED: self._measured,
-            },
-            after=self._note,
-        )
-
-    @property
-    def state(self) -> TaskState:
-        """The task's."""
-        return self._machine.state
-
-    def takes(self, event: TaskEvent, answer: str = "") -> bool:
-        """Return whether an event fits the present state."""
-        return self._machine.row(event, TaskOccasion(answer=answer)) is not None
-
-    def apply(self, event: TaskEvent, said: TaskOccasion = _NOTHING_SAID) -> None:
-        """Let an event happen.
-
-        Raises:
-            NotNow: If it does not fit the state; nothing is changed.
-        """
-        if self._machine.on(event, said):
-            raise NotNow(self.task, self.state, event)
-
-    def possible_answers(self) -> tuple[str, ...]:
-        """Return what can be answered now: nothing is placed that was never held."""
-        if self.state is not TaskState.ASKS:
-            return ()
-        if self.before in _NOT_HELD:
-            return ("in_stock", "placed", "gone")
-        if self.before in (TaskState.PLANNED, TaskState.WORKING, TaskState.GRIPPING) and not self.in_grip:
-            return ("in_stock", "in_grip", "gone")
-        return tuple(ANSWERS)
-
-    def _is_answer(self, guard: Guard) -> Callable[[TaskOccasion], bool]:
-        return lambda said: said.answer in self.possible_answers() and _SAYS[said.answer] is guard
-
-    def _note(self, row: Row, said: TaskOccasion) -> None:
-        self.before = row.state
-        if row.event in (TaskEvent.RELEASED, TaskEvent.MEASURED):
-            self.as_planned = said.source == "planned"
-        if row.event is TaskEvent.BEGUN:
-            self.begun_ns = said.now
-        if row.target in SETTLED:
-            self.settled_ns = said.now
-
-    # -- actions
-
-    def _keep_plan(self, row: Row, said: TaskOccasion) -> None:
-        self.plan, self.offer, self.grip = said.plan or self.plan, said.offer or self.offer, said.grip or self.grip
-        self.tool0_T_element = said.pose or self.tool0_T_element
-
-    def _forget_plan(self, row: Row, said: TaskOccasion) -> None:
-        self.plan = self.offer = ""
-
-    def _doubted(self, row: Row, said: TaskOccasion) -> None:
-        self.plan = self.offer = ""
-        self.base_T_element = said.pose or self.base_T_element
-
-    def _in_grip(self, row: Row, said: TaskOccasion) -> None:
-        self.in_grip, self.placed, self.gone = True, False, False
-        self.tool0_T_element = said.pose or self.tool0_T_element
-
-    def _not_in_grip(self, row: Row, said: TaskOccasion) -> None:
-        self.plan = self.offer = self.grip = self.measured = ""
-        self.in_grip = self.placed = self.gone = False
-        self.tool0_T_element = self.base_T_element = ()
-
-    def _placed(self, row: Row, said: TaskOccasion) -> None:
-        self.in_grip, self.placed, self.gone, self.measured = False, True, False, ""
-        self.base_T_element = said.pose
-
-    def _placed_as_told(self, row: Row, said: TaskOccasion) -> None:
-        self.in_grip, self.placed, self.gone = False, True, False
-
-    def _gone(self, row: Row, said: TaskOccasion) -> None:
-        self._not_in_grip(row, said)
-        self.gone = True
-
-    def _measured(self, row: Row, said: TaskOccasion) -> None:
-        self.placed, self.gone, self.base_T_element, self.measured = True, False, said.pose, said.person
+#: The guard that each of them satisfies.
+SAYS = {"in_stock": _G.SAYS_STOCK, "in_grip": _G.SAYS_GRIP, "placed": _G.SAYS_PLACED, "gone": _G.SAYS_GONE}

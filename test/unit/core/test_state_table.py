@@ -6,7 +6,7 @@ from enum import Enum
 
 import pytest
 
-from construction_twin.core.state_table import Machine, Occasion, Rows, by_cause, cells, conditions
+from construction_twin.core.state_table import Machine, Occasion, Rows, by_cause, cells, conditions, row_of
 
 
 class Number(Enum):
@@ -112,3 +112,11 @@ def test_a_note_is_added_to_the_reason_in_place_of_the_one_before_and_taken_back
     driven.changed = False
     driven.drop()
     assert (driven.reason, driven.changed) == ("just built", True)
+
+
+def test_a_state_that_is_a_value_finds_its_row_in_the_same_order():
+    rows = by_cause(TABLE)
+    first, second = rows[Number.REST, Event.GO]
+    assert row_of(rows, Number.REST, Event.GO, lambda guard: True) is first
+    assert row_of(rows, Number.REST, Event.GO, lambda guard: False) is second
+    assert row_of(rows, Number.REST, Event.WAIT, lambda guard: True) is None

@@ -32,7 +32,8 @@ from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.known_bag import open_bag
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
-from construction_twin.work.ledger import Entry, Ledger
+from construction_twin.work.events import Entry
+from construction_twin.work.ledger import Ledger
 from construction_twin.work.recipes import read_recipes
 from construction_twin.work.site import CellFile
 from construction_twin.work.task_states import TaskState

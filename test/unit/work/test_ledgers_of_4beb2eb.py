@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from construction_twin.review.chained_file import verify
-from construction_twin.work.ledger import Book, Ledger, read_entries
+from construction_twin.work.book import fold
+from construction_twin.work.ledger import Ledger, read_entries
 from construction_twin.work.task_states import TaskState
 
 OLD = Path(__file__).parents[2] / "data/written_by_4beb2eb/ledgers"
@@ -35,10 +36,10 @@ def whole_lines(name: str, folder: Path) -> Path:
 @pytest.mark.parametrize("schedule", [0, 1], ids=["its schedule", "another one"])
 def test_every_line_leaves_what_it_left_then(tmp_path, name, schedule):
     case = json.loads((OLD / f"{name}_states.json").read_text())[schedule]
-    book, lines = Book(case["after"]), list(read_entries(whole_lines(name, tmp_path)))
+    book, lines = fold(case["after"]), list(read_entries(whole_lines(name, tmp_path)))
     assert len(lines) == len(case["lines"])
     for entry, expected in zip(lines, case["lines"]):
-        book.take(entry)
+        book = book.then(entry)
         tasks = {**book.tasks, **{f"former {task}": memory for task, memory in book.former.items()}}
         assert {task: known(memory) for task, memory in tasks.items()} == expected["tasks"]
         assert (book.accepted, book.model, book.cell) == tuple(expected[key] for key in ("accepted", "model", "cell"))

@@ -14,7 +14,8 @@ from construction_twin.robot.tool import read_tool
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.work.built import as_built, change, deviation, pose_of_tuple, pose_tuple
 from construction_twin.work.desk import Desk, ElementFacts, Prepared, WorkRefused
-from construction_twin.work.ledger import Entry, Ledger
+from construction_twin.work.events import Entry
+from construction_twin.work.ledger import Ledger
 from construction_twin.work.racks import Slot, StockPlan
 from construction_twin.work.schedule import Job, Schedule, Wait
 from construction_twin.work.task_states import TaskState
@@ -124,7 +125,7 @@ def test_another_robots_task_is_left_alone(tmp_path, clock):
 def test_one_task_at_a_time(tmp_path, clock):
     one = desk(tmp_path, clock)
     one.ledger.add(Entry("offered", "T1", "E1", offer="o"))
-    assert one.busy() == "T1" and "under review" in one.obstacle("T1", clock())
+    assert one.book.busy == "T1" and "under review" in one.obstacle("T1", clock())
     with pytest.raises(WorkRefused, match="cannot be skipped"):
         one.skip("T1", "eva", "")
 

@@ -9,6 +9,7 @@ import pytest
 import work_samples
 
 from construction_twin.robot.segments import Switch
+from construction_twin.work.events import Entry
 from construction_twin.work.following import (
     FINISHED,
     Followed,
@@ -23,8 +24,9 @@ from construction_twin.work.following import (
     grip_of,
     question,
 )
-from construction_twin.work.ledger import Entry, Ledger
-from construction_twin.work.task_states import PLANNABLE, SETTLED, TaskMemory, TaskState
+from construction_twin.work.ledger import Ledger
+from construction_twin.work.task_memory import TaskMemory
+from construction_twin.work.task_states import PLANNABLE, SETTLED, TaskState
 
 HELD_AS = (0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0)
 STANDS = (1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 1.0)
@@ -68,7 +70,10 @@ class Node:
         numbers = count(1_700_000_000_000_000_000)
         self._left = lines
         self.ledger = Ledger(path, {"stud": ()}, "a" * 64, lambda: next(numbers))
-        self.memory = self.ledger.book.tasks["stud"]
+
+    @property
+    def memory(self) -> TaskMemory:
+        return self.ledger.book.tasks["stud"]
 
     def add(self, entry: Entry) -> None:
         if self._left <= 0:

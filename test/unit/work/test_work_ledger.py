@@ -12,7 +12,10 @@ from hypothesis import strategies as st
 
 from construction_twin.core.work_errors import LedgerError
 from construction_twin.review.chained_file import verify
-from construction_twin.work.ledger import Book, Entry, Ledger, read_entries
+from construction_twin.work.book import fold
+from construction_twin.work.events import Entry
+from construction_twin.work.ledger import Ledger, read_entries
+from construction_twin.work.task_memory import NotNow, TaskMemory
 from construction_twin.work.task_states import (
     PLANNABLE,
     ROWS,
@@ -21,10 +24,7 @@ from construction_twin.work.task_states import (
     UNDER_WAY,
     Action,
     Guard,
-    NotNow,
     TaskEvent,
-    TaskMemory,
-    TaskOccasion,
     TaskState,
 )
 
@@ -85,6 +85,7 @@ def test_a_kill_after_any_line_never_forgets_and_never_places_twice(tmp_path, nu
     if memory.state in AFTER_A_KILL:
         expected = AFTER_A_KILL[memory.state]
         again.add(Entry("unknown", "plate", "E1"))
+        memory = again.book.tasks["plate"]
         assert memory.state is expected
     # nothing is planned again before a person has said where the element is
     assert memory.state not in PLANNABLE
@@ -146,15 +147,16 @@ def test_a_person_answers(tmp_path, answer, state, in_grip, placed):
     memory = book.book.tasks["plate"]
     assert memory.state is TaskState.ASKS and answer in memory.possible_answers()
     book.add(Entry("answered", "plate", "E1", answer=answer, person="eva"))
+    memory = book.book.tasks["plate"]
     assert (memory.state, memory.in_grip, memory.placed) == (state, in_grip, placed)
     if state is TaskState.CARRIED:
         assert memory.tool0_T_element == HELD_AS
         book.add(Entry("offered", "plate", "E1", offer="o2"))
         book.add(Entry("dropped", "plate", "E1"))
-        assert memory.state is TaskState.CARRIED
+        assert book.book.tasks["plate"].state is TaskState.CARRIED
         book.add(Entry("offered", "plate", "E1", offer="o3"))
         book.add(Entry("begun", "plate", "E1", plan="p3"))
-        assert memory.state is TaskState.CARRYING
+        assert book.book.tasks["plate"].state is TaskState.CARRYING
 
 
 def test_what_was_never_held_cannot_have_been_placed(tmp_path):
@@ -251,6 +253,7 @@ def test_an_element_that_another_task_places_now_is_asked_about(tmp_path):
     assert memory.state is TaskState.ASKS and memory.possible_answers() == ("in_stock", "placed", "gone")
     assert again.book.left_behind == {}
     again.add(Entry("answered", "new", "E1", answer="placed", person="eva"))
+    memory = again.book.tasks["new"]
     assert memory.state is TaskState.DONE and memory.base_T_element == STANDS
 
 
@@ -365,13 +368,12 @@ EVENTS = st.lists(
 def test_an_element_is_in_one_place_only(events):
     memory = TaskMemory("plate")
     for event, answer in events:
-        if memory.takes(event, answer):
-            memory.apply(event, TaskOccasion(answer=answer, plan="p", offer="o", pose=STANDS))
+        entry = Entry(event.value, "plate", answer=answer, plan="p", offer="o", pose=STANDS)
+        if memory.takes(entry):
+            memory = memory.then(entry)
         else:
-            before = memory.state
             with pytest.raises(NotNow):
-                memory.apply(event, TaskOccasion(answer=answer))
-            assert memory.state is before
+                memory.then(entry)
         assert memory.in_grip + memory.placed + memory.gone <= 1
         if memory.state in (TaskState.CARRIED, TaskState.CARRYING, TaskState.RELEASING):
             assert memory.in_grip
@@ -380,4 +382,32 @@ def test_an_element_is_in_one_place_only(events):
 
 
 def test_a_book_without_tasks_is_empty():
-    assert Book({}).in_state(*TaskState) == ()
+    assert fold({}).in_state(*TaskState) == ()
+
+
+def test_an_event_makes_another_book_and_leaves_the_former_as_it_was():
+    books = [fold(AFTER)]
+    for entry, _ in STEPS:
+        books.append(books[-1].then(entry))
+    assert books[0].busy == "" and books[0].open == ("plate", "stud", "board")
+    assert [book.tasks["plate"].state for book in books[1:]] == [state for _, state in STEPS]
+    assert [bool(book.in_grip) for book in books] == [False] * 5 + [True] * 2 + [False] * 2
+    assert [book.standing for book in books] == [()] * 7 + [("plate",)] * 2
+    assert books[-1].open == ("stud", "board") and books[-1].busy == ""
+    assert fold(AFTER, [entry for entry, _ in STEPS]).tasks == books[-1].tasks
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(list(AFTER)), st.sampled_from([*TaskEvent]), st.sampled_from(["in_stock", "placed"])),
+        max_size=60,
+    )
+)
+def test_a_task_waits_exactly_while_another_one_before_it_is_not_settled(events):
+    book = fold(AFTER)
+    for task, event, answer in events:
+        entry = Entry(event.value, task, answer=answer)
+        if event not in (TaskEvent.FREED, TaskEvent.BLOCKED) and book.tasks[task].takes(entry):
+            book = book.then(entry)
+        assert all(bool(book.missing(name)) for name in book.in_state(TaskState.WAITING))
+        assert not any(book.missing(name) for name in book.in_state(TaskState.READY))

@@ -64,9 +64,10 @@ from construction_twin.srv import (
 from construction_twin.views.work_markers import DrawnElement, work_picture
 from construction_twin.work.built import change, pose_tuple
 from construction_twin.work.desk import Desk, Prepared, WorkRefused
+from construction_twin.work.events import Entry
 from construction_twin.work.glb import ShownElement, glb
 from construction_twin.work.jobs import WorkPlan
-from construction_twin.work.ledger import Entry, Ledger
+from construction_twin.work.ledger import Ledger
 from construction_twin.work.shared_desk import SharedDesk
 from construction_twin.work.task_states import TaskState
 from construction_twin.work.worker import Worker, WorkerError
@@ -196,7 +197,7 @@ class WorkNode:
         report = self._heard.execution
         with self._shared.lock:
             self._follower.catch_up(report)
-            idle = self._shared.desk is not None and not self._shared.desk.busy()
+            idle = self._shared.desk is not None and not self._shared.desk.book.busy
         self._scene.change_as_planned(report)
         engaged = self._heard.engaged
         if not engaged:
@@ -271,7 +272,7 @@ class WorkNode:
 
     def _recall(self, desk: Desk) -> None:
         """Find out what became of a plan that the ledger has as offered or under way."""
-        if not desk.busy():
+        if not desk.book.busy:
             return
         heard = self._heard
         # latched messages come within a moment of the connection; the executor may only now be starting
@@ -314,7 +315,7 @@ class WorkNode:
         with self._shared.lock:
             # while the scene was made right, somebody may have said something else
             self._allowed(task)
-            memory = desk.ledger.book.tasks[task]
+            memory = desk.book.tasks[task]
             held = memory.tool0_T_element if memory.state is TaskState.CARRIED else ()
             scene = heard.scene
             wanted, alone = desk.wanted_scene()
@@ -366,7 +367,7 @@ class WorkNode:
         request = PlanWorkRequest(task=task, source=f"{title} by {plan.grip}, offer {offer}", segments=segments)
         problem, answer = self._outputs.plan_work(request)
         with self._shared.lock:
-            memory = desk.ledger.book.tasks[task]
+            memory = desk.book.tasks[task]
             if answer is None:
                 if memory.state is TaskState.PLANNED and not memory.plan:
                     self._follower.settle_offer(task, offer)
@@ -515,7 +516,7 @@ def report(shared: SharedDesk) -> Report:
     if desk is None:
         return Report(ERROR if shared.broken else WARN, shared.problem)
     with shared.lock:
-        book = desk.ledger.book
+        book = desk.book
         values: dict[str, object] = {state.value: len(book.in_state(state)) for state in TaskState}
         values |= {"lines of the ledger": desk.ledger.lines, "SHA-256 of the last line": desk.ledger.head}
         values["notes on the model"] = len(desk.notes)

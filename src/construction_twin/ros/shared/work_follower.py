@@ -18,14 +18,15 @@ from construction_twin.ros.messages.work_convert import end_from_msg, is_playing
 from construction_twin.ros.shared.work_listener import KnownPlan, WorkListener
 from construction_twin.work import engaged_scene, following
 from construction_twin.work.built import as_built, pose_of_tuple, pose_tuple
-from construction_twin.work.following import Followed, Grip
-from construction_twin.work.ledger import MEASURED, PLANNED, Entry
+from construction_twin.work.events import MEASURED, PLANNED, Entry
+from construction_twin.work.following import Followed, Grip, Verdict
 from construction_twin.work.shared_desk import SharedDesk
+from construction_twin.work.task_memory import TaskMemory
 from construction_twin.work.task_states import UNDER_WAY, TaskState
 
 
 class WorkFollower:
-    """Writes how the task under way goes on and ends.
+    """Adds to the ledger how the task under way goes on and ends.
 
     Args:
         chain: Of the arm.
@@ -61,13 +62,10 @@ class WorkFollower:
 
     def follow(self, report: Execution | None) -> None:
         """Write what a report says of the task under way."""
-        desk, plan, left = self._shared.desk, self._heard.plan, self._heard.left
-        if desk is None or report is None:
+        plan, left, memory = self._heard.plan, self._heard.left, self._under_way()
+        if memory is None or report is None or self._heard.unsaid:
             return
-        task = desk.busy()
-        if not task or self._heard.unsaid:
-            return
-        memory = desk.ledger.book.tasks[task]
+        task = memory.task
         known = self._heard.work_plan(left.plan_id) if left is not None else None
         if left is not None and left.plan_id == memory.plan and known is not None:
             if report.plan_id != memory.plan or not is_playing(report):
@@ -110,17 +108,26 @@ class WorkFollower:
     def _write(self, task: str, followed: Followed, said: following.Report) -> None:
         """Write the lines that follow from a report."""
         desk = self._shared.opened()
-        memory = desk.ledger.book.tasks[task]
         built, source = self._as_built(task, followed, said) if followed.releases >= 0 else ((), "")
-        entries = following.follow(memory, desk.element_of(task), followed, said, self.grip(), built, source)
+        memory, element = desk.book.tasks[task], desk.element_of(task)
+        self._add(following.follow(memory, element, followed, said, self.grip(), built, source), rospy.loginfo)
+
+    def _add(self, entries: list[Entry], log: Callable[..., None]) -> None:
+        """Add events to the ledger, in their order."""
+        desk = self._shared.opened()
         for entry in entries:
             desk.ledger.add(entry)
-            rospy.loginfo("%s: %s%s", desk.title(task), entry.event, f"; {entry.reason}" if entry.reason else "")
+            log("%s: %s%s", desk.title(entry.task), entry.event, f"; {entry.reason}" if entry.reason else "")
+
+    def _under_way(self) -> TaskMemory | None:
+        """Return what is known of the task that is under review or under way; None: none is, or there is no desk."""
+        desk = self._shared.desk
+        return desk.book.tasks[desk.book.busy] if desk is not None and desk.book.busy else None
 
     def _followed(self, task: str, plan: PlanMsg) -> Followed | None:
         """Return a plan of a task as it is followed; None when it is another's."""
         desk = self._shared.opened()
-        memory = desk.ledger.book.tasks[task]
+        memory = desk.book.tasks[task]
         if plan.task != task or not (plan.id == memory.plan or (memory.offer and memory.offer in plan.source)):
             return None
         ends = tuple(map(end_from_msg, plan.segments))
@@ -129,7 +136,7 @@ class WorkFollower:
     def _as_built(self, task: str, followed: Followed, report: following.Report) -> tuple[tuple[float, ...], str]:
         """Return where the element stands if let go now: by the arm's own pose at the boundary, else by the plan's; and which."""
         desk = self._shared.opened()
-        memory, planned = desk.ledger.book.tasks[task], self._planned_pose(followed)
+        memory, planned = desk.book.tasks[task], self._planned_pose(followed)
         if planned is None or not memory.tool0_T_element or memory.state is TaskState.RETREATING:
             return (), ""
         q, source = planned, PLANNED
@@ -153,11 +160,9 @@ class WorkFollower:
 
     def settle_if_lost(self) -> None:
         """Settle a task under way that the executor does not know: it was started anew, or has gone on to another plan."""
-        desk, report = self._shared.desk, self._heard.execution
-        task = desk.busy() if desk is not None else ""
-        if desk is None or not task or report is None:
+        memory, report = self._under_way(), self._heard.execution
+        if memory is None or report is None:
             return
-        memory = desk.ledger.book.tasks[task]
         if memory.state in UNDER_WAY and report.plan_id != memory.plan:
             self.settle()
         elif memory.state is TaskState.PLANNED and self._heard.forget_if_nobody_has(memory.plan):
@@ -165,32 +170,28 @@ class WorkFollower:
 
     def settle(self) -> None:
         """Settle a task whose plan the executor does not report, and never will: by its record, else by asking."""
-        desk, report = self._shared.desk, self._heard.execution
-        task = desk.busy() if desk is not None else ""
-        if desk is None or not task or self._heard.unsaid:
+        memory, report = self._under_way(), self._heard.execution
+        if memory is None or self._heard.unsaid:
             return
-        memory, element = desk.ledger.book.tasks[task], desk.element_of(task)
         if report is not None and memory.plan and report.plan_id == memory.plan:
             return
         verdict = self._heard.verdict(memory.plan, memory.offer)
-        if verdict.outcome == following.FINISHED:
-            ended = following.Report(verdict.plan, False, verdict.outcome)
-            followed = following.followed_unseen(verdict.plan, memory, verdict.outcome)
-            built, source = self._planned_end(task, verdict.plan)
-            entries = following.follow(memory, element, followed, ended, self.grip(), built, source)
-        else:
-            entries = following.after_restart(memory, element, verdict, self.grip())
-        for entry in entries:
-            rospy.logwarn("%s: %s; %s", desk.title(task), entry.event, entry.reason)
-            desk.ledger.add(entry)
+        if verdict.outcome != following.FINISHED:
+            self._settle(memory, verdict)
+            return
+        ended = following.Report(verdict.plan, False, verdict.outcome)
+        followed = following.followed_unseen(verdict.plan, memory, verdict.outcome)
+        built, source = self._planned_end(memory.task, verdict.plan)
+        element = self._shared.opened().element_of(memory.task)
+        self._add(following.follow(memory, element, followed, ended, self.grip(), built, source), rospy.logwarn)
 
     def settle_offer(self, task: str, offer: str) -> None:
         """Settle a task whose plan was offered to a planner that did not answer: it may have published it before it went away."""
-        desk = self._shared.opened()
-        memory = desk.ledger.book.tasks[task]
-        verdict = self._heard.verdict("", offer)
-        for entry in following.after_restart(memory, desk.element_of(task), verdict, self.grip()):
-            desk.ledger.add(entry)
+        self._settle(self._shared.opened().book.tasks[task], self._heard.verdict("", offer))
+
+    def _settle(self, memory: TaskMemory, verdict: Verdict) -> None:
+        element = self._shared.opened().element_of(memory.task)
+        self._add(following.after_restart(memory, element, verdict, self.grip()), rospy.logwarn)
 
     def _planned_end(self, task: str, plan_id: str) -> tuple[tuple[float, ...], str]:
         """Return where the element was to be let go by a plan that has been carried out; empty when it is not known any more."""
@@ -202,14 +203,10 @@ class WorkFollower:
 
     def _drop_if_turned_down(self) -> None:
         """Take note of a plan under review that was rejected, replaced, or is void."""
-        desk = self._shared.desk
-        task = desk.busy() if desk is not None else ""
-        if desk is None or not task:
-            return
-        memory = desk.ledger.book.tasks[task]
-        review = self._heard.review(memory.plan)
-        if memory.state is TaskState.PLANNED and review is not None and not review.approved:
-            reason = f"{review.reviewer}: {review.reason}"
+        memory = self._under_way()
+        review = self._heard.review(memory.plan) if memory is not None else None
+        if memory is not None and memory.state is TaskState.PLANNED and review is not None and not review.approved:
+            desk, task, reason = self._shared.opened(), memory.task, f"{review.reviewer}: {review.reason}"
             desk.ledger.add(Entry("dropped", task, desk.element_of(task), plan=memory.plan, reason=reason))
             desk.failures[task] = f"its plan was turned down by {reason}"
 

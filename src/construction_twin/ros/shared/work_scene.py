@@ -58,8 +58,8 @@ class WorkScene:
         if not report.wants_scene or report.plan_id != plan.id or not 0 <= report.segment < len(plan.segments):
             return
         segment = plan.segments[report.segment]
-        task = desk.busy()
-        if not task or desk.ledger.book.tasks[task].plan != plan.id or scene.hash == segment.scene_after:
+        task = desk.book.busy
+        if not task or desk.book.tasks[task].plan != plan.id or scene.hash == segment.scene_after:
             return
         self._edit(
             EditSceneRequest(before=segment.scene, put=segment.put, remove=segment.remove, after=segment.scene_after)
@@ -102,7 +102,7 @@ class WorkScene:
                 return "a plan is under way, and the scene is not the one for the way back; wait for its end"
             self._follower.follow(self._heard.execution)
             self._follower.settle_if_lost()
-            memory = desk.ledger.book.tasks.get(left.task)
+            memory = desk.book.tasks.get(left.task)
             if memory is not None and memory.plan == left.plan_id and memory.state in UNDER_WAY:
                 return f"{desk.title(left.task)}: how its plan ended is not written yet; ask again"
             known = self._heard.work_plan(left.plan_id)

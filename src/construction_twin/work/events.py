@@ -1,0 +1,75 @@
+"""The events of the work on a building model: one line of the ledger each. Everything else is computed from them.
+
+Metres; poses as x, y, z and quaternion x, y, z, w.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from construction_twin.work.task_states import TaskEvent
+
+#: Events that are about no task.
+OPENED, ACCEPTED, MENDED, CHANGED = "opened", "accept_schedule", "mended", "changed"
+OF_NO_TASK = (OPENED, ACCEPTED, MENDED, CHANGED)
+#: Where the pose of an element that was let go comes from.
+MEASURED, PLANNED = "measured", "planned"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of the ledger.
+
+    Attributes:
+        event: A `TaskEvent`'s word, or `OPENED`, `ACCEPTED`, `MENDED`, `CHANGED`.
+        task, element: GlobalIds; empty where it is about neither.
+        source: Of the pose of `released`: `MEASURED` by the arm's own feedback, or `PLANNED`: as planned, not measured.
+        plan, offer, grip: `offer` is named in the plan's `source`, so that a plan whose id was never learnt is known again.
+        pose: Length 7 or 0. How it will be held (`offered`), or where it stands (`released`, `measured`) or is said to stand
+            (`unknown`).
+        answer: One of `task_states.ANSWERS`.
+        model, cell, schedule: SHA-256 of the model's file; path of the cell file; SHA-256 of the schedule that was accepted.
+        time_ns: When it was written, since 1970 [ns].
+    """
+
+    event: str
+    task: str = ""
+    element: str = ""
+    plan: str = ""
+    offer: str = ""
+    grip: str = ""
+    pose: tuple[float, ...] = ()
+    source: str = ""
+    answer: str = ""
+    person: str = ""
+    reason: str = ""
+    model: str = ""
+    cell: str = ""
+    schedule: str = ""
+    time_ns: int = 0
+
+    def fields(self) -> dict:
+        """Return what is written of it: all that is not empty."""
+        return {name: value for name, value in asdict(self).items() if value and name != "time_ns"}
+
+
+def entry_of(fields: Mapping[str, Any]) -> Entry:
+    """Return a line as it was written.
+
+    Raises:
+        ValueError, TypeError: If it is none of a ledger.
+    """
+    known = {name: value for name, value in fields.items() if name not in ("time", "previous")}
+    pose = tuple(map(float, known.pop("pose", ())))
+    if len(pose) not in (0, 7) or not all(map(math.isfinite, pose)):
+        raise ValueError(f"a pose of {pose}; expected seven finite numbers")
+    time_ns = int(known.pop("time_ns", 0))
+    if not all(isinstance(value, str) for value in known.values()):
+        raise ValueError("expected texts")
+    event = known.get("event", "")
+    if event not in OF_NO_TASK:
+        TaskEvent(event)
+    return Entry(**known, pose=pose, time_ns=time_ns)

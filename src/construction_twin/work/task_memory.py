@@ -1,0 +1,143 @@
+"""What the events so far say of one task: a value, and the value that one more event makes of it. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from construction_twin.core.state_table import row_of
+from construction_twin.core.work_errors import WorkError
+from construction_twin.work.events import PLANNED, Entry
+from construction_twin.work.task_states import ANSWERS, ROWS, SAYS, SETTLED, Action, Guard, Row, TaskEvent, TaskState
+
+#: States in which an element is surely not in the grip.
+_NOT_HELD = (TaskState.WAITING, TaskState.READY, TaskState.DONE, TaskState.SKIPPED)
+
+
+class NotNow(WorkError):
+    """An event does not fit the state of a task."""
+
+    def __init__(self, task: str, state: TaskState, event: TaskEvent):
+        self.task, self.state, self.event = task, state, event
+        super().__init__(f"task {task} is {state.value}; {event.value!r} does not follow from that")
+
+
+@dataclass(frozen=True)
+class TaskMemory:
+    """What the ledger says of one task.
+
+    Attributes:
+        before: The state that a question is about: in which its answer was lost.
+        plan, offer, grip: Of the plan under review or under way; `grip` stays with the element.
+        in_grip: The element is held by the tool, as far as is known.
+        gone: It is neither in its stock nor placed; of a task that is done: taken down.
+        tool0_T_element, base_T_element: Length 7 or 0. How it is held, or will be, and where it stands as built: x, y, z [m],
+            quaternion x, y, z, w. Empty: not known.
+        measured: Who measured where it stands; empty: it is the arm's own pose when it let go, or not known.
+        as_planned: Where it stands is where the plan had it: nothing was measured.
+        begun_ns, settled_ns: When it was begun, and when it was done or skipped, last, since 1970 [ns]; 0: not yet.
+    """
+
+    task: str
+    state: TaskState = TaskState.WAITING
+    before: TaskState = TaskState.WAITING
+    plan: str = ""
+    offer: str = ""
+    grip: str = ""
+    in_grip: bool = False
+    placed: bool = False
+    gone: bool = False
+    tool0_T_element: tuple[float, ...] = ()
+    base_T_element: tuple[float, ...] = ()
+    measured: str = ""
+    as_planned: bool = False
+    begun_ns: int = 0
+    settled_ns: int = 0
+
+    def takes(self, entry: Entry) -> bool:
+        """Return whether an event fits the present state."""
+        return self._row(entry) is not None
+
+    def then(self, entry: Entry) -> TaskMemory:
+        """Return what is known after one more event of this task.
+
+        Raises:
+            NotNow: If it does not fit the state.
+        """
+        row = self._row(entry)
+        if row is None:
+            raise NotNow(self.task, self.state, TaskEvent(entry.event))
+        changed = {"before": row.state, "state": row.target or self.state, **_CHANGES[row.action](self, entry)}
+        if row.event in (TaskEvent.RELEASED, TaskEvent.MEASURED):
+            changed["as_planned"] = entry.source == PLANNED
+        if row.event is TaskEvent.BEGUN:
+            changed["begun_ns"] = entry.time_ns
+        if row.target in SETTLED:
+            changed["settled_ns"] = entry.time_ns
+        return replace(self, **changed)
+
+    def possible_answers(self) -> tuple[str, ...]:
+        """Return what can be answered now: nothing is placed that was never held."""
+        if self.state is not TaskState.ASKS:
+            return ()
+        if self.before in _NOT_HELD:
+            return ("in_stock", "placed", "gone")
+        if self.before in (TaskState.PLANNED, TaskState.WORKING, TaskState.GRIPPING) and not self.in_grip:
+            return ("in_stock", "in_grip", "gone")
+        return tuple(ANSWERS)
+
+    @property
+    def taken(self) -> bool:
+        """Whether the element does not lie in its stock any more."""
+        # of a skipped task a person takes the element out, so that the next can be delivered
+        return self.in_grip or self.placed or self.gone or self.state is TaskState.SKIPPED
+
+    def _row(self, entry: Entry) -> Row | None:
+        def holds(guard: Guard) -> bool:
+            if guard is Guard.IN_GRIP:
+                return self.in_grip
+            return entry.answer in self.possible_answers() and SAYS[entry.answer] is guard
+
+        return row_of(ROWS, self.state, TaskEvent(entry.event), holds)
+
+
+_NO_PLAN: dict[str, Any] = {"plan": "", "offer": ""}
+_IN_STOCK = {
+    **_NO_PLAN, "grip": "", "measured": "", "in_grip": False, "placed": False, "gone": False,
+    "tool0_T_element": (), "base_T_element": (),
+}  # fmt: skip
+
+
+def _keep_plan(memory: TaskMemory, entry: Entry) -> dict[str, Any]:
+    return {
+        "plan": entry.plan or memory.plan,
+        "offer": entry.offer or memory.offer,
+        "grip": entry.grip or memory.grip,
+        "tool0_T_element": entry.pose or memory.tool0_T_element,
+    }
+
+
+def _is(in_grip: bool = False, placed: bool = False, gone: bool = False) -> dict[str, Any]:
+    """Return that an element is in one place only."""
+    return {"in_grip": in_grip, "placed": placed, "gone": gone}
+
+
+#: What each action of the table changes, from what was known and the event.
+_CHANGES: Mapping[Action, Callable[[TaskMemory, Entry], dict[str, Any]]] = {
+    Action.NOTHING: lambda memory, entry: {},
+    Action.KEEP_PLAN: _keep_plan,
+    Action.FORGET_PLAN: lambda memory, entry: _NO_PLAN,
+    Action.IN_GRIP: lambda memory, entry: {
+        **_is(in_grip=True), "tool0_T_element": entry.pose or memory.tool0_T_element,
+    },
+    Action.NOT_IN_GRIP: lambda memory, entry: _IN_STOCK,
+    Action.PLACED: lambda memory, entry: {**_is(placed=True), "base_T_element": entry.pose, "measured": ""},
+    Action.PLACED_AS_TOLD: lambda memory, entry: _is(placed=True),
+    Action.GONE: lambda memory, entry: {**_IN_STOCK, "gone": True},
+    Action.REMOVED: lambda memory, entry: {**_IN_STOCK, "gone": True},
+    Action.DOUBTED: lambda memory, entry: {**_NO_PLAN, "base_T_element": entry.pose or memory.base_T_element},
+    Action.MEASURED: lambda memory, entry: {
+        "placed": True, "gone": False, "base_T_element": entry.pose, "measured": entry.person,
+    },
+}  # fmt: skip
