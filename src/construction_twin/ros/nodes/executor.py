@@ -669,7 +669,7 @@ class ExecutorNode:
             self._said.add(rospy.loginfo, "%s: %s", now.said.state.name, now.said.reason)
 
     def _publish_execution(self, now: Snapshot) -> None:
-        self._outputs.execution.publish(_execution(now.said, now.plan, now.rate, now.limit, now.stamp))
+        self._outputs.execution.publish(execution_message(now.said, now.plan, now.rate, now.limit, now.stamp))
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
@@ -696,7 +696,7 @@ class ExecutorNode:
         return Report(level, f"{executor.state.name}: {executor.reason}", values)
 
 
-def _execution(said: Said, plan: PlanContent | None, rate: float, limit: float, stamp: int) -> Execution:
+def execution_message(said: Said, plan: PlanContent | None, rate: float, limit: float, stamp: int) -> Execution:
     """Return the message of what is said at the moment `stamp` [ns]."""
     message = Execution(
         state=said.state.value,
