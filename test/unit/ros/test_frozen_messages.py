@@ -23,6 +23,7 @@ from diagnostic_msgs.msg import KeyValue
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment
+from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.execution.states import ExecutorState
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ViewWriter
@@ -30,11 +31,11 @@ from construction_twin.link.tool_link import tool_report
 from construction_twin.mqtt.client import Broker
 from construction_twin.ros.messages.console_json import scene_json, tasks_json
 from construction_twin.ros.messages.convert import segment_from_msg, segment_to_msg
+from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.tool import tool_report_from_msg
 from construction_twin.ros.messages.work_convert import report_from_msg
 from construction_twin.ros.nodes import executor as executor_node
 from construction_twin.ros.nodes import mqtt_bridge, mqtt_planner
-from construction_twin.ros.shared import robot_listener
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.views.snapshot import Snapshot
 from construction_twin.views.texts import status_lines
@@ -195,7 +196,12 @@ def execution_message(wide: Wide) -> str:
         wide.random.choice(list(ExecutorState)), wide.text(), wide.whole() * 10**9 + 7, wide.text(), wide.flag(),
         wide.number(), wide.random.choice((-1, 0, 1, 2)), wide.flag(), wide.text(), wide.flag(),
     )  # fmt: skip
-    return raw(executor_node.execution_message(said, plan if wide.flag() else None, wide.number(), wide.number(), NOW))
+    return raw(
+        to_msg(
+            executor_node.execution_report(said, plan if wide.flag() else None, wide.number(), wide.number(), NOW),
+            Execution,
+        )
+    )
 
 
 def tool_message(wide: Wide) -> str:
@@ -210,9 +216,9 @@ def screen(wide: Wide) -> str:
     """Return what a terminal shows of the three reports."""
     executing = wide.execution()
     facts = (
-        robot_listener.link_facts(wide.link()),
-        robot_listener.sync_facts(wide.sync()),
-        robot_listener.execution_facts(executing),
+        from_msg(LinkReport, wide.link()),
+        from_msg(SyncReport, wide.sync()),
+        from_msg(ExecutionReport, executing),
     )
     snapshot = Snapshot("kr120", NOW / 1e9, JOINTS.names, JOINTS.linear, *facts)
     progress = facts[2].progress(executing.plan_start.to_sec() + 1.0)
