@@ -18,6 +18,7 @@ from processes import ROOT
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment, parse_moment, staleness
 from construction_twin.core.motion_errors import KinematicsError
+from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.link.json_fields import read_document
@@ -26,11 +27,9 @@ from construction_twin.link.remote_review import PlanView, parse_review, review_
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
     ClosestView,
-    ExecutionView,
-    LinkView,
     PoseView,
     Seen,
-    SyncView,
+    Shown,
     ViewWriter,
 )
 from construction_twin.mqtt.client import Broker, make_client, unique_id
@@ -190,20 +189,21 @@ class ScriptedRobot:
                 twin=PoseView(stamp, 0.0, tuple(self.twin)),
                 arm=PoseView(self.arm_stamp or stamp, 0.0, tuple(self.twin + self.arm_error)),
                 sync=self._sync(),
-                link=LinkView("ARMED", "", 0.0, "ARMED", "rsi", "", 8.2, 0),
-                execution=ExecutionView(
-                    self.state,
-                    "",
+                link=Shown(LinkReport("ARMED", "", "ARMED", {"late_replies": "0"}, gateway_kind="rsi"), 0.0),
+                execution=Shown(
+                    ExecutionReport(
+                        self.state,
+                        "",
+                        self._playing,
+                        self._outcome,
+                        duration=plan.duration if plan else 0.0,
+                        rate=self._rate,
+                    ),
                     0.0,
-                    self._playing,
-                    self._outcome,
-                    plan.duration if plan else 0.0,
-                    progress,
-                    self._rate,
-                    1.0,
                 ),
                 plan="" if self.plan is None else self.plan.id,
                 closest=ClosestView(0.31, ("link_4", "table"), tuple(self.tool(self.twin)), 0.0),
+                progress=progress,
             )
             payload = self._writer.write(now, seen, present())
         self._client.publish(self._topics.view, payload)
@@ -227,11 +227,13 @@ class ScriptedRobot:
     def _publish(self, topic: str, payload: bytes, retain: bool = False) -> None:
         self._client.publish(topic, payload, qos=1, retain=retain)
 
-    def _sync(self) -> SyncView:
+    def _sync(self) -> Shown[SyncReport]:
         error = np.abs(self.arm_error)
         agreed = bool(np.all(error < _THRESHOLD))
         state, reason = ("IN_SYNC", "") if agreed else ("HOLDING", "the arm does not follow")
-        return SyncView(state, reason, 0.0, "stop", agreed, tuple(error), (_THRESHOLD,) * len(error), 0.02, 0)
+        threshold = (_THRESHOLD,) * len(error)
+        report = SyncReport(state, reason, "stop", "", tuple(error), threshold, 0.0082, 0.02, agreed=agreed)
+        return Shown(report, 0.0)
 
     def _screen(self) -> bytes:
         moving = self.state == "PLAYING"

@@ -78,6 +78,11 @@ if TYPE_CHECKING:
     from construction_twin.core.rate_limit import RollingWindow as RollingWindow
     from construction_twin.core.rate_limit import SenderLimits as SenderLimits
     from construction_twin.core.rate_limit import TokenBucket as TokenBucket
+    from construction_twin.core.records import document as document
+    from construction_twin.core.records import dumped as dumped
+    from construction_twin.core.reports import ExecutionReport as ExecutionReport
+    from construction_twin.core.reports import LinkReport as LinkReport
+    from construction_twin.core.reports import SyncReport as SyncReport
     from construction_twin.core.share import share_file as share_file
     from construction_twin.core.speed_limit import LimitState as LimitState
     from construction_twin.core.speed_limit import SpeedLimit as SpeedLimit

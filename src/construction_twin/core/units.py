@@ -15,6 +15,12 @@ CYCLE_NS = 4_000_000
 NANOSECONDS = 1_000_000_000
 
 
+def seconds(stamp: int) -> float:
+    """Convert a time from ns to s: to the same number as ROS does, whole seconds and their fraction added up."""
+    whole, fraction = divmod(stamp, NANOSECONDS)
+    return whole + fraction / 1e9
+
+
 def degrees(values) -> tuple[float, ...]:
     """Convert joint angles from rad to deg."""
     return tuple(math.degrees(value) for value in values)

@@ -25,10 +25,9 @@ if TYPE_CHECKING:
     from construction_twin.link.remote_trajectory import TrajectoryRequest as TrajectoryRequest
     from construction_twin.link.remote_trajectory import parse_trajectory as parse_trajectory
     from construction_twin.link.remote_trajectory import trajectory_answer as trajectory_answer
-    from construction_twin.link.remote_view import ExecutionView as ExecutionView
-    from construction_twin.link.remote_view import LinkView as LinkView
     from construction_twin.link.remote_view import PoseView as PoseView
-    from construction_twin.link.remote_view import SyncView as SyncView
+    from construction_twin.link.remote_view import Seen as Seen
+    from construction_twin.link.remote_view import Shown as Shown
     from construction_twin.link.remote_view import ViewWriter as ViewWriter
     from construction_twin.link.speed_forwarder import SpeedForwarder as SpeedForwarder
     from construction_twin.link.states import LinkEvent as LinkEvent

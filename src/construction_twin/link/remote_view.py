@@ -7,13 +7,15 @@ of seconds, because stamps in ns are larger than the whole numbers that JavaScri
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from construction_twin.core.freshness import Moment
-from construction_twin.core.units import NANOSECONDS
+from construction_twin.core.records import decimals, dumped
+from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
+from construction_twin.core.units import NANOSECONDS, seconds
 from construction_twin.link.remote_trajectory import Joints
 
 VERSION = 3
@@ -24,48 +26,22 @@ _POSITION, _TIME = 9, 6
 _UNITS = {"angle": "rad", "length": "m", "time": "s"}
 #: States of the executor in which the plan goes on.
 _MOVING = ("PLAYING", "STOPPING", "PAUSING")
+#: What a view shows of each report, after its state, reason and age.
+_SYNC = ("policy", "agreed", "error", "threshold", "servo_lag", "violations")
+_LINK = ("gateway_state", "gateway_kind", "responsible", "round_trip_ms", "late")
+_EXECUTION = ("plan_id", "outcome", "duration", "progress", "rate", "speed_limit", "segment")
+
+
+_Report = TypeVar("_Report", SyncReport, LinkReport, ExecutionReport)
 
 
 @dataclass(frozen=True)
 class PoseView:
     """A pose: its stamp in ROS time, its age since reception [s], positions [rad] or [m]."""
 
-    stamp: float
-    age: float
-    positions: Sequence[float]
-
-
-@dataclass(frozen=True)
-class SyncView:
-    """What the gate says; see Sync.msg."""
-
-    state: str
-    reason: str
-    age: float
-    policy: str
-    agreed: bool
-    error: Sequence[float]
-    threshold: Sequence[float]
-    servo_lag: float
-    violations: int
-
-
-@dataclass(frozen=True)
-class LinkView:
-    """What the bridge says; see Link.msg.
-
-    `round_trip_ms` is the time from a setpoint's passing of the gate to the arm's answer to it, nan when unknown; `late` is how
-    many replies came too late at the controller, None when the gateway has not said.
-    """
-
-    state: str
-    reason: str
-    age: float
-    gateway_state: str
-    gateway_kind: str
-    responsible: str
-    round_trip_ms: float = math.nan
-    late: int | None = None
+    stamp: float = decimals(_TIME)
+    age: float = decimals(_TIME)
+    positions: Sequence[float] = decimals(_POSITION)
 
 
 @dataclass(frozen=True)
@@ -88,34 +64,27 @@ class ClosestView:
 
 
 @dataclass(frozen=True)
-class ExecutionView:
-    """What the executor says; see Execution.msg. `age` is that of its last change, `progress` a fraction of the plan's time."""
+class Shown(Generic[_Report]):
+    """A report that is the present, and how long ago it was received [s]."""
 
-    state: str
-    reason: str
+    report: _Report
     age: float
-    plan_id: str
-    outcome: str
-    duration: float
-    progress: float
-    rate: float
-    speed_limit: float
-    segment: SegmentNow | None = None
 
 
 @dataclass(frozen=True)
 class Seen:
     """The parts of a view; None is what is not known, or too old to be shown as the present. `plan` is the id of the plan under
-    review, "" for none.
+    review, "" for none; `progress` how much of the executor's plan is over, 0 to 1.
     """
 
     twin: PoseView | None = None
     arm: PoseView | None = None
-    sync: SyncView | None = None
-    link: LinkView | None = None
-    execution: ExecutionView | None = None
+    sync: Shown[SyncReport] | None = None
+    link: Shown[LinkReport] | None = None
+    execution: Shown[ExecutionReport] | None = None
     plan: str = ""
     closest: ClosestView | None = None
+    progress: float = 0.0
 
 
 class ViewWriter:
@@ -147,7 +116,7 @@ class ViewWriter:
         return self._message(False, 0, 0, Seen(), "")
 
     def _message(self, online: bool, seq: int, now: int, seen: Seen, moment: str) -> bytes:
-        document = {
+        message = {
             "version": VERSION,
             "compatible": COMPATIBLE,
             "robot": self._robot,
@@ -158,53 +127,36 @@ class ViewWriter:
             "moment": moment,
             "units": _UNITS,
             "joints": self._joints,
-            "twin": _pose(seen.twin),
-            "arm": _pose(seen.arm),
-            "sync": _part(seen.sync),
-            "link": _part(seen.link),
-            "execution": _part(seen.execution),
+            "twin": seen.twin,
+            "arm": seen.arm,
+            "sync": _part(seen.sync, _SYNC),
+            "link": _part(seen.link, _LINK, round_trip_ms=_round_trip_ms(seen.sync)),
+            "execution": _part(seen.execution, _EXECUTION, progress=seen.progress, segment=_segment(seen.execution)),
             "plan": seen.plan,
-            "closest": _part(seen.closest),
+            "closest": seen.closest,
         }
-        # nan and inf are no JSON
-        return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+        return dumped(message, _POSITION)
 
 
-def _pose(pose: PoseView | None) -> Mapping | None:
-    if pose is None:
+def _part(shown: Shown | None, names: Sequence[str], **known: object) -> Mapping | None:
+    """Return what a view shows of a report: fields of these names, of the report itself where they are not `known` otherwise."""
+    if shown is None:
         return None
-    positions = [round(value, _POSITION) for value in pose.positions]
-    return {"stamp": round(pose.stamp, _TIME), "age": round(pose.age, _TIME), "positions": positions}
+    report = shown.report
+    first = {"state": report.text, "reason": report.reason, "age": shown.age}
+    return first | {name: known[name] if name in known else getattr(report, name) for name in names}
 
 
-def _part(part: SyncView | LinkView | ExecutionView | SegmentNow | ClosestView | None) -> Mapping | None:
-    return None if part is None else {key: _plain(value) for key, value in vars(part).items()}
+def _round_trip_ms(sync: Shown[SyncReport] | None) -> float:
+    # from a setpoint's passing of the gate to the arm's answer to it: the gate measures it, and it says how the link is
+    return sync.report.round_trip * 1e3 if sync is not None else math.nan
 
 
-def _plain(value: object) -> object:
-    if isinstance(value, float):
-        return round(value, _POSITION) if math.isfinite(value) else None
-    if isinstance(value, SegmentNow):
-        return _part(value)
-    return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
-
-
-@dataclass(frozen=True)
-class Report:
-    """What counts of an Execution.msg for the progress; times in ROS time [s].
-
-    Attributes:
-        stamp, start: Of the report; nominal time of the plan's first setpoint, 0 for none.
-        duration, rate: Of the plan [s]; fraction of the planned speed.
-    """
-
-    stamp: float
-    start: float
-    state: str
-    plan_id: str
-    outcome: str
-    duration: float
-    rate: float
+def _segment(shown: Shown[ExecutionReport] | None) -> SegmentNow | None:
+    if shown is None or shown.report.segment < 0:
+        return None
+    report = shown.report
+    return SegmentNow(report.segment, report.segment_name, report.at_boundary)
 
 
 class PlanProgress:
@@ -215,26 +167,28 @@ class PlanProgress:
     """
 
     def __init__(self):
-        self._last: Report | None = None
+        self._last: ExecutionReport | None = None
         self._elapsed = 0.0
 
-    def on_report(self, report: Report) -> None:
+    def on_report(self, report: ExecutionReport) -> None:
         """Take a report; of one plan they come in their order."""
         last = self._last
         self._last = report
-        if last is None or (last.plan_id, last.start) != (report.plan_id, report.start):
+        if last is None or (last.plan_id, last.plan_start) != (report.plan_id, report.plan_start):
             # it begins before it is reported, or was being played when this program started
-            self._elapsed = max(0.0, report.stamp - report.start) * report.rate if report.start else 0.0
-        elif last.state in _MOVING:
-            self._elapsed += max(0.0, report.stamp - last.stamp) * (last.rate + report.rate) / 2.0
+            begun = seconds(report.stamp) - seconds(report.plan_start)
+            self._elapsed = max(0.0, begun) * report.rate if report.plan_start else 0.0
+        elif last.text in _MOVING:
+            passed = seconds(report.stamp) - seconds(last.stamp)
+            self._elapsed += max(0.0, passed) * (last.rate + report.rate) / 2.0
 
     def at(self, now: float) -> float:
         """Return the fraction at `now` [s]: 0 before a first plan, 1 once it has finished."""
         last = self._last
-        if last is None or not last.start or last.duration <= 0.0:
+        if last is None or not last.plan_start or last.duration <= 0.0:
             return 0.0
-        if last.outcome == "finished" and last.state not in _MOVING:
+        if last.outcome == "finished" and last.text not in _MOVING:
             return 1.0
-        moved = max(0.0, now - last.stamp) * last.rate if last.state in _MOVING else 0.0
+        moved = max(0.0, now - seconds(last.stamp)) * last.rate if last.text in _MOVING else 0.0
         # what is still moving has not arrived
         return min(0.999, max(0.0, (self._elapsed + moved) / last.duration))

@@ -14,7 +14,8 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from construction_twin.views.snapshot import Snapshot, SyncFacts
+from construction_twin.core.reports import SyncReport
+from construction_twin.views.snapshot import Snapshot
 from construction_twin.views.texts import because, joint_value, under_review, work_lines
 
 #: Cells of a bar; a full bar is an error at its threshold.
@@ -81,12 +82,12 @@ def _joints(snapshot: Snapshot) -> Table | Text:
     if (
         sync is None
         or "sync" in snapshot.silent
-        or len(sync.errors) != len(snapshot.joints)
-        or len(sync.thresholds) != len(snapshot.joints)
+        or len(sync.error) != len(snapshot.joints)
+        or len(sync.threshold) != len(snapshot.joints)
     ):
         return Text("nothing is compared", style="dim")
     table = Table.grid(padding=(0, 2))
-    rows = zip(snapshot.joints, snapshot.linear, sync.errors, sync.thresholds)
+    rows = zip(snapshot.joints, snapshot.linear, sync.error, sync.threshold)
     for joint, linear, error, threshold in rows:
         table.add_row(joint, bar(error, threshold), _errors(error, threshold, linear))
     return table
@@ -112,19 +113,19 @@ def _figures(snapshot: Snapshot) -> Table:
     table.add_row("rates", rates or "not measured")
     table.add_row("latency", _latency(snapshot.sync))
     link = snapshot.link
-    table.add_row("late, lost", "no link" if link is None else _counts(link.counters))
+    table.add_row("late, lost", "no link" if link is None else _counts(link.gateway_counters))
     if link is not None:
-        refused = sum(int(v) for k, v in link.counters.items() if k.startswith("refused_") and v.isdigit())
+        refused = sum(int(v) for k, v in link.gateway_counters.items() if k.startswith("refused_") and v.isdigit())
         line = f"gateway {refused}  bridge {link.commands_refused} commands, {link.states_refused} states"
         table.add_row("refused", line)
-        jitter, delay = (link.counters.get(f"playout_{name}_ms", "") or "?" for name in ("jitter", "delay"))
+        jitter, delay = (link.gateway_counters.get(f"playout_{name}_ms", "") or "?" for name in ("jitter", "delay"))
         table.add_row("playout", f"gateway {link.gateway_state or '?'}, jitter {jitter} ms, delay {delay} ms")
     if snapshot.sync is not None:
         table.add_row("gate", f"left IN_SYNC {snapshot.sync.violations} times, policy {snapshot.sync.policy or '?'}")
     return table
 
 
-def _latency(sync: SyncFacts | None) -> str:
+def _latency(sync: SyncReport | None) -> str:
     if sync is None:
         return "not measured"
     trip, lag = (None if math.isnan(value) else value * 1e3 for value in (sync.round_trip, sync.servo_lag))

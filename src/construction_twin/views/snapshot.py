@@ -8,83 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.robot.plan import Plan
 
 #: States in which a plan could be approved.
 READY = {"link": "ARMED", "sync": "IN_SYNC", "execution": "IDLE"}
-
-
-@dataclass(frozen=True)
-class LinkFacts:
-    """The bridge's report; see Link.msg.
-
-    Attributes:
-        counters: The gateway's, and what it says of its playout.
-        responsible: Who has armed a bare PLC; empty otherwise.
-        not_checked: What is not checked with a bare PLC.
-    """
-
-    text: str
-    reason: str
-    gateway_state: str = ""
-    counters: Mapping[str, str] = field(default_factory=dict)
-    commands_refused: int = 0
-    states_refused: int = 0
-    responsible: str = ""
-    not_checked: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class SyncFacts:
-    """The gate's report; see Sync.msg.
-
-    Attributes:
-        errors, thresholds: Length n. [rad], [m] for prismatic joints; empty while nothing is compared.
-        round_trip, servo_lag: [s]; nan when unknown.
-    """
-
-    text: str
-    reason: str
-    policy: str = ""
-    comparison: str = ""
-    errors: tuple[float, ...] = ()
-    thresholds: tuple[float, ...] = ()
-    round_trip: float = float("nan")
-    servo_lag: float = float("nan")
-    violations: int = 0
-
-
-@dataclass(frozen=True)
-class ExecutionFacts:
-    """The executor's report; see Execution.msg.
-
-    Attributes:
-        start, duration: Nominal time of the plan's first setpoint, 0 for none; its length [s].
-        rate, speed_limit: Fraction of the planned speed now, and the fraction that is allowed.
-        segment, segment_name: Of a work plan: where it is, from 0; -1 without.
-        at_boundary, wants_scene: It stands at the end of that segment; and waits for the scene to change.
-        engaged: Only the way back along the executed path can be planned.
-    """
-
-    text: str
-    reason: str
-    plan_id: str = ""
-    outcome: str = ""
-    start: float = 0.0
-    duration: float = 0.0
-    rate: float = 0.0
-    speed_limit: float = 1.0
-    segment: int = -1
-    segment_name: str = ""
-    at_boundary: bool = False
-    wants_scene: bool = False
-    engaged: bool = False
-
-    def progress(self, now: float) -> float | None:
-        """Return how much of a plan's time is over at `now` [s], 0 to 1; None unless a plan is being played."""
-        if self.text != "PLAYING" or not self.start or self.duration <= 0.0:
-            return None
-        return min(1.0, max(0.0, (now - self.start) / self.duration))
 
 
 @dataclass(frozen=True)
@@ -114,9 +42,9 @@ class Snapshot:
     now: float
     joints: tuple[str, ...]
     linear: tuple[bool, ...]
-    link: LinkFacts | None = None
-    sync: SyncFacts | None = None
-    execution: ExecutionFacts | None = None
+    link: LinkReport | None = None
+    sync: SyncReport | None = None
+    execution: ExecutionReport | None = None
     plan: Plan | None = None
     rates: Mapping[str, float | None] = field(default_factory=dict)
     nodes: tuple[NodeFacts, ...] = ()

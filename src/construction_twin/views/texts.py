@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from construction_twin.core.reports import ExecutionReport
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.views.snapshot import ExecutionFacts, Snapshot
+from construction_twin.views.snapshot import Snapshot
 from construction_twin.views.work_picture import cut, segment_words
 
 
@@ -109,7 +110,7 @@ def status_lines(snapshot: Snapshot) -> list[str]:
     for name in ("link", "sync", "execution"):
         facts = getattr(snapshot, name)
         lines.append(f"{name:10} {'no report' if facts is None else f'{facts.text}{because(facts.reason)}'}")
-    controller = controller_words(snapshot.link.counters) if snapshot.link is not None else ""
+    controller = controller_words(snapshot.link.gateway_counters) if snapshot.link is not None else ""
     if controller:
         lines.append(f"controller {controller}")
     if snapshot.link is not None and snapshot.link.not_checked:
@@ -124,7 +125,7 @@ def status_lines(snapshot: Snapshot) -> list[str]:
     return lines
 
 
-def work_lines(execution: ExecutionFacts | None) -> list[str]:
+def work_lines(execution: ExecutionReport | None) -> list[str]:
     """Return where a work plan is, one line, and that only the way back can be planned where that is so."""
     if execution is None:
         return []
@@ -142,7 +143,7 @@ def controller_words(told: Mapping[str, str]) -> str:
     """Return what the controller says on its optional channels, e.g. ``T1, program ACTIVE, override 100 %``; "" for nothing.
 
     Args:
-        told: `LinkFacts.counters`.
+        told: `LinkReport.gateway_counters`.
     """
     words = {"mode": "{}", "program": "program {}", "override_percent": "override {} %"}
     values = {name: told.get(f"controller_{name}", "") for name in words}

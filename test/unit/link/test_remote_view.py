@@ -9,20 +9,17 @@ from pathlib import Path
 import pytest
 
 from construction_twin.core.freshness import Moment
+from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
     COMPATIBLE,
     VERSION,
     ClosestView,
-    ExecutionView,
-    LinkView,
     PlanProgress,
     PoseView,
-    Report,
     Seen,
-    SegmentNow,
-    SyncView,
+    Shown,
     ViewWriter,
 )
 
@@ -33,11 +30,20 @@ MOMENT = Moment("c0ffee00", 81_234_567_890)
 SEEN = Seen(
     PoseView(1_795_369_597.39, 0.004, (1.5, math.pi / 3)),
     PoseView(1_795_369_597.388, 0.0061234567, (1.5, 1.0471)),
-    SyncView("IN_SYNC", "agree", 0.01, "resume", True, (0.0, 0.0001), (0.001, 0.01), math.nan, 3),
-    LinkView("ARMED", "well", 0.7, "following", "rsi", "", 31.25, 4),
-    ExecutionView("PLAYING", "plays p1", 2.0, "p1", "", 8.0, 0.25, 1.0, 1.0, SegmentNow(1, "carry", False)),
+    Shown(
+        SyncReport("IN_SYNC", "agree", "resume", "", (0.0, 0.0001), (0.001, 0.01), 0.03125, violations=3, agreed=True),
+        0.01,
+    ),
+    Shown(LinkReport("ARMED", "well", "following", {"late_replies": "4"}, gateway_kind="rsi"), 0.7),
+    Shown(
+        ExecutionReport(
+            "PLAYING", "plays p1", "p1", duration=8.0, rate=1.0, speed_limit=1.0, segment=1, segment_name="carry"
+        ),
+        2.0,
+    ),
     "p2",
     ClosestView(0.123, ("link_3", "wall"), (1.0, 0.5, 0.25), 0.1),
+    0.25,
 )
 #: The keys of version 1, at the first two levels.
 VERSION_1 = {
@@ -103,7 +109,7 @@ def test_what_version_2_adds_is_in_it():
         "point": [1.0, 0.5, 0.25],
         "age": 0.1,
     }
-    unknown = read(writer().write(NOW, Seen(link=LinkView("ARMED", "", 0.0, "", "rsi", "")), MOMENT))
+    unknown = read(writer().write(NOW, Seen(link=Shown(LinkReport("ARMED", "", gateway_kind="rsi"), 0.0)), MOMENT))
     assert unknown["link"]["round_trip_ms"] is unknown["link"]["late"] is unknown["closest"] is None
     assert unknown["plan"] == ""
 
@@ -148,8 +154,9 @@ def test_a_message_stays_small():
     names = tuple(f"joint_a{k}" for k in range(1, 8))
     seven = ViewWriter("kr120", "0123456789abcdef", Joints(names, (False,) * 7))
     pose = PoseView(NOW / NANOSECONDS, 0.0123456789, (-math.pi,) * 7)
-    sync = SyncView("HOLDING", "x" * 300, 0.01, "resume", False, (0.123456789,) * 7, (0.123456789,) * 7, 0.02, 10**6)
-    seen = Seen(pose, pose, sync, SEEN.link, SEEN.execution)
+    seven_values = (0.123456789,) * 7
+    sync = SyncReport("HOLDING", "x" * 300, "resume", "", seven_values, seven_values, 0.03125, 0.02, 10**6)
+    seen = Seen(pose, pose, Shown(sync, 0.01), SEEN.link, SEEN.execution)
     assert len(seven.write(NOW, seen, MOMENT)) < 2500
 
 
@@ -158,11 +165,12 @@ def test_a_message_stays_small():
 
 def report(
     stamp: float, state: str = "PLAYING", rate: float = 1.0, outcome: str = "", plan: str = "p1", start: float = 100.0
-) -> Report:
-    return Report(stamp, start, state, plan, outcome, 10.0, rate)
+) -> ExecutionReport:
+    times = {"plan_start": round(start * NANOSECONDS), "stamp": round(stamp * NANOSECONDS)}
+    return ExecutionReport(state, "", plan, outcome, duration=10.0, rate=rate, **times)
 
 
-def progress(*reports: Report) -> PlanProgress:
+def progress(*reports: ExecutionReport) -> PlanProgress:
     made = PlanProgress()
     for each in reports:
         made.on_report(each)
@@ -171,7 +179,7 @@ def progress(*reports: Report) -> PlanProgress:
 
 def test_before_a_plan_there_is_no_progress():
     assert PlanProgress().at(5.0) == 0.0
-    assert progress(Report(99.0, 0.0, "IDLE", "", "", 0.0, 0.0)).at(200.0) == 0.0
+    assert progress(ExecutionReport("IDLE", "", stamp=99 * NANOSECONDS)).at(200.0) == 0.0
 
 
 def test_a_plan_played_as_planned_progresses_with_time():

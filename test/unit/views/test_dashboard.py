@@ -9,8 +9,9 @@ import pytest
 from rich.console import Console
 from scene_samples import kr120
 
+from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.views.dashboard import BAR, bar, render
-from construction_twin.views.snapshot import ExecutionFacts, LinkFacts, NodeFacts, Snapshot, SyncFacts
+from construction_twin.views.snapshot import NodeFacts, Snapshot
 
 
 def shown(**changes) -> str:
@@ -40,14 +41,14 @@ def test_no_number_is_no_bar(error, threshold):
 
 
 def test_a_report_that_fell_silent_is_not_shown_as_the_present():
-    sync = SyncFacts("IN_SYNC", "the poses agree", "replan", "aligned", (0.001,) * 6, (0.01,) * 6)
-    text = shown(link=LinkFacts("ARMED", "commands flow"), sync=sync, silent={"sync": 4.2, "link": 7.0})
+    sync = SyncReport("IN_SYNC", "the poses agree", "replan", "aligned", (0.001,) * 6, (0.01,) * 6)
+    text = shown(link=LinkReport("ARMED", "commands flow"), sync=sync, silent={"sync": 4.2, "link": 7.0})
     assert "silent for 4 s; the last was IN_SYNC" in text and "silent for 7 s; the last was ARMED" in text
     assert "nothing is compared" in text
 
 
 def test_a_picture_of_a_running_system():
-    sync = SyncFacts(
+    sync = SyncReport(
         "IN_SYNC",
         "the poses agree",
         "replan",
@@ -60,9 +61,11 @@ def test_a_picture_of_a_running_system():
     )
     counters = {"late_replies": "7", "playout_jitter_ms": "1.5", "refused_stale": "2", "refused_velocity": "1"}
     text = shown(
-        link=LinkFacts("ARMED", "commands flow", "following", counters, 4, 5),
+        link=LinkReport("ARMED", "commands flow", "following", counters, 4, 5),
         sync=sync,
-        execution=ExecutionFacts("PLAYING", "", "p1", start=100.0, duration=20.0, speed_limit=0.5, rate=0.4),
+        execution=ExecutionReport(
+            "PLAYING", "", "p1", plan_start=100_000_000_000, duration=20.0, speed_limit=0.5, rate=0.4
+        ),
         rates={"twin": 250.04, "physical": None},
         nodes=(NodeFacts("planner", 0, "ok"), NodeFacts("scene", 1, "in contact")),
     )
@@ -81,7 +84,7 @@ def test_a_picture_of_silence():
 
 
 def test_linear_joints_are_in_mm():
-    sync = SyncFacts("IN_SYNC", "", errors=(0.001,), thresholds=(0.002,))
+    sync = SyncReport("IN_SYNC", "", error=(0.001,), threshold=(0.002,))
     console = Console(file=io.StringIO(), width=100, record=True)
     console.print(render(Snapshot("x", 0.0, ("rail",), (True,), sync=sync)))
     assert "1.0000 mm of 2.0000 mm" in console.export_text()

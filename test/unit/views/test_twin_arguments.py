@@ -14,12 +14,13 @@ from plan_samples import make_plan
 from scene_samples import kr120, track7
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.frames import rotation_to_abc
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.views.arguments import Exit, check, parser, split_lists
 from construction_twin.views.goals import joint_goal, pose_goal
-from construction_twin.views.snapshot import ExecutionFacts, LinkFacts, NodeFacts, Snapshot, SyncFacts
+from construction_twin.views.snapshot import NodeFacts, Snapshot
 from construction_twin.views.texts import joint_value, plan_lines, range_sentence, scene_lines, status_lines
 
 ANGLES = st.floats(-89.0, 89.0)
@@ -32,9 +33,9 @@ def parsed(text: str):
 def snapshot(**changes) -> Snapshot:
     robot = kr120()
     facts = {
-        "link": LinkFacts("ARMED", "commands flow"),
-        "sync": SyncFacts("IN_SYNC", "the poses agree"),
-        "execution": ExecutionFacts("IDLE", "twin and arm agree"),
+        "link": LinkReport("ARMED", "commands flow"),
+        "sync": SyncReport("IN_SYNC", "the poses agree"),
+        "execution": ExecutionReport("IDLE", "twin and arm agree"),
     }
     return Snapshot("kr120", 100.0, robot.joint_names, robot.linear, **(facts | changes))
 
@@ -181,19 +182,21 @@ def test_status_tells_states_reasons_and_troubled_nodes():
 
 def test_status_tells_what_the_controller_says_where_it_says_something():
     told = {"controller_mode": "T1", "controller_program": "STOP", "controller_override_percent": "30"}
-    lines = status_lines(snapshot(link=LinkFacts("ARMED", "session 1", counters=told)))
+    lines = status_lines(snapshot(link=LinkReport("ARMED", "session 1", gateway_counters=told)))
     assert "controller T1, program STOP, override 30 %" in lines
-    lines = status_lines(snapshot(link=LinkFacts("ARMED", "session 1", counters={"controller_program": "ACTIVE"})))
+    lines = status_lines(
+        snapshot(link=LinkReport("ARMED", "session 1", gateway_counters={"controller_program": "ACTIVE"}))
+    )
     assert "controller program ACTIVE" in lines
     assert not any(line.startswith("controller") for line in status_lines(snapshot()))
 
 
 def test_status_tells_what_is_not_checked_with_a_bare_plc_and_who_is_responsible():
-    bare = LinkFacts("ARMED", "bare PLC", responsible="Ada", not_checked=("session: any", "age: none"))
+    bare = LinkReport("ARMED", "bare PLC", responsible="Ada", not_checked=("session: any", "age: none"))
     lines = status_lines(snapshot(link=bare))
     at = lines.index("bare PLC   Ada is responsible; not checked:")
     assert lines[at + 1 : at + 3] == ["           session: any", "           age: none"]
-    lines = status_lines(snapshot(link=LinkFacts("NEEDS_RESET", "", not_checked=("session: any",))))
+    lines = status_lines(snapshot(link=LinkReport("NEEDS_RESET", "", not_checked=("session: any",))))
     assert "bare PLC   no person is responsible; not checked:" in lines
     assert check(parsed("arm --responsible Ada")) == ""
 
@@ -202,12 +205,16 @@ def test_ready_only_when_a_plan_could_be_approved():
     assert snapshot().not_ready() == []
     assert snapshot(link=None).not_ready() == []
     assert snapshot(sync=None).not_ready() == ["sync is silent; expected IN_SYNC"]
-    (why,) = snapshot(link=LinkFacts("NEEDS_RESET", "it braked")).not_ready()
+    (why,) = snapshot(link=LinkReport("NEEDS_RESET", "it braked")).not_ready()
     assert why == "link is NEEDS_RESET, expected ARMED: it braked"
 
 
 def test_not_ready_when_the_monitor_fell_silent():
-    facts = {"link": LinkFacts("ARMED", ""), "sync": SyncFacts("IN_SYNC", ""), "execution": ExecutionFacts("IDLE", "")}
+    facts = {
+        "link": LinkReport("ARMED", ""),
+        "sync": SyncReport("IN_SYNC", ""),
+        "execution": ExecutionReport("IDLE", ""),
+    }
     robot = kr120()
     snapshot = Snapshot("kr120", 0.0, robot.joint_names, robot.linear, **facts)
     assert snapshot.not_ready() == []
@@ -216,9 +223,9 @@ def test_not_ready_when_the_monitor_fell_silent():
 
 
 def test_progress_is_known_while_playing():
-    playing = ExecutionFacts("PLAYING", "", start=90.0, duration=20.0)
+    playing = ExecutionReport("PLAYING", "", plan_start=90_000_000_000, duration=20.0)
     assert playing.progress(100.0) == 0.5 and playing.progress(0.0) == 0.0 and playing.progress(1e3) == 1.0
-    assert ExecutionFacts("PAUSED", "", start=90.0, duration=20.0).progress(100.0) is None
+    assert ExecutionReport("PAUSED", "", plan_start=90_000_000_000, duration=20.0).progress(100.0) is None
 
 
 # -- completion

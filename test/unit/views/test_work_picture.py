@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from plan_samples import make_plan
 
+from construction_twin.core.reports import ExecutionReport
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.plan import Plan, content_hash
 from construction_twin.robot.segments import Segment, Signal, Switch
@@ -15,7 +16,6 @@ from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.views.preview import MOST_ROWS, Preview, ToldWork, picture
-from construction_twin.views.snapshot import ExecutionFacts
 from construction_twin.views.texts import plan_lines, segment_lines, under_review, work_lines
 from construction_twin.views.work_picture import change_words, segment_words, work_path, work_states
 
@@ -203,10 +203,10 @@ def test_changes_are_told_by_whole_things():
 
 
 def test_the_status_says_where_a_work_plan_is_and_that_the_arm_is_engaged():
-    facts = ExecutionFacts("PLAYING", "", "p", segment=3, segment_name="carry")
+    facts = ExecutionReport("PLAYING", "", "p", segment=3, segment_name="carry")
     assert work_lines(facts) == ["segment    4 carry"]
     waits = dataclasses.replace(facts, at_boundary=True, wants_scene=True)
     assert work_lines(waits) == ["segment    4 carry, at its end, waits for the scene to change as planned"]
     stopped = dataclasses.replace(facts, text="IDLE", outcome="stopped", engaged=True)
     assert work_lines(stopped) == ["engaged    only the way back along the executed path can be planned: twin back"]
-    assert work_lines(ExecutionFacts("IDLE", "")) == work_lines(None) == []
+    assert work_lines(ExecutionReport("IDLE", "")) == work_lines(None) == []

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 
+from construction_twin.core.records import dumped
 from construction_twin.msg import WorkTask, WorkTasks
 from construction_twin.scene.objects import Scene, SceneObject
 
@@ -12,7 +12,7 @@ from construction_twin.scene.objects import Scene, SceneObject
 def scene_json(scene: Scene, frame: str) -> bytes:
     """Return the payload for `scene`; `frame` is the robot's base_link."""
     objects = [_object(item) for item in scene.objects]
-    return _dumped({"hash": scene.hash, "frame": frame, "padding": scene.padding, "objects": objects})
+    return dumped({"hash": scene.hash, "frame": frame, "padding": scene.padding, "objects": objects})
 
 
 def tasks_json(message: WorkTasks) -> bytes:
@@ -29,7 +29,7 @@ def tasks_json(message: WorkTasks) -> bytes:
         "tasks": [_task(task) for task in message.tasks],
         "notes": list(message.notes),
     }
-    return _dumped(document)
+    return dumped(document)
 
 
 def _object(item: SceneObject) -> dict:
@@ -69,7 +69,3 @@ def _task(task: WorkTask) -> dict:
         "begun": task.begun.to_sec() if task.begun else None,
         "settled": task.settled.to_sec() if task.settled else None,
     }
-
-
-def _dumped(document: dict) -> bytes:
-    return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()

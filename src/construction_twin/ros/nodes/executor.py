@@ -29,6 +29,7 @@ from construction_twin.core.errors import (
     ReviewError,
 )
 from construction_twin.core.freshness import LIFETIME, Moment, is_newer, parse_moment, staleness
+from construction_twin.core.reports import ExecutionReport
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
@@ -58,6 +59,7 @@ from construction_twin.review.record import Release, Responsibility, ReviewLog
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanContent
 from construction_twin.ros.messages.convert import plan_from_msg
+from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg, tool_report_from_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
@@ -66,7 +68,7 @@ from construction_twin.ros.shared.node import NodeShell, Service
 from construction_twin.ros.shared.params import NodeSettings, ros_home
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.cycle import Cycles
-from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, from_time, now_ns, to_time
+from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, from_time, now_ns
 from construction_twin.ros.transport.publisher import Publisher, Sink
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 from construction_twin.srv import (
@@ -669,7 +671,8 @@ class ExecutorNode:
             self._said.add(rospy.loginfo, "%s: %s", now.said.state.name, now.said.reason)
 
     def _publish_execution(self, now: Snapshot) -> None:
-        self._outputs.execution.publish(_execution(now.said, now.plan, now.rate, now.limit, now.stamp))
+        report = execution_report(now.said, now.plan, now.rate, now.limit, now.stamp)
+        self._outputs.execution.publish(to_msg(report, Execution))
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
@@ -696,9 +699,9 @@ class ExecutorNode:
         return Report(level, f"{executor.state.name}: {executor.reason}", values)
 
 
-def _execution(said: Said, plan: PlanContent | None, rate: float, limit: float, stamp: int) -> Execution:
-    """Return the message of what is said at the moment `stamp` [ns]."""
-    message = Execution(
+def execution_report(said: Said, plan: PlanContent | None, rate: float, limit: float, stamp: int) -> ExecutionReport:
+    """Return the report of what is said at the moment `stamp` [ns]."""
+    report = ExecutionReport(
         state=said.state.value,
         text=said.state.name,
         reason=said.reason,
@@ -710,15 +713,13 @@ def _execution(said: Said, plan: PlanContent | None, rate: float, limit: float, 
         wants_scene=bool(said.expected_scene),
         expected_scene=said.expected_scene,
         engaged=said.engaged,
+        stamp=stamp,
     )
-    message.header.stamp = to_time(stamp)
-    if plan is not None:
-        if said.segment >= 0:
-            message.segment_name = plan.segments[said.segment].name
-        message.plan_id = plan.id
-        message.plan_start = to_time(said.plan_start)
-        message.duration = plan.trajectory.duration
-    return message
+    if plan is None:
+        return report
+    name = plan.segments[said.segment].name if said.segment >= 0 else ""
+    start, duration = said.plan_start, plan.trajectory.duration
+    return replace(report, plan_id=plan.id, plan_start=start, duration=duration, segment_name=name)
 
 
 def start(settings: Settings, robot: RobotModel) -> ExecutorNode:

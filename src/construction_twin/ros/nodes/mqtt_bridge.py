@@ -303,7 +303,7 @@ class MqttBridge:
             if report == self._tool_told:
                 return
             self._tool_told = report
-            self._outputs.tool.publish(_tool_message(report))
+            self._outputs.tool.publish(tool_message(report))
 
     def _tool_obstacle(self) -> str:
         """Return why the gateway's last word on the tool is not one on the present; "" when it is."""
@@ -637,7 +637,8 @@ class MqttBridge:
         return Report(level, f"{state.name}: {reason}", values)
 
 
-def _tool_message(report: ToolReport) -> ToolState:
+def tool_message(report: ToolReport) -> ToolState:
+    """Return the message of what the gateway says of its tool, with the present as its stamp."""
     message = ToolState(known=report.known, tool=report.tool, reason=report.reason)
     message.header.stamp = rospy.Time.now()
     message.outputs = [name for name, _ in report.outputs]

@@ -9,7 +9,6 @@ ROS topics in bundles, see LatestPose, so that the bridge does nothing more for 
 from __future__ import annotations
 
 import functools
-import math
 import secrets
 import threading
 import time
@@ -24,6 +23,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import PayloadError, PoseUnknownError
+from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.json_fields import read_document
 from construction_twin.link.remote_trajectory import (
@@ -33,23 +33,14 @@ from construction_twin.link.remote_trajectory import (
     request_id,
     trajectory_answer,
 )
-from construction_twin.link.remote_view import (
-    ExecutionView,
-    LinkView,
-    PlanProgress,
-    PoseView,
-    Seen,
-    SegmentNow,
-    SyncView,
-    ViewWriter,
-)
-from construction_twin.link.remote_view import Report as ExecutionReport
+from construction_twin.link.remote_view import PlanProgress, PoseView, Seen, Shown, ViewWriter
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Execution, Link, Plan, Review, Sync, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
+from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.console_feed import ConsoleFeed, deployment_of
 from construction_twin.ros.shared.console_requests import ConsoleRequests, PlanServices, RobotContext
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
@@ -316,15 +307,7 @@ class MqttPlanner:
 
     def on_execution(self, message: Execution) -> None:
         """Take the executor's report."""
-        report = ExecutionReport(
-            stamp=message.header.stamp.to_sec(),
-            start=message.plan_start.to_sec(),
-            state=message.text,
-            plan_id=message.plan_id,
-            outcome=message.outcome,
-            duration=message.duration,
-            rate=message.rate,
-        )
+        report = from_msg(ExecutionReport, message)
         with self._lock:
             self._progress.on_report(report)
             self._execution = message, time.monotonic()
@@ -361,15 +344,15 @@ class MqttPlanner:
         link, sync, execution = self._reports()
         with self._lock:
             progress = self._progress.at(now_ns() / NANOSECONDS)
-        round_trip = sync[0].round_trip if sync is not None else math.nan
         return Seen(
             _pose_view(self._poses.twin, self._settings),
             _pose_view(self._poses.arm, self._settings),
-            _sync_view(*sync) if sync is not None else None,
-            _link_view(*link, round_trip) if link is not None else None,
-            _execution_view(*execution, progress) if execution is not None else None,
+            Shown(from_msg(SyncReport, sync[0]), sync[1]) if sync is not None else None,
+            Shown(from_msg(LinkReport, link[0]), link[1]) if link is not None else None,
+            Shown(from_msg(ExecutionReport, execution[0]), execution[1]) if execution is not None else None,
             self._feed.plan if self._feed is not None else "",
             self._consoles.closest() if self._consoles is not None else None,
+            progress,
         )
 
     def publish_status_line(self) -> None:
@@ -457,52 +440,6 @@ def _pose_view(stream: LatestPose | None, settings: Settings) -> PoseView | None
         # it is shown as not known; who publishes something else on the stream is refused and counted by others
         return None
     return PoseView(newest.stamp / NANOSECONDS, time.monotonic() - newest.received, newest.positions)
-
-
-def _sync_view(message: Sync, age: float) -> SyncView:
-    return SyncView(
-        state=message.text,
-        reason=message.reason,
-        age=age,
-        policy=message.policy,
-        agreed=message.agreed,
-        error=message.error,
-        threshold=message.threshold,
-        servo_lag=message.servo_lag,
-        violations=message.violations,
-    )
-
-
-def _link_view(message: Link, age: float, round_trip: float) -> LinkView:
-    counters = {pair.key: pair.value for pair in message.gateway_counters}
-    return LinkView(
-        state=message.text,
-        reason=message.reason,
-        age=age,
-        gateway_state=message.gateway_state,
-        gateway_kind=message.gateway_kind,
-        responsible=message.responsible,
-        round_trip_ms=round_trip * 1e3,
-        # a counter appears with its first use
-        late=int(counters.get("late_replies", "0")) if counters else None,
-    )
-
-
-def _execution_view(message: Execution, age: float, progress: float) -> ExecutionView:
-    return ExecutionView(
-        state=message.text,
-        reason=message.reason,
-        age=age,
-        plan_id=message.plan_id,
-        outcome=message.outcome,
-        duration=message.duration,
-        progress=progress,
-        rate=message.rate,
-        speed_limit=message.speed_limit,
-        segment=SegmentNow(message.segment, message.segment_name, bool(message.at_boundary))
-        if message.segment >= 0
-        else None,
-    )
 
 
 def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: Poses) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 import threading
 import time
 from collections import deque
@@ -16,6 +15,7 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
+from construction_twin.core.reports import SyncReport
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.monitor.gate import REPLAN, Gate
 from construction_twin.monitor.replan import ReplanGoal, ReplanGoals
@@ -24,6 +24,7 @@ from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.msg import Execution, Feedback, Link, Plan, Sync
 from construction_twin.robot.description import RobotModel
+from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import NodeShell, Service
 from construction_twin.ros.shared.params import NodeSettings
@@ -306,22 +307,28 @@ class PcaMonitorNode:
 
     def _sync_message(self, state: SyncState, reason: str, agreed: bool) -> Sync:
         gate = self._gate
-        message = Sync(
+        report = SyncReport(
             state=state.value,
             text=state.name,
             reason=reason,
             agreed=agreed,
             policy=gate.policy,
             violations=gate.violations,
-            held_stamp=to_time(gate.held_stamp),
+            held_stamp=gate.held_stamp,
+            stamp=now_ns(),
         )
-        message.header.stamp = rospy.Time.now()
-        message.round_trip = message.servo_lag = math.nan
         last = gate.comparison.last
         if last is not None:
-            message.comparison, message.round_trip, message.servo_lag = last.mode, last.round_trip, last.servo_lag
-            message.name, message.error, message.threshold = self._names, last.error, last.threshold
-        return message
+            report = replace(
+                report,
+                comparison=last.mode,
+                round_trip=last.round_trip,
+                servo_lag=last.servo_lag,
+                name=self._names,
+                error=last.error,
+                threshold=last.threshold,
+            )
+        return to_msg(report, Sync)
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""

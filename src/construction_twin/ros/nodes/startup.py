@@ -71,7 +71,7 @@ class StartupNode:
             if facts is not None and name not in snapshot.silent
         }
         came = self._came
-        told = snapshot.link.counters if snapshot.link is not None and "link" in words else {}
+        told = snapshot.link.gateway_counters if snapshot.link is not None and "link" in words else {}
         seen = Seen(
             link=words.get("link"),
             sync=words.get("sync"),

@@ -8,20 +8,26 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import TypeVar
 
+import genpy
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.msg import Execution, Link, Plan, PlanCaller, Review, Sync
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanValue
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
+from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.views.snapshot import ExecutionFacts, LinkFacts, NodeFacts, Snapshot, SyncFacts
+from construction_twin.views.snapshot import NodeFacts, Snapshot
+
+_Report = TypeVar("_Report", LinkReport, SyncReport, ExecutionReport)
 
 #: Streams whose rates are counted, with short names.
 STREAMS = {"twin": "twin/joint_states", "physical": "physical/joint_states", "command": "command/joint_states"}
@@ -132,9 +138,9 @@ class RobotListener:
             now=rospy.get_time(),
             joints=self._robot.joint_names,
             linear=self._robot.linear,
-            link=link_facts(newest.get("link")),
-            sync=sync_facts(newest.get("sync")),
-            execution=execution_facts(newest.get("execution")),
+            link=_record(LinkReport, newest.get("link")),
+            sync=_record(SyncReport, newest.get("sync")),
+            execution=_record(ExecutionReport, newest.get("execution")),
             plan=plan,
             rates=self._rates(),
             nodes=nodes,
@@ -198,55 +204,5 @@ def _node_now(heard: _Heard, now: float) -> NodeFacts:
     )
 
 
-def link_facts(message: Link | None) -> LinkFacts | None:
-    """Return the bridge's report as values."""
-    if message is None:
-        return None
-    return LinkFacts(
-        text=message.text,
-        reason=message.reason,
-        gateway_state=message.gateway_state,
-        counters={pair.key: pair.value for pair in message.gateway_counters},
-        commands_refused=message.commands_refused,
-        states_refused=message.states_refused,
-        responsible=message.responsible,
-        not_checked=tuple(message.not_checked),
-    )
-
-
-def sync_facts(message: Sync | None) -> SyncFacts | None:
-    """Return the gate's report as values."""
-    if message is None:
-        return None
-    return SyncFacts(
-        text=message.text,
-        reason=message.reason,
-        policy=message.policy,
-        comparison=message.comparison,
-        errors=tuple(message.error),
-        thresholds=tuple(message.threshold),
-        round_trip=message.round_trip,
-        servo_lag=message.servo_lag,
-        violations=message.violations,
-    )
-
-
-def execution_facts(message: Execution | None) -> ExecutionFacts | None:
-    """Return the executor's report as values."""
-    if message is None:
-        return None
-    return ExecutionFacts(
-        text=message.text,
-        reason=message.reason,
-        plan_id=message.plan_id,
-        outcome=message.outcome,
-        start=message.plan_start.to_sec(),
-        duration=message.duration,
-        rate=message.rate,
-        speed_limit=message.speed_limit,
-        segment=message.segment,
-        segment_name=message.segment_name,
-        at_boundary=message.at_boundary,
-        wants_scene=message.wants_scene,
-        engaged=message.engaged,
-    )
+def _record(kind: type[_Report], message: genpy.Message | None) -> _Report | None:
+    return None if message is None else from_msg(kind, message)

@@ -1,0 +1,83 @@
+"""A record and its ROS message, field by field: one converter for both directions. No parameters, no clock.
+
+A field of a record has the name of the message's field; `stamp` is also that of the message's header. Times are whole ns, arrays
+are tuples, arrays of key and value are mappings, enumerations go by their numbers, and records may hold records. Fields that only
+one of the two has are left alone: records drop what nobody reads, and both keep their defaults.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+import genpy
+from diagnostic_msgs.msg import KeyValue
+from genpy.message import get_message_class  # type: ignore[attr-defined]
+
+from construction_twin.core.units import NANOSECONDS
+
+_Record = TypeVar("_Record")
+
+
+def from_msg(kind: type[_Record], message: genpy.Message) -> _Record:
+    """Return the record of a message.
+
+    Raises:
+        ValueError: For the number of an enumeration that there is not.
+        Exception: What the record itself raises for values that it refuses.
+    """
+    return kind(**{name: _read(hint, _value(message, name)) for name, hint in _hints(kind, type(message))})  # type: ignore[arg-type]  # a class is hashable
+
+
+def to_msg(record: Any, kind: type[genpy.Message]) -> Any:
+    """Return the message of a record."""
+    message = kind()
+    slots = dict(zip(kind.__slots__, kind._slot_types))
+    for each in fields(record):
+        value = getattr(record, each.name)
+        if each.name in slots:
+            setattr(message, each.name, _written(value, slots[each.name]))
+        elif each.name == "stamp" and "header" in slots:
+            message.header.stamp = _written(value, "time")
+    return message
+
+
+@functools.cache
+def _hints(kind: Any, message: Any) -> tuple[tuple[str, Any], ...]:
+    has = {*message.__slots__, *(("stamp",) if "header" in message.__slots__ else ())}
+    hints = get_type_hints(kind)
+    return tuple((each.name, hints[each.name]) for each in fields(kind) if each.name in has)
+
+
+def _value(message: Any, name: str) -> Any:
+    return message.header.stamp if name == "stamp" and hasattr(message, "header") else getattr(message, name)
+
+
+def _read(hint: Any, value: Any) -> Any:
+    if isinstance(value, (genpy.Time, genpy.Duration)):
+        return value.to_nsec()
+    if get_origin(hint) is tuple:
+        (item, *_) = get_args(hint)
+        return tuple(_read(item, each) for each in value)
+    if isinstance(value, (list, tuple)):
+        return {pair.key: pair.value for pair in value}
+    if is_dataclass(hint):
+        return from_msg(hint, value)  # type: ignore[arg-type]
+    if isinstance(hint, type) and issubclass(hint, (Enum, bool)):
+        return hint(value)
+    return value
+
+
+def _written(value: Any, kind: str) -> Any:
+    if kind.endswith("[]"):
+        if isinstance(value, Mapping):
+            return [KeyValue(*pair) for pair in value.items()]
+        return [_written(each, kind[:-2]) for each in value]
+    if kind == "time":
+        return genpy.Time(*divmod(value, NANOSECONDS))
+    if is_dataclass(value):
+        return to_msg(value, get_message_class(kind))
+    return value.value if isinstance(value, Enum) else value
