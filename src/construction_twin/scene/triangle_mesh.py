@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import coal
 import numpy as np
-from scipy.spatial import ConvexHull
+
+if TYPE_CHECKING:
+    # not loaded here: every node loads this module, and scipy.spatial is tens of MB
+    from scipy.spatial import ConvexHull
 
 
 def hull_mesh(hull: ConvexHull) -> tuple[np.ndarray, np.ndarray]:
