@@ -15,8 +15,9 @@ from construction_twin.twin.mirror import MirrorTwin
 #: The first command may differ this much from the pose taken over (docs/architecture.md, law 5): revolute
 #: joints [rad], prismatic ones [m].
 START_TOLERANCE, START_TOLERANCE_LINEAR = math.radians(0.05), 0.0005
-#: The first command of a session that is older by more than this than what was published is of a clock that was set back meanwhile
-#: [ns]: an executor that is started again begins on ROS time. Less is the way of a message; the gate waits 0.1 s for poses.
+#: The first command of a session that is older by more than this than what was published, or one behind a silence that is so much
+#: older than the one before it, is of a clock that was set back meanwhile [ns]: an executor that is started again begins on ROS time.
+#: Less is the way of a message; the gate waits 0.1 s for poses.
 ANOTHER_CLOCK = NANOSECONDS // 20
 #: After this long without a command the held pose is repeated by the clock [ns]; executor.TWIN_TIMEOUT must be longer.
 SILENCE = NANOSECONDS // 4
@@ -72,6 +73,10 @@ class VirtualRobot:
         self.pose = q
         return True
 
+    def begin_stream(self) -> None:
+        """Take the next command as a first one, whatever its stamp: it must be at the present pose."""
+        self.stamp, self._executing = 0, False
+
     def execute(self, stamp: int, q: tuple[float, ...]) -> bool:
         """Execute a command; return whether it was executed.
 
@@ -102,14 +107,19 @@ class TwinClock:
         self._published = 0
         self._heard: int | None = None
 
-    def is_earlier(self, stamp: int) -> bool:
-        """Return whether a command [ns] is the first one, and of a clock on which it is earlier than what was published."""
-        return self._heard is None and stamp < self._published - ANOTHER_CLOCK
+    def is_earlier(self, stamp: int, last: int, now: int) -> bool:
+        """Return whether a command begins a stream, and on an earlier clock than what came before it.
+
+        Args:
+            stamp, last: Of this command, and of the last one that was executed in this session; 0 for none [ns].
+            now: Of its reception [ns].
+        """
+        if self._heard is None:
+            return stamp < self._published - ANOTHER_CLOCK
+        return now - self._heard >= SILENCE and stamp < last - ANOTHER_CLOCK
 
     def on_command(self, stamp: int, now: int) -> bool:
         """Take a command that was executed, by stamp and reception [ns]; return whether to publish its pose with its stamp."""
-        if self.is_earlier(stamp):
-            self._published = 0
         self._heard = now
         return self._is_newer(stamp)
 

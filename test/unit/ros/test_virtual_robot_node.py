@@ -191,3 +191,24 @@ def test_commands_of_an_executor_that_began_on_a_clock_that_was_set_back_are_pub
     assert all(abs(at + world.offset - stamp) <= CYCLE_NS for at, stamp in after)
     times = [at for at, _ in second + after]
     assert max(later - earlier for earlier, later in zip(times, times[1:])) < SILENCE + 3 * CYCLE_NS < TWIN_TIMEOUT
+
+
+def test_so_are_those_of_one_that_begins_behind_a_silence_without_a_session(world):
+    """With arm:=none there are no sessions; nothing is executed that is not at the twin's pose."""
+
+    def restart() -> None:
+        world.wall -= 600 * NANOSECONDS
+        world.offset -= 600 * NANOSECONDS
+
+    began = world.play(6 * NANOSECONDS, [(0, 2000), (4000, 5000)], t3000=restart)
+    second = world.between(began + 4000 * MS + 1, began + 5000 * MS)
+    assert len(second) >= 250 and all(abs(at + world.offset - stamp) <= CYCLE_NS for at, stamp in second)
+
+
+def test_commands_that_were_held_up_are_of_the_same_clock(world):
+    """They are executed, and their stamps belong to the past: the pose was repeated meanwhile."""
+    began = world.play(2 * NANOSECONDS, [(0, 1000)])
+    world.offset -= 400 * MS
+    began = world.play(2 * NANOSECONDS, [(500, 2000)])
+    stamps = [stamp for _, stamp in world.published]
+    assert stamps == sorted(set(stamps)) and world.between(began + 1000 * MS, world.steady)

@@ -87,8 +87,12 @@ class VirtualRobotNode:
     def on_command(self, stamp: int, q: tuple[float, ...]) -> None:
         """Execute a command [rad] with its stamp [ns]."""
         with self._lock:
+            earlier = self._clock.is_earlier(stamp, self._robot.stamp, self._cycles.now())
+            if earlier:
+                self._robot.begin_stream()
             if self._robot.execute(stamp, q):
-                if self._clock.is_earlier(stamp):
+                if earlier:
+                    self._clock.restart()
                     self._cycles.begin_at(stamp)
                 if self._clock.on_command(stamp, self._cycles.reach(stamp)):
                     self._twin.publish(stamp, q)
