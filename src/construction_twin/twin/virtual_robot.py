@@ -16,8 +16,8 @@ from construction_twin.twin.mirror import MirrorTwin
 #: joints [rad], prismatic ones [m].
 START_TOLERANCE, START_TOLERANCE_LINEAR = math.radians(0.05), 0.0005
 #: The first command of a session that is older by more than this than what was published, or one behind a silence that is so much
-#: older than the one before it, is of a clock that was set back meanwhile [ns]: an executor that is started again begins on ROS time.
-#: Less is the way of a message; the gate waits 0.1 s for poses.
+#: older than the one before it, is of a clock that was set back meanwhile [ns]: an executor that is started again begins on ROS
+#: time. Less is the way of a message; the gate waits 0.1 s for poses.
 ANOTHER_CLOCK = NANOSECONDS // 20
 #: After this long without a command the held pose is repeated by the clock [ns]; executor.TWIN_TIMEOUT must be longer.
 SILENCE = NANOSECONDS // 4
