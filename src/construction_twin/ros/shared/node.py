@@ -15,6 +15,7 @@ main thread                 not caught: Python ends with 1
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 import threading
@@ -26,6 +27,7 @@ from typing import Generic
 
 import pydantic
 import rospy
+from rosgraph.roslogging import RosStreamHandler
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.realtime import release_realtime, request_realtime
@@ -100,6 +102,7 @@ def run_node(name: str, start: Callable[[], object]) -> None:
             return
         raise
     threading.excepthook = end_on_error
+    _report_lines_that_cannot_be_written()
     try:
         node = start()
         rospy.on_shutdown(release_realtime)
@@ -120,6 +123,22 @@ def run_node(name: str, start: Callable[[], object]) -> None:
         except ConstructionTwinError as error:
             sys.exit(f"{name} ends: {error}")
         raise
+
+
+def _report_lines_that_cannot_be_written() -> None:
+    """Have a log line that cannot be written, on a full disk, told on standard error, as Python's own handlers do.
+
+    rosgraph's handler lets the error through: whoever says something by `rospy.loginfo` would end by it.
+    """
+    emit = RosStreamHandler.emit
+
+    def emit_or_report(self: RosStreamHandler, record: logging.LogRecord) -> None:
+        try:
+            emit(self, record)
+        except OSError:
+            self.handleError(record)
+
+    RosStreamHandler.emit = emit_or_report
 
 
 def end_on_error(args: threading.ExceptHookArgs) -> None:
