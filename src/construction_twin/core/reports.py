@@ -10,7 +10,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from construction_twin.core.records import time_stamp
 from construction_twin.core.units import seconds
 
 
@@ -38,9 +37,9 @@ class SyncReport:
     violations: int = 0
     agreed: bool = False
     name: tuple[str, ...] = ()
-    held_stamp: int = time_stamp(0)
+    held_stamp: int = 0
     state: int = 0
-    stamp: int = time_stamp(0)
+    stamp: int = 0
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class LinkReport:
     gateway_kind: str = ""
     session: str = ""
     state: int = 0
-    stamp: int = time_stamp(0)
+    stamp: int = 0
 
     @property
     def late(self) -> int | None:
@@ -97,7 +96,7 @@ class ExecutionReport:
     reason: str
     plan_id: str = ""
     outcome: str = ""
-    plan_start: int = time_stamp(0)
+    plan_start: int = 0
     duration: float = 0.0
     rate: float = 0.0
     speed_limit: float = 1.0
@@ -108,7 +107,7 @@ class ExecutionReport:
     engaged: bool = False
     expected_scene: str = ""
     state: int = 0
-    stamp: int = time_stamp(0)
+    stamp: int = 0
 
     def progress(self, now: float) -> float | None:
         """Return how much of a plan's time is over at `now` [s], 0 to 1; None unless a plan is being played."""
