@@ -189,6 +189,16 @@ def test_a_planner_that_goes_away_during_the_call_is_told_too(bench, error):
     assert "/kr120/plan_trajectory does not answer: x" in bench.answers[0]["reason"]
 
 
+def test_what_nobody_foresaw_ends_the_node_because_a_motion_is_no_safety_act(bench, monkeypatch):
+    def fail(*_given, **_named):
+        raise RuntimeError("nobody foresaw this")
+
+    bench.send()
+    monkeypatch.setattr(bench.client, "publish", fail)
+    with pytest.raises(RuntimeError, match="nobody foresaw this"):
+        bench.check()
+
+
 def test_times_that_were_replaced_are_told_with_both_durations_and_the_reason(bench):
     bench.retimed = "point 1: joint_a1 has a jerk of 9 rad/s^3; its limit is 5 rad/s^3"
     points = copy.deepcopy(TRAJECTORY["points"])

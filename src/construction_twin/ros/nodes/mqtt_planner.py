@@ -378,7 +378,7 @@ class MqttPlanner:
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
         values: dict[str, object] = {**self._counts.report(), "trajectories waiting": self._line.waiting}
-        values |= (self._consoles.counts if self._consoles is not None else {}) | self.outlets.beside.report()
+        values |= self._consoles.counts if self._consoles is not None else {}
         if not self._client.is_connected():
             return Report(WARN, self._connection.sentence or "connecting to the broker", values)
         taken = (

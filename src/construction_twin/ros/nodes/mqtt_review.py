@@ -112,7 +112,9 @@ class MqttReview:
         self._broker = broker
         self._client = client
         self._verdicts, self._pressed = RequestCounts("verdicts"), RequestCounts("interventions")
-        self.outlets = Outlets(self._publish_answer, lambda reason, sentence: self.refuse(reason, sentence))
+        self.outlets = Outlets(
+            self._publish_answer, lambda reason, sentence: self.refuse(reason, sentence), safety=True
+        )
         self._connection = report_of(broker, self.outlets.log)
         self.approvals, self.rejections = RequestLine(WAITING), RequestLine(WAITING)
         self.interventions = remote_interventions(topics, interventions, self._pressed, self.outlets)

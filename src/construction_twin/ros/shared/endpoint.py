@@ -2,8 +2,8 @@
 
 An endpoint is what differs: how a message is read (a pure function of `link` or `mqtt`), where it waits (`request_line`), what
 carries it out, and how its answer looks. What all have in common is here. A message that cannot be read is refused and counted,
-and answered at a pace. What was asked for is carried out first and answered next; counts and log lines come after that, and none
-of them can fail it or hold up the next one (`core.beside`, `deferred_log`).
+and answered at a pace. What was asked for is carried out first and answered next; counts and log lines come after that, and
+hold up nothing (`deferred_log`). Of a safety act none of them can fail it either (`core.beside`).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import rospy
 from paho.mqtt.client import MQTTMessage
@@ -72,20 +72,31 @@ class Outlets:
         publish: Takes topic, payload and QoS.
         refuse: Counts a refused input; takes reason and sentence.
 
+        safety: Some of the requests are safety acts: then what tells of a request cannot fail it, nor end the node. Elsewhere what
+            nobody foresaw ends the node, as everywhere (docs/architecture.md).
+
     Attributes:
-        beside: What tells of a request, and cannot fail it.
+        beside: What was told beside a safety act, and failed.
         log: What `write_log` writes.
     """
 
-    def __init__(self, publish: Callable[[str, bytes, int], object], refuse: Callable[[str, str], None]):
+    def __init__(
+        self, publish: Callable[[str, bytes, int], object], refuse: Callable[[str, str], None], safety: bool = False
+    ):
         self.publish, self.refuse = publish, refuse
         self.beside = Beside()
         self.log = DeferredLog()
+        #: Takes a part's name, the part and its arguments; returns what the part returns, or None where it failed beside an act.
+        self.tell: Callable[..., Any] = self.beside.do if safety else _just_do
 
     def write_log(self) -> None:
         """Write what is to be said, and what has failed; for a thread that may wait for a disk or a terminal."""
-        self.beside.do("the log", self.log.flush)
+        self.tell("the log", self.log.flush)
         self.beside.tell(rospy.logerr)
+
+
+def _just_do(_what: str, part: Callable[..., Any], *arguments: object) -> Any:
+    return part(*arguments)
 
 
 class Endpoint(Generic[Asked]):
@@ -188,21 +199,21 @@ class Endpoint(Generic[Asked]):
         if refused is not None:
             self._count_refusal(refused.reason, str(refused))
         if self._describe is not None:
-            self._outlets.beside.do("the log", self._say, self._describe, asked, outcome.sentence)
+            self._outlets.tell("the log", self._say, self._describe, asked, outcome.sentence)
         return answer
 
     def _send(self, incoming: Incoming, asked: Asked | None, outcome: Outcome) -> bytes:
-        answer = self._outlets.beside.do("the answer", self._answer, incoming, asked, outcome) or b""
+        answer = self._outlets.tell("the answer", self._answer, incoming, asked, outcome) or b""
         if answer:
             self._publish(incoming, answer)
         return answer
 
     def _publish(self, incoming: Incoming, answer: bytes) -> None:
         if topic := self._ack(incoming.account):
-            self._outlets.beside.do("the answer", self._outlets.publish, topic, answer, self.qos)
+            self._outlets.tell("the answer", self._outlets.publish, topic, answer, self.qos)
 
     def _count_refusal(self, reason: str, sentence: str) -> None:
-        self._outlets.beside.do("the count of refusals", self._outlets.refuse, reason, sentence)
+        self._outlets.tell("the count of refusals", self._outlets.refuse, reason, sentence)
 
     def _say(self, describe: Callable[[Asked], str], asked: Asked, sentence: str) -> None:
         self._outlets.log.add(rospy.loginfo, "%s: %s", describe(asked), sentence)
