@@ -16,7 +16,9 @@ from rosmaster.master import Master
 PID = 4711
 
 
-class _Server(ThreadingMixIn, SimpleXMLRPCServer):
+class Server(ThreadingMixIn, SimpleXMLRPCServer):
+    """Answers each question in a thread of its own."""
+
     allow_reuse_address = True
     daemon_threads = True
 
@@ -39,7 +41,7 @@ class Node:
         port: int = 0,
         get_pid: Callable[[str], tuple[int, str, int]] = lambda _caller: (1, "", PID),
     ):
-        self.server = _Server(("127.0.0.1", port), logRequests=False)
+        self.server = Server(("127.0.0.1", port), logRequests=False)
         self.server.register_function(get_pid, "getPid")
         self.server.register_function(lambda _caller: (1, "", name), "getName")
         self._thread = threading.Thread(target=self.server.serve_forever, args=(0.01,))

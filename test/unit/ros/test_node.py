@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+import xmlrpc.client
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,7 +20,7 @@ import pytest
 import rosgraph
 import rospy
 import yaml
-from ros_master import ros_master
+from ros_master import Server, ros_master
 
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.shared import node as module
@@ -36,7 +37,7 @@ from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.ros.shared import node as shared_node
 
 shared_node.wait_for_master = lambda name: None
-rospy.init_node = lambda name: rospy.rostime.set_rostime_initialized(True)
+rospy.init_node = lambda name, disable_signals: rospy.rostime.set_rostime_initialized(True)
 rospy.get_param = lambda name, default: default
 rospy.resolve_name = lambda name, caller_id=None: "/kr120/" + name
 
@@ -117,7 +118,7 @@ def test_a_master_that_is_killed_while_a_node_starts_is_one_sentence(monkeypatch
 @pytest.mark.parametrize("asked", [True, False])
 def test_ctrl_c_while_ros_is_initialised_is_no_traceback(asked):
     """rospy says so itself, by an exception; one for another reason is no known end."""
-    body = "def init_node(name):\n"
+    body = "def init_node(name, disable_signals):\n"
     body += "    rospy.signal_shutdown('signal-2')\n" if asked else ""
     body += "    raise rospy.exceptions.ROSInitException('init_node interrupted before it could complete')\n"
     code = f"{BEGIN}\n{body}\nrospy.init_node = init_node\nrun_node('node', Node)\n"
@@ -155,8 +156,8 @@ def free_port() -> int:
         return free.getsockname()[1]
 
 
-def wait_for(condition, what: str) -> None:
-    deadline = time.monotonic() + 60.0
+def wait_for(condition, what: str, timeout: float = 60.0) -> None:
+    deadline = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < deadline, what
         time.sleep(0.01)
@@ -167,7 +168,7 @@ def started(tmp_path):
     """Start a program of nodes/ with its standard error in a file; it is killed at the end."""
     processes = []
 
-    def start(name: str, environment: dict[str, str]) -> tuple[subprocess.Popen, Path]:
+    def start(name: str | Path, environment: dict[str, str]) -> tuple[subprocess.Popen, Path]:
         said = tmp_path / "said"
         with said.open("w") as file:
             command = [sys.executable, str(ROOT / "nodes" / name)]
@@ -233,6 +234,59 @@ def test_a_running_node_says_one_line_at_most_when_its_master_is_killed_and_ctrl
     text = said.read_text()
     assert "Traceback" not in text and "WARN" not in text and "ERROR" not in text
     assert text.removeprefix(before).count("\n") <= 1
+
+
+class HeldMaster:
+    """A master whose answers about one name are held back until they are let go; everything else goes through."""
+
+    def __init__(self, master: str, name: str):
+        self._master, self._name = master, name
+        self.asked, self.let_go = threading.Event(), threading.Event()
+        self.server = Server(("127.0.0.1", 0), logRequests=False)
+        self.server.register_instance(self)
+        threading.Thread(target=self.server.serve_forever, args=(0.01,), daemon=True).start()
+        self.uri = f"http://127.0.0.1:{self.server.server_address[1]}"
+
+    def _dispatch(self, method: str, values: tuple):
+        if self._name in values:
+            self.asked.set()
+            self.let_go.wait(60.0)
+        return getattr(xmlrpc.client.ServerProxy(self._master), method)(*values)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_main_thread_asks_the_master_ends_the_node(started, tmp_path, monkeypatch, number):
+    """Every log line asks it, once: whoever unregisters from within that question waits for himself."""
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
+    program = tmp_path / "node.py"
+    program.write_text("""
+import rospy
+from std_msgs.msg import String
+from construction_twin.ros.shared.node import run_node
+
+class Node:
+    def __init__(self):
+        rospy.on_shutdown(lambda: print("shutting down", flush=True))
+        self.topic = rospy.Publisher("t", String, queue_size=1)
+    def run(self):
+        rospy.get_param("~held", "")
+
+run_node("node", Node)
+""")
+    with ros_master() as uri:
+        held = HeldMaster(uri, "/node/held")
+        process, said = started(program, {"ROS_MASTER_URI": held.uri})
+        try:
+            assert held.asked.wait(60.0)
+            process.send_signal(number)
+            wait_for(lambda: "shutting down" in said.read_text(), "the node to shut down")
+            held.let_go.set()
+            wait_for(lambda: process.poll() is not None, "the node to end", 20.0)
+        finally:
+            held.let_go.set()
+            held.server.shutdown()
+            held.server.server_close()
+        assert "/t" not in dict(rosgraph.Master("/test", uri).getPublishedTopics("")), "it has unregistered"
 
 
 def test_ctrl_c_while_a_node_is_loaded_is_no_traceback(started):

@@ -26,6 +26,7 @@ from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.tool import read_tool
 from construction_twin.ros.commands.experiment import point_latest
 from construction_twin.ros.messages.scene_convert import scene_from_msg
+from construction_twin.ros.shared.node import ending_on_signals
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import read_parameters
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
@@ -414,10 +415,11 @@ def answer_of(inputs: Mapping[str, bool], confirm: Mapping[str, bool], last: str
 
 def main() -> int:
     """Run the session; return the exit code."""
-    rospy.init_node("build")
     console = Console()
     try:
-        files = Builder(read_parameters(Settings), console).run()
+        with ending_on_signals():
+            rospy.init_node("build", disable_signals=True)
+            files = Builder(read_parameters(Settings), console).run()
     except ConstructionTwinError as error:
         console.print(f"build: {error}", soft_wrap=True, highlight=False)
         return 1

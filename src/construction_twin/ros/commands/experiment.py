@@ -25,6 +25,7 @@ from construction_twin.ros.commands.evaluate import print_files
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
 from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.shared.master import await_master
+from construction_twin.ros.shared.node import ending_on_signals
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.shared.roslaunch_above import roslaunch_above, say_below
@@ -252,9 +253,10 @@ def main() -> int:
     console = Console(highlight=False)
     try:
         await_master()
-        rospy.init_node("experiment")
-        settings = read_parameters(ExperimentSettings)
-        report = Experiment(settings, robot_from_parameters(), console).run()
+        with ending_on_signals():
+            rospy.init_node("experiment", disable_signals=True)
+            settings = read_parameters(ExperimentSettings)
+            report = Experiment(settings, robot_from_parameters(), console).run()
     except (ConstructionTwinError, rospy.ROSException, rospy.ServiceException, OSError) as error:
         print(f"experiment: {error}", file=sys.stderr, flush=True)
         # the node is required: what roslaunch says of everything that it ends now would stand below the reason

@@ -31,6 +31,7 @@ from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.commands.scenario_bag import BAG, NOTES, TOPICS, TRACE, VERDICT, read_run
 from construction_twin.ros.shared.master import await_master
+from construction_twin.ros.shared.node import ending_on_signals
 from construction_twin.ros.shared.params import robot_from_parameters, settings_of
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.shared.roslaunch_above import roslaunch_above, say_below
@@ -353,10 +354,11 @@ def main() -> int:
     console = Console(highlight=False, markup=False)
     try:
         await_master()
-        rospy.init_node("scenario")
-        content = rospy.get_param("~", {})
-        given = {name: content.pop(name) for name in ScenarioSettings.model_fields if name in content}
-        verdict = run_scenario(_checked(given), content, console)
+        with ending_on_signals():
+            rospy.init_node("scenario", disable_signals=True)
+            content = rospy.get_param("~", {})
+            given = {name: content.pop(name) for name in ScenarioSettings.model_fields if name in content}
+            verdict = run_scenario(_checked(given), content, console)
     except (ConstructionTwinError, rospy.ROSException, OSError) as error:
         print(f"scenario: {error}", file=sys.stderr, flush=True)
         above = roslaunch_above()

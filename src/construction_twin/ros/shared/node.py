@@ -17,10 +17,12 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Generic
@@ -94,13 +96,18 @@ def run_node(name: str, start: Callable[[], object]) -> None:
         wait_for_master(name)
     except ConstructionTwinError as error:
         sys.exit(f"{name} cannot run: {error}")
-    try:
-        rospy.init_node(name)
-    except rospy.exceptions.ROSInitException:
-        # Ctrl-C came meanwhile
-        if rospy.core.is_shutdown_requested():
-            return
-        raise
+    with ending_on_signals():
+        try:
+            rospy.init_node(name, disable_signals=True)
+        except rospy.exceptions.ROSInitException:
+            # Ctrl-C came meanwhile
+            if rospy.core.is_shutdown_requested():
+                return
+            raise
+        _serve(name, start)
+
+
+def _serve(name: str, start: Callable[[], object]) -> None:
     threading.excepthook = end_on_error
     _report_lines_that_cannot_be_written()
     try:
@@ -123,6 +130,39 @@ def run_node(name: str, start: Callable[[], object]) -> None:
         except ConstructionTwinError as error:
             sys.exit(f"{name} ends: {error}")
         raise
+
+
+@contextmanager
+def ending_on_signals() -> Iterator[None]:
+    """Have SIGINT and SIGTERM shut ROS down from a thread of its own, from before `rospy.init_node` to the node's end.
+
+    rospy's own handler unregisters the node in the midst of whatever the main thread is doing. If that is a question to the
+    master, as in every log line, the handler waits for a lock that the main thread holds, until roslaunch kills the process.
+    The block ends when ROS is shut down, if a signal has begun that. For the main thread; give `rospy.init_node`
+    ``disable_signals=True``.
+    """
+    signals, to_signals = os.pipe()
+
+    def shut_down() -> None:
+        while number := os.read(signals, 1)[0]:
+            rospy.signal_shutdown(f"signal-{number}")
+
+    # a handler may interrupt any line: it takes no lock
+    before = {
+        number: signal.signal(number, lambda number, _frame: os.write(to_signals, bytes([number])))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    thread = threading.Thread(target=shut_down, name="signals", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        os.write(to_signals, b"\0")
+        thread.join()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        os.close(signals)
+        os.close(to_signals)
 
 
 def _report_lines_that_cannot_be_written() -> None:
