@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -345,11 +346,17 @@ class FaultCell:
         """Return the reasons with which the gateway was in a state."""
         return [status.get("reason", "") for status in self.commander.statuses if status.get("state") == state]
 
-    def counter(self, name: str) -> int:
-        """Return one of the gateway's counters, from a status that was sent after this call."""
-        known = len(self.commander.statuses)
-        self.wait(lambda: len(self.commander.statuses) > known + 1, "a status")
-        return self.commander.status["counters"].get(name, 0)
+    def counters(self) -> Counter[str]:
+        """Return the gateway's counters, from a status that was made after this call."""
+        known, replies = len(self.commander.statuses), len(self.entries())
+
+        def is_later() -> bool:
+            # one that counts at least the replies that the trace has now, or the second one
+            later = self.commander.statuses[known:]
+            return len(later) > 1 or any(each.get("counters", {}).get("telegrams", 0) >= replies > 0 for each in later)
+
+        self.wait(is_later, "a status")
+        return Counter(self.commander.status["counters"])
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ def test_a_motion_between_the_namespaces(namespaces, tmp_path, name):
             cell.wait_until_following()
         cell.assert_within_limits()
         cell.assert_nobody_restarted()
-        assert cell.counter("stops_refused") == 0, cell.describe()
+        assert cell.counters()["stops_refused"] == 0, cell.describe()
 
 
 @pytest.mark.parametrize(
