@@ -99,7 +99,7 @@ add_packages() {
 find_node() {
   local wheel="$work/console/node" found
   found=$(command -v node || true)
-  if [ -n "$found" ] && [ -n "$(command -v npm || true)" ] && [ "$(node -p 'process.versions.node.split(".")[0]')" -ge 18 ]; then
+  if [ -n "$found" ] && [ -n "$(command -v npm || true)" ] && [ "$(node -p 'process.versions.node.split(".")[0]')" -ge 20 ]; then
     node="$found" npm=(npm)
     return 0
   fi
@@ -107,12 +107,12 @@ find_node() {
   [ -x "$node" ] || "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --target "$wheel" -r "$root/setup/requirements-node.txt"
 }
 
-# What the page depends on: its sources, and docs/, whose pages come with it. Neither page nor node_modules is in the repository.
+# What the page depends on: its sources, the sentences that robot and page share, and docs/, whose pages come with it. Neither page nor node_modules is in the repository.
 page_inputs() {
   (
     cd "$root/web"
     cat package.json package-lock.json ./*.js
-    find src ../docs -type f -not -path '*/images/*' -print0 | sort -z | xargs -0 sha256sum
+    find src ../docs ../src/construction_twin/core/sentences.json -type f -not -path '*/images/*' -print0 | sort -z | xargs -0 sha256sum
     declare -f build_page
   ) | sha256sum
 }

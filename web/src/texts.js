@@ -1,11 +1,5 @@
 /** The page's words in the person's language. */
-import de from "./texts/de.js";
-import en from "./texts/en.js";
-
-const LANGUAGES = {en, de};
-
-/** Languages that there are. */
-export const languages = Object.keys(LANGUAGES);
+import {fill, languages, wordsOf} from "./sentences.js";
 
 /** Return the language to use: the one that was chosen before, else the first of the browser's that there is, else English. */
 export function languageOf(chosen, wanted) {
@@ -21,18 +15,17 @@ export function withoutLanguage(search) {
 }
 
 /**
- * Return the function `texts(key, values)`: the text of a key, with `{name}` replaced by `values.name`.
+ * Return the function `texts(key, values)`: the sentence of a key, with its values (sentences.js).
  *
- * A key that is missing is an error: tests compare the languages' keys.
+ * A key that is missing is an error: tests compare the keys.
  */
 export function makeTexts(language) {
-  const table = LANGUAGES[language];
   const texts = (key, values = {}) => {
-    const text = table[key];
-    if (text === undefined) throw new RangeError(`no text ${key} in ${language}`);
-    return text.replace(/\{(\w+)\}/g, (whole, name) => (name in values ? String(values[name]) : whole));
+    const words = wordsOf(key, language);
+    if (words === undefined) throw new RangeError(`no text ${key} in ${language}`);
+    return fill(words, values);
   };
   texts.language = language;
-  texts.has = (key) => key in table;
+  texts.has = (key) => wordsOf(key, language) !== undefined;
   return texts;
 }

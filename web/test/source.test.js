@@ -28,10 +28,3 @@ test("no script or style stands in the page itself", () => {
   assert.doesNotMatch(read("index.html"), /<style|style=|<script(?![^>]*src=)|\son\w+=/);
   for (const name of files) assert.doesNotMatch(read(name), /setAttribute\("style"|setAttribute\("on|style: "/, name);
 });
-
-test("all words are in the texts: every key that the source names is there", async () => {
-  const {default: en} = await import("../src/texts/en.js");
-  for (const name of files.filter((each) => !each.startsWith("texts"))) {
-    for (const [, key] of read(name).matchAll(/\btexts\(\s*"([^"]+)"/g)) assert.ok(key in en, `${name}: ${key}`);
-  }
-});

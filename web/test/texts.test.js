@@ -1,23 +1,20 @@
 import assert from "node:assert/strict";
+import {readFileSync} from "node:fs";
 import {test} from "node:test";
+import {fill} from "../src/sentences.js";
 import {languageOf, makeTexts, withoutLanguage} from "../src/texts.js";
-import de from "../src/texts/de.js";
-import en from "../src/texts/en.js";
 
-test("both languages have the same keys in the same order, and the same places for values", () => {
-  // what the robot says comes in English; test_status_line.py compares those words
-  const own = Object.keys(de).filter((key) => !key.startsWith("line."));
-  assert.deepEqual(own, Object.keys(en));
-  const places = (text) => (text.match(/\{\w+\}/g) ?? []).sort();
-  for (const key of Object.keys(en)) {
-    assert.deepEqual(places(de[key]), places(en[key]), key);
-    assert.ok(en[key].trim() && de[key].trim(), key);
-  }
-});
+const cases = JSON.parse(readFileSync(new URL("./support/sentence_cases.json", import.meta.url), "utf8"));
+
+// test/unit/core/test_sentences.py fills in the same ones, and compares the languages
+for (const {template, values, text} of cases) {
+  test(`${template} with ${JSON.stringify(values)} is ${text}`, () => assert.equal(fill(template, values), text));
+}
 
 test("a key that is missing is an error, and values are filled in as text", () => {
   const texts = makeTexts("en");
   assert.throws(() => texts("page.nothing"), RangeError);
+  assert.throws(() => texts("toString"), RangeError);
   assert.equal(texts("page.account", {account: "<b>$&"}), "Logged in as <b>$&");
 });
 

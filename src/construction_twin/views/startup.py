@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.link.status_values import without_counts
 
 #: Something is reported as waited for when it has been missing this long [s]: a part that starts within it is not reported.
@@ -80,59 +81,11 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Words:
-    """What is waited for, and what to do; places in braces are filled from `Deployment.values`."""
-
-    what: str
-    action: str
-
-
-#: Of each kind of thing that can be missing. A console's other languages translate it by its key.
-KINDS: dict[str, Words] = {
-    "nodes": Words("the nodes", "nothing to do yet"),
-    "bridge": Words("the bridge", "mqtt_bridge does not run; its reason stands in its log"),
-    "broker": Words("the MQTT broker {broker}", "start it, or give broker_host and broker_port"),
-    "gateway_here": Words("the gateway", "read its lines here; is UDP {rsi} taken?"),
-    "gateway_there": Words("the gateway", "start rsi_gateway on the cell PC with --broker {broker}"),
-    "configuration": Words("the gateway's configuration", "export it again, copy it, restart the gateway"),
-    "plc": Words("the PLC", "start it; it says `ready` on its `status` topic, retained"),
-    "plc_other": Words("the PLC", "stop what answers there, or start with the other gateway_kind"),
-    "plc_pose": Words("the PLC's pose", "let it send joint strings on its `state` topic, without user properties"),
-    "measuring": Words("the controller (RSI)", "nothing to do, it goes on by itself within seconds"),
-    "cycle": Words("the controller (RSI)", "correct RSI_ON in the program, and start it again"),
-    "no_clock": Words(
-        "the controller (RSI)", "see what sends to {rsi}: a controller's IPOC counts milliseconds of real time"
-    ),
-    "cycle_mock": Words("the controller (RSI)", "give gateway and mock_rsi one rsi_cycle"),
-    "running": Words("the controller (RSI)", "start the RSI program again once RSI has timed out"),
-    "running_mock": Words("the controller (RSI)", "it starts again by itself"),
-    "controller": Words(
-        "the controller (RSI)", "start the RSI program, or cure what is refused; the controller sends to {rsi}"
-    ),
-    "controller_mock": Words("the controller (RSI)", "look why mock_rsi does not send, or what it sends"),
-    "pose": Words("the first pose of the arm", "look at `/diagnostics` of mqtt_bridge: what does it refuse?"),
-    "twin": Words("the twin", "look why /{robot}/virtual_robot publishes nothing"),
-    "scene": Words("the scene", "look why /{robot}/scene publishes nothing; is its file right?"),
-    "responsible": Words(
-        "a person who arms the bare PLC by name",
-        "see to PLC and arm, then rosrun construction_twin twin --robot {robot} arm --responsible NAME",
-    ),
-    "reset": Words(
-        "a reset", "remove the cause, then on the robot's PC: rosrun construction_twin twin --robot {robot} reset"
-    ),
-    "same_pose": Words("twin and arm to take the same pose", "nothing to do, it goes on by itself once the arm rests"),
-    "gate": Words("the gate to open", "it opens when twin and arm agree"),
-    "gate_reset": Words("the gate to open", "call reset"),
-    "executor": Words("the executor", "it follows the gate"),
-}
-
-
-@dataclass(frozen=True)
 class Missing:
     """What is waited for.
 
     Attributes:
-        kind: One of `KINDS`.
+        kind: What it is: its words are ``line.startup.<kind>`` of the sentences.
         reason: What the system says about it; may be empty.
         deployment: Where.
     """
@@ -144,12 +97,12 @@ class Missing:
     @property
     def what(self) -> str:
         """What it is."""
-        return KINDS[self.kind].what.format(**self.deployment.values)
+        return Sentence(f"line.startup.{self.kind}.waits", **self.deployment.values)
 
     @property
     def action(self) -> str:
         """What to do."""
-        return KINDS[self.kind].action.format(**self.deployment.values)
+        return Sentence(f"line.startup.{self.kind}.todo", **self.deployment.values)
 
     @property
     def news(self) -> tuple[str, str]:

@@ -1,6 +1,7 @@
 """The status line that a foreman reads: what the arm does now, why it holds, what is waited for, by whom, and what to do.
 
-One table gives every state of `link`, `sync`, `execution` and the work its words; the reasons are those of the nodes themselves.
+One table gives every state of `link`, `sync`, `execution` and the work its urgency, who is waited for, and a page; its words are
+``line.<topic>.<state>`` of the sentences, and the reasons those of the nodes themselves.
 Pure; texts only. A page of the docs stands with each, below docs/.
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
 
+from construction_twin.core.sentences import Sentence, has
 from construction_twin.views.startup import Missing, Word
 
 
@@ -29,175 +31,79 @@ WHO = ("", SYSTEM, OPERATOR, REVIEWER, TECHNICIAN)
 
 
 @dataclass(frozen=True)
-class Words:
-    """What is said of a state.
+class Urgency:
+    """How urgent a state is, and who is waited for.
 
     Attributes:
-        sentence: What the arm does, without the node's own reason.
-        waits_for: Empty: nothing.
         who: One of `WHO`.
-        todo: Empty: nothing to do.
         page: Below docs/, with its anchor.
     """
 
     level: Level
-    sentence: str
-    waits_for: str
     who: str
-    todo: str
     page: str
 
 
 _STATES, _TROUBLE = "reference/states.md", "troubleshooting.md"
 _WORK = "tutorials/work_from_a_model.md"
-_LOOK = "look why, at the cell: a joint may be stalled, or the arm touched something"
 
-#: Of each topic and state.
-TABLE: dict[tuple[str, str], Words] = {
+#: Of each topic and state; what is said stands in the sentences.
+TABLE: dict[tuple[str, str], Urgency] = {
     # -- the link to the arm
-    ("link", ""): Words(
-        Level.PERSON, "Nothing is heard of the link to the arm.", "the bridge", TECHNICIAN,
-        "look at the log of mqtt_bridge", f"{_STATES}#link",
-    ),
-    ("link", "DISCONNECTED"): Words(
-        Level.PERSON, "The robot's programs have no connection to the broker.", "the broker", TECHNICIAN,
-        "start the broker, or mend the network to it", f"{_STATES}#link",
-    ),
-    ("link", "GATEWAY_OFFLINE"): Words(
-        Level.PERSON, "The program at the controller does not answer; nothing is sent to the arm.", "the gateway", TECHNICIAN,
-        "start rsi_gateway on the cell PC",
+    ("link", ""): Urgency(Level.PERSON, TECHNICIAN, f"{_STATES}#link"),
+    ("link", "DISCONNECTED"): Urgency(Level.PERSON, TECHNICIAN, f"{_STATES}#link"),
+    ("link", "GATEWAY_OFFLINE"): Urgency(
+        Level.PERSON, TECHNICIAN,
         f"{_TROUBLE}#no-gateway-answers-on-the-broker-start-rsi_gateway-on-the-cell-pc",
     ),
-    ("link", "NO_CONTROLLER"): Words(
-        Level.PERSON, "The controller does not take part; the arm is not ours to move.", "the controller's program", OPERATOR,
-        "start the RSI program at the pendant", f"{_TROUBLE}#gateway-has-no-rsi-session",
-    ),
-    ("link", "MISMATCH"): Words(
-        Level.PERSON, "The program at the controller has another configuration or version; nothing is sent to the arm.",
-        "the right configuration", TECHNICIAN, "do what the link's reason says: one configuration, version and gateway",
+    ("link", "NO_CONTROLLER"): Urgency(Level.PERSON, OPERATOR, f"{_TROUBLE}#gateway-has-no-rsi-session"),
+    ("link", "MISMATCH"): Urgency(
+        Level.PERSON, TECHNICIAN,
         f"{_TROUBLE}#gateway-runs-another-configuration-its-hash-differs-configuration-hash-the-file-was-edited-export-it-again",
     ),
-    ("link", "RESYNC"): Words(
-        Level.WAITS, "Twin and arm take the same pose; the arm does not move for it.", "the arm to rest", SYSTEM, "",
-        f"{_STATES}#link",
-    ),
-    ("link", "ARMED"): Words(Level.WELL, "The arm follows the twin.", "", "", "", f"{_STATES}#link"),
-    ("link", "NEEDS_RESET"): Words(
-        Level.PERSON, "The arm was stopped, and holds.", "a reset", OPERATOR,
-        "remove the cause, then call reset at the desk", f"{_TROUBLE}#needs_reset-call-reset",
-    ),
+    ("link", "RESYNC"): Urgency(Level.WAITS, SYSTEM, f"{_STATES}#link"),
+    ("link", "ARMED"): Urgency(Level.WELL, "", f"{_STATES}#link"),
+    ("link", "NEEDS_RESET"): Urgency(Level.PERSON, OPERATOR, f"{_TROUBLE}#needs_reset-call-reset"),
     # of a bare PLC
-    ("link", "NEEDS_NAME"): Words(
-        Level.PERSON, "The PLC is not armed; nothing is sent to the arm.", "a person who arms it by name", OPERATOR,
-        "see to PLC and arm, then arm it by name at the desk", "broker.md#a-plc-that-knows-only-the-string",
-    ),
-    ("link", "MIRROR"): Words(
-        Level.WELL, "The arm leads and the twin follows; nothing is sent to the arm.", "", "", "", f"{_STATES}#mirror-mode"
-    ),
+    ("link", "NEEDS_NAME"): Urgency(Level.PERSON, OPERATOR, "broker.md#a-plc-that-knows-only-the-string"),
+    ("link", "MIRROR"): Urgency(Level.WELL, "", f"{_STATES}#mirror-mode"),
     # -- the gate
-    ("sync", ""): Words(
-        Level.PERSON, "Nothing is heard of the comparison of twin and arm.", "the monitor", TECHNICIAN,
-        "look at the log of pca_monitor", f"{_STATES}#monitor",
-    ),
-    ("sync", "WAITING"): Words(
-        Level.WAITS, "Twin and arm are not compared yet.", "fresh poses of twin and arm that agree", SYSTEM, "",
-        f"{_STATES}#monitor",
-    ),
-    ("sync", "IN_SYNC"): Words(Level.WELL, "Twin and arm agree.", "", "", "", f"{_STATES}#monitor"),
-    ("sync", "HOLDING"): Words(
-        Level.PERSON, "The arm holds, because it is not where the twin is.", "twin and arm to agree again", OPERATOR, _LOOK,
-        "tutorials/stalled_joint.md#3-look",
-    ),
-    ("sync", "REPLANNING"): Words(
-        Level.WAITS, "The arm holds, and a new way to its goal is being planned; it will wait for approval.",
-        "a new plan", SYSTEM, "", "tutorials/stalled_joint.md#3-look",
-    ),
-    ("sync", "STALE"): Words(
-        Level.WAITS, "The arm holds, because its pose or its next setpoint did not come in time.", "fresh poses", SYSTEM,
-        "if it stays so, look at network and programs", f"{_TROUBLE}#comparable-feedback-is",
-    ),
-    ("sync", "STOPPED"): Words(
-        Level.PERSON, "The arm holds, and does not go on by itself.", "a reset", OPERATOR,
-        "remove the cause, then call reset at the desk", f"{_STATES}#monitor",
-    ),
-    ("sync", "FAULT"): Words(
-        Level.PERSON, "The arm holds, because it was told to move in a way that it may not.", "a person who looks into it",
-        TECHNICIAN, "read the reason; the plan is dropped, and the next one is planned anew", f"{_STATES}#monitor",
-    ),
+    ("sync", ""): Urgency(Level.PERSON, TECHNICIAN, f"{_STATES}#monitor"),
+    ("sync", "WAITING"): Urgency(Level.WAITS, SYSTEM, f"{_STATES}#monitor"),
+    ("sync", "IN_SYNC"): Urgency(Level.WELL, "", f"{_STATES}#monitor"),
+    ("sync", "HOLDING"): Urgency(Level.PERSON, OPERATOR, "tutorials/stalled_joint.md#3-look"),
+    ("sync", "REPLANNING"): Urgency(Level.WAITS, SYSTEM, "tutorials/stalled_joint.md#3-look"),
+    ("sync", "STALE"): Urgency(Level.WAITS, SYSTEM, f"{_TROUBLE}#comparable-feedback-is"),
+    ("sync", "STOPPED"): Urgency(Level.PERSON, OPERATOR, f"{_STATES}#monitor"),
+    ("sync", "FAULT"): Urgency(Level.PERSON, TECHNICIAN, f"{_STATES}#monitor"),
     # -- what is executed
-    ("execution", ""): Words(
-        Level.PERSON, "Nothing is heard of what the arm does.", "the executor", TECHNICIAN, "look at the log of executor",
-        f"{_STATES}#execution",
-    ),
-    ("execution", "WAITING"): Words(
-        Level.WAITS, "Nothing can be executed yet.", "twin and arm to agree", SYSTEM, "", f"{_STATES}#execution"
-    ),
-    ("execution", "IDLE"): Words(Level.WELL, "The arm holds its pose; no plan is executed.", "", "", "", f"{_STATES}#execution"),
-    ("execution", "REVIEW"): Words(
-        Level.PERSON, "The arm holds its pose; a plan waits for approval.", "a verdict", REVIEWER,
-        "look at the plan, then approve or reject it", "planning.md#verdicts",
-    ),
-    ("execution", "PLAYING"): Words(Level.WELL, "The arm moves along the approved plan.", "", "", "", f"{_STATES}#execution"),
-    ("execution", "STOPPING"): Words(
-        Level.WAITS, "The arm brakes; the plan is over.", "the arm to rest", SYSTEM, "", f"{_STATES}#execution"
-    ),
-    ("execution", "PAUSING"): Words(
-        Level.WAITS, "The arm comes to rest on its path.", "the arm to rest", SYSTEM, "", f"{_STATES}#execution"
-    ),
-    ("execution", "PAUSED"): Words(
-        Level.PERSON, "The arm rests on its path.", "somebody to go on or to stop", OPERATOR, "press resume, or stop",
-        f"{_STATES}#execution",
-    ),
-    ("execution", "HELD"): Words(
-        Level.WAITS, "The arm stands on its path, and goes on by itself when twin and arm agree.", "the gate to open", SYSTEM,
-        _LOOK, f"{_STATES}#execution",
-    ),
-    ("execution", "AT_BOUNDARY"): Words(
-        Level.WAITS, "The arm stands between two parts of its plan.", "tool and scene to be as planned", SYSTEM, "",
-        "planning.md#work-plans",
-    ),
-    ("execution", "ENGAGED"): Words(
-        Level.PERSON, "The arm was stopped where it touches something; only the way back can be planned.",
-        "the way back", REVIEWER, "plan the way back, look at it and approve it",
+    ("execution", ""): Urgency(Level.PERSON, TECHNICIAN, f"{_STATES}#execution"),
+    ("execution", "WAITING"): Urgency(Level.WAITS, SYSTEM, f"{_STATES}#execution"),
+    ("execution", "IDLE"): Urgency(Level.WELL, "", f"{_STATES}#execution"),
+    ("execution", "REVIEW"): Urgency(Level.PERSON, REVIEWER, "planning.md#verdicts"),
+    ("execution", "PLAYING"): Urgency(Level.WELL, "", f"{_STATES}#execution"),
+    ("execution", "STOPPING"): Urgency(Level.WAITS, SYSTEM, f"{_STATES}#execution"),
+    ("execution", "PAUSING"): Urgency(Level.WAITS, SYSTEM, f"{_STATES}#execution"),
+    ("execution", "PAUSED"): Urgency(Level.PERSON, OPERATOR, f"{_STATES}#execution"),
+    ("execution", "HELD"): Urgency(Level.WAITS, SYSTEM, f"{_STATES}#execution"),
+    ("execution", "AT_BOUNDARY"): Urgency(Level.WAITS, SYSTEM, "planning.md#work-plans"),
+    ("execution", "ENGAGED"): Urgency(
+        Level.PERSON, REVIEWER,
         f"{_TROUBLE}#the-arm-was-left-in-engaged-segment-the-arm-is-engaged",
     ),
     # -- work from a building model
-    ("work", "unavailable"): Words(
-        Level.PERSON, "The building model cannot be worked on.", "the model or its record", TECHNICIAN,
-        "read the reason, then mend model, cell file or ledger", f"{_WORK}#3-when-something-stops",
-    ),
-    ("work", "proposed"): Words(
-        Level.PERSON, "The order of the tasks is only proposed.", "a person who accepts it", OPERATOR,
-        "look at the order, then accept it (twin work accept)", "building_model.md#a-model-without-a-schedule",
-    ),
-    ("work", "engaged"): Words(
-        Level.PERSON, "A task was stopped; the way back comes first.", "the way back", REVIEWER,
-        "plan the way back, look at it and approve it", f"{_WORK}#3-when-something-stops",
-    ),
-    ("work", "asks"): Words(
-        Level.PERSON, "A task cannot go on before a person says what is so.", "an answer", OPERATOR,
-        "look at the element, then answer (twin work answer)", f"{_WORK}#3-when-something-stops",
-    ),
-    ("work", "working"): Words(Level.WELL, "A task is carried out.", "", "", "", f"{_WORK}#2-look-plan-approve"),
-    ("work", "planned"): Words(
-        Level.PERSON, "A task is planned and waits for approval.", "a verdict", REVIEWER,
-        "look at the plan, then approve or reject it", f"{_WORK}#2-look-plan-approve",
-    ),
-    ("work", "ready"): Words(
-        Level.PERSON, "The next task can be planned.", "somebody to have it planned", OPERATOR, "plan the next task",
-        f"{_WORK}#2-look-plan-approve",
-    ),
-    ("work", "done"): Words(Level.WELL, "Every task is done or skipped.", "", "", "", f"{_WORK}#2-look-plan-approve"),
-    ("work", "waiting"): Words(
-        Level.WAITS, "No task can be planned now.", "what the reason says", SYSTEM, "", f"{_WORK}#3-when-something-stops"
-    ),
+    ("work", "unavailable"): Urgency(Level.PERSON, TECHNICIAN, f"{_WORK}#3-when-something-stops"),
+    ("work", "proposed"): Urgency(Level.PERSON, OPERATOR, "building_model.md#a-model-without-a-schedule"),
+    ("work", "engaged"): Urgency(Level.PERSON, REVIEWER, f"{_WORK}#3-when-something-stops"),
+    ("work", "asks"): Urgency(Level.PERSON, OPERATOR, f"{_WORK}#3-when-something-stops"),
+    ("work", "working"): Urgency(Level.WELL, "", f"{_WORK}#2-look-plan-approve"),
+    ("work", "planned"): Urgency(Level.PERSON, REVIEWER, f"{_WORK}#2-look-plan-approve"),
+    ("work", "ready"): Urgency(Level.PERSON, OPERATOR, f"{_WORK}#2-look-plan-approve"),
+    ("work", "done"): Urgency(Level.WELL, "", f"{_WORK}#2-look-plan-approve"),
+    ("work", "waiting"): Urgency(Level.WAITS, SYSTEM, f"{_WORK}#3-when-something-stops"),
     # -- the start
-    ("startup", "ready"): Words(Level.WELL, "Everything that was started is there.", "", "", "",
-        "tutorials/plan_and_approve.md#1-start",
-    ),
-    ("startup", "waiting"): Words(
-        Level.PERSON, "Not everything is there yet.", "", TECHNICIAN, "", f"{_TROUBLE}#waiting-for-not-ready-any-more"
-    ),
+    ("startup", "ready"): Urgency(Level.WELL, "", "tutorials/plan_and_approve.md#1-start"),
+    ("startup", "waiting"): Urgency(Level.PERSON, TECHNICIAN, f"{_TROUBLE}#waiting-for-not-ready-any-more"),
 }  # fmt: skip
 #: Who can do something about what a start waits for; where nothing stands here, a technician.
 STARTING = {
@@ -282,7 +188,8 @@ class Line:
         level: Number of a `Level`.
         sentence: With the reason.
         reason: The node's own, where the sentence has it; else empty.
-        waits_for, who, todo, page: As in `Words`.
+        waits_for, todo: "" for nothing.
+        who, page: As in `Urgency`.
     """
 
     topic: str
@@ -369,10 +276,26 @@ def _line(topic: str, word: Word | None, said: str = "") -> Line:
     word = word or Word("", "")
     state = said or word.state
     words = TABLE[topic, state]
+    key = f"{topic}.{state or 'silent'}"
     # of a link and a gate that are well the reason is a session's number, or how they came to be
     told = word.reason if words.level is not Level.WELL or topic in ("execution", "work") else ""
-    sentence = f"{words.sentence[:-1]}: {told}" if told else words.sentence
+    sentence = _said(key, "sentence")
     return Line(
-        topic, word.state, f"{topic}.{state or 'silent'}", {}, int(words.level), sentence, told,
-        words.waits_for, words.who, words.todo, words.page,
-    )  # fmt: skip
+        topic=topic,
+        state=word.state,
+        words=key,
+        values={},
+        level=int(words.level),
+        sentence=f"{sentence[:-1]}: {told}" if told else sentence,
+        reason=told,
+        waits_for=_said(key, "waits"),
+        who=words.who,
+        todo=_said(key, "todo"),
+        page=words.page,
+    )
+
+
+def _said(key: str, part: str) -> str:
+    """Return what is said of a state: its `sentence`, what it `waits` for, what is `todo`; "" for nothing."""
+    key = f"line.{key}.{part}"
+    return Sentence(key) if has(key) else ""

@@ -1,0 +1,165 @@
+"""Sentences for people: each has a key, and its words in every language stand in `sentences.json`, and nowhere else.
+
+A place in braces is a named value, and is written as its format says; `web/src/sentences.js` follows the same rules:
+
+    {name}                a text or a whole number, as it is
+    {name:.3f}            a number with three decimals
+    {name:g}              a number with at most six digits
+    {name:.6q}            a `Quantity` with six decimals, in its own unit
+    {name:p}, {name:.2p}  a `Quantity` in deg or mm: with the decimals that it needs, or with two
+
+A value that is not given leaves its place as it is. Here English is written, which logs, topics and MQTT have; the console's page
+writes its own language. Standard library only; the file is read when this module is imported, never while an arm moves.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from construction_twin.core.records import document
+from construction_twin.core.units import for_people, from_people, to_people
+
+_PLACE = re.compile(r"\{(\w+)(?::(?:\.(\d))?([fgqp]))?\}")
+_ENGLISH: dict[str, str] = {
+    key: words["en"] for key, words in json.loads(Path(__file__).with_name("sentences.json").read_bytes()).items()
+}
+#: Keys of what nodes give as their reasons: `understood` finds these.
+_REASONS = "reason."
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A number with its unit, as the program has it: rad, m, alone or over a time (``rad/s^2``), or another unit."""
+
+    value: float
+    unit: str
+
+
+Value = str | int | float | Quantity
+
+
+class Sentence(str):
+    """A sentence in English that also knows its key and values, so that another language can say it.
+
+    It is the text for whoever only logs, compares or sends it. What is made of it with other text is a plain text without a key; to
+    keep the key, it is a value of another sentence.
+
+    Attributes:
+        key: In `sentences.json`.
+        values: What its places name.
+    """
+
+    key: str
+    values: Mapping[str, Value]
+
+    def __new__(cls, key: str, /, **values: Value) -> Sentence:
+        """Return the sentence of a key.
+
+        Raises:
+            KeyError: There is none.
+        """
+        sentence = super().__new__(cls, fill(_ENGLISH[key], values))
+        sentence.key, sentence.values = key, values
+        return sentence
+
+    def __getnewargs_ex__(self) -> tuple[tuple[str], Mapping[str, Value]]:
+        return (self.key,), self.values
+
+    def document(self) -> dict[str, Any]:
+        """Return key and values as JSON has them."""
+        return {
+            "key": self.key,
+            "values": {name: said_in(value) or document(value) for name, value in self.values.items()},
+        }
+
+
+def said_in(text: object) -> dict[str, Any] | None:
+    """Return key and values of a sentence as JSON has them; None: of a text without a key."""
+    return text.document() if isinstance(text, Sentence) else None
+
+
+def has(key: str) -> bool:
+    """Return whether there is a sentence of this key."""
+    return key in _ENGLISH
+
+
+def fill(template: str, values: Mapping[str, Value]) -> str:
+    """Return a template with its places filled in, by the rules above."""
+    return _PLACE.sub(lambda place: _written(place, values), template)
+
+
+def _written(place: re.Match[str], values: Mapping[str, Value]) -> str:
+    name, decimals, form = place.groups()
+    value = values.get(name)
+    if value is None:
+        return place[0]
+    if isinstance(value, Quantity):
+        if form == "p" and decimals is None:
+            return for_people(value.value, value.unit)
+        number, unit = to_people(value.value, value.unit) if form == "p" else (value.value, value.unit)
+        return f"{number:.{decimals}f} {unit}".strip()
+    if form == "f":
+        return f"{value:.{decimals}f}"
+    return f"{value:g}" if form == "g" else str(value)
+
+
+@lru_cache(maxsize=256)
+def understood(text: str) -> Sentence | None:
+    """Return the reason that a node has given as English text, with its key and values: ROS messages carry the text alone.
+
+    Args:
+        text: As it was said.
+
+    Returns:
+        The sentence whose text this is, character by character; None: no reason of `sentences.json` reads so.
+    """
+    for key, pattern, names in _patterns():
+        found = pattern.fullmatch(text)
+        if found is not None:
+            try:
+                values = {name: _read(form, part) for (name, form), part in zip(names, found.groups())}
+            except ValueError:
+                continue
+            sentence = Sentence(key, **values)
+            if sentence == text:
+                return sentence
+    return None
+
+
+def _read(form: str | None, part: str) -> Value:
+    if form is None:
+        return understood(part) or part
+    if form in "fg":
+        return float(part)
+    number, _, unit = part.partition(" ")
+    return Quantity(*from_people(float(number), unit)) if form == "p" else Quantity(float(number), unit)
+
+
+_Pattern = tuple[str, re.Pattern[str], list[tuple[str, str | None]]]
+
+
+@lru_cache(maxsize=1)
+def _patterns() -> list[_Pattern]:
+    """Return key, pattern and places of each reason, the one with the most words of its own first."""
+    reasons = {key: words for key, words in _ENGLISH.items() if key.startswith(_REASONS)}
+    own = sorted(reasons, key=lambda key: -len(_PLACE.sub("", reasons[key])))
+    return [(key, re.compile("".join(_pieces(reasons[key])), re.DOTALL), _names(reasons[key])) for key in own]
+
+
+def _names(template: str) -> list[tuple[str, str | None]]:
+    return [(place[1], place[3]) for place in _PLACE.finditer(template)]
+
+
+def _pieces(template: str) -> Iterator[str]:
+    at = 0
+    for place in _PLACE.finditer(template):
+        yield re.escape(template[at : place.start()])
+        yield {None: "(.+?)", "f": r"(\S+?)", "g": r"(\S+?)"}.get(place[3], r"(\S+ \S+?)")
+        at = place.end()
+    yield re.escape(template[at:])
