@@ -265,6 +265,12 @@ class Bench:
         return [entry for entry in read_entries(path) if entry.task == TASK]
 
     @property
+    def ledger_lines(self) -> list[str]:
+        """The ledger as it is on the disk."""
+        (path,) = (self._folder / "work").glob("*.jsonl")
+        return path.read_text().splitlines()
+
+    @property
     def events(self) -> list[str]:
         """The words of those lines."""
         return [entry.event for entry in self.entries]
@@ -280,7 +286,7 @@ class Bench:
     # -- the neighbours
 
     def _planned(self, *_, scene: Scene, **__) -> SimpleNamespace:
-        return SimpleNamespace(grip="top", segments=segments(scene), tool0_T_element=HELD)
+        return SimpleNamespace(method="top", segments=segments(scene), tool0_T_element=HELD)
 
     def _edit_scene(self, request) -> tuple[str, EditSceneResponse | None]:
         request = over_the_wire(request)

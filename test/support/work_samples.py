@@ -19,11 +19,12 @@ from construction_twin.robot.tool import ToolFile, read_tool
 from construction_twin.scene.objects import SceneObject
 from construction_twin.scene.self_collision import SelfCollision, read_self_collision
 from construction_twin.work.building import Body, BuildingModel, Element
-from construction_twin.work.jobs import PlaceJob
+from construction_twin.work.jobs import WorkJob, bare_job
+from construction_twin.work.motions import TaskLimits
 from construction_twin.work.recipes import Recipes, read_recipes
 from construction_twin.work.site import Site, read_site
 from construction_twin.work.site_scene import Layout
-from construction_twin.work.task_planner import TaskLimits, TaskPlanner
+from construction_twin.work.task_planner import TaskPlanner
 
 ROOT = Path(__file__).resolve().parents[2]
 TOOL = ROOT / "config/tools/vacuum_frame.yaml"
@@ -142,12 +143,10 @@ def planner(
     )  # fmt: skip
 
 
-def job(one: Element, **changes: object) -> PlaceJob:
-    """Return the job of an element that stays where it is."""
-    made = PlaceJob(
-        "task", one.id, one.name, one.ifc_class, one.type_name, {key: dict(group) for key, group in one.properties.items()},
-        box_pieces(one), one.mass, one.model_T_element, one.model_T_element,
-    )  # fmt: skip
+def job(one: Element, **changes: object) -> WorkJob:
+    """Return the job of an element whose stock is its place."""
+    here = one.model_T_element
+    made = replace(bare_job(one, "task"), bodies=box_pieces(one), base_T_stock=here, base_T_goal=here)
     return replace(made, **changes)
 
 

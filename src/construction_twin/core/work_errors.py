@@ -53,16 +53,16 @@ class TaskPlanningError(WorkError):
 
     Attributes:
         task: Id of the task, or of the element.
-        stage: Segment that was not possible with the grip that came furthest; empty: before any.
-        grip: Name of that grip; empty: none.
+        stage: Segment that was not possible with the method that came furthest; empty: before any.
+        method: Name of that method, see `work.jobs.WorkPlan`; empty: none.
         reason: Why, as a sentence without the above.
     """
 
-    def __init__(self, task: str, reason: str, stage: str = "", grip: str = ""):
-        self.task, self.reason, self.stage, self.grip = task, reason, stage, grip
+    def __init__(self, task: str, reason: str, stage: str = "", method: str = ""):
+        self.task, self.reason, self.stage, self.method = task, reason, stage, method
         where = f", {stage}" if stage else ""
-        held = f" with grip {grip!r}" if grip else ""
-        super().__init__(f"task {task}{where}{held}: {reason}")
+        how = f" with {method!r}" if method else ""
+        super().__init__(f"task {task}{where}{how}: {reason}")
 
 
 class LedgerError(WorkError):

@@ -252,7 +252,9 @@ def _add_work(work: argparse.ArgumentParser, common: argparse.ArgumentParser) ->
     answer = step("answer", "answer what a task asks: where its element is")
     _add_task(answer)
     answer.add_argument(
-        "answer", metavar="ANSWER", help="in_stock, in_grip, placed or gone: one of those that `show` lists"
+        "answer",
+        metavar="ANSWER",
+        help="in_stock, in_grip, placed, gone, done or not_done: one of those that `show` lists",
     )
     _add_person(answer)
     _add_person(step("accept", "accept the schedule that was proposed from the geometry"))

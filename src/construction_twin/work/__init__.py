@@ -25,16 +25,17 @@ if TYPE_CHECKING:
     from construction_twin.work.desk import WorkRefused as WorkRefused
     from construction_twin.work.element_bodies import element_shapes as element_shapes
     from construction_twin.work.events import Entry as Entry
-    from construction_twin.work.jobs import PlaceJob as PlaceJob
+    from construction_twin.work.jobs import WorkJob as WorkJob
     from construction_twin.work.jobs import WorkPlan as WorkPlan
     from construction_twin.work.jobs import WorkSegment as WorkSegment
     from construction_twin.work.ledger import Ledger as Ledger
+    from construction_twin.work.motions import TaskLimits as TaskLimits
     from construction_twin.work.placement import Placement as Placement
     from construction_twin.work.placement import check_placement as check_placement
     from construction_twin.work.proposed_schedule import ProposedSchedule as ProposedSchedule
     from construction_twin.work.proposed_schedule import is_proposal as is_proposal
     from construction_twin.work.proposed_schedule import propose as propose
-    from construction_twin.work.recipes import Recipe as Recipe
+    from construction_twin.work.recipe import Recipe as Recipe
     from construction_twin.work.recipes import Recipes as Recipes
     from construction_twin.work.recipes import read_recipes as read_recipes
     from construction_twin.work.schedule import Blocker as Blocker
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
     from construction_twin.work.site import pose_of as pose_of
     from construction_twin.work.site import read_site as read_site
     from construction_twin.work.site_scene import Layout as Layout
-    from construction_twin.work.task_planner import TaskLimits as TaskLimits
     from construction_twin.work.task_planner import TaskPlanner as TaskPlanner
     from construction_twin.work.task_states import TaskEvent as TaskEvent
     from construction_twin.work.task_states import TaskState as TaskState

@@ -137,7 +137,8 @@ class Book:
     @property
     def left_behind(self) -> dict[str, TaskMemory]:
         """What is known of elements that were taken from their stock by such tasks, by GlobalId."""
-        return {self.former_element[task]: memory for task, memory in self.former.items() if _touched(memory)}
+        left = {task: memory for task, memory in self.former.items() if _touched(memory) and not memory.stays}
+        return {self.former_element[task]: memory for task, memory in left.items()}
 
     def doubts(self, elements: Mapping[str, str]) -> list[Entry]:
         """Return the events by which a person is asked about all that was touched for another version of the model.

@@ -79,11 +79,13 @@ class Piece:
     Attributes:
         bodies: Convex pieces ``<GlobalId>/0``, ..., in the element's frame.
         base_T_stock: None: it is in no rack.
+        stays: Its process does not move it.
     """
 
     bodies: tuple[SceneObject, ...]
     base_T_stock: Pose | None
     base_T_goal: Pose
+    stays: bool = False
 
 
 def objects_of(element: Piece, memory: TaskMemory, in_stock: bool, tip_link: str) -> tuple[SceneObject, ...] | None:
@@ -94,6 +96,8 @@ def objects_of(element: Piece, memory: TaskMemory, in_stock: bool, tip_link: str
         in_stock: It has been delivered, if it was not taken.
         tip_link: What carries the tool.
     """
+    if element.stays:
+        return _at(element, element.base_T_goal)
     if memory.state is TaskState.ASKS:
         return None
     if memory.placed:

@@ -23,12 +23,14 @@ from construction_twin.planning.planner import PlannerSettings
 from construction_twin.robot.description import RobotModel
 from construction_twin.scene.objects import Scene, product
 from construction_twin.scene.self_collision import SelfCollision
-from construction_twin.work.jobs import PlaceJob, WorkPlan
+from construction_twin.work.jobs import WorkJob, WorkPlan
+from construction_twin.work.motions import TaskLimits
 from construction_twin.work.nearest_change import LONGER, longer_track, nearest_change
+from construction_twin.work.processes import process_of
 from construction_twin.work.schedule import Job
 from construction_twin.work.site import pose_of
 from construction_twin.work.site_scene import Layout, WorkState
-from construction_twin.work.task_planner import SET_DOWN, TaskLimits, TaskPlanner
+from construction_twin.work.task_planner import TaskPlanner
 
 #: What is tried for a change is searched for less long than the task itself.
 _TRIAL = TaskLimits(budget=2.0, solutions=6, pairs=2, free_budget=1.0)
@@ -44,8 +46,9 @@ class CheckedTask:
     Attributes:
         number: In the order of the schedule, from 0.
         job, name: Id of the job, name of its task.
-        grip: Of the plan, or the one that came furthest; empty: none.
-        track: Value of the first linear joint where the element is set down [m]; None: the robot has none, or there is no plan.
+        grip: How it is done, see `WorkPlan.method`, or the method that came furthest; empty: none.
+        track: Value of the first linear joint where the process acts at the element's place [m]; None: the robot has none, or
+            there is no plan.
         clearance: [m], see `WorkPlan`.
         duration: Of all motions [s], without the waiting for the tool.
         planning: Time it took to find out [s].
@@ -139,7 +142,7 @@ class Checker:
         except ConstructionTwinError as error:
             found = replace(found, planning=self._clock() - began, reason=str(error))
             if isinstance(error, TaskPlanningError):
-                found = replace(found, stage=error.stage, grip=error.grip, reason=error.reason)
+                found = replace(found, stage=error.stage, grip=error.method, reason=error.reason)
             return replace(found, reason=self._layout.building.called(found.reason, job.element))
         return replace(self._described(found, plan), planning=self._clock() - began)
 
@@ -173,7 +176,7 @@ class Checker:
                     open_jobs.append(other)
         return elements
 
-    def _turn(self, number: int) -> tuple[Scene, PlaceJob]:
+    def _turn(self, number: int) -> tuple[Scene, WorkJob]:
         """Return scene and job when everything before it stands, of what has geometry."""
         before = [job.element for job in self._jobs[:number] if job.element in self._layout.order]
         gone = frozenset(job.element for job in self._removals) & self._before(number)
@@ -181,12 +184,13 @@ class Checker:
         return scene, self._layout.job_for(self._jobs[number].element, scene, self._jobs[number].id)
 
     def _described(self, found: CheckedTask, plan: WorkPlan) -> CheckedTask:
-        at = next(segment for segment in plan.segments if segment.name == SET_DOWN).trajectory.positions[-1]
+        acts = process_of(self._layout.process(plan.job.element)).acts
+        at = next(segment for segment in plan.segments if segment.name == acts).trajectory.positions[-1]
         linear = [float(value) for value, is_linear in zip(at, self._robot.linear, strict=True) if is_linear]
         return replace(
             found,
             possible=True,
-            grip=plan.grip,
+            grip=plan.method,
             track=linear[0] if linear else None,
             clearance=float(plan.clearance),
             duration=float(plan.duration),

@@ -202,8 +202,9 @@ def cell_picture(tasks: Sequence[CheckedTask], layout: Layout) -> bytes:
         if task.element not in layout.order:
             continue
         colour = _POSSIBLE if task.possible else _NOT
-        stock, goal = layout.slot(task.element).base_T_element, layout.base_T_goal(task.element)
-        axes.plot(*stock.position[:2], ".", color=_STOCK)
+        slot, goal = layout.slot(task.element), layout.base_T_goal(task.element)
+        if slot is not None:
+            axes.plot(*slot.base_T_element.position[:2], ".", color=_STOCK)
         axes.plot(*goal.position[:2], ".", color=colour)
         if task.path:
             path = np.array(task.path)

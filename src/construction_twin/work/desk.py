@@ -20,10 +20,18 @@ from construction_twin.work.built import Deviation, Piece, deviation, objects_of
 from construction_twin.work.events import ACCEPTED, Entry
 from construction_twin.work.following import Grip, question
 from construction_twin.work.ledger import Ledger
+from construction_twin.work.processes import process_of
 from construction_twin.work.racks import StockPlan
 from construction_twin.work.schedule import Schedule
 from construction_twin.work.site import inverse
-from construction_twin.work.task_states import ANSWERS, PLANNABLE, SETTLED, UNDER_WAY, TaskState
+from construction_twin.work.task_states import (
+    ANSWERS,
+    ANSWERS_OF_STAYING,
+    PLANNABLE,
+    SETTLED,
+    UNDER_WAY,
+    TaskState,
+)  # fmt: skip
 
 #: Words for where the schedule comes from, as `WorkTasks.msg` has them.
 FROM_MODEL, FROM_PERSON, PROPOSED = "model", "accepted", "proposed"
@@ -80,6 +88,7 @@ class Prepared:
         standing: What stands where the model has it, and no task makes.
         scheduled: By id of the job.
         standing_at: Where the model has each element of those, by GlobalId.
+        processes: By id, the process of each job that has another one than `recipe.DEFAULT`.
     """
 
     model: str
@@ -96,6 +105,7 @@ class Prepared:
     standing: tuple[SceneObject, ...] = ()
     scheduled: Mapping[str, Scheduled] = field(default_factory=dict)
     standing_at: Mapping[str, Pose] = field(default_factory=dict)
+    processes: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def after(self) -> dict[str, tuple[str, ...]]:
@@ -109,6 +119,10 @@ class Prepared:
     def placed_by(self) -> dict[str, str]:
         """The element that each job places."""
         return {job.id: job.element for job in self.schedule.jobs}
+
+    def stays(self, job: str) -> bool:
+        """Return whether the process of a job leaves its element where it stands."""
+        return job in self.processes and not process_of(self.processes[job]).moves
 
     @property
     def removals(self) -> dict[str, str]:
@@ -250,7 +264,7 @@ class Desk:
         element = self.prepared.schedule.job(task).element
         if element in self.prepared.unplannable:
             return f"{self.title(task)} cannot be planned: {self.prepared.unplannable[element]}; skip it when it stands"
-        if state is TaskState.READY and element not in self._present():
+        if state is TaskState.READY and not self.prepared.stays(task) and element not in self._present():
             return f"{self._element(task).name} is not delivered yet: its slot in the rack is taken by another element"
         return self._lag(task, now)
 
@@ -302,6 +316,8 @@ class Desk:
             return (
                 f"{self.title(task)} is skipped: what comes after it no longer waits; {self._element(task).name} stays"
             )
+        if self.prepared.stays(task):
+            return f"{self.title(task)} is skipped: what comes after it no longer waits"
         return f"{self.title(task)} is skipped: what comes after it no longer waits; take its element out of the stock"
 
     def removed(self, task: str, person: str, reason: str) -> str:
@@ -336,14 +352,16 @@ class Desk:
         later = book.followers(task)
         if later:
             raise WorkRefused(f"{self.title(later[0])} came after {self.title(task)}: redo that first")
-        taken_down = task in self.prepared.removals
-        if not taken_down:
+        taken_down, stays = task in self.prepared.removals, self.prepared.stays(task)
+        if not taken_down and not stays:
             self._slot_free(task)
         self._add("redone", task, person=person, reason=reason)
         if taken_down:
             return (
                 f"{self._element(task).name} counts as standing again: an obstacle until a person says that it is gone"
             )
+        if stays:
+            return f"{self.title(task)} is to be done again"
         return f"{self.title(task)} is to be done again; {self._element(task).name} counts as back in its stock"
 
     def lost(self) -> str:
@@ -373,7 +391,7 @@ class Desk:
         if answer == "in_stock":
             self._slot_free(task)
         self._add("answered", task, answer=answer, person=person, reason=reason)
-        return f"{self.title(task)}: {self._element(task).name}: {ANSWERS[answer]}"
+        return f"{self.title(task)}: {self._element(task).name}: {(ANSWERS | ANSWERS_OF_STAYING)[answer]}"
 
     def measured(self, element: str, pose: Pose, person: str, reason: str) -> Deviation:
         """Take where an element really is.
@@ -381,7 +399,8 @@ class Desk:
         Raises WorkRefused.
         """
         self._named(person)
-        task = next((job.id for job in self.prepared.schedule.jobs if job.element == element), "")
+        jobs = (job for job in self.prepared.schedule.jobs if not self.prepared.stays(job.id))
+        task = next((job.id for job in jobs if job.element == element), "")
         if not task:
             raise WorkRefused(f"no task places element {element!r}; `twin work list` names them")
         state = self.book.tasks[task].state
@@ -415,7 +434,8 @@ class Desk:
         present = self._present()
         for job in self.prepared.schedule.jobs:
             facts, slot = self.prepared.elements[job.element], self.prepared.stock.slots.get(job.element)
-            piece = Piece(facts.bodies, slot.base_T_element if slot is not None else None, facts.base_T_goal)
+            stock = slot.base_T_element if slot is not None else None
+            piece = Piece(facts.bodies, stock, facts.base_T_goal, self.prepared.stays(job.id))
             memory = self.book.tasks[job.id]
             objects = objects_of(piece, memory, job.element in present, self._tip_link)
             if objects is None:
@@ -470,7 +490,7 @@ class Desk:
         present, following = self._present(), self.next(now)
         for job in self.prepared.schedule.jobs:
             memory, facts = self.book.tasks[job.id], self.prepared.elements[job.element]
-            if memory.placed:
+            if memory.placed or (memory.state is TaskState.DONE and self.prepared.stays(job.id)):
                 far = self.deviation(job.id)
                 where = pose_of_tuple(memory.base_T_element) if memory.base_T_element else facts.base_T_goal
                 wrong = far is not None and (far.distance > OFF or far.angle > OFF_ANGLE)
@@ -547,6 +567,8 @@ class Desk:
             return "its element is gone: skip it, or put another into its stock and redo it"
         if memory.state is TaskState.DONE and memory.gone:
             return "taken down, as a person says"
+        if memory.state is TaskState.DONE and self.prepared.stays(task):
+            return "done"
         if memory.state is TaskState.DONE:
             if memory.as_planned:
                 return "placed; as planned, not measured"

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from construction_twin.work.processes import MODULES
+from construction_twin.work.recipe import DEFAULT
 from construction_twin.work.task_states import TaskEvent
 
 #: Events that are about no task.
@@ -27,7 +29,9 @@ class Entry:
         event: A `TaskEvent`'s word, or `OPENED`, `ACCEPTED`, `MENDED`, `CHANGED`.
         task, element: GlobalIds; empty where it is about neither.
         source: Of the pose of `released`: `MEASURED` by the arm's own feedback, or `PLANNED`: as planned, not measured.
-        plan, offer, grip: `offer` is named in the plan's `source`, so that a plan whose id was never learnt is known again.
+        plan, offer: `offer` is named in the plan's `source`, so that a plan whose id was never learnt is known again.
+        grip: Of `offered`: how it is done, see `jobs.WorkPlan.method`.
+        process: Of `offered`; empty: `recipe.DEFAULT`.
         pose: Length 7 or 0. How it will be held (`offered`), or where it stands (`released`, `measured`) or is said to stand
             (`unknown`).
         answer: One of `task_states.ANSWERS`.
@@ -49,6 +53,7 @@ class Entry:
     model: str = ""
     cell: str = ""
     schedule: str = ""
+    process: str = ""
     time_ns: int = 0
 
     def fields(self) -> dict:
@@ -69,6 +74,9 @@ def entry_of(fields: Mapping[str, Any]) -> Entry:
     time_ns = int(known.pop("time_ns", 0))
     if not all(isinstance(value, str) for value in known.values()):
         raise ValueError("expected texts")
+    process = known.get("process", DEFAULT)
+    if process not in MODULES:
+        raise ValueError(f"process {process!r}; expected one of {', '.join(MODULES)}")
     event = known.get("event", "")
     if event not in OF_NO_TASK:
         TaskEvent(event)

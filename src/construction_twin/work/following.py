@@ -27,6 +27,8 @@ class Followed:
     Attributes:
         grips, releases: Numbers of the segments at whose ends the element is gripped and let go; negative: it does not, or that is
             not known.
+        works: Number of the first engaged segment, before which nothing is done to an element that stays; negative: there is none,
+            or that is not known.
     """
 
     id: str
@@ -34,6 +36,7 @@ class Followed:
     source: str
     grips: int
     releases: int
+    works: int = -1
 
 
 @dataclass(frozen=True)
@@ -100,10 +103,12 @@ class SegmentEnd:
 
     Attributes:
         carries: The scene then has an object that a link carries and that was put there.
+        engaged: The segment is.
     """
 
     switches: tuple[Switch, ...]
     carries: bool
+    engaged: bool = False
 
 
 def followed(plan_id: str, memory: TaskMemory, source: str, ends: Sequence[SegmentEnd], tool: Tool) -> Followed:
@@ -122,11 +127,14 @@ def followed(plan_id: str, memory: TaskMemory, source: str, ends: Sequence[Segme
             lets_go = tool.release.set.get(switch.output) == switch.value
             if lets_go and releases < 0 and (grips >= 0 or memory.in_grip):
                 releases = number
-    return Followed(plan_id, memory.task, source, grips, releases)
+    works = next((number for number, end in enumerate(ends) if end.engaged), -1)
+    return Followed(plan_id, memory.task, source, grips, releases, works)
 
 
 def followed_unseen(plan_id: str, memory: TaskMemory, outcome: str) -> Followed:
     """Return a plan of a task that is not known any more, by its outcome: nothing tells of its segments, only of its end."""
+    if memory.stays:
+        return Followed(plan_id, memory.task, "", -1, -1)
     if outcome == FINISHED:
         return Followed(plan_id, memory.task, "", -1 if memory.in_grip else 0, 0)
     return Followed(plan_id, memory.task, "", -2, -2)
@@ -220,6 +228,11 @@ def _through(
 
 def _end(events: _Events, plan: Followed, report: Report, grip: Grip) -> None:
     reason = f"{report.outcome}: {report.reason}"
+    if events.state is TaskState.WORKING and events.memory.stays:
+        # from the first engaged segment on only a person sees what was done
+        stopped = TaskEvent.STOPPED if 0 <= report.segment < plan.works else TaskEvent.UNKNOWN
+        events.add(TaskEvent.FINISHED if report.outcome == FINISHED else stopped, reason)
+        return
     if events.state is TaskState.RETREATING and report.outcome == FINISHED:
         events.add(TaskEvent.FINISHED, reason)
         return
@@ -243,12 +256,12 @@ def after_restart(memory: TaskMemory, element: str, verdict: Verdict, grip: Grip
                 events.add(TaskEvent.PLANNED)
         elif verdict.started is False:
             events.add(TaskEvent.DROPPED, "it was never approved")
-        elif grip.surely_open and not memory.in_grip:
+        elif grip.surely_open and not memory.in_grip and not memory.stays:
             # nothing can have been carried: the line that must be written before is not there
             events.add(TaskEvent.DROPPED, "nothing was gripped")
         else:
             events.add(TaskEvent.UNKNOWN, "whether the plan was carried out is not known")
-    elif memory.state is TaskState.WORKING and grip.surely_open:
+    elif memory.state is TaskState.WORKING and grip.surely_open and not memory.stays:
         events.add(TaskEvent.STOPPED, "nothing was gripped")
     elif memory.state is TaskState.GRIPPING and grip.surely_open:
         events.add(TaskEvent.NOT_GRIPPED, "nothing was gripped")
@@ -261,11 +274,19 @@ def question(memory: TaskMemory, element_name: str) -> str:
     """Return what a person is asked about a task; empty when nothing."""
     if memory.state is not TaskState.ASKS:
         return ""
+    if memory.stays:
+        known = _KNOWN_OF_STAYING.get(memory.before, memory.before.value)
+        return f"was the task on {element_name} carried out? The last that is known of it: {known}"
     return (
         f"where is {element_name} now? The last that is known of it: {_KNOWN.get(memory.before, memory.before.value)}"
     )
 
 
+_KNOWN_OF_STAYING = {
+    TaskState.DONE: "it was done, for another version of the model",
+    TaskState.PLANNED: "it was to be begun",
+    TaskState.WORKING: "it was under way",
+}
 _KNOWN = {
     TaskState.WAITING: "another version of the model was worked on",
     TaskState.READY: "another version of the model was worked on",

@@ -7,15 +7,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.segments import Signal, Switch
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.work.building import Element
 
 
 @dataclass(frozen=True, eq=False)
-class PlaceJob:
-    """One element from its stock to its place.
+class WorkJob:
+    """What is to be done with one element. By which process, its recipe says.
 
     Attributes:
         task: Id of the task.
@@ -23,7 +26,8 @@ class PlaceJob:
         properties: The element's property sets, for recipes and ``CTwin_RobotTask``.
         bodies: The element's convex pieces, named as above, their poses in the element's frame, `link` empty.
         mass: [kg]
-        base_T_stock, base_T_goal: ``base_T_element`` before and after.
+        base_T_stock: ``base_T_element`` in its stock; None: its process does not move it, it stands at its place.
+        base_T_goal: ``base_T_element`` at its place.
         supports: Names of scene objects that the element may touch where it is put down, and of those that it lies on in the stock.
         up: Length 3. Against gravity, a unit vector: the model's z axis.
     """
@@ -36,10 +40,24 @@ class PlaceJob:
     properties: dict
     bodies: tuple[SceneObject, ...]
     mass: float | None
-    base_T_stock: Pose
+    base_T_stock: Pose | None
     base_T_goal: Pose
     supports: tuple[str, ...] = ()
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    @property
+    def called(self) -> str:
+        """The element in a sentence."""
+        return f"element {self.element_name!r} ({self.element})" if self.element_name else f"element {self.element}"
+
+
+def bare_job(element: Element, task: str = "") -> WorkJob:
+    """Return the job of an element as far as its recipe is concerned: without bodies, where it is, and what it touches."""
+    properties = {name: dict(values) for name, values in element.properties.items()}
+    return WorkJob(
+        task or element.id, element.id, element.name, element.ifc_class, element.type_name, properties, (), element.mass,
+        None, Pose(np.zeros(3), np.eye(3)),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,18 +84,18 @@ class WorkPlan:
     """A whole task, planned.
 
     Attributes:
-        grip: Name of the grip candidate that is used.
+        method: Name of the way in which the process does it, of those that it found: of `place` the grip.
         planning_time: [s]
         clearance: Smallest over all segments, without what they approach on purpose [m].
-        tool0_T_element: How the element is held.
+        tool0_T_element: How the element is held; None: it is not moved.
     """
 
-    job: PlaceJob
-    grip: str
+    job: WorkJob
+    method: str
     segments: tuple[WorkSegment, ...]
     planning_time: float
     clearance: float
-    tool0_T_element: Pose
+    tool0_T_element: Pose | None = None
 
     @property
     def duration(self) -> float:

@@ -24,7 +24,8 @@ from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.work.building import BuildingModel, Element
 from construction_twin.work.matching import Match
-from construction_twin.work.recipes import DELIVERED, PROPERTY_SET, Recipes, read_recipes
+from construction_twin.work.recipe import PROPERTY_SET
+from construction_twin.work.recipes import DELIVERED, Recipes, read_recipes
 
 #: Poses of the file are this close to the origin [m]; in binary fractions a map's coordinates would cost accuracy.
 FARTHEST = 1e4

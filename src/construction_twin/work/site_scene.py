@@ -1,7 +1,7 @@
 """The scene of a cell at one state of the work, and the job of each element: from cell, building model and convex pieces.
 
 Metres; poses in the robot's base_link. Elements that are not delivered are not there, stock is where its rack says, what was placed
-stands as built, and what no task makes stands where the model has it.
+stands as built, and what no task makes or moves stands where the model has it.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.work.building import BuildingModel
 from construction_twin.work.contacts import Shapes, tool_objects
-from construction_twin.work.jobs import PlaceJob
+from construction_twin.work.jobs import WorkJob, bare_job
 from construction_twin.work.pieces import Pieces
+from construction_twin.work.processes import process_of
 from construction_twin.work.racks import Slot, StockPlan, plan_stock
 from construction_twin.work.site import Site, inverse
 
@@ -42,12 +43,13 @@ class Layout:
 
     Args:
         pieces: Convex pieces of each element in `order`, in its own frame, called ``<GlobalId>/<number>``.
-        order: GlobalIds of the elements that are placed, in the order in which they are needed.
+        order: GlobalIds of the elements that are worked on, in the order in which they are needed.
         link: The robot's tip link, which carries the tool.
         standing: Pieces, as above, of the elements that stand where the model has them and that no task makes, see `work.standing`.
 
     Attributes:
         standing: What stands from the beginning, fixed, in the robot's base_link.
+        stays: The elements in `order` that their process does not move: they stand at their place all the time.
 
     Raises:
         ConfigurationError, BuildingError: See `racks.plan_stock`.
@@ -71,7 +73,10 @@ class Layout:
             if element not in corners:
                 name = building.element(element).name
                 raise TaskPlanningError(element, f"element {name!r} has no geometry; leave it out of the work")
-        self.stock: StockPlan = plan_stock(site, building, order, corners)
+        self._processes = {element: site.recipes.process(building.element(element)) for element in order}
+        self.stays = tuple(element for element in order if not process_of(self._processes[element]).moves)
+        moved = [element for element in order if element not in self.stays]
+        self.stock: StockPlan = plan_stock(site, building, moved, corners)
         self.standing = tuple(
             replace(item.moved(product(self.base_T_goal(element), item.pose)), fixed=True)
             for element, items in standing.items()
@@ -84,9 +89,13 @@ class Layout:
         """Return an element's convex pieces, in its own frame."""
         return self._pieces[element]
 
-    def slot(self, element: str) -> Slot:
-        """Return where an element lies in stock."""
-        return self.stock.slots[element]
+    def process(self, element: str) -> str:
+        """Return the name of an element's process."""
+        return self._processes[element]
+
+    def slot(self, element: str) -> Slot | None:
+        """Return where an element lies in stock; None: it stays where it stands."""
+        return self.stock.slots.get(element)
 
     def base_T_goal(self, element: str) -> Pose:
         """Return where an element is to stand, as designed."""
@@ -102,14 +111,17 @@ class Layout:
         standing = [item for item in self.standing if item.name.split("/", 1)[0] not in state.gone]
         objects = [*surroundings.objects, *standing, *self._tool]
         for element in self.delivered(state):
-            objects += self._standing(element, self.slot(element).base_T_element)
+            objects += self._standing(element, self.stock.slots[element].base_T_element)
+        for element in self.stays:
+            if element not in state.placed and element not in state.gone:
+                objects += self._standing(element, self.base_T_goal(element))
         for element, pose in state.placed.items():
             if element in self._pieces:
                 objects += self._standing(element, pose)
         return Scene(tuple(objects), surroundings.padding)
 
-    def job_for(self, element: str, scene: Scene, task: str = "") -> PlaceJob:
-        """Return the job of placing an element.
+    def job_for(self, element: str, scene: Scene, task: str = "") -> WorkJob:
+        """Return the job of an element.
 
         Args:
             element: GlobalId.
@@ -124,16 +136,19 @@ class Layout:
         others = [item for item in scene.objects if item.name in of_work - own and not item.link]
         beside = {
             name
-            for pose in (slot.base_T_element, goal)
+            for pose in ([goal] if slot is None else [slot.base_T_element, goal])
             for name in self._shapes.near(self._pieces[element], [pose], others, scene.padding)
         }
         x, y, z = map(float, self._base_T_model.rotation[:, 2])
-        fixed = {*self.site.file.supports, slot.surface} & set(scene.names)
-        return PlaceJob(
-            task or element, element, built.name, built.ifc_class, built.type_name,
-            {name: dict(values) for name, values in built.properties.items()}, self._pieces[element], built.mass,
-            slot.base_T_element, goal, tuple(sorted(beside | fixed)), (x, y, z),
-        )  # fmt: skip
+        fixed = {*self.site.file.supports, *([] if slot is None else [slot.surface])} & set(scene.names)
+        return replace(
+            bare_job(built, task),
+            bodies=self._pieces[element],
+            base_T_stock=None if slot is None else slot.base_T_element,
+            base_T_goal=goal,
+            supports=tuple(sorted(beside | fixed)),
+            up=(x, y, z),
+        )
 
     def _standing(self, element: str, base_T_element: Pose) -> tuple[SceneObject, ...]:
         """Return an element's pieces at a pose; they are kept, because most elements stay where they are."""

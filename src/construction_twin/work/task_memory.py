@@ -9,7 +9,19 @@ from typing import Any
 from construction_twin.core.state_table import row_of
 from construction_twin.core.work_errors import WorkError
 from construction_twin.work.events import PLANNED, Entry
-from construction_twin.work.task_states import ANSWERS, ROWS, SAYS, SETTLED, Action, Guard, Row, TaskEvent, TaskState
+from construction_twin.work.processes import process_of
+from construction_twin.work.task_states import (
+    ANSWERS,
+    ANSWERS_OF_STAYING,
+    ROWS,
+    SAYS,
+    SETTLED,
+    Action,
+    Guard,
+    Row,
+    TaskEvent,
+    TaskState,
+)  # fmt: skip
 
 #: States in which an element is surely not in the grip.
 _NOT_HELD = (TaskState.WAITING, TaskState.READY, TaskState.DONE, TaskState.SKIPPED)
@@ -30,6 +42,7 @@ class TaskMemory:
     Attributes:
         before: The state that a question is about: in which its answer was lost.
         plan, offer, grip: Of the plan under review or under way; `grip` stays with the element.
+        process: Of the plan that was offered last; empty: `recipe.DEFAULT`.
         in_grip: The element is held by the tool, as far as is known.
         gone: It is neither in its stock nor placed; of a task that is done: taken down.
         tool0_T_element, base_T_element: Length 7 or 0. How it is held, or will be, and where it stands as built: x, y, z [m],
@@ -54,6 +67,12 @@ class TaskMemory:
     as_planned: bool = False
     begun_ns: int = 0
     settled_ns: int = 0
+    process: str = ""
+
+    @property
+    def stays(self) -> bool:
+        """Whether the process of its plan leaves the element where it stands."""
+        return bool(self.process) and not process_of(self.process).moves
 
     def takes(self, entry: Entry) -> bool:
         """Return whether an event fits the present state."""
@@ -71,6 +90,8 @@ class TaskMemory:
         changed = {"before": row.state, "state": row.target or self.state, **_CHANGES[row.action](self, entry)}
         if row.event in (TaskEvent.RELEASED, TaskEvent.MEASURED):
             changed["as_planned"] = entry.source == PLANNED
+        if row.event is TaskEvent.OFFERED:
+            changed["process"] = entry.process
         if row.event is TaskEvent.BEGUN:
             changed["begun_ns"] = entry.time_ns
         if row.target in SETTLED:
@@ -81,6 +102,8 @@ class TaskMemory:
         """Return what can be answered now: nothing is placed that was never held."""
         if self.state is not TaskState.ASKS:
             return ()
+        if self.stays:
+            return tuple(ANSWERS_OF_STAYING)
         if self.before in _NOT_HELD:
             return ("in_stock", "placed", "gone")
         if self.before in (TaskState.PLANNED, TaskState.WORKING, TaskState.GRIPPING) and not self.in_grip:
@@ -97,6 +120,8 @@ class TaskMemory:
         def holds(guard: Guard) -> bool:
             if guard is Guard.IN_GRIP:
                 return self.in_grip
+            if guard is Guard.STAYS:
+                return self.stays
             return entry.answer in self.possible_answers() and SAYS[entry.answer] is guard
 
         return row_of(ROWS, self.state, TaskEvent(entry.event), holds)

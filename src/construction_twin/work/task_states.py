@@ -58,10 +58,13 @@ class Guard(Enum):
 
     ALWAYS = ""
     IN_GRIP = "the element is in the grip"
+    STAYS = "its process does not move the element"
     SAYS_STOCK = "the answer is `in_stock`"
     SAYS_GRIP = "the answer is `in_grip`"
     SAYS_PLACED = "the answer is `placed`"
     SAYS_GONE = "the answer is `gone`"
+    SAYS_DONE = "the answer is `done`"
+    SAYS_NOT_DONE = "the answer is `not_done`"
 
 
 class Action(Enum):
@@ -105,6 +108,7 @@ TABLE: tuple[Row, ...] = (
     *rows(_S.PLANNED, _E.BEGUN, _S.CARRYING, _A.KEEP_PLAN, _G.IN_GRIP),
     *rows(_S.PLANNED, _E.BEGUN, _S.WORKING, _A.KEEP_PLAN),
     *rows(_S.WORKING, _E.GRIPPING, _S.GRIPPING),
+    *rows(_S.WORKING, _E.FINISHED, _S.DONE, _A.FORGET_PLAN, _G.STAYS),
     *rows(_S.WORKING, _E.STOPPED, _S.READY, _A.NOT_IN_GRIP),
     *rows(_S.GRIPPING, _E.GRIPPED, _S.CARRYING, _A.IN_GRIP),
     *rows(_S.GRIPPING, _E.NOT_GRIPPED, _S.READY, _A.NOT_IN_GRIP),
@@ -122,6 +126,8 @@ TABLE: tuple[Row, ...] = (
     *rows(_S.ASKS, _E.ANSWERED, _S.CARRIED, _A.IN_GRIP, _G.SAYS_GRIP),
     *rows(_S.ASKS, _E.ANSWERED, _S.DONE, _A.PLACED_AS_TOLD, _G.SAYS_PLACED),
     *rows(_S.ASKS, _E.ANSWERED, _S.HELD, _A.GONE, _G.SAYS_GONE),
+    *rows(_S.ASKS, _E.ANSWERED, _S.DONE, _A.NOTHING, _G.SAYS_DONE),
+    *rows(_S.ASKS, _E.ANSWERED, _S.READY, _A.NOT_IN_GRIP, _G.SAYS_NOT_DONE),
     *rows((_S.DONE, _S.SKIPPED), _E.MEASURED, None, _A.MEASURED),
     *rows((_S.WAITING, _S.READY, _S.HELD), _E.SKIPPED, _S.SKIPPED),
     # only of what people take down: a person says that it is gone
@@ -141,5 +147,10 @@ ANSWERS = {
     "placed": "it stands at its place, and the grip is empty",
     "gone": "it is none of these: it was taken away; it waits until it is skipped or done again",
 }
+#: The same of a task whose process does not move the element.
+ANSWERS_OF_STAYING = {"done": "it was done", "not_done": "it was not done: it is to be done again from its beginning"}
 #: The guard that each of them satisfies.
-SAYS = {"in_stock": _G.SAYS_STOCK, "in_grip": _G.SAYS_GRIP, "placed": _G.SAYS_PLACED, "gone": _G.SAYS_GONE}
+SAYS = {
+    "in_stock": _G.SAYS_STOCK, "in_grip": _G.SAYS_GRIP, "placed": _G.SAYS_PLACED, "gone": _G.SAYS_GONE,
+    "done": _G.SAYS_DONE, "not_done": _G.SAYS_NOT_DONE,
+}  # fmt: skip

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from construction_twin.core.work_errors import TaskPlanningError
-from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.robot.description import RobotModel
@@ -25,9 +25,11 @@ from construction_twin.work.contacts import tool_objects
 from construction_twin.work.desk import ElementFacts, Prepared, Scheduled
 from construction_twin.work.element_bodies import element_shapes, element_triangles
 from construction_twin.work.ifc.reading import read_building
-from construction_twin.work.jobs import PlaceJob, WorkPlan
+from construction_twin.work.jobs import WorkPlan, bare_job
 from construction_twin.work.placement import check_placement
+from construction_twin.work.processes import process_of
 from construction_twin.work.proposed_schedule import is_proposal, propose
+from construction_twin.work.recipe import DEFAULT
 from construction_twin.work.schedule import Schedule
 from construction_twin.work.site import Site, pose_of, read_site
 from construction_twin.work.site_scene import Layout
@@ -128,19 +130,17 @@ def prepare(
         unplannable=unplannable,
         standing=layout.standing,
         scheduled=_scheduled(building, schedule),
+        processes=_processes(layout, schedule),
         standing_at={element: layout.base_T_goal(element) for element in stands.pieces},
     )
 
 
 def _mass(site: Site, element: Element) -> float | None:
     """Return the mass that an element is planned with [kg]; None: nobody says, or its recipe is wrong, which planning tells."""
-    here = Pose(np.zeros(3), np.eye(3))
-    properties = {name: dict(group) for name, group in element.properties.items()}
-    job = PlaceJob(
-        "", element.id, element.name, element.ifc_class, element.type_name, properties, (), element.mass, here, here
-    )
+    job = bare_job(element)
     try:
-        return site.recipes.choose(job, site.tool.tool).mass
+        name, recipe = site.recipes.of(job)
+        return process_of(recipe.process).mass(job, name, recipe, site.tool.tool)
     except TaskPlanningError:
         return element.mass
 
@@ -152,6 +152,12 @@ def _scheduled(building: BuildingModel, schedule: Schedule) -> dict[str, Schedul
         for job in schedule.jobs
         if (task := building.tasks.get(job.task)) is not None
     }
+
+
+def _processes(layout: Layout, schedule: Schedule) -> dict[str, str]:
+    """Return the process of each job that is worked on by another than `DEFAULT`."""
+    named = {job.id: layout.process(job.element) for job in schedule.jobs if job.element in layout.order}
+    return {job: name for job, name in named.items() if name != DEFAULT}
 
 
 def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: tuple[float, ...] = ()) -> WorkPlan:
@@ -170,12 +176,10 @@ def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: 
     session = _SESSIONS[0]
     job = session.layout.job_for(element, scene, task)
     try:
-        if held:
-            return session.planner.plan_carried(job, start, scene, pose_of_tuple(held))
-        return session.planner.plan(job, start, scene)
+        return session.planner.plan(job, start, scene, held=pose_of_tuple(held) if held else None)
     except TaskPlanningError as error:
         reason = session.layout.building.called(error.reason, element)
-        raise TaskPlanningError(error.task, reason, error.stage, error.grip) from error
+        raise TaskPlanningError(error.task, reason, error.stage, error.method) from error
 
 
 #: What the parent may ask for.

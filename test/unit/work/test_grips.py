@@ -10,8 +10,8 @@ from work_samples import BRICK, pieces_of, recipes, tool
 
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import SceneObject, product
-from construction_twin.work.grips import find_grips
 from construction_twin.work.pieces import Pieces
+from construction_twin.work.place.grips import find_grips
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -25,6 +25,13 @@ def known(memory) -> dict:
     return {name: list(value) if isinstance(value, tuple) else value for name, value in said.items()}
 
 
+def of_then(memory) -> dict:
+    """Return what is known of a task, without the field that came since: it is empty for every line of then."""
+    said = known(memory)
+    assert said.pop("process") == ""
+    return said
+
+
 def whole_lines(name: str, folder: Path) -> Path:
     content = (OLD / f"{name}.jsonl").read_bytes()
     path = folder / "ledger.jsonl"
@@ -41,7 +48,7 @@ def test_every_line_leaves_what_it_left_then(tmp_path, name, schedule):
     for entry, expected in zip(lines, case["lines"]):
         book = book.then(entry)
         tasks = {**book.tasks, **{f"former {task}": memory for task, memory in book.former.items()}}
-        assert {task: known(memory) for task, memory in tasks.items()} == expected["tasks"]
+        assert {task: of_then(memory) for task, memory in tasks.items()} == expected["tasks"]
         assert (book.accepted, book.model, book.cell) == tuple(expected[key] for key in ("accepted", "model", "cell"))
 
 

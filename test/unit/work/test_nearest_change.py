@@ -10,10 +10,11 @@ from work_samples import building, element, layout, planner, recipes, robot, sit
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.work_errors import TaskPlanningError
-from construction_twin.work.nearest_change import RISES, longer_track, nearest_change, other_directions
-from construction_twin.work.phases import direction
+from construction_twin.work.motions import TaskLimits
+from construction_twin.work.nearest_change import longer_track, nearest_change
+from construction_twin.work.place.changes import RISES, other_directions
+from construction_twin.work.place.phases import direction
 from construction_twin.work.site_scene import WorkState
-from construction_twin.work.task_planner import TaskLimits
 
 HOME = np.array(robot().home)
 

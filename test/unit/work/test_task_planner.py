@@ -20,8 +20,8 @@ from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work.contacts import Shapes, deepest, tool_objects
 from construction_twin.work.jobs import WorkPlan
+from construction_twin.work.motions import TaskLimits
 from construction_twin.work.site_scene import Layout, WorkState
-from construction_twin.work.task_planner import TaskLimits
 
 HOME = np.array(robot().home)
 
@@ -155,7 +155,7 @@ def test_the_arm_goes_on_to_an_end_that_is_asked_for(work):
 def test_a_task_goes_on_with_the_element_in_the_grip(work, plans):
     lift = parts(plans[0])["lift"]
     there, q = lift.scene_after, lift.trajectory.positions[-1]
-    rest = planner().plan_carried(plans[0].job, q, there, plans[0].tool0_T_element)
+    rest = planner().plan(plans[0].job, q, there, held=plans[0].tool0_T_element)
     assert [segment.name for segment in rest.segments] == ["carry", "set down", "retreat"]
     assert rest.segments[0].scene.hash == there.hash
     assert rest.segments[-1].scene_after.hash == plans[0].segments[-1].scene_after.hash
@@ -171,7 +171,7 @@ def test_what_is_no_support_keeps_the_padding_at_the_goal_too(work):
     job = work.job_for("brick0", fence)
     with pytest.raises(TaskPlanningError, match="would touch fence") as caught:
         planner().plan(job, HOME, fence)
-    assert caught.value.stage == "set down" and caught.value.grip and caught.value.task == "brick0"
+    assert caught.value.stage == "set down" and caught.value.method and caught.value.task == "brick0"
     # the same 15 mm away, but named
     assert planner().plan(replace(job, supports=(*job.supports, "fence")), HOME, fence)
 
@@ -221,7 +221,7 @@ def test_a_symmetric_element_may_be_turned_and_stands_as_designed(work, plans):
     turned = replace(recipes(), recipes={"brick": chosen.model_copy(update={"grips": grips})})
     scene = work.scene()
     plan = planner(turned).plan(work.job_for("brick0", scene), HOME, scene)
-    assert "element turned 180 deg" in plan.grip
+    assert "element turned 180 deg" in plan.method
     assert plan.segments[-1].scene_after.hash == plans[0].segments[-1].scene_after.hash
     # and whoever checks it for review takes it, though the element's frame counts as turned from the grip on
     asked = [
@@ -302,7 +302,7 @@ def test_an_element_in_the_grip_is_not_let_go_in_mid_air_either(tmp_path):
     held = Pose(np.array([0.0, 0.0, 0.3]), np.eye(3))
     carried = SceneChange(tuple(item.moved(product(held, item.pose), robot().tip_link) for item in job.bodies))
     with pytest.raises(TaskPlanningError, match="nothing holds tile"):
-        planner().plan_carried(job, HOME, carried.apply(scene), held)
+        planner().plan(job, HOME, carried.apply(scene), held=held)
 
 
 BOX = SceneObject("box", "box", (0.2, 0.2, 0.1))

@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import pytest
 import yaml
 from work_samples import RECIPES, element, job, recipes, tool
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.work_errors import TaskPlanningError
-from construction_twin.work.recipes import OVERRIDES, PROPERTY_SET, read_recipes
+from construction_twin.work.place.recipe import OVERRIDES, PlaceRecipe, mass_of
+from construction_twin.work.recipe import PROPERTY_SET
+from construction_twin.work.recipes import read_recipes
+
+
+@dataclass(frozen=True)
+class Chosen:
+    name: str
+    recipe: PlaceRecipe
+    mass: float
+
+
+def chosen(of, among=None, with_tool=None):
+    name, recipe = (among or recipes()).of(of)
+    return Chosen(name, recipe, mass_of(of, name, recipe, with_tool or tool().tool))
 
 
 def choose(**changes):
     own = changes.pop("own", {})
-    return recipes().choose(job(element("b", properties={PROPERTY_SET: own} if own else {}, **changes)), tool().tool)
+    return chosen(job(element("b", properties={PROPERTY_SET: own} if own else {}, **changes)))
 
 
 def test_the_first_recipe_that_fits_is_chosen():
@@ -99,7 +115,7 @@ def test_masses_unknown_or_too_large_are_refused():
 def test_tool_and_element_together_must_stay_within_the_load():
     small = tool().tool.model_copy(update={"load": 20.0})
     with pytest.raises(TaskPlanningError, match="together have 21.5 kg; the controller's load data are for 20 kg"):
-        recipes().choose(job(element("b")), small)
+        chosen(job(element("b")), with_tool=small)
 
 
 def test_a_recipes_own_mass_is_used_where_the_model_has_none(tmp_path):
@@ -107,8 +123,8 @@ def test_a_recipes_own_mass_is_used_where_the_model_has_none(tmp_path):
     document["recipes"]["brick"]["mass"] = 5.0
     (tmp_path / "r.yaml").write_text(yaml.safe_dump(document))
     found = read_recipes(tmp_path / "r.yaml")
-    assert found.choose(job(element("b", mass=None)), tool().tool).mass == 5.0
-    assert found.choose(job(element("b", mass=3.0)), tool().tool).mass == 3.0
+    assert chosen(job(element("b", mass=None)), found).mass == 5.0
+    assert chosen(job(element("b", mass=3.0)), found).mass == 3.0
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ def step_from_msg(segment: SegmentMsg) -> Step:
 def end_from_msg(segment: SegmentMsg) -> SegmentEnd:
     """Return what the end of a published plan's segment does to the grip."""
     carries = any(item.link for item in segment.put)
-    return SegmentEnd(tuple(map(switch_from_msg, segment.switches)), carries)
+    return SegmentEnd(tuple(map(switch_from_msg, segment.switches)), carries, segment.engaged)
 
 
 def is_playing(message: Execution) -> bool:

@@ -335,7 +335,7 @@ class WorkNode:
             desk.failures[task] = str(error)
             raise
         desk.failures.pop(task, None)
-        rospy.loginfo("%s: planned with %s in %.2f s", desk.title(task), plan.grip, time.monotonic() - began)
+        rospy.loginfo("%s: planned with %s in %.2f s", desk.title(task), plan.method, time.monotonic() - began)
         return self._offer(task, plan, desk)
 
     def _left_closed(self) -> str:
@@ -359,12 +359,14 @@ class WorkNode:
         """Have the planner check a plan and put it under review; the ledger knows of it before."""
         offer, element = uuid.uuid4().hex[:12], desk.element_of(task)
         title = desk.title(task)
-        held = pose_tuple(plan.tool0_T_element)
+        held = () if plan.tool0_T_element is None else pose_tuple(plan.tool0_T_element)
+        process = desk.prepared.processes.get(task, "")
         with self._shared.lock:
             self._allowed(task)
-            desk.ledger.add(Entry("offered", task, element, offer=offer, grip=plan.grip, pose=held))
+            entry = Entry("offered", task, element, offer=offer, grip=plan.method, pose=held, process=process)
+            desk.ledger.add(entry)
         segments = [work_segment_to_msg(segment) for segment in plan.segments]
-        request = PlanWorkRequest(task=task, source=f"{title} by {plan.grip}, offer {offer}", segments=segments)
+        request = PlanWorkRequest(task=task, source=f"{title} by {plan.method}, offer {offer}", segments=segments)
         problem, answer = self._outputs.plan_work(request)
         with self._shared.lock:
             memory = desk.book.tasks[task]
@@ -379,7 +381,7 @@ class WorkNode:
                 raise WorkRefused(answer.message)
             if memory.state is TaskState.PLANNED and not memory.plan:
                 desk.ledger.add(Entry("planned", task, element, plan=answer.plan_id, offer=offer))
-        sentence = f"{title}: plan {answer.plan_id} of {answer.duration:.1f} s with {plan.grip} waits for approval"
+        sentence = f"{title}: plan {answer.plan_id} of {answer.duration:.1f} s with {plan.method} waits for approval"
         return WorkPlanTaskResponse(True, sentence, task, answer.plan_id, answer.plan_hash, answer.duration)
 
     def _plan_way_back(self, asked: str) -> WorkPlanTaskResponse:

@@ -1,7 +1,7 @@
 """Where a tool with suction cups can hold an element: candidates on its flat faces, in the order in which a recipe prefers them.
 
 Metres, kilograms, in the element's frame. The faces are those of the scene's convex pieces. Whether the arm reaches a candidate is
-not asked here, see `task_planner`.
+not asked here, see `planner`.
 
 A cup lies on a face when its rim and a margin around it do: its middle, 16 points of the rim and 8 half way are looked at, each
 just inside of the element on one side of the plane and just outside on the other. A hole between these points is not seen. Cups
@@ -21,7 +21,7 @@ from scipy.spatial import ConvexHull, QhullError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Cups, Tool
 from construction_twin.work.pieces import Pieces
-from construction_twin.work.recipes import Recipe
+from construction_twin.work.place.recipe import PlaceRecipe
 
 #: How far inside and outside of a face is looked for material [m].
 _SKIN = 5e-4
@@ -63,7 +63,7 @@ class GripSearch:
     reason: str
 
 
-def find_grips(pieces: Pieces, up: np.ndarray, mass: float, recipe: Recipe, tool: Tool) -> GripSearch:
+def find_grips(pieces: Pieces, up: np.ndarray, mass: float, recipe: PlaceRecipe, tool: Tool) -> GripSearch:
     """Return the grips of an element.
 
     Args:

@@ -15,9 +15,9 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import ToolFile
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.work.contacts import TOOL, Shapes, changed, straight, tool_objects, touching
-from construction_twin.work.grips import Grip
-from construction_twin.work.jobs import PlaceJob
-from construction_twin.work.recipes import Direction, Recipe
+from construction_twin.work.jobs import WorkJob
+from construction_twin.work.place.grips import Grip
+from construction_twin.work.place.recipe import Direction, PlaceRecipe
 from construction_twin.work.site import inverse, pose_of
 
 _AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
@@ -62,12 +62,13 @@ class Scenes:
     done: Scene
 
 
-def ways(job: PlaceJob, grip: Grip, recipe: Recipe, tool: ToolFile, leave: np.ndarray, arrive: np.ndarray) -> Ways:
+def ways(job: WorkJob, grip: Grip, recipe: PlaceRecipe, tool: ToolFile, leave: np.ndarray, arrive: np.ndarray) -> Ways:
     """Return where the flange goes.
 
     Args:
         leave, arrive: Shape (3,). The straight ways of the element from the stock, and back from its place [m].
     """
+    assert job.base_T_stock is not None
     tcp_T_tool0 = inverse(pose_of(tool.tool.tool0_T_tcp))
     turned_T_tcp = product(inverse(grip.element_T_turned), grip.element_T_tcp)
     base_T_stock_tcp = product(job.base_T_stock, grip.element_T_tcp)
@@ -103,7 +104,9 @@ def direction(asked: Direction, base_T_element: Pose) -> np.ndarray:
     return vector / length
 
 
-def scenes(scene: Scene, job: PlaceJob, recipe: Recipe, tool: ToolFile, link: str, at: Ways, shapes: Shapes) -> Scenes:
+def scenes(
+    scene: Scene, job: WorkJob, recipe: PlaceRecipe, tool: ToolFile, link: str, at: Ways, shapes: Shapes
+) -> Scenes:
     """Return the scene of each part of a task.
 
     Args:

@@ -1,0 +1,52 @@
+"""What is asked of a process: a way of working on an element, such as `place`.
+
+A process is one folder beside this module, whose `process.py` has a `Process`; `processes` finds it by its name. Its recipe says
+how it is done, and which elements are worked on by it. Everything but this record is alike for each: the motions' checks, the
+review, the switches, the ledger.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from construction_twin.robot.tool import Tool
+from construction_twin.work.jobs import WorkJob, WorkPlan
+from construction_twin.work.recipe import Override, Recipe
+
+#: The stage of every process at which the arm does not get there at all.
+REACH = "reach"
+
+
+@dataclass(frozen=True)
+class Process:
+    """One process.
+
+    Attributes:
+        moves: It takes the element from its stock to its place. Then the element needs a rack, lies there before, is carried in
+            between, and a person is asked where it is. Else it stands at its place all the time, and a person is asked whether the
+            task was carried out.
+        recipe: Of its recipes.
+        overrides: By its name, each property of an element in the model that replaces a key of its recipe.
+        check_recipe: Takes a recipe, the tool, and file and name of the recipe; raises ConfigurationError when that tool cannot do
+            it.
+        mass: Takes a job, name of its recipe, the recipe and the tool; returns the mass that the element is planned with [kg], or
+            None where nobody says. Raises TaskPlanningError when the element cannot be planned with it.
+        acts: Name of the segment at whose end it acts at the element's place.
+        check: Takes a `motions.Search`; raises TaskPlanningError when job or scene are not what it needs.
+        plan: Takes the same; returns the plan, or raises `motions.Failed` with the attempt that came furthest. Its segments are all
+            that is drawn of it, played, and told to the ledger.
+        changes: Takes job, scene, the planner that failed, and the stage; yields what else of its recipe may help, as
+            `nearest_change.Candidate`.
+    """
+
+    moves: bool
+    recipe: type[Recipe]
+    overrides: Mapping[str, Override]
+    check_recipe: Callable[[Any, Tool, str], None]
+    mass: Callable[[WorkJob, str, Any, Tool], float | None]
+    acts: str
+    check: Callable[[Any], None]
+    plan: Callable[[Any], WorkPlan]
+    changes: Callable[[WorkJob, Any, Any, str], Iterator[Any]]

@@ -1,0 +1,130 @@
+"""A second process, for tests: the tool's centre point goes straight down to a point of an element that stands, and back.
+
+It grips nothing and changes no scene. The point is in the element's frame; the tool stops a gap above it, so that the scene's
+padding holds all the way.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+import pydantic
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.work_errors import TaskPlanningError
+from construction_twin.kinematics.chain import Pose
+from construction_twin.scene.objects import product
+from construction_twin.work import processes
+from construction_twin.work.jobs import WorkPlan
+from construction_twin.work.motions import Failed, Part, Search
+from construction_twin.work.process import Process
+from construction_twin.work.recipe import SHARED, Finite, Length, Override, Recipe, numbers
+from construction_twin.work.site import inverse, pose_of
+
+NAME = "touch"
+TO_POINT, TOUCH, BACK, HOME = "to point", "touch", "back", "home"
+#: The tool's z points down, its x along the base's.
+_DOWN = np.diag([1.0, -1.0, -1.0])
+
+
+class TouchRecipe(Recipe):
+    """How elements are touched.
+
+    Attributes:
+        points: In the element's frame [m], the best first.
+        gap: Between the point and where the tool's centre point turns [m].
+        way: Length of the straight way down to it, and back [m].
+    """
+
+    points: Annotated[tuple[tuple[Finite, Finite, Finite], ...], pydantic.Field(min_length=1)]
+    gap: Length = 0.03
+    way: Length = 0.1
+
+
+def check_recipe(recipe: TouchRecipe, tool, where: str) -> None:
+    if recipe.gap <= 0.02:
+        raise ConfigurationError(f"{where}/gap", recipe.gap, "more than 0.02")
+
+
+def check(search: Search) -> None:
+    """Refuse an element that is not where the job has it, and one that is held."""
+    job, present = search.job, {item.name: item for item in search.scene.objects}
+    if search.held is not None:
+        raise TaskPlanningError(job.task, f"{job.called} is in the grip; to touch it is to stand at its place")
+    for item in job.bodies:
+        found = present.get(item.name)
+        away = np.inf if found is None else np.linalg.norm(
+            product(job.base_T_goal, item.pose).position - found.pose.position
+        )  # fmt: skip
+        if found is None or found.link or away > 1e-3:
+            raise TaskPlanningError(job.task, f"{item.name} is not at its place in the scene; expected it there")
+
+
+def plan(search: Search) -> WorkPlan:
+    furthest: Failed | None = None
+    for point in search.recipe.points:
+        if furthest is not None and search.late:
+            break
+        try:
+            return _at(search, point)
+        except Failed as failed:
+            furthest = failed
+    assert furthest is not None
+    raise furthest
+
+
+def _at(search: Search, point: tuple[float, float, float]) -> WorkPlan:
+    recipe, name = search.recipe, f"point {' '.join(f'{1e3 * value:g}' for value in point)} mm"
+    scene, job = search.scene, search.job
+    there = job.base_T_goal.position + job.base_T_goal.rotation @ np.array(point)
+    tcp_T_tool0 = inverse(pose_of(search.tool.tool.tool0_T_tcp))
+    at, above = (
+        product(Pose(there + np.array([0.0, 0.0, height]), _DOWN), tcp_T_tool0)
+        for height in (recipe.gap, recipe.gap + recipe.way)
+    )
+    search.demand_reach(at, name, "at the point")
+    befores = search.solutions(above, search.start, scene, TO_POINT, name, "above the point")
+    furthest: Failed | None = None
+    for number in search.nearest(befores)[: search.limits.pairs]:
+        try:
+            return _planned(search, befores[number], at, above, name)
+        except Failed as failed:
+            furthest = failed
+    assert furthest is not None
+    raise furthest
+
+
+def _planned(search: Search, before: np.ndarray, at: Pose, above: Pose, name: str) -> WorkPlan:
+    scene, scale = search.scene, search.recipe.free_speed_scale
+    down = search.line(before, at, scale, scene, TOUCH, name)
+    back = search.line(down.positions[-1], above, scale, scene, BACK, name)
+    free = search.free(search.start, before, scale, scene, TO_POINT, name)
+    empty = search.tool.tool.release.signals()
+    parts = [
+        Part(TO_POINT, free.trajectory, False, empty, (), scene, scene, free.clearance),
+        Part(TOUCH, down, True, empty, (), scene, scene),
+        Part(BACK, back, True, empty, (), scene, scene),
+    ]
+    if search.end is not None:
+        home = search.free(back.positions[-1], search.end, scale, scene, HOME, name)
+        parts.append(Part(HOME, home.trajectory, False, empty, (), scene, scene, home.clearance))
+    segments = tuple(part.segment() for part in parts)
+    return WorkPlan(search.job, name, segments, search.clock() - search.began, search.clearance(parts))
+
+
+PROCESS = Process(
+    moves=False,
+    recipe=TouchRecipe,
+    overrides={
+        **SHARED,
+        "Point": Override(("points",), "IfcLabel", "point to touch [m]: `0 0 0.1`", lambda value: (numbers(value),)),
+    },
+    check_recipe=check_recipe,
+    mass=lambda job, name, recipe, tool: job.mass,
+    acts=TOUCH,
+    check=check,
+    plan=plan,
+    changes=lambda job, scene, planner, stage: iter(()),
+)
+processes.MODULES[NAME] = __name__

@@ -1,0 +1,318 @@
+"""A second process, which touches a point of an element and goes back: from its recipe to the ledger, on the way of every task."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import count
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import touch_process
+import work_bench
+import yaml
+from construction_twin.msg import Execution
+from work_bench import Bench
+from work_samples import CELL, RECIPES, SCENE, building, element, job, layout, pairs, planner, robot, site, tool
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.work_errors import LedgerError, TaskPlanningError
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.planning.planner import PlannerSettings, PlanRequest
+from construction_twin.planning.request_limits import PlanBounds
+from construction_twin.planning.work_plan import AskedSegment, plan_work
+from construction_twin.ros.messages.work_convert import work_facts_from_msg
+from construction_twin.scene.collision_world import CollisionWorld
+from construction_twin.scene.objects import product
+from construction_twin.scene.scene_change import SceneChange
+from construction_twin.views.work_texts import list_lines, show_lines
+from construction_twin.work.check import Checker
+from construction_twin.work.check_report import cell_picture, row
+from construction_twin.work.desk import Prepared
+from construction_twin.work.events import Entry
+from construction_twin.work.following import Grip, Verdict, after_restart, question
+from construction_twin.work.ledger import Ledger
+from construction_twin.work.motions import TaskLimits
+from construction_twin.work.nearest_change import nearest_change
+from construction_twin.work.racks import StockPlan
+from construction_twin.work.recipes import read_recipes
+from construction_twin.work.schedule import Job
+from construction_twin.work.site import pose_of
+from construction_twin.work.task_memory import NotNow, TaskMemory
+from construction_twin.work.task_states import TaskState
+
+HOME = np.array(robot().home)
+TOP = (0.05, 0.0, 0.071)
+TOUCH = {
+    "process": "touch", "match": {"elements": ["brick0"]}, "speed": 0.2, "free_speed_scale": 0.5, "points": [TOP], "gap": 0.04,
+}  # fmt: skip
+
+
+def recipes_file(folder, **changes):
+    """Return a file with a recipe that touches, before those that place."""
+    document = yaml.safe_load(RECIPES.read_text())
+    document["recipes"] = {"probe": {**yaml.safe_load(json.dumps(TOUCH)), **changes}, **document["recipes"]}
+    (folder / "recipes.yaml").write_text(yaml.safe_dump(document, sort_keys=False))
+    return folder / "recipes.yaml"
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory):
+    """Three bricks, the first of which stands and is touched."""
+    folder = tmp_path_factory.mktemp("cell")
+    return layout(site(folder, {"recipes": str(recipes_file(folder))}), building())
+
+
+@pytest.fixture(scope="module")
+def plan(work):
+    scene = work.scene()
+    return planner(work.site.recipes).plan(work.job_for("brick0", scene, "T1"), HOME, scene, end=HOME)
+
+
+# -- its recipe
+
+
+def test_a_recipe_names_the_process_and_a_file_of_before_places(work):
+    assert [work.process(one) for one in work.order] == ["touch", "place", "place"]
+    assert {recipe.process for recipe in read_recipes(RECIPES).recipes.values()} == {"place"}
+
+
+def test_the_model_chooses_it_for_one_element_by_the_recipes_name(work):
+    one = element("b", properties={"CTwin_RobotTask": {"Recipe": "probe", "Point": "0 0 0.071"}})
+    name, recipe = work.site.recipes.of(job(one))
+    assert (name, recipe.process, recipe.points) == ("probe", "touch", ((0.0, 0.0, 0.071),))
+    assert work.site.recipes.process(one) == "touch"
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"process": "weld"}, "recipes/probe/process: found 'weld', expected one of place, touch"),
+        ({"process": ["touch"]}, "recipes/probe/process"),
+        ({"gaps": 0.1}, "recipes/probe/gaps.*no such key; did you mean gap"),
+        ({"points": []}, "recipes/probe/points"),
+        ({"grips": {"touching": ["cups"]}}, "recipes/probe/grips.*no such key"),
+    ],
+)
+def test_a_wrong_key_of_its_recipe_is_named(tmp_path, change, sentence):
+    with pytest.raises(ConfigurationError, match=sentence):
+        read_recipes(recipes_file(tmp_path, **change))
+
+
+def test_it_says_itself_what_of_a_recipe_the_tool_cannot_do(tmp_path):
+    with pytest.raises(ConfigurationError, match="recipes/probe/gap"):
+        read_recipes(recipes_file(tmp_path, gap=0.01)).check_tool(tool().tool)
+
+
+def test_properties_of_another_process_are_none_of_its_own(work):
+    one = job(element("b", properties={"CTwin_RobotTask": {"Recipe": "probe", "MinCups": 3}}))
+    with pytest.raises(TaskPlanningError, match="MinCups: found 3, expected no such property"):
+        work.site.recipes.of(one)
+
+
+# -- where its element is
+
+
+def test_what_is_not_moved_has_no_slot_and_stands_at_its_place_from_the_beginning(work):
+    assert work.slot("brick0") is None and work.stays == ("brick0",)
+    assert work.slot("brick1").number == 0
+    there = work.scene().get("brick0/0").pose.position
+    assert np.allclose(there, product(work.base_T_goal("brick0"), work.pieces("brick0")[0].pose).position)
+    assert work.job_for("brick0", work.scene()).base_T_stock is None
+
+
+# -- its plan
+
+
+def test_it_is_planned_as_every_task_and_changes_no_scene(plan, work):
+    assert [part.name for part in plan.segments] == ["to point", "touch", "back", "home"]
+    assert [part.engaged for part in plan.segments] == [False, True, True, False]
+    assert all(not part.put and part.scene_after.hash == work.scene().hash for part in plan.segments)
+    assert plan.method == "point 50 0 71 mm" and plan.tool0_T_element is None and plan.clearance > 0.02
+
+
+def test_the_tool_comes_to_the_point_but_for_the_gap(plan, work):
+    q = plan.segments[1].trajectory.positions[-1]
+    tcp = product(Chain(robot()).forward(q), pose_of(tool().tool.tool0_T_tcp)).position
+    goal = work.base_T_goal("brick0")
+    assert np.allclose(tcp, goal.position + goal.rotation @ np.array(TOP) + (0.0, 0.0, 0.04), atol=2e-4)
+
+
+def test_whoever_checks_it_for_review_takes_it(plan, work):
+    asked = [
+        AskedSegment(
+            part.name, part.trajectory, part.engaged, part.requires, part.switches, SceneChange(part.put, part.remove)
+        )
+        for part in plan.segments
+    ]
+    world = CollisionWorld(robot(), work.scene(), pairs())
+    checked = plan_work("T1", asked, HOME, PlanRequest("test", 0), world, PlanBounds(), lambda: 0.0)
+    assert [part.scene_after for part in checked.segments] == [work.scene().hash] * 4
+
+
+def test_what_it_needs_and_cannot_have_is_told(work):
+    scene = work.scene()
+    there = work.job_for("brick0", scene)
+    touching = planner(work.site.recipes)
+    with pytest.raises(TaskPlanningError, match="brick0/0 is not at its place"):
+        touching.plan(there, HOME, scene.remove("brick0/0"))
+    with pytest.raises(TaskPlanningError, match="is in the grip"):
+        touching.plan(there, HOME, scene, held=Pose(np.zeros(3), np.eye(3)))
+
+
+@pytest.mark.parametrize(("away", "helps"), [(2.75, True), (9.0, False)])
+def test_what_would_help_is_looked_for_where_the_arm_does_not_reach(tmp_path, away, helps):
+    table = {"shape": "box", "size": [2.0, 0.8, 0.6], "position": [0, away, 0.3]}
+    cell = {
+        "recipes": str(recipes_file(tmp_path)), "model_T_base": {"xyz": [0.0, -away, -0.6]}, "racks": CELL["racks"],
+    }  # fmt: skip
+    scene = {**SCENE, "objects": {**SCENE["objects"], "table": table}}
+    found = layout(site(tmp_path, cell, scene), building(element("brick0")))
+    there = found.job_for("brick0", found.scene())
+    touching = planner(found.site.recipes, limits=TaskLimits(budget=0.5, solutions=4, pairs=2, free_budget=1.0))
+    with pytest.raises(TaskPlanningError, match="at the point") as caught:
+        touching.plan(there, HOME, found.scene())
+    assert (caught.value.stage, caught.value.method) == ("reach", "point 50 0 71 mm")
+    change = nearest_change(there, HOME, found.scene(), touching, {}, failure=caught.value)
+    assert (change.kind if change else "") == ("base" if helps else "")
+
+
+def test_the_check_before_the_work_plans_it_too(work):
+    settings = PlannerSettings(
+        **{
+            name: value
+            for name, value in yaml.safe_load((RECIPES.parents[1] / "planner.yaml").read_text()).items()
+            if name in PlannerSettings.model_fields
+        }
+    )
+    jobs = [Job("T1", "T1", "Probe brick", "brick0", (), ())]
+    checker = Checker(robot(), pairs(), settings, work, jobs, lambda: 0.0, np.random.default_rng(0))
+    found = checker.check(0)
+    assert found.possible and found.grip == "point 50 0 71 mm" and found.track is not None and found.path
+    assert row(found)[4] == "point 50 0 71 mm" and cell_picture((found,), work).startswith(b"\x89PNG")
+
+
+# -- its ledger
+
+
+def prepared() -> Prepared:
+    """Return the bench's model, whose one element is touched where it stands."""
+    made = work_bench.prepared()
+    return replace(made, stock=StockPlan({}), processes={work_bench.TASK: "touch"})
+
+
+def segments(scene):
+    """Return what the worker plans: to the point, touch (engaged), back."""
+    fetch, grip, _, leave = work_bench.segments(scene)
+    same = {"switches": (), "put": (), "scene": scene, "scene_after": scene}
+    back = replace(leave, name="back", trajectory=work_bench.reach(work_bench.AT_STOCK, work_bench.HOME, 1.0, 9))
+    return tuple(
+        replace(part, **same)
+        for part in (replace(fetch, name="to point"), replace(grip, name="touch", engaged=True), back)
+    )
+
+
+@pytest.fixture
+def bench(monkeypatch, tmp_path) -> Bench:
+    one = Bench(monkeypatch, tmp_path)
+    begin(one)
+    return one
+
+
+def begin(one: Bench) -> None:
+    """Start the node of a bench with this model."""
+    plan = lambda *_, scene, **__: SimpleNamespace(  # noqa: E731
+        method="point 0 0 0 mm", segments=segments(scene), tool0_T_element=None
+    )
+    one.start(SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=plan))
+
+
+def test_the_node_follows_it_to_its_end_and_the_scene_stays(bench):
+    bench.planned()
+    before = bench.scene.hash
+    assert work_bench.PLACED.name in bench.scene.names
+    for number in range(3):
+        bench.play(number)
+    bench.execution(Execution.IDLE, plan_id=bench.plan.id, outcome="finished")
+    bench.run()
+    assert bench.events == ["offered", "planned", "begun", "finished"]
+    assert (bench.row.state, bench.row.reason) == ("done", "done") and bench.scene.hash == before
+    offered = json.loads(bench.ledger_lines[1])
+    assert offered["process"] == "touch" and offered["grip"] == "point 0 0 0 mm" and "pose" not in offered
+
+
+def test_people_read_of_it_in_the_list_and_can_have_it_done_again(bench):
+    test_the_node_follows_it_to_its_end_and_the_scene_stays(bench)
+    facts = work_facts_from_msg(bench.tasks[-1])
+    assert any("Place stud" in line and "done" in line for line in list_lines(facts))
+    assert "state      done: done" in show_lines(facts, facts.tasks[0])
+    desk = bench.desk.opened()
+    assert [one.word for one in desk.appearances(0)] == ["placed"]
+    assert desk.redo(work_bench.TASK, "eva", "") == "'Place stud' (T1) is to be done again"
+    assert [one.word for one in desk.appearances(0)] == ["next"]
+    assert desk.skip(work_bench.TASK, "eva", "").endswith("no longer waits")
+
+
+def test_a_stop_before_anything_was_done_has_it_planned_again(bench):
+    bench.planned().play(0)
+    bench.execution(Execution.IDLE, 0, plan_id=bench.plan.id, outcome="stopped")
+    assert bench.run().row.state == "ready"
+
+
+@pytest.mark.parametrize(("answer", "state"), [("done", "done"), ("not_done", "ready")])
+def test_a_stop_at_the_element_asks_whether_it_was_done(bench, answer, state):
+    bench.planned().play(0).play(1)
+    bench.execution(Execution.IDLE, 1, plan_id=bench.plan.id, outcome="stopped")
+    bench.run()
+    assert bench.row.state == "asks" and tuple(bench.row.answers) == ("done", "not_done")
+    assert bench.row.question.startswith("was the task on stud carried out?")
+    assert work_bench.PLACED.name in bench.scene.names
+    desk = bench.desk.opened()
+    desk.answer(work_bench.TASK, answer, "eva", "looked")
+    assert desk.book.tasks[work_bench.TASK].state.value == state
+
+
+def test_an_open_grip_says_nothing_of_what_was_done(tmp_path):
+    offered = TaskMemory("T", TaskState.READY).then(Entry("offered", "T", "E", offer="o", process="touch"))
+    begun = offered.then(Entry("begun", "T", "E", plan="p"))
+    for memory in (offered, begun):
+        (entry,) = after_restart(memory, "E", Verdict("p", False, None), Grip(True, False))
+        assert entry.event == "unknown" and "carried out?" in question(memory.then(entry), "stud")
+
+
+def test_what_is_placed_is_not_done_before_it_was_let_go():
+    placing = TaskMemory("T", TaskState.READY).then(Entry("offered", "T", "E", offer="o")).then(Entry("begun", "T"))
+    with pytest.raises(NotNow):
+        placing.then(Entry("finished", "T", "E"))
+    again = TaskMemory("T", TaskState.READY).then(Entry("offered", "T", process="touch")).then(Entry("dropped", "T"))
+    assert again.stays and not again.then(Entry("offered", "T")).stays
+
+
+def ledger(path, model="a" * 64) -> Ledger:
+    times = count(1_800_000_000_000_000_000)
+    return Ledger(path, {"T": ()}, model, lambda: next(times), "/cell.yaml", {"T": "E"})
+
+
+def test_another_model_asks_whether_it_was_done_and_leaves_nothing_behind_where_its_task_is_gone(tmp_path):
+    first = ledger(tmp_path / "l")
+    for event, said in (("offered", {"process": "touch"}), ("planned", {}), ("begun", {}), ("finished", {})):
+        first.add(Entry(event, "T", "E", plan="p", **said))
+    first.close()
+    again = ledger(tmp_path / "l", "b" * 64)
+    memory = again.book.tasks["T"]
+    assert memory.possible_answers() == ("done", "not_done") and "another version" in question(memory, "stud")
+    again.close()
+    times = count(1_800_000_000_000_000_000)
+    other = Ledger(tmp_path / "l", {"U": ()}, "c" * 64, lambda: next(times), "/cell.yaml", {"U": "E"})
+    assert other.book.left_behind == {} and other.book.tasks["U"].state is TaskState.READY
+    other.close()
+
+
+def test_a_process_that_this_program_does_not_have_is_refused_with_its_line(tmp_path, monkeypatch):
+    one = ledger(tmp_path / "l")
+    one.add(Entry("offered", "T", "E", offer="o", process="touch"))
+    one.close()
+    monkeypatch.delitem(touch_process.processes.MODULES, "touch")
+    with pytest.raises(LedgerError, match="line 2 is none of a ledger: process 'touch'; expected one of place"):
+        ledger(tmp_path / "l")
