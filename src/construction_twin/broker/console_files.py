@@ -41,14 +41,14 @@ class ConsoleFiles:
         if not site.consoles:
             return []
         make_folder(self._folder)
-        said = []
+        lines = []
         if renew or tuple(before) != site.consoles or not self.certificate.exists():
             authority.issue(_NAME, self._folder / "console.key", self.certificate, days, site.consoles)
-            said.append(f"signed the console's certificate for {', '.join(site.consoles)}")
+            lines.append(f"signed the console's certificate for {', '.join(site.consoles)}")
         write_private(self._folder / "ca.crt", authority.certificate.read_text(encoding="utf-8"))
         addresses = site.console_addresses()
         write_private(self._folder / "addresses.txt", "".join(f"{address}\n" for address in addresses))
-        return said + self._make_codes(site.consoles, addresses)
+        return lines + self._make_codes(site.consoles, addresses)
 
     def _make_codes(self, hosts: Iterable[str], addresses: Iterable[str]) -> list[str]:
         if importlib.util.find_spec("segno") is None:
@@ -56,7 +56,7 @@ class ConsoleFiles:
                 "no QR codes of the console's addresses: the Python package segno is not installed; run setup/setup.sh console, "
                 f"then this again; the addresses are in {self._folder / 'addresses.txt'}"
             ]
-        said = []
+        lines = []
         for host, address in zip(hosts, addresses):
             paths = [self._folder / f"{host.replace(':', '_')}.{kind}" for kind in ("svg", "png")]
             pictures = [_picture(address, path.suffix[1:]) for path in paths]
@@ -64,8 +64,8 @@ class ConsoleFiles:
                 continue
             for path, picture in zip(paths, pictures):
                 write_private(path, picture)
-            said.append(f"made a QR code of {address}: {paths[0]}, {paths[1].name}; it holds the address, no password")
-        return said
+            lines.append(f"made a QR code of {address}: {paths[0]}, {paths[1].name}; it holds the address, no password")
+        return lines
 
 
 def _picture(address: str, kind: str) -> bytes:

@@ -81,26 +81,26 @@ class SiteFolder:
         rules, configuration = access_rules(site, self._template), broker_configuration(site, self._template)
         for folder in (self._folder, self._broker, self._folder / "accounts"):
             make_folder(folder)
-        authority, said = self._authority(tuple(dict.fromkeys((*site.hosts, *site.consoles))), renew_ca)
+        authority, lines = self._authority(tuple(dict.fromkeys((*site.hosts, *site.consoles))), renew_ca)
         if renew or before.get("hosts") != site.hosts or not (self._broker / "server.crt").exists():
             authority.issue(_SERVER, self._broker / "server.key", self._broker / "server.crt", days, site.hosts)
-            said.append(f"signed the broker's certificate for {', '.join(site.hosts)}")
-        said += self._make_passwords(site, authority, replace)
+            lines.append(f"signed the broker's certificate for {', '.join(site.hosts)}")
+        lines += self._make_passwords(site, authority, replace)
         if not before.get("reviewers"):
             kept = [SiteAccount(robot, "reviewer").name for robot in site.shared]
-            said += [
+            lines += [
                 f"kept {name}, an account without a person; --replace shuts out everyone who has its password"
                 for name in kept
             ]
         if site.certificates:
-            said += self._make_certificates(site, authority, days, renew, replace)
-        said += self._console.make(site, before.get("consoles", ()), authority, days, renew)
+            lines += self._make_certificates(site, authority, days, renew, replace)
+        lines += self._console.make(site, before.get("consoles", ()), authority, days, renew)
         ca = authority.certificate.read_text(encoding="utf-8")
         write_private(self._broker / "ca.crt", ca)
         write_private(self._broker / "access.acl", rules)
         write_private(self._broker / "mosquitto.conf", configuration)
         write_private(self._settings, json.dumps(dataclasses.asdict(site), indent=1) + "\n")
-        return said
+        return lines
 
     def _authority(self, names: tuple[str, ...], renew: bool) -> tuple[Authority, list[str]]:
         """Return the site's CA, which may vouch for these names, and sentences on what was done."""
@@ -180,26 +180,26 @@ class SiteFolder:
     def _make_certificates(
         self, site: Site, authority: Authority, days: int, renew: bool, replace: set[str]
     ) -> list[str]:
-        said = []
+        lines = []
         for account in site.accounts():
             folder = self._account_folder(account)
             certificate, key = folder / "client.crt", folder / "client.key"
             if account.name in replace and certificate.exists():
-                said.append(
+                lines.append(
                     f"the old certificate of {account.name} opens the broker until {expiry(certificate):%Y-%m-%d}"
                 )
                 key.unlink(missing_ok=True)
                 certificate.unlink()
             # a folder that was handed out and deleted here is not made again
             if renew and not folder.exists():
-                said.append(f"not renewed: {account.name}, whose folder is not here; --replace makes it a new one")
+                lines.append(f"not renewed: {account.name}, whose folder is not here; --replace makes it a new one")
             if not folder.exists() or (certificate.exists() and not (renew and key.exists())):
                 continue
             authority.issue(account.name, key, certificate, days)
             document = {"cert_file": "client.crt", "key_file": "client.key", "ca_file": "ca.crt"}
             write_private(folder / "certificate.json", json.dumps(document) + "\n")
-            said.append(f"signed a certificate for {account.name}")
-        return said
+            lines.append(f"signed a certificate for {account.name}")
+        return lines
 
 
 def _hash_passwords(passwords: dict[str, str]) -> dict[str, str]:
@@ -304,15 +304,15 @@ def main(argv: list[str] | None = None) -> int:
     folder = SiteFolder(arguments.folder, arguments.templates)
     try:
         site = _site(arguments, folder.load())
-        said = folder.make(site, arguments.days, arguments.renew, arguments.replace, arguments.renew_ca)
-        said += folder.expiries()
+        lines = folder.make(site, arguments.days, arguments.renew, arguments.replace, arguments.renew_ca)
+        lines += folder.expiries()
     except ConstructionTwinError as error:
         print(f"make_site: {error}")
         return 1
     except OSError as error:
         print(f"make_site: {error.filename}: {error.strerror}")
         return 1
-    print("\n".join(said))
+    print("\n".join(lines))
     print(f"broker: {arguments.folder / 'broker/mosquitto.conf'} expects its files in {site.folder}")
     print(f"clients: port {site.port}, accounts in {arguments.folder / 'accounts'}/<name>/account.json")
     for address in site.console_addresses():

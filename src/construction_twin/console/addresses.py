@@ -55,7 +55,7 @@ def certificate_names(certificate: Path, key: Path) -> list[str]:
             continue
         except ssl.SSLCertVerificationError:
             return []
-    told = cast(Mapping[str, tuple[tuple[str, str], ...]], client.getpeercert() or {})
-    found = told.get("subjectAltName", ())
+    details = cast(Mapping[str, tuple[tuple[str, str], ...]], client.getpeercert() or {})
+    found = details.get("subjectAltName", ())
     names = [value.strip() for kind, value in found if kind in ("DNS", "IP Address") and "*" not in value]
     return [str(ipaddress.ip_address(name)) if ":" in name else name for name in names]

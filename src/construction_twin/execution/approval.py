@@ -113,10 +113,10 @@ class Approval:
                 self._executor.reject(verdict)
             return Taken(verdict, f"plan {plan_id} rejected by {reviewer}")
         # before the verdicts that are waited for
-        asked = self._clock() if seen is None else seen
+        moment = self._clock() if seen is None else seen
         with self._one_verdict_at_a_time:
             try:
-                self._demand_fresh(asked)
+                self._demand_fresh(moment)
                 self._prove(plan_id)
                 with self._lock:
                     verdict = self._examine(plan_id, plan_hash, True, reviewer, reason)
@@ -126,7 +126,7 @@ class Approval:
             self._record(verdict)
             try:
                 with self._lock:
-                    return Taken(verdict, self._begin_approved(verdict, asked))
+                    return Taken(verdict, self._begin_approved(verdict, moment))
             except ReviewError as error:
                 # something happened while it was written down: the record is corrected
                 if verdict.plan is not None:
@@ -170,16 +170,16 @@ class Approval:
             self._executor.check_start(plan)
         return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan)
 
-    def _demand_fresh(self, asked: Moment) -> int:
+    def _demand_fresh(self, moment: Moment) -> int:
         """Return how long an approval may still wait for the first setpoint [ns]; ExpiredError when that is over."""
         now = self._clock()
-        if problem := staleness(asked, now):
+        if problem := staleness(moment, now):
             raise ExpiredError(f"the approval is {problem}")
-        return LIFETIME - (now.at - asked.at)
+        return LIFETIME - (now.at - moment.at)
 
-    def _begin_approved(self, verdict: Verdict, asked: Moment) -> str:
+    def _begin_approved(self, verdict: Verdict, moment: Moment) -> str:
         """Begin what an approval that was recorded is for, if it still may; return a sentence."""
-        left = self._demand_fresh(asked)
+        left = self._demand_fresh(moment)
         self._examine(verdict.plan_id, verdict.plan_hash, True, verdict.reviewer)
         plan = self._executor.queue.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
         self._executor.begin(plan, f"approved by {verdict.reviewer}", left)

@@ -46,7 +46,7 @@ class BoundaryEvent:
 
 
 @dataclass
-class _Asked:
+class _Order:
     """One switch, as it was armed last: its place among those of the segment, id, how often, and when it was seen to fire [ns]."""
 
     switch: Switch
@@ -73,17 +73,17 @@ class Boundary:
         self.scene_after = scene_after
         self.wants_scene = False
         self._plan_id, self._number = plan_id, number
-        self._asked = [_Asked(switch, place) for place, switch in enumerate(segment.switches)] if segment else []
+        self._ordered = [_Order(switch, place) for place, switch in enumerate(segment.switches)] if segment else []
         self._armed_at: int | None = None
         self._voided = False
-        self._confirmed = not self._asked
+        self._confirmed = not self._ordered
         self._wanted_at: int | None = None
         self._orders: list[ToolOrder] = []
 
     @property
     def fired(self) -> bool:
         """Whether a switch is known to have fired."""
-        return any(asked.fired is not None for asked in self._asked)
+        return any(order.fired is not None for order in self._ordered)
 
     @property
     def confirmed(self) -> bool:
@@ -93,7 +93,7 @@ class Boundary:
     @property
     def may_have_switched(self) -> bool:
         """Whether a switch was armed: it may have fired although nobody has heard of it."""
-        return any(asked.attempts for asked in self._asked)
+        return any(order.attempts for order in self._ordered)
 
     @property
     def done(self) -> bool:
@@ -103,12 +103,12 @@ class Boundary:
     @property
     def confirmation(self) -> tuple[Signal, ...]:
         """What the inputs must read once the switches have fired."""
-        return tuple(signal for asked in self._asked for signal in asked.switch.confirm)
+        return tuple(signal for order in self._ordered for signal in order.switch.confirm)
 
     @property
     def required(self) -> tuple[Signal, ...]:
         """What the inputs must read now."""
-        if self._confirmed and self._asked:
+        if self._confirmed and self._ordered:
             return self.confirmation
         return self.segment.requires if self.segment is not None and not self.fired else ()
 
@@ -119,14 +119,14 @@ class Boundary:
 
     def observe(self, tool: ToolReport, now: int) -> None:
         """Note what a report says of the switches; also while it is paused."""
-        for asked in self._asked:
-            report = tool.switches.get(asked.id) if asked.id else None
-            if report is not None and report.state is SwitchState.FIRED and asked.fired is None:
-                asked.fired = now
+        for order in self._ordered:
+            report = tool.switches.get(order.id) if order.id else None
+            if report is not None and report.state is SwitchState.FIRED and order.fired is None:
+                order.fired = now
 
     def void(self) -> None:
         """Ask that what is armed and has not fired is forgotten: a pause, or the end of the plan."""
-        if not self._voided and any(asked.attempts and asked.fired is None for asked in self._asked):
+        if not self._voided and any(order.attempts and order.fired is None for order in self._ordered):
             self._orders.append(ToolOrder("", self._plan_id))
             self._voided = True
 
@@ -166,7 +166,7 @@ class Boundary:
             if confirmed := self._confirmed_before(tool):
                 return confirmed
             if may_switch:
-                self._arm(self._asked, stamp, now)
+                self._arm(self._ordered, stamp, now)
             return None
         if not may_switch:
             # the gateway fires nothing either while everything is kept still
@@ -179,25 +179,25 @@ class Boundary:
 
     def _confirmed_before(self, tool: ToolReport) -> BoundaryEvent | None:
         """Tell of a switch that would confirm nothing: a sensor that is stuck reads the same before and after it."""
-        for asked in self._asked:
-            if asked.switch.confirm and not tool.problem(asked.switch.confirm):
+        for order in self._ordered:
+            if order.switch.confirm and not tool.problem(order.switch.confirm):
                 words = (
-                    f"what confirms {_name(asked)} reads so before it was switched; look at the sensor and at the tool"
+                    f"what confirms {_name(order)} reads so before it was switched; look at the sensor and at the tool"
                 )
                 return BoundaryEvent(ExecutorEvent.LOST, words)
         return None
 
-    def _arm(self, which: list[_Asked], stamp: int, now: int) -> None:
-        for asked in which:
-            asked.attempts += 1
-            asked.id = f"{self._plan_id}/{self._number}/{asked.place}/{asked.attempts}"
-            self._orders.append(ToolOrder(asked.id, self._plan_id, asked.switch, stamp + LEAD))
+    def _arm(self, which: list[_Order], stamp: int, now: int) -> None:
+        for order in which:
+            order.attempts += 1
+            order.id = f"{self._plan_id}/{self._number}/{order.place}/{order.attempts}"
+            self._orders.append(ToolOrder(order.id, self._plan_id, order.switch, stamp + LEAD))
         self._armed_at = now
 
     def _arm_again(self, stamp: int, now: int, tool: ToolReport, may_switch: bool) -> None:
         """After a pause: what the gateway says will not fire any more is armed anew, once it has said so of all that are open."""
-        open_ones = [asked for asked in self._asked if asked.fired is None]
-        if not all(_is_void(tool.switches.get(asked.id)) for asked in open_ones):
+        open_ones = [order for order in self._ordered if order.fired is None]
+        if not all(_is_void(tool.switches.get(order.id)) for order in open_ones):
             return
         if may_switch or not open_ones:
             self._voided = False
@@ -206,30 +206,30 @@ class Boundary:
             self._armed_at = now
 
     def _refused(self, tool: ToolReport) -> BoundaryEvent | None:
-        for asked in self._asked:
-            report = tool.switches.get(asked.id)
-            if asked.fired is not None or report is None:
+        for order in self._ordered:
+            report = tool.switches.get(order.id)
+            if order.fired is not None or report is None:
                 continue
             if report.state is SwitchState.REFUSED or (_is_void(report) and not self._voided):
                 word = "refused" if report.state is SwitchState.REFUSED else "forgotten"
-                return BoundaryEvent(ExecutorEvent.REFUSED, f"the gateway has {word} {_name(asked)}: {report.reason}")
+                return BoundaryEvent(ExecutorEvent.REFUSED, f"the gateway has {word} {_name(order)}: {report.reason}")
         return None
 
     def _late(self, now: int, tool: ToolReport) -> BoundaryEvent | None:
         """Confirm what has fired, and tell what takes too long."""
         assert self._armed_at is not None  # the caller has seen to that
         late, all_in = None, True
-        for asked in self._asked:
-            if asked.fired is None:
+        for order in self._ordered:
+            if order.fired is None:
                 all_in = False
                 if now - self._armed_at > FIRE_TIMEOUT:
-                    words = f"{_name(asked)} was not reported as fired within {FIRE_TIMEOUT / NANOSECONDS:g} s"
+                    words = f"{_name(order)} was not reported as fired within {FIRE_TIMEOUT / NANOSECONDS:g} s"
                     late = BoundaryEvent(ExecutorEvent.TIMEOUT, words)
-            elif problem := tool.problem(asked.switch.confirm):
+            elif problem := tool.problem(order.switch.confirm):
                 all_in = False
-                if now - asked.fired > asked.switch.timeout * NANOSECONDS:
+                if now - order.fired > order.switch.timeout * NANOSECONDS:
                     words = (
-                        f"{_name(asked)} has fired, but was not confirmed within {asked.switch.timeout:g} s: {problem}"
+                        f"{_name(order)} has fired, but was not confirmed within {order.switch.timeout:g} s: {problem}"
                     )
                     late = BoundaryEvent(ExecutorEvent.TIMEOUT, words)
         self._confirmed = all_in
@@ -240,5 +240,5 @@ def _is_void(report: SwitchReport | None) -> bool:
     return report is not None and report.state is SwitchState.VOID
 
 
-def _name(asked: _Asked) -> str:
-    return f"the switch of {asked.switch.output} to {'on' if asked.switch.value else 'off'}"
+def _name(order: _Order) -> str:
+    return f"the switch of {order.switch.output} to {'on' if order.switch.value else 'off'}"

@@ -500,9 +500,9 @@ class Executor:
         work = self.segment_run
         assert work is not None  # only a work plan has boundaries
         scene = self.queue.scene if self.queue.scene_alive else ""
-        said = work.update(stamp, now, self.tool, scene, self.limit.fraction > 0.0)
-        if said is not None:
-            self._on(said.event, said.reason)
+        event = work.update(stamp, now, self.tool, scene, self.limit.fraction > 0.0)
+        if event is not None:
+            self._on(event.event, event.reason)
         else:
             cause = f"stands {work.where}, {work.waits_for()}"
             if cause != self.cause:

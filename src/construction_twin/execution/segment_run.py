@@ -135,9 +135,9 @@ class SegmentRun:
 
     def update(self, stamp: int, now: int, tool: ToolReport, scene: str, may_switch: bool) -> BoundaryEvent | None:
         """Go on by one cycle at a boundary; return what follows, None while it waits. Arguments as of `Boundary.update`."""
-        said = self._boundary.update(stamp, now, tool, scene, may_switch)
-        if said is not None or not self._boundary.done:
-            return said
+        event = self._boundary.update(stamp, now, tool, scene, may_switch)
+        if event is not None or not self._boundary.done:
+            return event
         following = self.plan.segments[self.number + 1] if self.number + 1 < len(self.plan.segments) else None
         if not self._recorded(following, now):
             assert self._recording_since is not None  # `_recorded` has set it

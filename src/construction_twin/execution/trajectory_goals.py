@@ -138,7 +138,7 @@ class GoalPlan:
 
 
 @dataclass(frozen=True)
-class _Heard:
+class _PlanReport:
     """The executor's last report."""
 
     plan_id: str = ""
@@ -161,12 +161,12 @@ class TrajectoryGoals:
     def __init__(self, robot: RobotModel, reviewed_by: str):
         self._robot = robot
         self._reviewed_by = reviewed_by
-        self._heard = _Heard()
+        self._report = _PlanReport()
         self._machine = Machine(
             ROWS,
             GoalState.FREE,
             "",
-            conditions({Guard.BUSY: lambda occasion: self._heard.state in ACTIVE, Guard.STRANGER: self._is_strange}),
+            conditions({Guard.BUSY: lambda occasion: self._report.state in ACTIVE, Guard.STRANGER: self._is_strange}),
             {action: self._action(action) for action in Action if action is not Action.NOTHING},
             after=self._after,
         )
@@ -194,7 +194,7 @@ class TrajectoryGoals:
     @property
     def plan_start(self) -> int:
         """Stamp of the first setpoint of the goal's plan [ns]; 0: it has not begun, or the executor plays another one."""
-        return self._heard.start if self._plan is not None and self._plan.id == self._heard.plan_id else 0
+        return self._report.start if self._plan is not None and self._plan.id == self._report.plan_id else 0
 
     def take_effects(self) -> list[Effect]:
         """Return what has to be done since the last call, in this order."""
@@ -251,7 +251,7 @@ class TrajectoryGoals:
         # verdict and execution travel on connections of their own and may have been faster
         if plan.id in self._turned_down:
             self._on(GoalEvent.TURNED_DOWN, now, self._turned_down[plan.id])
-        if self._heard.plan_id == plan.id:
+        if self._report.plan_id == plan.id:
             self._follow_execution(now)
 
     def on_not_planned(self, sentence: str, now: int) -> None:
@@ -276,7 +276,7 @@ class TrajectoryGoals:
 
     def on_execution(self, plan_id: str, state: ExecutorState, outcome: str, reason: str, start: int, now: int) -> None:
         """Take what the executor does, with the plan that it plays or played last, and the stamp at which that began [ns]."""
-        before, self._heard = self._heard, _Heard(plan_id, state, outcome, reason, start)
+        before, self._report = self._report, _PlanReport(plan_id, state, outcome, reason, start)
         if self._plan is None:
             return
         if plan_id == self._plan.id:
@@ -348,13 +348,13 @@ class TrajectoryGoals:
         return self._plan
 
     def _follow_execution(self, now: int) -> None:
-        heard = self._heard
-        if heard.state in ACTIVE:
+        report = self._report
+        if report.state in ACTIVE:
             self._on(GoalEvent.STARTED, now)
-        elif heard.outcome == "finished":
+        elif report.outcome == "finished":
             self._on(GoalEvent.FINISHED, now)
-        elif heard.outcome:
-            self._on(GoalEvent.ENDED, now, heard.reason)
+        elif report.outcome:
+            self._on(GoalEvent.ENDED, now, report.reason)
 
     def _on(self, event: GoalEvent, now: int, reason: str = "") -> None:
         """Take an event: the first row of the table whose guard is true counts; without one nothing changes."""
@@ -388,9 +388,9 @@ class TrajectoryGoals:
         self._reject_coming(f"{has}; cancel that goal, or send this one when it has ended")
 
     def _turn_away_busy(self, _reason: str) -> None:
-        heard = self._heard
+        report = self._report
         self._reject_coming(
-            f"the arm follows plan {heard.plan_id}, which is of no goal of this action; wait for its end"
+            f"the arm follows plan {report.plan_id}, which is of no goal of this action; wait for its end"
         )
 
     def _line_up(self, _reason: str) -> None:
@@ -436,15 +436,15 @@ class TrajectoryGoals:
         self._finish(Ending.ABORTED, ResultCode.INVALID_GOAL, reason)
 
     def _abort_path(self, _reason: str) -> None:
-        heard = self._heard
-        code = ResultCode.PATH_TOLERANCE_VIOLATED if heard.outcome == "held" else ResultCode.GOAL_TOLERANCE_VIOLATED
-        self._finish(Ending.ABORTED, code, f"plan {self._planned.id} ended as {heard.outcome}: {heard.reason}")
+        report = self._report
+        code = ResultCode.PATH_TOLERANCE_VIOLATED if report.outcome == "held" else ResultCode.GOAL_TOLERANCE_VIOLATED
+        self._finish(Ending.ABORTED, code, f"plan {self._planned.id} ended as {report.outcome}: {report.reason}")
 
     def _abort_goal(self, reason: str) -> None:
         self._finish(Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED, reason)
 
     def _end_stopped(self, _reason: str) -> None:
-        self._end_where("the arm is at rest on its path" if self._heard.reason else "the arm is at rest")
+        self._end_where("the arm is at rest on its path" if self._report.reason else "the arm is at rest")
 
     def _give_up(self, _reason: str) -> None:
         self._end_where(UNKNOWN_REST)
@@ -455,7 +455,7 @@ class TrajectoryGoals:
             self._next = None
 
     def _end_where(self, where: str) -> None:
-        where = f"{where}; {self._heard.reason}" if self._heard.reason else where
+        where = f"{where}; {self._report.reason}" if self._report.reason else where
         if self._off_path:
             self._finish(Ending.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED, f"{self._why}; {where}")
         else:
@@ -475,7 +475,7 @@ class TrajectoryGoals:
         self._brake("")
 
     def _say_moving(self, _reason: str) -> None:
-        self._tell(f"{self._heard.state.name}: {self._heard.reason}")
+        self._tell(f"{self._report.state.name}: {self._report.reason}")
 
     def _succeed(self, _reason: str) -> None:
         self._finish(

@@ -57,7 +57,7 @@ class ControllerClock:
         self._modes, self._words = make.cycles, make.words
         self._first, self._patient, self._base = FIRST // cycle_ms, PATIENT // cycle_ms, BASE // cycle_ms
         # the stamp as it would be without a wrap, and arrival
-        self._heard: deque[tuple[int, int]] = deque(maxlen=self._patient)
+        self._arrivals: deque[tuple[int, int]] = deque(maxlen=self._patient)
         # the stamp of the last of them as it was told
         self._stamp = 0
         self._others = {mode: LOSSES if mode > cycle_ms else SHORTER for mode in self._modes if mode != cycle_ms}
@@ -67,7 +67,7 @@ class ControllerClock:
 
     def restart(self) -> None:
         """Begin with another session."""
-        self._heard.clear()
+        self._arrivals.clear()
         self._to_judge = self._first
         #: In one sentence, that the last telegrams have another cycle of the make, whatever came before; "" until they do. Stays
         #: until `judge` finds the expected one.
@@ -93,8 +93,8 @@ class ControllerClock:
             stamp: [ms]
             arrived: Time of arrival on any clock that runs in real time [ns].
         """
-        heard = self._heard
-        if heard:
+        arrivals = self._arrivals
+        if arrivals:
             step = stamp_step(self._stamp, stamp, PATIENT)
             if not 0 < step <= PATIENT:
                 if -PATIENT <= step <= 0:
@@ -103,12 +103,12 @@ class ControllerClock:
                 self.restart()
                 self._stamp = stamp
             else:
-                self._stamp, stamp = stamp, heard[-1][0] + step
+                self._stamp, stamp = stamp, arrivals[-1][0] + step
                 if step != self._cycle and step in self._others:
                     self._note_other(stamp, step)
         else:
             self._stamp = stamp
-        heard.append((stamp, arrived))
+        arrivals.append((stamp, arrived))
         self._to_judge -= 1
         lag = arrived - stamp * STAMP_NS
         if stamp >= self._piece_ends:
@@ -127,10 +127,10 @@ class ControllerClock:
         if self.changed or self._in_a_row != self._others[step]:
             return
         self.changed = self._sentence(step, 1.0)
-        heard = self._heard
-        while len(heard) > self._in_a_row:
-            heard.popleft()
-        self._to_judge = self._first - len(heard)
+        arrivals = self._arrivals
+        while len(arrivals) > self._in_a_row:
+            arrivals.popleft()
+        self._to_judge = self._first - len(arrivals)
 
     def judge(self, rates: bool = True) -> str | None:
         """Return in one sentence what is wrong with the clock, "" when nothing is; None when there is nothing new to say.
@@ -144,7 +144,7 @@ class ControllerClock:
         if self._to_judge > 0:
             return None
         self._to_judge = self._first
-        step, rate = self._figures(self._patient) if rates else (self._step(list(self._heard)), 1.0)
+        step, rate = self._figures(self._patient) if rates else (self._step(list(self._arrivals)), 1.0)
         in_time = abs(rate - 1.0) <= TOLERANCE
         if step != self._cycle:
             self._refused = True
@@ -153,7 +153,7 @@ class ControllerClock:
         if in_time:
             self._refused = False
             return ""
-        if len(self._heard) < self._patient:
+        if len(self._arrivals) < self._patient:
             return None
         self._refused = True
         return self._sentence(step, rate)
@@ -176,7 +176,7 @@ class ControllerClock:
     def report(self) -> dict:
         """Return what the status says: ms, and the controller's time per real time; None where it is not known yet."""
         step = rate = None
-        if len(self._heard) > self._base:
+        if len(self._arrivals) > self._base:
             step, rate = self._figures(SHOWN)
         return {
             "expected_ms": self._cycle,
@@ -189,15 +189,18 @@ class ControllerClock:
 
     def _figures(self, count: int) -> tuple[float, float]:
         """Return the step of the stamps [ms] and the rate of the clock, from the last `count` telegrams."""
-        heard = list(self._heard)[-count:]
+        arrivals = list(self._arrivals)[-count:]
         pace = median(
-            [(later[1] - earlier[1]) / (later[0] - earlier[0]) for earlier, later in zip(heard, heard[self._base :])]
+            [
+                (later[1] - earlier[1]) / (later[0] - earlier[0])
+                for earlier, later in zip(arrivals, arrivals[self._base :])
+            ]
         )
-        return self._step(heard), STAMP_NS / pace if pace > 0.0 else 0.0
+        return self._step(arrivals), STAMP_NS / pace if pace > 0.0 else 0.0
 
     @staticmethod
-    def _step(heard: list[tuple[int, int]]) -> float:
-        return median([later[0] - earlier[0] for earlier, later in zip(heard, heard[1:])])
+    def _step(arrivals: list[tuple[int, int]]) -> float:
+        return median([later[0] - earlier[0] for earlier, later in zip(arrivals, arrivals[1:])])
 
     @staticmethod
     def _off_sentence(off: float) -> str:

@@ -245,7 +245,7 @@ class Gateway:
         # where nothing has arrived for so long, nothing is played: the gate is to compare with the present
         self._answered_stamp = player.stamp if self._unanswered <= self._silence else 0
         self.counters["telegrams"] += 1
-        if elapsed < self._cycle or self._parts.told:
+        if elapsed < self._cycle or self._parts.interpolated:
             position = self._move_in_parts(follower, elapsed)
         else:
             position = self._move(follower, elapsed)
@@ -433,7 +433,7 @@ class Gateway:
 
     def _stand(self, follower: Follower, elapsed: int, lost: bool) -> tuple[Follower, int]:
         """Stand at the last correction that arrived; return the follower there, and what of `elapsed` [ns] is left to move in."""
-        if self._parts.told:
+        if self._parts.interpolated:
             # it stands within a step, not at its end
             self._parts.restart()
             follower = self._player.place(

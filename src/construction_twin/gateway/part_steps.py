@@ -19,13 +19,13 @@ class PartSteps:
 
     def __init__(self, cycle_ns: int):
         self._cycle = cycle_ns
-        #: How much of the present step has been told [ns]; 0: all of it.
-        self.told = 0
+        #: Controller time interpolated so far in the present step [ns]; 0: all of it.
+        self.interpolated = 0
         self._before: tuple[float, ...] = ()
 
     def restart(self) -> None:
         """Begin with a whole step."""
-        self.told = 0
+        self.interpolated = 0
 
     def position(
         self, elapsed: int, now: tuple[float, ...], step: Callable[[], tuple[float, ...]]
@@ -37,15 +37,15 @@ class PartSteps:
             now: Shape (n,). Where the present step ends [rad].
             step: Takes the step of one cycle and returns where it ends [rad].
         """
-        begun = self.told > 0
-        self.told += elapsed
+        begun = self.interpolated > 0
+        self.interpolated += elapsed
         if not begun:
             self._before, now = now, step()
-        while self.told > self._cycle:
+        while self.interpolated > self._cycle:
             self._before, now = now, step()
-            self.told -= self._cycle
-        part = self.told / self._cycle
-        if self.told == self._cycle:
-            self.told = 0
+            self.interpolated -= self._cycle
+        part = self.interpolated / self._cycle
+        if self.interpolated == self._cycle:
+            self.interpolated = 0
             return now
         return tuple([start + part * (end - start) for start, end in zip(self._before, now)])

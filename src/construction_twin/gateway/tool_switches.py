@@ -128,12 +128,12 @@ class ToolSwitches:
         self._longest_difference = round(LONGEST_DIFFERENCE * NANOSECONDS) // cycle_ns
         self._pause = -(-round(SHORTEST_PAUSE * NANOSECONDS) // cycle_ns)
         self._armed: list[ToolSwitch] = []
-        self._told: deque[ToolSwitch] = deque(maxlen=MOST_TOLD)
+        self._reported: deque[ToolSwitch] = deque(maxlen=MOST_TOLD)
         self._used: deque[str] = deque(maxlen=MEMORY)
         #: Changes since the last call of `take_change`: one that is told at once, one that may wait for others.
         self._news = True
         self._changed = False
-        self._heard = self._told_at = 0
+        self._telegrams = self._reported_at = 0
         self._latest: ToolReading | None = None
         self._begin("no telegram yet")
 
@@ -192,7 +192,7 @@ class ToolSwitches:
             obstacle: Why this session is not answered.
             missed: The telegrams show that the controller missed a reply since the last one.
         """
-        self._heard += 1
+        self._telegrams += 1
         reading = self._latest
         why = obstacle or ("" if reading is not None else "telegrams do not tell Out and In, each channel as 0 or 1")
         if why != self._unknown:
@@ -302,7 +302,7 @@ class ToolSwitches:
         if switch.id in self._used:
             return f"tool: switch {switch.id!r} was asked for before"
         self._used.append(switch.id)
-        self._told.append(switch)
+        self._reported.append(switch)
         why = obstacle or self._refusal(switch, lead)
         self._news = True
         if why:
@@ -347,10 +347,10 @@ class ToolSwitches:
 
     def take_change(self) -> bool:
         """Return whether something is to be told now; inputs that chatter wait until others have been told for a while."""
-        if not self._news and not (self._changed and self._heard - self._told_at >= self._pause):
+        if not self._news and not (self._changed and self._telegrams - self._reported_at >= self._pause):
             return False
         self._news = self._changed = False
-        self._told_at = self._heard
+        self._reported_at = self._telegrams
         return True
 
     def report(self, failure: str = "") -> dict:
@@ -365,7 +365,7 @@ class ToolSwitches:
             "commanded": dict(zip(self._names, self._commanded)),
             "enabled": self._enabled,
             "inputs": dict(zip(self.tool.inputs, reading.inputs)) if reading else {},
-            "switches": [switch.report() for switch in self._told],
+            "switches": [switch.report() for switch in self._reported],
         }
 
 

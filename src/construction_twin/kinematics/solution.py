@@ -66,10 +66,10 @@ class Configuration:
             chosen[_WORDS[word]] = word
         return cls(**chosen)
 
-    def matches(self, asked: Configuration) -> bool:
-        """Return whether this configuration agrees with every choice that `asked` makes."""
+    def matches(self, wanted: Configuration) -> bool:
+        """Return whether this configuration agrees with every choice that `wanted` makes."""
         mine = (self.shoulder, self.elbow, self.wrist)
-        return all(want in (None, have) for want, have in zip((asked.shoulder, asked.elbow, asked.wrist), mine))
+        return all(want in (None, have) for want, have in zip((wanted.shoulder, wanted.elbow, wanted.wrist), mine))
 
     def __str__(self) -> str:
         return " ".join(word for word in (self.shoulder, self.elbow, self.wrist) if word) or "any"

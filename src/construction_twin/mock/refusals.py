@@ -20,13 +20,13 @@ class ReplyRefusals:
         self._recovery = recovery
         self.last = self.present = self.since_valid = ""
         self.news: list[str] = []
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._refused = self._valid = 0
 
     def begin_session(self) -> None:
         """Forget what belongs to the session before; `last` stays for people."""
         self.present = self.since_valid = ""
-        self._told.clear()
+        self._reported.clear()
         self._refused = self._valid = 0
 
     def refuse(self, kind: str, sentence: str) -> None:
@@ -34,8 +34,8 @@ class ReplyRefusals:
         self.last = self.present = self.since_valid = sentence
         self._refused += 1
         self._valid = 0
-        if kind not in self._told:
-            self._told.add(kind)
+        if kind not in self._reported:
+            self._reported.add(kind)
             self.news.append(f"reply refused: {sentence}")
 
     def accept(self) -> None:

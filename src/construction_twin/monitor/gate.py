@@ -139,7 +139,7 @@ class Gate:
         self._travel = TravelTime()
         self._round_trips = RoundTrips()
         #: When a pose that could be compared was received last.
-        self._heard: int | None = None
+        self._last_feedback: int | None = None
         self._obstacle = ""
         self._policy = self.settings.policy
         self._closed_at = 0
@@ -262,7 +262,7 @@ class Gate:
         comparison = self.comparison.compare(q, command_stamp, now if received is None else received, round_trip)
         if comparison is None:
             return None
-        self._heard = now
+        self._last_feedback = now
         if not comparison.agrees:
             self._agreed, self._agreed_since = False, None
             self._on_difference(comparison, now)
@@ -322,8 +322,8 @@ class Gate:
     def watch(self, now: int) -> None:
         """Close an open gate when feedback has gone stale, give up on a closed one: also while no theta_next comes."""
         if self.state is SyncState.IN_SYNC:
-            if self.settings.compares and not self._fresh(now) and self._heard is not None:
-                age = (now - self._heard) / NANOSECONDS
+            if self.settings.compares and not self._fresh(now) and self._last_feedback is not None:
+                age = (now - self._last_feedback) / NANOSECONDS
                 self._close(SyncEvent.FEEDBACK_STALE, f"last comparable feedback is {age:.3f} s old", now)
         elif self._held_too_long(now) and self.state in HELD_STATES:
             held = (now - self._closed_at) / NANOSECONDS
@@ -333,7 +333,10 @@ class Gate:
         return now - self._closed_at > self.settings.give_up_time * NANOSECONDS
 
     def _fresh(self, now: int) -> bool:
-        return self._heard is not None and now - self._heard <= self.settings.feedback_timeout * NANOSECONDS
+        return (
+            self._last_feedback is not None
+            and now - self._last_feedback <= self.settings.feedback_timeout * NANOSECONDS
+        )
 
     def _on_difference(self, comparison: Comparison, now: int) -> None:
         if not self.settings.compares or self._machine.row(SyncEvent.POSE_DIFFERS, SyncOccasion(now=now)) is None:

@@ -231,8 +231,8 @@ class Planner:
         begin = self._joint_vector("start", start)
         self._check_request(request)
         _demand_free(begin, world, "the start")
-        asked = Configuration.parse(configuration) if configuration.strip() else None
-        goals = [solution.q for solution in self._solver.all(pose, begin, asked)]
+        wanted = Configuration.parse(configuration) if configuration.strip() else None
+        goals = [solution.q for solution in self._solver.all(pose, begin, wanted)]
         free = [goal for goal in goals if world.is_free(goal)]
         if not free:
             _demand_free(goals[0], world, "the goal")

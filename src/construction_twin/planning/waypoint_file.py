@@ -75,7 +75,7 @@ def parse_waypoints(text: str, robot: RobotModel, columns: str = "") -> Waypoint
                 "when the file names its own",
                 first_line,
             )
-        names = _told(columns, robot)
+        names = _column_names(columns, robot)
         _check_columns("columns", None, names, robot)
     else:
         if numbers_alone:
@@ -143,7 +143,7 @@ def format_plan(plan: Plan, linear: Iterable[bool], degrees: bool = False) -> st
     return format_waypoints(plan.trajectory, linear, comments, degrees)
 
 
-def _told(columns: str, robot: RobotModel) -> list[str]:
+def _column_names(columns: str, robot: RobotModel) -> list[str]:
     """Return the names of columns, with those of every joint in the place of the words that stand for them."""
     names: list[str] = []
     for word in (part.strip() for part in columns.split(",")):

@@ -133,7 +133,7 @@ class ReviewLog:
         self._deferred: deque[_Deferred] = deque()
         self.responsibility: Responsibility | None = None
         # `defer` counts the one, `flush` the other: they are called from two threads
-        self.lost = self._told = 0
+        self.lost = self._reported = 0
         self._file = ChainedFile(self.path, RecordError, "executor")
         try:
             self._end_interrupted()
@@ -165,11 +165,11 @@ class ReviewLog:
                 first = self._deferred[0]
                 self._file.append(first.time, _fields(first.record, first.responsibility))
                 self._deferred.popleft()
-            number = self.lost - self._told
+            number = self.lost - self._reported
             if number:
                 reason = f"the file could not be written, and {KEPT} records waited already"
                 self._file.append(self._clock(), {"record": "gap", "lost": number, "reason": reason})
-                self._told += number
+                self._reported += number
 
     def append(self, record: Record) -> None:
         """Write one record, behind those that were deferred; when this returns it is on the disk.

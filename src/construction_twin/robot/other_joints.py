@@ -84,12 +84,12 @@ def other_joints_text(others: Sequence[OtherJoint], base_link: str, tip_link: st
     """Return the sentence that tells a person about them; empty when there are none."""
     still = [str(joint) for joint in others if joint.position is not None]
     moving = [str(joint) for joint in others if joint.position is None]
-    told = []
+    remarks = []
     if still:
-        told.append(f"stand still: {', '.join(still)}; `other_joints` of the robot YAML says where")
+        remarks.append(f"stand still: {', '.join(still)}; `other_joints` of the robot YAML says where")
     if moving:
-        told.append(f"move with it: {', '.join(moving)}")
-    return f"joints outside of the chain from {base_link} to {tip_link} {'; others '.join(told)}" if told else ""
+        remarks.append(f"move with it: {', '.join(moving)}")
+    return f"joints outside of the chain from {base_link} to {tip_link} {'; others '.join(remarks)}" if remarks else ""
 
 
 def _check_taker(name: str, value: float, others: Mapping[str, Joint], settable: Sequence[str]) -> None:

@@ -55,14 +55,14 @@ class _Arguments(dict[str, str]):
 
     def __init__(self, given: Mapping[str, str]):
         super().__init__(given)
-        self.asked: set[str] = set()
+        self.used: set[str] = set()
 
     def __contains__(self, name: object) -> bool:
-        self.asked.add(str(name))
+        self.used.add(str(name))
         return super().__contains__(name)
 
     def __getitem__(self, name: str) -> str:
-        self.asked.add(name)
+        self.used.add(name)
         return super().__getitem__(name)
 
 
@@ -87,10 +87,10 @@ def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -
         raise _refusal(str(path), error) from error
     except ExpatError as error:
         raise ConfigurationError(str(path), _found(str(path), error), "well-formed XML") from error
-    unknown = sorted(set(arguments or {}) - given.asked)
+    unknown = sorted(set(arguments or {}) - given.used)
     if unknown:
         raise ConfigurationError(
-            f"{path} argument", unknown[0], f"one of the arguments that the file has: {sorted(given.asked) or 'none'}"
+            f"{path} argument", unknown[0], f"one of the arguments that the file has: {sorted(given.used) or 'none'}"
         )
     return document.toprettyxml(indent="  ")
 

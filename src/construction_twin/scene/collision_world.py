@@ -176,9 +176,9 @@ class CollisionWorld:
             return self
         # the same motion is asked about more than once: for contacts, for its clearance
         gap = max(gap, _NEAR)
-        asked = (gap, np.asarray(qs).tobytes())
-        if asked in self._kept:
-            return self._kept[asked]
+        key = (gap, np.asarray(qs).tobytes())
+        if key in self._kept:
+            return self._kept[key]
         paddings = [body.item.padding for body in self._near if body.item is not None]
         around = gap + self.scene.padding + max(paddings, default=0.0)
         own = tuple(self._near[index] for index in self._boxes.near(self._rows(qs), around))
@@ -187,7 +187,7 @@ class CollisionWorld:
         world._build(self._robot_bodies, self.scene, self.self_collision, own, self._obstacles, only)
         if len(self._kept) >= _KEPT:
             self._kept.clear()
-        self._kept[asked] = world
+        self._kept[key] = world
         return world
 
     def _rows(self, qs: np.ndarray) -> np.ndarray:

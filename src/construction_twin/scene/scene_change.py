@@ -82,12 +82,12 @@ class SceneChange:
         return changed
 
     def __str__(self) -> str:
-        told = [
+        changes = [
             f"{verb} {names[0]!r}" + (f" and {len(names) - 1} more" if len(names) > 1 else "")
             for verb, names in (("removed", self.remove), ("put", tuple(item.name for item in self.put)))
             if names
         ]
-        return ", ".join(told) or "changed nothing"
+        return ", ".join(changes) or "changed nothing"
 
 
 def _without(item: SceneObject, gone: frozenset[str]) -> SceneObject:

@@ -140,13 +140,13 @@ def progress(samples: int) -> Iterator[Callable[[int, int], None]]:
 
 
 def _lines(samples: int) -> Callable[[int, int], None]:
-    said = 0.0
+    reported = 0.0
 
     def report(poses: int, pairs: int) -> None:
-        nonlocal said
+        nonlocal reported
         done = min(1.0, poses / samples)
-        if done - said >= _PART or (done == 1.0 and said < 1.0):
-            said = done - done % _PART
+        if done - reported >= _PART or (done == 1.0 and reported < 1.0):
+            reported = done - done % _PART
             print(f"sampling: {poses} of {samples} poses, {pairs} pairs not decided", file=sys.stderr, flush=True)
 
     return report

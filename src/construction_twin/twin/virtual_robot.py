@@ -105,7 +105,7 @@ class TwinClock:
     def restart(self) -> None:
         """Forget everything; the clock may be another."""
         self._published = 0
-        self._heard: int | None = None
+        self._last_command: int | None = None
 
     def is_earlier(self, stamp: int, last: int, now: int) -> bool:
         """Return whether a command begins a stream, and on an earlier clock than what came before it.
@@ -114,22 +114,22 @@ class TwinClock:
             stamp, last: Of this command, and of the last one that was executed in this session; 0 for none [ns].
             now: Of its reception [ns].
         """
-        if self._heard is None:
+        if self._last_command is None:
             return stamp < self._published - ANOTHER_CLOCK
-        return now - self._heard >= SILENCE and stamp < last - ANOTHER_CLOCK
+        return now - self._last_command >= SILENCE and stamp < last - ANOTHER_CLOCK
 
     def on_command(self, stamp: int, now: int) -> bool:
         """Take a command that was executed, by stamp and reception [ns]; return whether to publish its pose with its stamp."""
-        self._heard = now
+        self._last_command = now
         return self._is_newer(stamp)
 
     def on_cycle(self, now: int) -> bool:
         """Return whether to publish the held pose with the stamp `now` [ns]: no command came yet, or the stream fell silent."""
-        return (self._heard is None or now - self._heard >= SILENCE) and self._is_newer(now)
+        return (self._last_command is None or now - self._last_command >= SILENCE) and self._is_newer(now)
 
     def idle(self, now: int) -> int:
         """Return for how long `on_cycle` says no, unless all is forgotten meanwhile [ns]; at most `SILENCE`."""
-        return 0 if self._heard is None else min(max(self._heard + SILENCE - now, 0), SILENCE)
+        return 0 if self._last_command is None else min(max(self._last_command + SILENCE - now, 0), SILENCE)
 
     def _is_newer(self, stamp: int) -> bool:
         if stamp <= self._published:

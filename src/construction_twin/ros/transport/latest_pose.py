@@ -47,7 +47,7 @@ class LatestPose:
     def __init__(self, topic: str, names: tuple[str, ...], refused: Callable[[str, str], None]):
         self._names = names
         self._news = threading.Condition()
-        self._asked = threading.Event()
+        self._wanted = threading.Event()
         self._newest: tuple[float, rospy.AnyMsg] | None = None
         self._reads = 0
         self._subscriber = Subscriber(topic, rospy.AnyMsg, self._receive, refused, queue_size=1, tcp_nodelay=True)
@@ -69,7 +69,7 @@ class LatestPose:
         """
         with self._news:
             reads = self._reads
-            self._asked.set()
+            self._wanted.set()
             self._news.wait_for(lambda: self._reads > reads, NEXT_MESSAGE)
             if not self._news.wait_for(lambda: self._age() <= oldest, patience):
                 raise PoseUnknownError(self._subscriber.resolved_name, self._age(), oldest)
@@ -83,13 +83,13 @@ class LatestPose:
         self._subscriber.unregister()
 
     def _receive(self, message: rospy.AnyMsg) -> None:
-        self._asked.clear()
+        self._wanted.clear()
         with self._news:
             self._newest = time.monotonic(), message
             self._reads += 1
             self._news.notify_all()
         # rospy reads on when this returns
-        self._asked.wait(PAUSE)
+        self._wanted.wait(PAUSE)
 
     def _age(self) -> float:
         return math.inf if self._newest is None else time.monotonic() - self._newest[0]
