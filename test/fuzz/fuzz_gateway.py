@@ -132,7 +132,7 @@ class Arm:
                 break
             read = parse_sensor(reply, "ImFree", AXES)
             demand(not any(read.target), f"IPOC {read.stamp} was answered with a motion: {read.target}")
-            if read.stamp == self.controller.ipoc:
+            if read.stamp == self.controller.stamp:
                 self.controller.receive(reply)
                 self.answered += 1
                 return True

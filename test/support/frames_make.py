@@ -47,9 +47,6 @@ class Frames:
 class Nothing:
     """It says nothing of itself."""
 
-    mode: int | None = None
-    program: int | None = None
-    override: float | None = None
     sentence: ClassVar[str] = ""
 
     def report(self) -> dict:
@@ -147,13 +144,14 @@ def controller_side(config) -> ControllerSide:
         session, cycle, stop, *target = unpack(REPLY_HEAD, TELLS, count, data)
         return Reply(stamp_of(session, cycle), tuple(target), bool(stop))
 
-    return ControllerSide(encode, decode, (True,) * count, False)
+    return ControllerSide(encode, decode, (True,) * count, False, lambda told: Nothing())
 
 
 MAKE = Make(
+    name=Frames.make,
     absolute=True,
     cycles={CYCLE_MS: "8 ms"},
-    words=Words("frames", "cycle", "read-only", "", "it ends", "{}", "8 ms", "the frames"),
+    words=Words("frames", "cycle", "read-only", "", "it ends", "it ended", "{}", "8 ms", "its time-out", "the frames"),
     nothing_said=Nothing(),
     plain=lambda axes: Frames(),
     read_layout=lambda document: Frames(**document),
@@ -164,8 +162,6 @@ MAKE = Make(
     last_resort=last_resort,
     check_axes=lambda layout, axes: None,
     controller_side=controller_side,
-    # it has no file
-    **dict.fromkeys(("read_file", "load_file", "load_text", "write_file", "sends_to"), None),
     tool_channels=lambda layout: (),
 )
-makes.MODULES["frames"] = __name__
+makes.MODULES[MAKE.name] = __name__

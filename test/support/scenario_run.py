@@ -207,7 +207,7 @@ class ScenarioRun:
             values = tuple(axis.sign * value for value in values)
         elif not kind.lasting and len(values) == len(ROBOT.axes):
             values = axis_angles(ROBOT, values)
-        fault = Fault(injection.fault, axis.rsi if axis else "", values, injection.direction, injection.duration)
+        fault = Fault(injection.fault, axis.name if axis else "", values, injection.direction, injection.duration)
         faults = self.chain.faults
         self._request(lambda: faults.end(fault) if injection.end else faults.inject(fault))
         if injection.fault in ("restart_at", "jog"):

@@ -9,17 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.last_resort import LastResort
 from construction_twin.controller.telegram import Reply, Telegram
 from construction_twin.controller.tool import GatewayTool, ToolReading
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
 
 
 class Layout(Protocol):
     """What is fixed about the telegrams of one controller. It is a frozen dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
     def make(self) -> str:
@@ -76,7 +80,12 @@ class Layout(Protocol):
         ...
 
 
-class Setup(Protocol):
+#: The layout of one make: what its functions return they take again, so that mypy checks a make as a whole.
+LayoutT = TypeVar("LayoutT", bound=Layout)
+_LayoutOut = TypeVar("_LayoutOut", bound=Layout, covariant=True)
+
+
+class Setup(Protocol[_LayoutOut]):
     """What a make may know of the arm: the gateway's configuration."""
 
     @property
@@ -90,8 +99,8 @@ class Setup(Protocol):
         ...
 
     @property
-    def layout(self) -> Any:
-        """The make's own, see `Layout`."""
+    def layout(self) -> _LayoutOut:
+        """The make's own."""
         ...
 
     @property
@@ -204,23 +213,95 @@ class SessionRules(Protocol):
         ...
 
 
+class MockSetup(Protocol[_LayoutOut]):
+    """What a make may know of the controller that a mock stands for."""
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Length n. Names of the axes in the telegrams."""
+        ...
+
+    @property
+    def units(self) -> tuple[AxisUnit, ...]:
+        """Length n, or (): all revolute, in the controller's own units."""
+        ...
+
+    @property
+    def layout(self) -> _LayoutOut:
+        """The make's own."""
+        ...
+
+    @property
+    def precision(self) -> int:
+        """Decimals of sent values."""
+        ...
+
+    @property
+    def stop_required(self) -> bool:
+        """Whether a reply that does not say if it ends the program, and should, is none."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What a mock controller is to say of itself, in the make's numbers; None: what is.
+
+    Attributes:
+        mode: Operating mode.
+        program: State of the controller's program.
+        override: Program override [percent].
+        slow: Whether the controller limits the tool's speed.
+    """
+
+    mode: int | None = None
+    program: int | None = None
+    override: float | None = None
+    slow: bool = False
+
+
+class TelegramEncoder(Protocol):
+    """Writes the telegrams of a mock controller."""
+
+    def __call__(
+        self,
+        stamp: int,
+        measured: Sequence[float],
+        followed: Sequence[float],
+        measured_pose: Sequence[float],
+        followed_pose: Sequence[float],
+        missed: int,
+        told: Told,
+        outputs: Mapping[str, bool] | None,
+        inputs: Mapping[str, bool],
+        /,
+    ) -> bytes:
+        """Return a telegram.
+
+        Args:
+            measured, followed: Length n. Where the axes are, and what they follow [rad], [m].
+            measured_pose, followed_pose: Length 6. Position [m] and A, B, C [rad] of the tool for both.
+            missed: The count of missed replies.
+            outputs, inputs: A tool's, by their names; None where they are not told.
+        """
+        ...
+
+
 @dataclass(frozen=True)
 class ControllerSide:
     """The controller's side of the telegrams, for a mock of it.
 
     Attributes:
-        encode: A telegram, from its stamp, where the axes are and what they follow (length n each), position and A, B, C of the
-            tool for both (length 6 each), the count of missed replies, what it says of itself, and a tool's outputs and inputs by
-            their names: None where they are not told.
         decode: A reply, or TelegramError; None: no reply is expected.
         holds: Length n. Whether an axis keeps its target when a reply is missed, or falls back to the start pose.
         holds_stop: The same for the end of the program.
+        said: What a telegram says of the controller.
     """
 
-    encode: Callable[..., bytes]
+    encode: TelegramEncoder
     decode: Callable[[bytes], Reply] | None
     holds: tuple[bool, ...]
     holds_stop: bool
+    said: Callable[[Told], Said]
 
 
 @dataclass(frozen=True)
@@ -233,8 +314,10 @@ class Words:
         read_only: That nothing is answered, and why.
         no_stop: Why a reply cannot end the program, and what to do.
         ends: What happens when the end was asked for.
+        ended: What has happened then.
         cycle: How a cycle is chosen on the controller, with ``{}`` for its name.
         cycles: The same of all of them, in words.
+        timeout: The controller's own time-out.
         description: The file that describes the telegrams.
     """
 
@@ -243,16 +326,56 @@ class Words:
     read_only: str
     no_stop: str
     ends: str
+    ended: str
     cycle: str
     cycles: str
+    timeout: str
     description: str
 
 
+class Described(Protocol[_LayoutOut]):
+    """A file that describes the telegrams of one controller."""
+
+    @property
+    def layout(self) -> _LayoutOut:
+        """What it says of the telegrams."""
+        ...
+
+    @property
+    def text(self) -> str:
+        """What stands in it."""
+        ...
+
+
 @dataclass(frozen=True)
-class Make:
+class FileForm(Generic[LayoutT]):
+    """The files in which a make describes its telegrams. Each reader raises ConfigurationError for what is no such file.
+
+    Attributes:
+        name: For messages.
+        ending: Of the name of a file that was written for an arm.
+        to_fill: What a person must fill into a file that was written.
+        read: A file, from its text and its name for messages.
+        load: The same, from its path.
+        write: The text of a file, from the axes.
+        sends_to: Address that a controller sends to, from the path of its file, which must say what the layout does.
+    """
+
+    name: str
+    ending: str
+    to_fill: str
+    read: Callable[[str, str], Described[LayoutT]]
+    load: Callable[[str | Path], Described[LayoutT]]
+    write: Callable[[Sequence[str]], str]
+    sends_to: Callable[[str, LayoutT], str]
+
+
+@dataclass(frozen=True)
+class Make(Generic[LayoutT]):
     """One make of controller.
 
     Attributes:
+        name: As `makes` knows it, and `Layout.make`.
         absolute: True: replies carry positions of the axes; False: corrections to an origin.
         cycles: Those that it has [ms], each with its name on the controller.
         nothing_said: What it says of itself before the first telegram.
@@ -260,31 +383,43 @@ class Make:
         read_layout: The layout from what `Layout.document` returned; TypeError when it is none.
         check: Raises ConfigurationError when the arm cannot be served as configured.
         check_axes: Raises ConfigurationError when the layout is not one of these axes.
-        controller_side: Of a mock, from its `MockConfig`.
-        read_file: The layout of a file that describes the telegrams, from its text and its name for messages.
-        load_file: The same, from its path.
-        load_text: The text of such a file, which was found to be one, from its path.
-        write_file: The text of such a file, from the axes.
-        sends_to: Address that a controller sends to, from the path of its file, which must say what the layout does.
+        controller_side: Of a mock.
         tool_channels: The channels of a tool that a layout has, for people; none: a tool without hands.
+        file: None: no file describes its telegrams.
     """
 
+    name: str
     absolute: bool
     cycles: Mapping[int, str]
     words: Words
     nothing_said: Said
-    plain: Callable[[Sequence[str]], Any]
-    read_layout: Callable[[dict], Any]
-    check: Callable[[Setup], None]
-    reader: Callable[[Setup], Reader]
-    encoder: Callable[[Setup], Encoder]
-    rules: Callable[[Setup], SessionRules]
-    last_resort: Callable[[Setup], LastResort]
-    check_axes: Callable[[Any, Sequence[str]], None]
-    controller_side: Callable[[Any], ControllerSide]
-    read_file: Callable[[str, str], Any]
-    load_file: Callable[[Any], Any]
-    load_text: Callable[[Any], str]
-    write_file: Callable[[Sequence[str]], str]
-    sends_to: Callable[[str, Any], str]
-    tool_channels: Callable[[Any], tuple[str, ...]]
+    plain: Callable[[Sequence[str]], LayoutT]
+    read_layout: Callable[[dict[str, Any]], LayoutT]
+    check: Callable[[Setup[LayoutT]], None]
+    reader: Callable[[Setup[LayoutT]], Reader]
+    encoder: Callable[[Setup[LayoutT]], Encoder]
+    rules: Callable[[Setup[LayoutT]], SessionRules]
+    last_resort: Callable[[Setup[LayoutT]], LastResort]
+    check_axes: Callable[[LayoutT, Sequence[str]], None]
+    controller_side: Callable[[MockSetup[LayoutT]], ControllerSide]
+    tool_channels: Callable[[LayoutT], tuple[str, ...]]
+    file: FileForm[LayoutT] | None = None
+
+    def layout_of(self, text: str, axes: Sequence[str]) -> LayoutT:
+        """Return the layout of an arm; ConfigurationError for a text that is none.
+
+        Args:
+            text: Of the file that describes it; "" for the plain one.
+        """
+        if not text:
+            return self.plain(axes)
+        form = self.form_of(text)
+        return form.read(text, form.name).layout
+
+    def form_of(self, given: str) -> FileForm[LayoutT]:
+        """Return the form of a file that was given; ConfigurationError when the make has no files."""
+        if self.file is None:
+            raise ConfigurationError(
+                "file of the controller", given, f"none: {self.name} has no file for its telegrams"
+            )
+        return self.file

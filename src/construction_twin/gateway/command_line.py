@@ -29,7 +29,7 @@ log = logging.getLogger("rsi_gateway")
 def _arguments(argv: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="rsi_gateway",
-        description="Bridge between MQTT joint strings and KUKA RSI. Needs no ROS. Not safety rated.",
+        description="Bridge between MQTT joint strings and a robot controller (KUKA RSI). Needs no ROS. Not safety rated.",
     )
     parser.add_argument(
         "--config", required=True, help="JSON file written by `rosrun construction_twin export_gateway_config`"
@@ -38,7 +38,7 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
         "--listen",
         default="127.0.0.1:0",
         metavar="HOST:PORT",
-        help="UDP address for RSI; port 0: PORT of the Ethernet XML [%(default)s]",
+        help="UDP address for the controller; port 0: that of its file, of RSI PORT of the Ethernet XML [%(default)s]",
     )
     parser.add_argument(
         "--ethernet-xml",
@@ -99,7 +99,7 @@ def _run(arguments: argparse.Namespace) -> int:
         topics = Topics(arguments.prefix, config.robot)
         address = _listen_address(arguments.listen, config)
         file = arguments.ethernet_xml
-        told = config.make.sends_to(file, config.layout) if file else address[0]
+        told = config.make.form_of(file).sends_to(file, config.layout) if file else address[0]
         controller = address_of(arguments.controller, "--controller") if arguments.controller else None
         if controller is None and not is_loopback(address[0]):
             expected = f"the controller's address: what comes to {address[0]} comes from a network, and only the controller may"

@@ -1,6 +1,6 @@
-"""rsi_gateway: MQTT <-> KUKA RSI on the cell PC. Runs without ROS: ``python -m construction_twin.gateway --help``.
+"""rsi_gateway: MQTT <-> robot controller on the cell PC. Runs without ROS: ``python -m construction_twin.gateway --help``.
 
-One thread, one select loop: RSI datagrams first, then MQTT. An unexpected exception ends neither the loop nor the answers:
+One thread, one select loop: the controller's datagrams first, then MQTT. An unexpected exception ends neither loop nor answers:
 `GatewayService.guarded` hands the arm to the last resort, which brakes. Standard library and paho-mqtt only.
 """
 
@@ -162,8 +162,8 @@ class GatewayService:
     def guarded(self, part: Callable[..., _Result], *arguments: object) -> _Result | None:
         """Return what a part of the gateway returns; None after an unexpected exception, when the gateway has failed.
 
-        The package's only handler for every exception: without it one error in a status message would end the answers to RSI, and
-        the controller would stop the arm dead from full speed.
+        The package's only handler for every exception: without it one error in a status message would end the answers, and the
+        controller would stop the arm dead from full speed.
         """
         try:
             return part(*arguments)
@@ -186,7 +186,7 @@ class GatewayService:
         self._last_resort.take_over()
         self.failure = "the gateway has failed"
         self.gateway.counters["failures"] += 1
-        # told after the next reply: RSI waits neither for a sentence nor for a log line
+        # told after the next reply: the controller waits neither for a sentence nor for a log line
         self._cause = error
 
     def _tell_failure(self) -> None:
@@ -208,7 +208,7 @@ class GatewayService:
         self.gateway.fail(self.failure)
 
     def _rescue(self) -> None:
-        """Answer RSI as the last resort, then report the arm's pose as far as that works."""
+        """Answer the controller as the last resort, then report the arm's pose as far as that works."""
         resort = self._last_resort
         newest, waiting = None, self._datagram
         self._datagram = None
@@ -308,7 +308,7 @@ class GatewayService:
         if note is not None:
             log.log(level, "%s: %s%s", kind, text, note)
 
-    # -- RSI
+    # -- the controller
 
     def _receive(self) -> tuple[bytes, int, tuple]:
         data, arrived, source = datagram = receive(self._sock)

@@ -1,6 +1,6 @@
-"""A mock KR C4: an RSI client with its own 4 ms clock, servo model, limits, and faults on demand.
+"""A mock robot controller, a KR C4 by default: a client of the gateway with its own clock, servo model, limits, faults on demand.
 
-In: RSI replies, an Ethernet XML, faults. Out: RSI telegrams and the true joint positions. May import ``core``,
+In: replies, the file that describes them, faults. Out: telegrams and the true joint positions. May import ``core``,
 ``controller``, ``robot`` and ``kinematics``.
 """
 

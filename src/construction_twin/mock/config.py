@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.makes import DEFAULT, make_of
+from construction_twin.controller.port import Layout
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mock.gripper import Gripper
 
@@ -23,24 +23,25 @@ class MockConfig:
         start_pose: Pose in which the first session starts [rad], inside the soft limits.
         lower, upper: Soft limits [rad].
         velocity, acceleration: Limits that the supervision is a multiple of [rad/s], [rad/s^2].
-        layout: The Ethernet configuration; a reply that does not fit it does not count. Default: that of RSI without a file.
+        layout: Of the telegrams, and whose they are; a reply that does not fit it does not count. Default: that of the default make
+            without a file.
         units: How each axis is written in the telegrams; default: deg, and no axis linear.
-        cycle: Length of a controller cycle, and what IPOC advances by in it [ms]: 4 (`#IPO_FAST`) or 12 (`#IPO`, KR C2).
+        cycle: Length of a controller cycle, and what the stamp advances by in it [ms]: one that the make has.
         precision: Decimals of sent values, 1 to 32. Real controllers default to 1 and run with 4; 6 keeps an evaluation exact.
-        timeout: Cycles without a valid reply after which RSI stops.
-        stop_required: True: a reply without the `Stop` that the layout declares does not count; False: it counts, as one with Stop
-            0 (docs/rsi.md, section 3).
-        cumulative_delay: True: `Delay` counts all missed cycles of the session; False: consecutive ones.
-        correction_lower, correction_upper: AXISCORR: bounds of the correction [rad], <= 0 and >= 0; clamps without an error. None:
+        timeout: Cycles without a valid reply after which the session stops.
+        stop_required: True: a reply without the end of the program that the layout declares does not count; False: it counts, as
+            one that does not end it (docs/rsi.md, section 3).
+        cumulative_delay: True: packets count all missed cycles of the session; False: consecutive ones.
+        correction_lower, correction_upper: Bounds of the correction [rad], <= 0 and >= 0; clamps without an error. None:
             soft limit - start pose.
-        correction_monitor: AXISCORRMON: RSI stops when the clamped correction is larger [rad]. None: the larger of the two bounds.
-        velocity_factor: RSI stops when the setpoint moves faster than this times `velocity`; 0 switches it off.
+        correction_monitor: The session stops when the clamped correction is larger [rad]. None: the larger of the two bounds.
+        velocity_factor: The session stops when the setpoint moves faster than this times `velocity`; 0 switches it off.
         acceleration_factor: The same for `acceleration`. A single missed reply at speed v is an acceleration of v / cycle, at 4 ms
             hundreds of times the limit; the default allows the step from rest that `velocity_factor` allows. 0 switches it off.
-        first_ipoc: IPOC of the first packet [ms].
+        first_stamp: Of the first packet [ms].
         restart_gap: How far the controller's clock has advanced when the next session starts [ms].
         gripper: What the tool does, where the layout has channels of one.
-        tool_gated: False: the RSI context maps the outputs plainly, so that RSI_ON itself switches them off (`gripper`).
+        tool_gated: False: the controller maps the outputs plainly, so that a session's begin switches them off (`gripper`).
     """
 
     axes: tuple[str, ...]
@@ -49,7 +50,7 @@ class MockConfig:
     upper: tuple[float, ...]
     velocity: tuple[float, ...]
     acceleration: tuple[float, ...]
-    layout: Any = None
+    layout: Layout = None  # type: ignore[assignment]  # `__post_init__` puts the plain layout of the axes in its place
     units: tuple[AxisUnit, ...] = ()
     cycle: int = 4
     precision: int = 6
@@ -61,7 +62,7 @@ class MockConfig:
     correction_monitor: tuple[float, ...] | None = None
     velocity_factor: float = 2.0
     acceleration_factor: float = 400.0
-    first_ipoc: int = 4_208_163_634
+    first_stamp: int = 4_208_163_634
     restart_gap: int = 10_000
     gripper: Gripper = Gripper()
     tool_gated: bool = True
@@ -78,7 +79,7 @@ class MockConfig:
                 raise ConfigurationError(name, values, f"{count} finite numbers, one per axis")
         if self.cycle not in make.cycles:
             raise ConfigurationError("cycle", self.cycle, f"{' or '.join(map(str, make.cycles))} ms")
-        for name, allowed in (("timeout", self.timeout >= 1), ("first_ipoc", self.first_ipoc >= 0)):
+        for name, allowed in (("timeout", self.timeout >= 1), ("first_stamp", self.first_stamp >= 0)):
             if not allowed:
                 raise ConfigurationError(name, getattr(self, name), "a larger number")
         for name, sign in (("correction_lower", -1), ("correction_upper", 1), ("correction_monitor", 1)):

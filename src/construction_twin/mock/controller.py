@@ -1,21 +1,20 @@
-"""A mock KR C4 with RSI, as a pure core: no clock, no socket, one call per controller cycle.
+"""A mock robot controller, as a pure core: no clock, no socket, one call per controller cycle. What it speaks is its make's.
 
 Angles are those of the controller's axes (their own sense of rotation and zero), in rad, order of `MockConfig.axes`.
 
 Timing, exactly
 ---------------
 `begin_cycle` opens cycle k and returns packet k; `receive` takes what arrives during cycle k; the next `begin_cycle`
-closes it: the valid reply k, or the HOLDON rule when there is none, becomes the setpoint of cycle k, the servo moves during
-cycle k, and packet k + 1 reports where it ended. With `IdealServo(3)` the AIPos of packet k + 3 equals start + AK of
-reply k. Before the first valid reply the setpoint is the start pose.
+closes it: the valid reply k, or what an axis keeps when there is none, becomes the setpoint of cycle k, the servo moves during
+cycle k, and packet k + 1 reports where it ended. With `IdealServo(3)` the pose that packet k + 3 reports equals start + correction
+of reply k. Before the first valid reply the setpoint is the start pose.
 
-It models: IPOC, one cycle (4 or 12 ms) per packet from a large start value; one below 2^32 wraps there; replies, valid only
-with the IPOC of the open cycle;
-`Delay`; `Timeout`; blocks, channels, HOLDON per channel, SENTYPE and ONLYSEND as an Ethernet XML declares them; `#ABSOLUTE`
-corrections, clamped by AXISCORR and supervised by AXISCORRMON; soft limits; supervision of command velocity and acceleration;
-the STOP object in mode ExitMoveCorr, on the rising edge of `Stop`; ASPos and RSol, constant unless a program of the
-controller's own moves them; an E-stop with its ramp; T1. It does not model braking for any other reason: when RSI stops, the
-arm stands still at once.
+It models: the stamp, one cycle per packet from a large start value; one below 2^32 wraps there; replies, valid only with the stamp
+of the open cycle; the count of missed replies, and the time-out; what the layout declares of telegrams and replies, and keeps when
+one is missed; absolute corrections, clamped and supervised, or absolute targets; soft limits; supervision of command velocity and
+acceleration; the end of the program, on the rising edge of what asks for it; the programmed pose, constant unless a program of the
+controller's own moves it; an E-stop with its ramp; a limited speed of the tool (T1). It does not model braking for any other
+reason: when the session stops, the arm stands still at once. What KUKA calls each of these: docs/rsi.md.
 """
 
 from __future__ import annotations
@@ -23,9 +22,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 from construction_twin.controller.makes import make_of
+from construction_twin.controller.port import Said, Told
 from construction_twin.controller.telegram import STAMP_WRAP, Reply, stamp_step
 from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.core.motion_errors import JointRangeError
@@ -38,8 +37,6 @@ from construction_twin.mock.servo import Servo
 
 #: The servo is given this long to arrive at the end of a program, and refused replies are over after this long without one [s].
 _SETTLING, _RECOVERY = 1.0, 1.0
-#: On the optional channels, see `status_channels`.
-_T1, _AUT, _ACTIVE = 1, 3, 3
 #: A reply is told to be late when its packet left no longer ago than this [ms].
 _LONGEST_STEP = STAMP_WRAP // 2 - 1
 #: Slack of the soft limits [rad]: start + (limit - start) need not round to the limit.
@@ -53,17 +50,17 @@ class MockController:
     """One mock controller; see the module for what it does and when.
 
     Args:
-        forward_kinematics: From axis angles [rad] to the tool's position [m] and A, B, C [rad], for RIst and RSol.
+        forward_kinematics: From axis angles [rad] to the tool's position [m] and A, B, C [rad], which packets report.
 
     Attributes:
-        running: False when RSI has stopped; then nothing is sent and nothing is accepted.
+        running: False when the session has stopped; then nothing is sent and nothing is accepted.
         reason: Why it stopped; empty while running.
-        flag: The ETHERNET object's `$FLAG`: the link was interrupted (timeout).
-        session: Number of the RSI session, from 1.
-        ipoc: IPOC of the last packet [ms].
-        delay: What `Delay` reports.
-        stat: AXISCORR's `Stat`: 0 inactive, 1 correcting, plus 2 << 2 i (lower) or 4 << 2 i (upper) when axis i is clamped. The
-            layout is our own: docs/rsi.md gives none.
+        flag: The controller's own flag that the link was interrupted (timeout).
+        session: Number of the session, from 1.
+        stamp: Of the last packet [ms].
+        missed: What packets report as missed replies.
+        stat: Of corrections: 0 inactive, 1 correcting, plus 2 << 2 i (lower) or 4 << 2 i (upper) when axis i is clamped. The
+            numbers are our own: docs/rsi.md gives none.
         start_pose, setpoint, measured: Length n. Programmed pose of the session, present setpoint, measured axes [rad].
         encoders: Between the measured axes and what is reported.
         reported, true: Length n. What the last packet reports of the axes, and where they really are, which only a fault of an
@@ -71,13 +68,13 @@ class MockController:
         applied: Length n. Correction in effect, after clamping [rad].
         correction_lower, correction_upper, correction_monitor: Length n. Bounds in force in this session [rad].
         pressed: True while the emergency stop is pressed.
-        needs_person: True after an emergency stop: RSI is started again by a person only.
+        needs_person: True after an emergency stop: a session is started by a person only.
         deaf: True while replies are ignored.
         ramp: The last emergency stop's, until the next session.
         program: The program that runs.
         refusals: Why replies did not count.
-        tool: What the channels of a tool switch and read; None where the Ethernet XML has none.
-        told: What the optional channels say in place of what is; None for a channel that says what is. It changes nothing else.
+        tool: What the channels of a tool switch and read; None where the layout has none.
+        told: What packets say of the controller in place of what is. It changes nothing else.
         counters: Totals since construction, see `COUNTERS`.
     """
 
@@ -118,24 +115,26 @@ class MockController:
         self._forward_kinematics = forward_kinematics
         layout = config.layout
         make = make_of(layout.make)
-        self.told: Any = make.nothing_said
-        self._absolute, self._stamp_word = make.absolute, make.words.stamp
+        self.told = Told()
+        self._absolute = make.absolute
+        #: What people call things on it.
+        self.words = make.words
         side = make.controller_side(config)
-        self._encode, self._decode = side.encode, side.decode
+        self._encode, self._decode, self._said = side.encode, side.decode, side.said
         self.tool: SimulatedTool | None = None
         if layout.switched or layout.outputs or layout.inputs:
             self.tool = SimulatedTool(layout, config.gripper, config.period, config.tool_gated)
         #: Per axis, whether a missed reply keeps its correction.
-        self._holdon = side.holds
-        self._stop_declared, self._stop_holdon = layout.stop, side.holds_stop
+        self._holds = side.holds
+        self._stop_declared, self._holds_stop = layout.stop, side.holds_stop
         self._linear = linear = [unit.linear for unit in config.units] or [False] * len(config.axes)
         self._people_units = [(1e3, "mm") if slides else (math.degrees(1.0), "deg") for slides in linear]
         self._max_step = _per_cycle(config.velocity, config.velocity_factor * config.period)
         self._max_step_change = _per_cycle(config.acceleration, config.acceleration_factor * config.period**2)
         self.counters = dict.fromkeys(self.COUNTERS, 0)
         self.session = 0
-        self.ipoc = 0
-        self._start_session(config.start_pose, config.first_ipoc)
+        self.stamp = 0
+        self._start_session(config.start_pose, config.first_stamp)
 
     @property
     def measured(self) -> tuple[float, ...]:
@@ -148,18 +147,16 @@ class MockController:
         return tuple([angle - slip for angle, slip in zip(self.measured, self.encoders.slip)])
 
     @property
-    def status(self) -> Any:
-        """What the optional channels say: T1 while the tool's speed is limited, else AUT; a program that runs; full override."""
-        told = self.told
-        return replace(
-            told,
-            mode=told.mode or (_T1 if self._tool_speed else _AUT),
-            program=told.program or _ACTIVE,
-            override=100.0 if told.override is None else told.override,
-        )
+    def status(self) -> Said:
+        """What telegrams say of the controller, where they have channels for it."""
+        return self._said(self._telling)
+
+    @property
+    def _telling(self) -> Told:
+        return replace(self.told, slow=bool(self._tool_speed))
 
     def restart(self, pose: Sequence[float] | None = None) -> None:
-        """Start a new RSI session, ending the present one if there is one.
+        """Start a new session, ending the present one if there is one.
 
         Args:
             pose: Length n. Start pose [rad]; default: what the encoders report, brought inside the soft limits.
@@ -175,17 +172,17 @@ class MockController:
         if pose is None:
             pose = _clamp(self.reported, self.config.lower, self.config.upper)
         self._check_range(pose)
-        self._start_session(tuple(pose), self._ipoc_after(self.config.restart_gap))
+        self._start_session(tuple(pose), self._stamp_after(self.config.restart_gap))
 
     def begin_cycle(self) -> bytes | None:
         """Close the open cycle, move the servo, open the next one.
 
         Returns:
-            The datagram to send; None when RSI has stopped.
+            The datagram to send; None when the session has stopped.
         """
         if self.running and self._open:
             self._close_cycle()
-            self.ipoc = self._ipoc_after(self.config.cycle * self.running)
+            self.stamp = self._stamp_after(self.config.cycle * self.running)
         elif not self.running:
             self._move_without_session()
         if self.tool is not None:
@@ -198,7 +195,7 @@ class MockController:
         self._reply = None
         self.counters["packets"] += 1
         pose = _flat(self._forward_kinematics(self.reported))
-        values = self.ipoc, self.reported, self._followed, pose, self._start_tool, self.delay, self.status
+        values = self.stamp, self.reported, self._followed, pose, self._start_tool, self.missed, self._telling
         if self.tool is None:
             return self._encode(*values, {}, {})
         return self._encode(*values, None if self.tool.hidden else self.tool.outputs, self.tool.inputs)
@@ -225,18 +222,19 @@ class MockController:
             telegram = self._decode(data)
         except TelegramError as error:
             return self._refuse("wrong_sentype" if error.reason == "sentype" else "malformed", error.reason, str(error))
-        if telegram.stamp != self.ipoc or not self._open:
-            behind, beside = divmod(stamp_step(telegram.stamp, self.ipoc, _LONGEST_STEP), self.config.cycle)
-            if behind > 0 and not beside and stamp_step(self._first_ipoc, telegram.stamp, _LONGEST_STEP) >= 0:
-                late = f"the reply to {self._stamp_word} {telegram.stamp} came {behind} cycle{'s' if behind > 1 else ''} late"
+        if telegram.stamp != self.stamp or not self._open:
+            behind, beside = divmod(stamp_step(telegram.stamp, self.stamp, _LONGEST_STEP), self.config.cycle)
+            if behind > 0 and not beside and stamp_step(self._first_stamp, telegram.stamp, _LONGEST_STEP) >= 0:
+                late = f"the reply to {self.words.stamp} {telegram.stamp} came {behind} cycle{'s' if behind > 1 else ''} late"
                 return self._refuse("late_replies", "late", late)
-            expected = f"the reply carries {self._stamp_word} {telegram.stamp}; expected that of the packet, unchanged: {self.ipoc}"
+            found = f"the reply carries {self.words.stamp} {telegram.stamp}"
+            expected = f"{found}; expected that of the packet, unchanged: {self.stamp}"
             return self._refuse("mismatched", "ipoc", expected)
         if not in_time:
             return self._refuse(
                 "late_replies",
                 "late",
-                f"the reply to {self._stamp_word} {telegram.stamp} came after the end of its cycle",
+                f"the reply to {self.words.stamp} {telegram.stamp} came after the end of its cycle",
             )
         if self._reply is not None:
             return self._count("duplicates")
@@ -245,13 +243,13 @@ class MockController:
         self.refusals.accept()
         return True
 
-    def _ipoc_after(self, time: int) -> int:
-        """Return IPOC `time` [ms] from now."""
-        ipoc = self.ipoc + time
-        return ipoc - STAMP_WRAP if self.config.first_ipoc < STAMP_WRAP <= ipoc else ipoc
+    def _stamp_after(self, time: int) -> int:
+        """Return the stamp of `time` [ms] from now."""
+        stamp = self.stamp + time
+        return stamp - STAMP_WRAP if self.config.first_stamp < STAMP_WRAP <= stamp else stamp
 
     def press_emergency_stop(self) -> None:
-        """Brake to rest within the acceleration limits and end the RSI session; packets cease at once."""
+        """Brake to rest within the acceleration limits and end the session; packets cease at once."""
         self.pressed = self.needs_person = True
         self.program = None
         if self.running:
@@ -286,7 +284,7 @@ class MockController:
     def run_program(self, goal: Sequence[float], duration: float = 0.0) -> None:
         """Move to a pose without the PC, in a session or without one.
 
-        In a session the programmed pose (ASPos) moves and corrections are added to it, so the goal is met if they stay.
+        In a session the programmed pose moves and corrections are added to it, so the goal is met if they stay.
 
         Args:
             goal: Length n. [rad]
@@ -340,7 +338,7 @@ class MockController:
         return limited
 
     def _move_without_session(self) -> None:
-        """One cycle while RSI has stopped: the ramp, or a program."""
+        """One cycle without a session: the ramp, or a program."""
         if self.ramp is not None:
             self.setpoint = self.ramp.advance()
         elif self.program is not None:
@@ -352,13 +350,13 @@ class MockController:
             return
         self.servo.step(self.setpoint)
 
-    def _start_session(self, pose: tuple[float, ...], ipoc: int) -> None:
+    def _start_session(self, pose: tuple[float, ...], stamp: int) -> None:
         config = self.config
         self._check_range(pose)
         self.session += 1
         self.running, self.reason, self.flag = True, "", False
-        self.ipoc = self._first_ipoc = ipoc
-        self.delay = self.stat = 0
+        self.stamp = self._first_stamp = stamp
+        self.missed = self.stat = 0
         self.start_pose = self.setpoint = pose
         self.applied = self._zero = (0.0,) * len(pose)
         self._last_step = self._zero
@@ -392,7 +390,7 @@ class MockController:
             self._start_tool = _flat(self._forward_kinematics(self.start_pose))
         if self._decode is None:
             self.setpoint = self.start_pose
-            # ONLYSEND: RSI_MOVECORR is not called, nothing is expected, nothing is corrected
+            # nothing is expected, nothing is corrected
             self.servo.step(self.setpoint)
             return
         correction = self._missed_reply() if self._reply is None else self._valid_reply(self._reply)
@@ -410,26 +408,26 @@ class MockController:
 
     def _missed_reply(self) -> tuple[float, ...]:
         self.counters["missed"] += 1
-        self.delay += 1
+        self.missed += 1
         if self.tool is not None:
             self.tool.miss()
-        if self.delay >= self.config.timeout:
+        if self.missed >= self.config.timeout:
             self.flag = True
             refused = self.refusals.since_valid
             why = f"; the last one was refused: {refused}" if refused else ""
-            self._stop(f"timeout: {self.delay} cycles without a valid reply{why}")
-        self._stop_level = self._stop_level and self._stop_holdon
-        return tuple(value if held else 0.0 for value, held in zip(self.applied, self._holdon))
+            self._stop(f"timeout: {self.missed} cycles without a valid reply{why}")
+        self._stop_level = self._stop_level and self._holds_stop
+        return tuple(value if held else 0.0 for value, held in zip(self.applied, self._holds))
 
     def _valid_reply(self, reply: Reply) -> tuple[float, ...]:
         if not self.config.cumulative_delay:
-            self.delay = 0
+            self.missed = 0
         if self.tool is not None:
             self.tool.take(reply.switched)
         self.counters["without_stop"] += reply.stop is None and self._stop_declared
         stop = bool(reply.stop)
         if stop and not self._stop_level:
-            self._stop("stop: requested by the PC, RSI_MOVECORR ended")
+            self._stop(f"stop: requested by the PC, {self.words.ended}")
         self._stop_level = stop
         wanted = reply.target
         if self._absolute:
@@ -443,7 +441,7 @@ class MockController:
         return correction
 
     def _fault(self, correction: tuple[float, ...], setpoint: tuple[float, ...]) -> str:
-        """Return what supervision stops RSI for, with the value and its limit; "" for nothing."""
+        """Return what supervision stops the session for, with the value and its limit; "" for nothing."""
         config = self.config
         for index, axis in enumerate(config.axes):
             if abs(correction[index]) > self.correction_monitor[index]:

@@ -245,7 +245,10 @@ class FaultBoard:
     def _grip(self, fault: Fault):
         tool = self.controller.tool
         if tool is None:
-            raise ConstructionTwinError(f"{fault.name}: found None, expected an Ethernet XML with channels of a tool")
+            words = self.controller.words
+            raise ConstructionTwinError(
+                f"{fault.name}: found None, expected {words.description} with channels of a tool"
+            )
 
         def fail(on: bool) -> None:
             tool.fails = on

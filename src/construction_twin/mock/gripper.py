@@ -1,11 +1,11 @@
-"""The tool at the mock's flange: `$OUT`, `$IN`, the part of the RSI context that connects them, and a simulated gripper.
+"""The tool at the mock's flange: the controller's outputs and inputs, what connects them to telegrams, and a simulated gripper.
 
-`$OUT` outlives every RSI session, as on a controller. What the RSI context does with the channels of a reply is one of two:
+Outputs outlive every session, as on a controller. What the controller does with the channels of a reply is one of two:
 
-* gated, as the files in krl/ do it: SETDIGOUT and RESETDIGOUT behind ``Set.Enable``. They act on rising edges, and leave an output
-  alone while the channel is 0, which it is from RSI_ON to the first reply that says otherwise;
-* plain, MAP2DIGOUT alone: every output follows its channel from RSI_ON on, whose first value is 0. A grip that is closed by a 1
-  opens at RSI_ON. The mock can do it, so that a test can show it.
+* gated, as the files in krl/ do it: set and reset behind `ENABLE`. They act on rising edges, and leave an output alone while the
+  channel is 0, which it is from the session's begin to the first reply that says otherwise;
+* plain: every output follows its channel from the session's begin on, whose first value is 0. A grip that is closed by a 1 opens
+  then. The mock can do it, so that a test can show it.
 
 Gripper: `time` after the outputs read what closes (opens) it, the inputs read what confirms that. Pure; cycles are counted.
 """
@@ -45,10 +45,10 @@ class SimulatedTool:
     Args:
         layout: With channels of a tool.
         period: The controller's cycle [s].
-        gated: Whether the RSI context leaves the outputs alone while ``Set.Enable`` is 0.
+        gated: Whether the controller leaves the outputs alone while the channel `ENABLE` is 0.
 
     Attributes:
-        outputs, inputs: `$OUT` and `$IN` by the tool's names.
+        outputs, inputs: The controller's, by the tool's names.
         fails, lost, hidden: Faults: the grip does not close; it has let go; the telegrams do not tell the outputs.
     """
 
@@ -72,7 +72,7 @@ class SimulatedTool:
         return bool(self._gripper.closed) and self._reads(self.inputs, self._gripper.closed)
 
     def begin_session(self) -> None:
-        """Begin an RSI session: every channel of a reply is 0 before the first reply; `$OUT` stays."""
+        """Begin a session: every channel of a reply is 0 before the first reply; outputs stay."""
         self._channels = (False,) * len(self._names)
         self._edges: dict[str, bool | None] = {}
         if not self._gated:

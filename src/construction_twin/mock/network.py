@@ -2,8 +2,8 @@
 
 The clock is a grid of absolute deadlines; it never waits for a reply. A real controller is never late, but this process can be
 late. Then the packets that are due follow each other at half a cycle until they are on the grid again: the PC always has half a
-cycle to answer, and IPOC, which advances by a cycle per packet, stays in step with time. Grid points are skipped only after a stall
-longer than `CATCH_UP`. Late packets and skipped grid points are counted (`overruns`, `skipped`).
+cycle to answer, and the stamp, which advances by a cycle per packet, stays in step with time. Grid points are skipped only after a
+stall longer than `CATCH_UP`. Late packets and skipped grid points are counted (`overruns`, `skipped`).
 
 A reply is in time when it *arrived* before its cycle ended, whenever this process came to read it: on Linux the kernel's stamp
 tells. Elsewhere it is in time when it was read before the next packet left.
@@ -43,7 +43,7 @@ class MockRsi:
 
     Args:
         gateway: Host and UDP port of the gateway.
-        restart_after: A stopped controller starts a new RSI session after this time [s]; 0 (default): it stays stopped.
+        restart_after: A stopped controller starts a new session after this time [s]; 0 (default): it stays stopped.
         observe: Called with this object in every cycle, right after sending; must be quick.
         report: Called with one sentence when a session starts or stops, and when replies begin to be refused or count again.
         fault_seed: Of the faults' random numbers.
@@ -146,7 +146,7 @@ class MockRsi:
         if not controller.running:
             if self._stopped_at is None:
                 self._stopped_at = now
-                self._report(f"RSI session {controller.session} stopped: {controller.reason}")
+                self._report(f"{controller.words.protocol} session {controller.session} stopped: {controller.reason}")
             due = self._restart_after and now - self._stopped_at >= self._restart_after
             if due and not controller.needs_person:
                 controller.restart()
@@ -158,12 +158,13 @@ class MockRsi:
             before = self._socket
             self._socket, self._stamped = _open_socket()
             before.close()
-            self._report(f"RSI session {controller.session} started, IPOC {controller.ipoc}, gateway {self._gateway}")
+            begun = f"session {controller.session} started, {controller.words.stamp} {controller.stamp}"
+            self._report(f"{controller.words.protocol} {begun}, gateway {self._gateway}")
 
     def _tell_refusals(self) -> None:
         news = self.controller.refusals.news
         for sentence in news:
-            self._report(f"RSI session {self.controller.session}: {sentence}")
+            self._report(f"{self.controller.words.protocol} session {self.controller.session}: {sentence}")
         news.clear()
 
     def _send(self, packet: bytes) -> None:

@@ -115,7 +115,7 @@ class ToolSpeedLimit:
 
     The steps of all axes are shortened alike, so the arm keeps its direction; then each is brought within its
     acceleration limit, so that the tool may be faster for as long as it takes to brake. What a KR C4 really does about
-    fast corrections in T1 is not known (docs/rsi.md, section 14): it may as well stop RSI.
+    fast corrections in T1 is not known (docs/rsi.md, section 14): it may as well end the session.
 
     Args:
         position, step: Length n. Present setpoint [rad] and its last step [rad per cycle].

@@ -1,4 +1,4 @@
-"""The mock KR C4 as a program: settings, and what is built from them. Runs without ROS; clock and socket are in `network`.
+"""The mock controller as a program: settings, and what is built from them. Runs without ROS; clock and socket are in `network`.
 
 python -m construction_twin.mock --help
 """
@@ -12,12 +12,13 @@ import signal
 import sys
 import threading
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import pydantic
 
 from construction_twin.controller.axis_unit import AxisUnit
-from construction_twin.controller.makes import DEFAULT, make_of
+from construction_twin.controller.makes import DEFAULT, MODULES, make_of
+from construction_twin.controller.port import Layout
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.realtime import request_realtime
 from construction_twin.core.share import share_file
@@ -33,6 +34,8 @@ from construction_twin.robot.tool import read_tool, tool_of
 
 log = logging.getLogger(__name__)
 
+#: The file of the default make.
+_SHIPPED = share_file("krl/ethernet/ctwin_ethernet.xml")
 _Degrees = list[Annotated[float, pydantic.Field(allow_inf_nan=False)]]
 
 
@@ -43,8 +46,9 @@ class MockSettings(pydantic.BaseModel):
 
     gateway_host: str
     gateway_port: Annotated[int, pydantic.Field(ge=0, le=65535)] = 0
+    make: str = DEFAULT
     ethernet_xml: str = ""
-    cycle: Literal[4, 12] = 4
+    cycle: int = 4
     precision: Annotated[int, pydantic.Field(ge=1, le=32)] = 6
     timeout: Annotated[int, pydantic.Field(ge=1)] = 100
     stop_required: bool = False
@@ -72,6 +76,21 @@ class MockSettings(pydantic.BaseModel):
     tool_gated: bool = True
     realtime_priority: Annotated[int, pydantic.Field(ge=0, le=99)] = 0
 
+    @pydantic.field_validator("make")
+    @classmethod
+    def _is_known(cls, make: str) -> str:
+        if make not in MODULES:
+            raise ValueError(f"expected one of {', '.join(MODULES)}")
+        return make
+
+    @pydantic.field_validator("cycle")
+    @classmethod
+    def _is_of_the_make(cls, cycle: int, info: pydantic.ValidationInfo) -> int:
+        cycles = make_of(info.data["make"]).cycles if "make" in info.data else (cycle,)
+        if cycle not in cycles:
+            raise ValueError(f"expected {' or '.join(map(str, cycles))}")
+        return cycle
+
 
 def build_controller(settings: MockSettings, robot: RobotModel) -> MockController:
     """Build the controller of `robot` as `settings` say.
@@ -80,7 +99,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         ConfigurationError: If a setting does not fit the robot.
         JointRangeError: If the start pose lies outside the range.
     """
-    layout = _layout(settings)
+    axes = tuple(axis.name for axis in robot.axes)
     ends = zip(axis_angles(robot, robot.lower), axis_angles(robot, robot.upper))
     lower, upper = zip(*(sorted(pair) for pair in ends))
 
@@ -91,13 +110,13 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         return from_wire(values, robot.linear) if values else None
 
     config = MockConfig(
-        axes=tuple(axis.rsi for axis in robot.axes),
+        axes=axes,
         start_pose=listed("start_pose_deg") or axis_angles(robot, robot.home),
         lower=lower,
         upper=upper,
         velocity=robot.velocity,
         acceleration=robot.acceleration,
-        layout=layout,
+        layout=_layout(settings, axes),
         units=_units(settings, robot),
         cycle=settings.cycle,
         precision=settings.precision,
@@ -109,7 +128,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         correction_monitor=listed("correction_monitor_deg"),
         velocity_factor=settings.velocity_factor,
         acceleration_factor=settings.acceleration_factor,
-        first_ipoc=settings.first_ipoc,
+        first_stamp=settings.first_ipoc,
         gripper=_gripper(settings),
         tool_gated=settings.tool_gated,
     )
@@ -126,22 +145,22 @@ def _gripper(settings: MockSettings) -> Gripper:
 
 
 def gateway_address(settings: MockSettings) -> tuple[str, int]:
-    """Return where packets go: the port is the Ethernet XML's unless another one is given."""
-    layout = _layout(settings)
+    """Return where packets go: the port is that of the controller's file, unless another one is given."""
+    make, layout = make_of(settings.make), _layout(settings, ())
     if settings.gateway_port:
         return settings.gateway_host, settings.gateway_port
-    if layout is None:
-        raise ConfigurationError("gateway_port", 0, "a port, or an Ethernet XML that names it")
+    if make.file is not None and not settings.ethernet_xml:
+        raise ConfigurationError("gateway_port", 0, f"a port, or {make.words.description} that names it")
     return settings.gateway_host, layout.port
 
 
-def _layout(settings: MockSettings) -> Any:
-    return make_of(DEFAULT).read_file(settings.ethernet_xml, "Ethernet XML") if settings.ethernet_xml else None
+def _layout(settings: MockSettings, axes: tuple[str, ...]) -> Layout:
+    return make_of(settings.make).layout_of(settings.ethernet_xml, axes)
 
 
 def _units(settings: MockSettings, robot: RobotModel) -> tuple[AxisUnit, ...]:
     e1 = settings.e1_sign, settings.e1_offset, settings.e1_feedback_scale, settings.e1_correction_scale
-    return tuple(AxisUnit(linear, *(e1 if axis.rsi == "E1" else ())) for axis, linear in zip(robot.axes, robot.linear))
+    return tuple(AxisUnit(linear, *(e1 if axis.name == "E1" else ())) for axis, linear in zip(robot.axes, robot.linear))
 
 
 def build_servo(settings: MockSettings) -> Servo:
@@ -181,7 +200,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     """Return the options of the command line; only those that were given, or have a default."""
     parser = argparse.ArgumentParser(
         prog="mock_rsi",
-        description="Mock KUKA KR C4 with RSI: a UDP client with its own clock. Needs no ROS.",
+        description="Mock robot controller, a KUKA KR C4 with RSI by default: a UDP client with its own clock. Needs no ROS.",
         argument_default=argparse.SUPPRESS,
     )
     option = parser.add_argument
@@ -190,14 +209,15 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     )
     option("--robot-xacro-args", metavar="'NAME=VALUE ...'", help="arguments of the xacro [its defaults]")
     option("--robot-config", type=Path, default=share_file("config/kr120.yaml"), help="robot YAML [%(default)s]")
-    option("--ethernet-xml", type=Path, default=share_file("krl/ethernet/ctwin_ethernet.xml"), metavar="FILE",
-           help="the controller's RSI Ethernet XML [%(default)s]")  # fmt: skip
+    option("--make", choices=tuple(MODULES), default=DEFAULT, help="make of the controller [%(default)s]")
+    option("--ethernet-xml", type=Path, metavar="FILE",
+           help=f"file that describes its telegrams; of {DEFAULT} the Ethernet XML [of {DEFAULT}: {_SHIPPED}]")  # fmt: skip
     option("--tool", type=Path, metavar="FILE", help="tool file of the gripper that is simulated [none]")
     option(
         "--gateway",
         default="127.0.0.1:0",
         metavar="HOST:PORT",
-        help="where packets go; port 0: the Ethernet XML's [%(default)s]",
+        help="where packets go; port 0: that of the controller's file [%(default)s]",
     )
     option(
         "--start",
@@ -206,11 +226,11 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
         metavar="DEG,...",
         help="start pose of the axes [deg], prismatic ones [mm], as the robot's joints are ordered [home]",
     )
-    option("--cycle", type=int, help="length of a cycle [ms], 4 or 12 [4]")
+    option("--cycle", type=int, help="length of a cycle [ms], one that the make has [4]")
     option("--precision", type=int, help="decimals of sent values, 1 to 32 [6]")
-    option("--timeout", type=int, help="cycles without a valid reply until RSI stops [100]")
+    option("--timeout", type=int, help="cycles without a valid reply until the session stops [100]")
     option("--servo", choices=("ideal", "realistic"), help="servo model [ideal]")
-    option("--restart-after", type=float, metavar="S", help="new RSI session this long after a stop [s]; 0: never [0]")
+    option("--restart-after", type=float, metavar="S", help="new session this long after a stop [s]; 0: never [0]")
     option(
         "--realtime", dest="realtime_priority", type=int, metavar="PRIORITY", help="SCHED_FIFO priority; 0: none [0]"
     )
@@ -224,8 +244,10 @@ def _pose(text: str) -> list[float]:
 def checked_settings(options: dict) -> MockSettings:
     """Return the settings that `parse_arguments` gave; ConfigurationError when one makes no sense."""
     host, _, port = options.pop("gateway").rpartition(":")
-    if "ethernet_xml" in options:
-        options["ethernet_xml"] = make_of(DEFAULT).load_text(options["ethernet_xml"])
+    make = make_of(options.get("make", DEFAULT))
+    path = options.pop("ethernet_xml", _SHIPPED if make.name == DEFAULT else None)
+    if path is not None:
+        options["ethernet_xml"] = make.form_of(str(path)).load(path).text
     if "tool" in options:
         options["tool"] = read_tool(options["tool"]).tool.model_dump()
     try:

@@ -71,7 +71,7 @@ class JointStringCodec:
     def of(cls, robot, decimals: int = 3) -> JointStringCodec:
         """Return the codec for a `RobotModel`'s joints."""
         mapping = [(axis.sign, axis.offset) for axis in robot.axes]
-        return cls(len(robot.joint_names), decimals, mapping, [axis.rsi for axis in robot.axes], robot.linear)
+        return cls(len(robot.joint_names), decimals, mapping, [axis.name for axis in robot.axes], robot.linear)
 
     @classmethod
     def of_config(cls, config) -> JointStringCodec:

@@ -50,12 +50,12 @@ class AxisMapping:
     """How a joint appears on the wire and in RSI: ``rsi_value = sign * q + offset``.
 
     Attributes:
-        rsi: Attribute name in RSI telegrams, e.g. ``A1``, or ``E1`` for an external axis.
+        name: Of the axis in the controller's telegrams, e.g. ``A1``, or ``E1`` for an external axis.
         sign: +1 or -1.
         offset: [rad] ([m] for a prismatic joint).
     """
 
-    rsi: str
+    name: str
     sign: int
     offset: float
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
 
 from construction_twin.controller.last_resort import BareProtocol, LastResort
-from construction_twin.controller.port import ControllerSide, Make, Reader, Setup, Words
+from construction_twin.controller.port import ControllerSide, FileForm, Make, MockSetup, Reader, Setup, Told, Words
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 from construction_twin.rsi.ethernet_xml import (
@@ -30,11 +29,13 @@ from construction_twin.rsi.tool_check import check_tool
 CYCLES = {4: "#IPO_FAST", 12: "#IPO"}
 #: The file's name in messages about a configuration.
 _FILE = "Ethernet XML"
+#: What a controller says that runs its program: in T1 or AUT, `ProState_R` ACTIVE, at full override.
+_T1, _AUT, _ACTIVE, _FULL = 1, 3, 3, 100.0
 _find_ipoc = re.compile(rb"<IPOC>\s*([0-9]{1,20})\s*</IPOC>").search
 _find_delay = re.compile(rb"""<Delay\s+D\s*=\s*["']([0-9]{1,20})["']""").search
 
 
-def check(setup: Setup) -> None:
+def check(setup: Setup[RsiLayout]) -> None:
     """Check that RSI can serve an arm as it is configured.
 
     Raises:
@@ -47,7 +48,7 @@ def check(setup: Setup) -> None:
     check_tool(setup.tool, setup.layout, _FILE)
 
 
-def reader(setup: Setup) -> Reader:
+def reader(setup: Setup[RsiLayout]) -> Reader:
     """Return what reads the telegrams of one configuration."""
     channels, tool = status_channels(setup.layout.send), setup.tool
     return Reader(
@@ -57,12 +58,12 @@ def reader(setup: Setup) -> Reader:
     )
 
 
-def encoder(setup: Setup) -> SensorEncoder:
+def encoder(setup: Setup[RsiLayout]) -> SensorEncoder:
     """Return what writes the replies of one configuration."""
     return SensorEncoder.of(setup.layout, setup.axes, setup.units)
 
 
-def last_resort(setup: Setup) -> LastResort:
+def last_resort(setup: Setup[RsiLayout]) -> LastResort:
     """Return what answers RSI after the gateway has failed."""
     if not setup.layout.answered:
         return LastResort(setup.limits, None, setup.cycle)
@@ -71,23 +72,42 @@ def last_resort(setup: Setup) -> LastResort:
     return LastResort(setup.limits, bare, setup.cycle)
 
 
-def controller_side(config: Any) -> ControllerSide:
+def said(told: Told) -> ControllerStatus:
+    """Return what the optional channels of a mock say."""
+    return ControllerStatus(
+        told.mode or (_T1 if told.slow else _AUT),
+        told.program or _ACTIVE,
+        _FULL if told.override is None else told.override,
+    )
+
+
+def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
     """Return what a KR C4 with this configuration writes and reads."""
     layout = config.layout
-    told, unseen = [
+    seen, unseen = [
         RobotEncoder(config.axes, config.precision, send, config.units)
         for send in (layout.send, tuple(tag for tag in layout.send if not tag.startswith(f"{OUT}.")))
     ]
     rich = bool(status_channels(layout.send)) or any(map(is_signal, layout.send))
 
-    def encode(ipoc, measured, setpoint, measured_pose, setpoint_pose, delay, said, outputs=None, inputs=None) -> bytes:
+    def encode(
+        ipoc: int,
+        measured: Sequence[float],
+        setpoint: Sequence[float],
+        measured_pose: Sequence[float],
+        setpoint_pose: Sequence[float],
+        delay: int,
+        told: Told,
+        outputs: Mapping[str, bool] | None,
+        inputs: Mapping[str, bool],
+    ) -> bytes:
         values = ipoc, measured, setpoint, measured_pose, setpoint_pose, delay
         if not rich:
-            return told.encode(*values)
-        signals = {f"{IN}.{name}": value for name, value in (inputs or {}).items()}
+            return seen.encode(*values)
+        status, signals = said(told), {f"{IN}.{name}": value for name, value in inputs.items()}
         if outputs is None:
-            return unseen.encode(*values, said, signals)
-        return told.encode(*values, said, signals | {f"{OUT}.{name}": value for name, value in outputs.items()})
+            return unseen.encode(*values, status, signals)
+        return seen.encode(*values, status, signals | {f"{OUT}.{name}": value for name, value in outputs.items()})
 
     decode = None
     if layout.answered:
@@ -96,7 +116,7 @@ def controller_side(config: Any) -> ControllerSide:
         ).parse
     holdon = dict(zip(layout.receive, layout.holdon))
     holds = [any(held for channel, held in holdon.items() if channel.partition(".")[2] == axis) for axis in config.axes]
-    return ControllerSide(encode, decode, tuple(holds), holdon.get(STOP, False))
+    return ControllerSide(encode, decode, tuple(holds), holdon.get(STOP, False), said)
 
 
 def _ipoc(data: bytes) -> int | None:
@@ -109,7 +129,7 @@ def _delay(data: bytes) -> int | None:
     return int(found[1]) if found else None
 
 
-def _filling(order: Sequence[tuple[int, float]]):
+def _filling(order: Sequence[tuple[int, float]]) -> Callable[[bytes, tuple[float, ...], int], bytes]:
     def fill(text: bytes, target: tuple[float, ...], ipoc: int) -> bytes:
         filled = text % (*[target[index] * factor for index, factor in order], ipoc)
         return filled.replace(b'"-0.000000"', b'"0.000000"')
@@ -118,6 +138,7 @@ def _filling(order: Sequence[tuple[int, float]]):
 
 
 MAKE = Make(
+    name=RsiLayout.make,
     absolute=False,
     cycles=CYCLES,
     words=Words(
@@ -126,8 +147,10 @@ MAKE = Make(
         read_only="read-only: the Ethernet XML has ONLYSEND TRUE",
         no_stop="the Ethernet XML declares no Stop element: end the program on the pendant",
         ends="RSI_MOVECORR ends as soon as the arm is at rest",
+        ended="RSI_MOVECORR ended",
         cycle="RSI_ON(..., {})",
         cycles=f"RSI_ON with {' or '.join(CYCLES.values())}",
+        timeout="Timeout of the controller's ETHERNET object",
         description="the Ethernet XML",
     ),
     nothing_said=ControllerStatus(),
@@ -140,10 +163,14 @@ MAKE = Make(
     last_resort=last_resort,
     check_axes=lambda layout, axes: check_axes(layout, axes, _FILE),
     controller_side=controller_side,
-    read_file=lambda text, where: read_ethernet_xml(text, where).layout,
-    load_file=lambda path: load_ethernet_xml(path).layout,
-    load_text=lambda path: load_ethernet_xml(path).text,
-    write_file=ethernet_xml_text,
-    sends_to=controller_sends_to,
     tool_channels=tool_channels,
+    file=FileForm(
+        name=_FILE,
+        ending="_ethernet.xml",
+        to_fill="IP_NUMBER, the address of the PC that runs rsi_gateway; for a controller that speaks KUKA RSI",
+        read=read_ethernet_xml,
+        load=load_ethernet_xml,
+        write=ethernet_xml_text,
+        sends_to=controller_sends_to,
+    ),
 )

@@ -8,6 +8,7 @@ from __future__ import annotations
 from construction_twin.controller.port import Setup
 from construction_twin.controller.telegram import Telegram
 from construction_twin.core.limits import distance_off, outside_tolerance
+from construction_twin.rsi.layout import RsiLayout
 
 
 class RsiSessionRules:
@@ -18,7 +19,7 @@ class RsiSessionRules:
         "if ASPos contains the corrections, set reference to AIPos"
     )
 
-    def __init__(self, setup: Setup):
+    def __init__(self, setup: Setup[RsiLayout]):
         self.follows = setup.reference == "ASPos"
         self._limits = setup.limits
         self._tolerances = setup.start_tolerances

@@ -19,6 +19,8 @@ ARGUMENTS = {
     "robot_xacro_args": "arguments of the xacro: words name=value",
     "robot_config": "robot YAML of the arm: absolute path",
     "self_collision": "YAML of the link pairs that are not checked against each other: absolute path",
+    "controller_make": "make of the controller, for gateway, bridge and mock",
+    "rsi_cycle": "the controller's cycle, for gateway, bridge and mock [ms]",
     "ethernet_xml": "RSI Ethernet XML of the controller, for gateway, bridge and mock: absolute path",
     "scene": "YAML of the scene, what the arm must not touch: absolute path; none: nothing but itself",
 }
@@ -28,7 +30,7 @@ def launch_text(values: Mapping[str, str]) -> str:
     """Return a launch file that starts everything for one arm; every other argument of bringup.launch can be given to it.
 
     Args:
-        values: Of each of `ARGUMENTS`.
+        values: Of those of `ARGUMENTS` that it sets.
     """
     lines = [
         "<launch>",
@@ -37,6 +39,7 @@ def launch_text(values: Mapping[str, str]) -> str:
         *(
             f"  <arg name={quoteattr(name)} default={quoteattr(values[name])}\n       doc={quoteattr(doc)}/>"
             for name, doc in ARGUMENTS.items()
+            if name in values
         ),
         "",
         '  <include file="$(find construction_twin)/launch/bringup.launch" pass_all_args="true"/>',
@@ -47,7 +50,7 @@ def launch_text(values: Mapping[str, str]) -> str:
 
 def summary(robot: RobotModel, home: Home) -> list[str]:
     """Return what was found out about an arm."""
-    axes = ", ".join(f"{joint} {axis.rsi}" for joint, axis in zip(robot.joint_names, robot.axes))
+    axes = ", ".join(f"{joint} {axis.name}" for joint, axis in zip(robot.joint_names, robot.axes))
     values = zip(robot.home, robot.linear)
     pose = ", ".join(f"{value * 1e3:g} mm" if linear else f"{math.degrees(value):.4g}" for value, linear in values)
     nearest = f"; closest {home.clearance:.3f} m ({home.between[0]} to {home.between[1]})" if home.between else ""
@@ -59,11 +62,12 @@ def summary(robot: RobotModel, home: Home) -> list[str]:
     ]
 
 
-def to_do(robot: RobotModel, files: Mapping[str, Path], scene_left_out: str) -> list[str]:
+def to_do(robot: RobotModel, files: Mapping[str, Path], to_fill: str, scene_left_out: str) -> list[str]:
     """Return what a person must still fill in, one line each.
 
     Args:
-        files: ``robot_config`` and ``ethernet_xml``.
+        files: ``robot_config``, and ``ethernet_xml`` where the controller has such a file.
+        to_fill: What is missing in that one.
         scene_left_out: Why the launch file starts without a scene; empty: it has one.
     """
     reasons = {
@@ -79,10 +83,8 @@ def to_do(robot: RobotModel, files: Mapping[str, Path], scene_left_out: str) -> 
         f"{files['robot_config'].name}, {ESTIMATES[word]}: {reasons[word]}; then take `{word}` out of `estimates`"
         for word in robot.estimates
     ]
-    lines.append(
-        f"{files['ethernet_xml'].name}: IP_NUMBER, the address of the PC that runs rsi_gateway; for a controller that speaks "
-        "KUKA RSI"
-    )
+    if "ethernet_xml" in files:
+        lines.append(f"{files['ethernet_xml'].name}: {to_fill}")
     if scene_left_out:
         lines.append(
             f"scene: {scene_left_out}, so the launch file begins with scene:=none: write your own (docs/planning.md)"

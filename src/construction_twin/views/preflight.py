@@ -17,7 +17,6 @@ CHOICES = {
     "servo": ("ideal", "realistic"),
     "protocol": ("5", "3.1.1"),
     "gateway_kind": ("rsi", "plc"),
-    "rsi_cycle": ("4", "12"),
 }
 SWITCHES = (
     "auto_approve",
@@ -46,6 +45,8 @@ NUMBERS = {
 }
 #: What stands for no file: roslaunch drops an empty value.
 NONE = "none"
+#: Files that are needed unless that is given, which is said of the first only: few controllers have no file.
+WITHOUT = ("scene", "ethernet_xml")
 #: Files that must be there, and those that may be left out.
 FILES = ("robot_xacro", "robot_config", "self_collision", "ethernet_xml")
 OPTIONAL_FILES = (
@@ -216,7 +217,7 @@ def _expected(name: str, value: str, is_file: Callable[[str], bool]) -> str:
         lowest, highest = NUMBERS[name]
         if not (value.isascii() and value.isdigit() and lowest <= int(value) <= highest):
             return f"a whole number from {lowest} to {highest}"
-    if name == "scene" and value == NONE:
+    if name in WITHOUT and value == NONE:
         return ""
     if (name in FILES or (name in OPTIONAL_FILES and value)) and not is_file(value):
         return "the absolute path of a file that can be read" + (f", or {NONE}" if name == "scene" else "")

@@ -12,6 +12,7 @@ from chain_samples import REACH, ROBOT, SETTINGS, make_plan, play_to_the_end
 from frames_make import CYCLE_MS, SESSION, Frames, fill, stamp_of
 from simulation import SimulatedChain
 
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.config import parse_config
@@ -21,7 +22,7 @@ from construction_twin.gateway.states import State
 from construction_twin.link.states import LinkState
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import Fault
-from construction_twin.mock.program import MockSettings, build_controller, make_forward_kinematics
+from construction_twin.mock.program import MockSettings, build_controller, gateway_address, make_forward_kinematics
 from construction_twin.mock.servo import IdealServo
 from construction_twin.ros.shared.gateway_config import gateway_config
 
@@ -31,11 +32,15 @@ PEER = ("192.168.1.30", 50_000)
 ARM = np.array(ROBOT.home)
 
 
+#: What launch/link.launch loads of it.
+LAUNCHED = {"make": "frames", "cycle": CYCLE_MS}
+
+
 def made(**options) -> SimulatedChain:
     """Return a chain that is ready for a plan."""
     plain = build_controller(MockSettings(gateway_host="simulated", gateway_port=1), ROBOT).config
     config = dataclasses.replace(
-        plain, layout=Frames(), cycle=CYCLE_MS, units=(), first_ipoc=stamp_of(1, 0), restart_gap=SESSION
+        plain, layout=Frames(), cycle=CYCLE_MS, units=(), first_stamp=stamp_of(1, 0), restart_gap=SESSION
     )
     controller = MockController(config, IdealServo(3, config.period), make_forward_kinematics(ROBOT))
     chain = SimulatedChain(ROBOT, CONFIG, controller, **options)
@@ -209,6 +214,30 @@ def test_without_a_pose_nothing_is_answered(monkeypatch):
     monkeypatch.setattr(frames_make.Rules, "origin", lambda self, telegram: ((), ""))
     gateway = Gateway(CONFIG, "run1")
     assert gateway.on_telegram(CONFIG.make.reader(CONFIG).parse(frame(1)), PEER, NANOSECONDS) is None
+
+
+def test_what_a_launch_file_loads_is_the_make_s_own_for_gateway_and_mock():
+    config = gateway_config(ROBOT, SETTINGS | LAUNCHED)
+    assert (config.layout, config.make) == (Frames(), frames_make.MAKE)
+    settings = MockSettings(gateway_host="simulated", **LAUNCHED)
+    assert build_controller(settings, ROBOT).config.layout == Frames()
+    # it has no file that could name another port
+    assert gateway_address(settings) == ("simulated", 50_000)
+
+
+def test_a_file_a_cycle_and_a_make_that_are_not_there_are_refused():
+    with pytest.raises(ConfigurationError, match="none: frames has no file for its telegrams"):
+        gateway_config(ROBOT, SETTINGS | LAUNCHED | {"ethernet_xml": "<ROOT/>"})
+    with pytest.raises(ConfigurationError, match="cycle: found 4, expected 8 ms"):
+        gateway_config(ROBOT, SETTINGS | LAUNCHED | {"cycle": 4})
+    with pytest.raises(ConfigurationError, match="make: found 'fanuc', expected one of rsi, frames"):
+        gateway_config(ROBOT, SETTINGS | {"make": "fanuc"})
+    for given, words in (
+        ({"make": "fanuc"}, "make\n.*expected one of rsi, frames"),
+        ({"cycle": 4}, "cycle\n.*expected 8"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            MockSettings(gateway_host="simulated", **LAUNCHED | given)
 
 
 def test_its_configuration_names_the_make_and_is_read_again():

@@ -24,7 +24,7 @@ def asleep(pc):
 
     def sleep(mock):
         if mock.counters["packets"] in pc.after:
-            ipoc = mock.controller.ipoc
+            ipoc = mock.controller.stamp
             wait_until(lambda: ipoc in pc.answered)
 
     return sleep
@@ -65,7 +65,7 @@ def test_a_reply_that_came_in_time_counts_however_late_it_is_read(robot, pc):
     left: dict[int, int] = {}
 
     def sleep(mock):
-        ipoc = mock.controller.ipoc
+        ipoc = mock.controller.stamp
         if mock.counters["packets"] % 20 == 0:
             left[ipoc] = mock.left
             wait_until(lambda: ipoc in pc.answered and time.monotonic_ns() > mock.left + 3 * CYCLE_NS)

@@ -83,7 +83,7 @@ def test_c_silence_of_100_cycles_stops_rsi_at_400_ms():
     assert cell.mock.flag
     assert cell.mock.counters["packets"] == 110
     assert cell.cycles(50) == [None] * 50
-    assert not cell.mock.receive(cell.encoder.encode(ZERO, cell.mock.ipoc))
+    assert not cell.mock.receive(cell.encoder.encode(ZERO, cell.mock.stamp))
     assert cell.mock.counters["unexpected"] == 1
 
 
@@ -257,7 +257,7 @@ def test_i_a_stopped_controller_restarts_where_the_arm_stands():
 def test_i_a_late_reply_from_the_last_session_means_nothing():
     cell = Cell()
     cell.cycles(5)
-    old = cell.mock.ipoc
+    old = cell.mock.stamp
     cell.mock.restart()
     cell.mock.begin_cycle()
     assert not cell.mock.receive(cell.encoder.encode(ZERO, old))
@@ -319,7 +319,7 @@ def test_a_stalled_axis_stands_and_catches_up_within_limits_when_released():
         {"start_pose": HOME[:5]},
         {"lower": (math.nan,) * 6},
         {"timeout": 0},
-        {"first_ipoc": -4},
+        {"first_stamp": -4},
         {"correction_lower": radians((1,) * 6)},
         {"correction_upper": radians((-1,) * 6)},
         {"correction_monitor": radians((-1,) * 6)},
@@ -344,11 +344,11 @@ def test_the_same_replies_give_the_same_packets():
     [(2**32 - 10, [2**32 - 10, 2**32 - 6, 2**32 - 2, 2, 6]), (2**32 + 4, [2**32 + 4 * k for k in range(1, 6)])],
 )
 def test_an_ipoc_of_32_bits_wraps_and_a_larger_one_does_not(first, after):
-    cell = Cell(first_ipoc=first)
+    cell = Cell(first_stamp=first)
     assert [packet.stamp for packet in cell.cycles(5)] == after
     assert cell.mock.counters["missed"] == 0
     # a reply to the telegram before the wrap is late, as elsewhere
     cell.cycle(ZERO, ipoc_offset=after[1] - (after[-1] + 4))
     assert cell.mock.counters["late_replies"] == 1
     cell.mock.restart()
-    assert cell.mock.ipoc == (after[-1] + 4 + cell.mock.config.restart_gap)
+    assert cell.mock.stamp == (after[-1] + 4 + cell.mock.config.restart_gap)

@@ -42,7 +42,7 @@ def test_silence_stops_rsi_after_so_many_cycles_which_are_three_times_as_long():
     slow = cell(12)
     assert None not in slow.cycles(100, None)
     assert_stopped(slow, "timeout: 100 cycles")
-    assert slow.mock.ipoc - slow.packets[0].stamp == 99 * 12
+    assert slow.mock.stamp - slow.packets[0].stamp == 99 * 12
 
 
 def test_a_reply_one_cycle_late_is_12_behind_and_4_behind_is_none():

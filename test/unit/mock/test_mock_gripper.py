@@ -55,7 +55,7 @@ def test_a_mock_without_a_tool_has_no_gripper_to_fail():
     cell = Cell()
     assert cell.mock.tool is None
     for name in ("grip_fails", "grip_lost", "opened_by_hand", "no_read_back"):
-        with pytest.raises(ConstructionTwinError, match="an Ethernet XML with channels of a tool"):
+        with pytest.raises(ConstructionTwinError, match="the Ethernet XML with channels of a tool"):
             FaultBoard(cell.mock, 0).inject(Fault(name))
 
 

@@ -52,7 +52,7 @@ def test_a_one_second_has_250_packets_on_an_absolute_grid(robot, pc):
 
 def test_says_when_a_packet_left_not_when_somebody_asks(robot, pc):
     left = {}
-    with running(robot, pc.address, observe=lambda mock: left.update({mock.controller.ipoc: mock.left})):
+    with running(robot, pc.address, observe=lambda mock: left.update({mock.controller.stamp: mock.left})):
         wait_for(lambda: len(pc.received) >= 50)
     received = {packet.stamp: at for at, packet, _ in pc.received}
     known = sorted(received.keys() & left.keys())

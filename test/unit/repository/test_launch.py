@@ -79,6 +79,14 @@ def test_the_controller_s_address_reaches_the_gateway(file, given):
     assert re.search(rf" --controller ['\"]?{given}['\"]? --broker ", arguments)
 
 
+def test_the_make_of_the_controller_reaches_gateway_bridge_and_mock():
+    names = ("gateway/make", "mock_rsi/make", "gateway/ethernet_xml", "mock_rsi/ethernet_xml")
+    known = parameters("bringup")
+    assert [str(known[f"/kr120/{name}"])[:5] for name in names] == ["rsi", "rsi", "<ROOT", "<ROOT"]
+    known = parameters("experiment", "controller_make:=frames")
+    assert [known.get(f"/kr120/{name}") for name in names] == ["frames", "frames", None, None]
+
+
 def test_all_but_the_named_nodes_are_started_again():
     """An unexpected exception ends a node: what leads to motion must come back by itself."""
     nodes = [
@@ -126,6 +134,9 @@ def test_what_takes_the_commands_is_started_and_nothing_else_of_it(arguments, no
 
 REFUSED = {
     "arm:=foo": "arm:=foo: expected mock, real or none",
+    "controller_make:=fanuc": "controller_make:=fanuc: expected rsi",
+    "rsi_cycle:=8": "rsi_cycle:=8: expected 4 or 12",
+    "ethernet_xml:=none": "ethernet_xml:=none: path: found 'none', expected that of the controller's Ethernet XML",
     "robot_config:=/no/such.yaml": "robot_config:=/no/such.yaml: expected the absolute path",
     "scene:=/no/such.yaml": "scene:=/no/such.yaml: expected the absolute path",
     "arm:=real": "bridge_account:='' with arm:=real: ",

@@ -78,7 +78,7 @@ DEPLOYMENT = {
         "private",
     },
     "pca_monitor": {"arm", "decimals", "realtime_priority", "transition_file"},
-    "mock_rsi": {"gateway_host", "gateway_port", "ethernet_xml", "tool"},
+    "mock_rsi": {"gateway_host", "gateway_port", "make", "ethernet_xml", "tool"},
     "experiment": {"results_dir"},
     "gateway": {"decimals", "robot", "axes", "linear", "lower", "upper", "velocity", "acceleration", "layout", "tool"},
     "neighbour": {"name", "realtime_priority"},

@@ -69,7 +69,7 @@ def test_order_follows_the_joints_not_the_file(description):
     description["joints"]["joint_a2"] |= {"sign": -1, "offset_deg": 90}
     robot = load_robot(URDF_TEXT, description)
     assert robot.home == (0.0, -math.pi / 2, math.pi / 2, 0.0, math.pi / 2, 0.0)
-    assert [axis.rsi for axis in robot.axes] == ["A1", "A2", "A3", "A4", "A5", "A6"]
+    assert [axis.name for axis in robot.axes] == ["A1", "A2", "A3", "A4", "A5", "A6"]
     assert robot.axes[1] == AxisMapping("A2", -1, math.pi / 2)
 
 

@@ -66,7 +66,7 @@ def block(packet: bytes, name: str) -> dict[str, float]:
 
 def test_the_joints_are_track_first_and_the_string_has_it_last():
     assert ROBOT.joint_names[0] == "track"
-    assert [axis.rsi for axis in ROBOT.axes] == ["E1", "A1", "A2", "A3", "A4", "A5", "A6"]
+    assert [axis.name for axis in ROBOT.axes] == ["E1", "A1", "A2", "A3", "A4", "A5", "A6"]
     codec = JointStringCodec.of(ROBOT, 3)
     payload = b"+011.000,-062.000,+073.000,+024.000,+055.000,-036.000,+00612.300"
     assert codec.encode(GOAL) == payload and codec.length == len(payload) == 64

@@ -14,6 +14,7 @@ from mesh_arm import write_mesh_arm
 from new_arms import ARMS, write_arm
 from roslaunch.substitution_args import resolve_args
 
+from construction_twin.controller import makes
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.pipeline import PlanningPipeline
@@ -56,7 +57,7 @@ def test_one_command_per_arm(arm, tmp_path, capsys):
     given = made(folder, urdf, "--tip", arm.tip)
     robot = read_robot_files(given["robot_xacro"], given["robot_config"])
     assert (robot.name, robot.tip_link, given["robot"]) == (arm.name, arm.tip, arm.name)
-    assert [axis.rsi for axis in robot.axes] == arm.axes
+    assert [axis.name for axis in robot.axes] == arm.axes
     assert robot.estimates == ESTIMATED
     # full speed within a second, to three digits
     assert robot.acceleration == pytest.approx(robot.velocity, rel=0.005)
@@ -78,6 +79,14 @@ def test_one_command_per_arm(arm, tmp_path, capsys):
         "scene",
     ):
         assert key in said[said.index("a person must still fill in") :]
+
+
+def test_an_arm_of_another_make_gets_no_file_that_this_one_has_not(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(makes.MODULES, "frames", "frames_make")
+    folder, arm = tmp_path / "made", ARMS[0]
+    given = made(folder, write_arm(tmp_path, arm), "--tip", arm.tip, "--controller-make", "frames")
+    assert (given["controller_make"], given["rsi_cycle"], given.get("ethernet_xml")) == ("frames", "8", None)
+    assert not list(folder.glob("*_ethernet.xml")) and "IP_NUMBER" not in capsys.readouterr().out
 
 
 def robot_estimates(given: dict[str, str]) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ import yaml
 from processes import listens, wait_until
 from ros_master import Node, ros_master
 
+from construction_twin.controller import makes
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.commands import preflight
 from construction_twin.ros.commands.node_files import NODE_FILES, node_files_problem
@@ -55,6 +56,22 @@ SCENARIO = (ROOT / "config" / "scenarios" / "nominal.yaml").read_text()
 )
 def test_files_that_fit_pass(given):
     assert preflight.contents_problem(given) == ""
+
+
+def test_another_make_is_asked_for_its_cycle_its_file_and_its_port(monkeypatch):
+    """Instead of `rsi`; the second make has no file, and its own port."""
+    monkeypatch.setitem(makes.MODULES, "frames", "frames_make")
+    given = KR120 | {"controller_make": "frames", "rsi_cycle": "8", "ethernet_xml": "none", "servo": "ideal"}
+    assert preflight.refusal(given, None, "") == ""
+    assert preflight.make_problem(given | {"rsi_cycle": "4"}) == "rsi_cycle:=4: expected 8"
+    assert (
+        preflight.make_problem(given | {"controller_make": "fanuc"}) == "controller_make:=fanuc: expected rsi or frames"
+    )
+    said = preflight.contents_problem(given | {"ethernet_xml": KR120["ethernet_xml"]})
+    assert said.startswith("ethernet_xml:=") and said.endswith("expected none: frames has no file for its telegrams")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 50_000))
+        assert preflight.port_problem(given).startswith("rsi_port:=0: UDP port 50000 on 127.0.0.1 is taken")
 
 
 def test_an_action_without_its_messages_is_refused_with_what_to_do(monkeypatch):

@@ -16,7 +16,7 @@ import rospkg
 import rospy
 import yaml
 
-from construction_twin.controller.makes import DEFAULT, make_of
+from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import check_writable
 from construction_twin.robot.description import RobotModel, load_robot, read_robot_files
@@ -72,14 +72,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="new_arm",
-        description="Write what an arm needs besides its URDF into one folder: robot YAML, RSI Ethernet XML, self_collision and a "
-        "launch file that starts everything; say what a person must still fill in.",
+        description="Write what an arm needs besides its URDF into one folder: robot YAML, the controller's file (RSI Ethernet "
+        "XML), self_collision and a launch file that starts everything; say what a person must still fill in.",
     )
     parser.add_argument("urdf", type=Path, help="URDF or xacro")
     parser.add_argument("--tip", default="", metavar="LINK", help="the tool's end of the arm [tool0]")
     parser.add_argument("--base", default="", metavar="LINK", help="the other end [base_link, else the URDF's root]")
     parser.add_argument("--name", default="", help="of the robot, in ROS and MQTT: [a-z0-9_] [the URDF's]")
     parser.add_argument("--xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
+    parser.add_argument(
+        "--controller-make", choices=tuple(MODULES), default=DEFAULT, help="make of its controller [%(default)s]"
+    )
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the files [./NAME]")
     parser.add_argument(
         "--full-speed-in", type=float, default=1.0, metavar="S",
@@ -102,17 +105,20 @@ def _make(options: argparse.Namespace, command: str) -> list[str]:
     description = new_description(urdf, options.name or robot_name(urdf), base, tip, options.full_speed_in)
     robot = load_robot(urdf, description)
     folder = (options.output or Path(robot.name)).absolute()
+    make = make_of(options.controller_make)
     files = {
         "robot_config": folder / f"{robot.name}.yaml",
-        "ethernet_xml": folder / f"{robot.name}_ethernet.xml",
+        **({"ethernet_xml": folder / f"{robot.name}{make.file.ending}"} if make.file else {}),
         "self_collision": folder / f"{robot.name}_self_collision.yaml",
         "launch": folder / f"{robot.name}.launch",
     }
     _check_folder(folder, files, options.force)
     shipped = _shipped("config/scene.yaml")
-    ethernet = make_of(DEFAULT).write_file([axis.rsi for axis in robot.axes])
+    described = {"ethernet_xml": make.file.write([axis.name for axis in robot.axes])} if make.file else {}
     # what the gateway would refuse is told before the long part
-    gateway_config(robot, yaml.safe_load(read_text(_shipped("config/gateway.yaml"))) | {"ethernet_xml": ethernet})
+    cycle = min(make.cycles)
+    settings = yaml.safe_load(read_text(_shipped("config/gateway.yaml"))) | {"cycle": cycle, "make": make.name}
+    gateway_config(robot, settings | described)
     coarse = sample_self_collision(robot, min(_COARSE, options.samples))
     print("looking for a home pose", file=sys.stderr, flush=True)
     scene, left_out, home = _scene(robot, coarse, read_scene(shipped))
@@ -120,17 +126,15 @@ def _make(options: argparse.Namespace, command: str) -> list[str]:
     robot, description, pairs, home = settled.robot, settled.description, settled.pairs, settled.home
     texts = {
         "robot_config": robot_yaml(description, command, options.full_speed_in),
-        "ethernet_xml": ethernet,
+        **described,
         "self_collision": self_collision_yaml(robot, pairs, options.samples, SEED),
         "launch": launch_text(
             {
                 "robot": robot.name,
                 "robot_xacro": str(path),
                 "robot_xacro_args": options.xacro_args,
-                **{
-                    name: f"$(dirname)/{files[name].name}"
-                    for name in ("robot_config", "self_collision", "ethernet_xml")
-                },
+                **{name: f"$(dirname)/{file.name}" for name, file in files.items() if name != "launch"},
+                **({"controller_make": make.name, "rsi_cycle": str(cycle)} if make.name != DEFAULT else {}),
                 "scene": "none" if left_out else "$(find construction_twin)/config/scene.yaml",
             }
         ),
@@ -141,7 +145,7 @@ def _make(options: argparse.Namespace, command: str) -> list[str]:
     read_self_collision(files["self_collision"], read_robot_files(path, files["robot_config"], options.xacro_args))
     lines = [*summary(robot, home), "written:", *(f"  {file}" for file in files.values())]
     lines += propose_hulls(robot, folder / f"{robot.name}_hulls")
-    return [*lines, *closing(files["launch"], to_do(robot, files, left_out))]
+    return [*lines, *closing(files["launch"], to_do(robot, files, make.file.to_fill if make.file else "", left_out))]
 
 
 def _check_folder(folder: Path, files: Mapping[str, Path], force: bool) -> None:

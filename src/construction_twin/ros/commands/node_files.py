@@ -13,6 +13,7 @@ import pydantic
 import rospkg
 import yaml
 
+from construction_twin.controller.makes import DEFAULT
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import read_text
@@ -33,7 +34,7 @@ from construction_twin.ros.nodes import (
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.node import NodeShell
 from construction_twin.ros.shared.params import settings_of
-from construction_twin.views.preflight import is_bare, is_true
+from construction_twin.views.preflight import NONE, is_bare, is_true
 
 Given = Mapping[str, str]
 Values = dict[str, Any]
@@ -58,14 +59,22 @@ def tool_settings(given: Given) -> Values:
     return {"tool": read_mapping(given["tool"], "a tool")} if given.get("tool") else {}
 
 
+def controller_settings(given: Given) -> Values:
+    """Return what launch/link.launch tells gateway and mock of the controller: make, cycle, and the text of its file."""
+    path = given.get("ethernet_xml", NONE)
+    text = {} if path == NONE else {"ethernet_xml": read_text(path)}
+    return {"make": given.get("controller_make", DEFAULT), "cycle": int(given.get("rsi_cycle", "4"))} | text
+
+
 def _gateway(values: Values, given: Given, robot: RobotModel) -> None:
-    # not a node's own: gateway and bridge read these from the robot's namespace
-    gateway_config(robot, values | {"decimals": _decimals(given), "cycle": int(given.get("rsi_cycle", "4"))})
+    # not a node's own: gateway and bridge read these from the robot's namespace; its file is looked at with that argument
+    launched = controller_settings(given)
+    launched.pop("ethernet_xml", None)
+    gateway_config(robot, values | {"decimals": _decimals(given)} | launched)
 
 
 def _mock(given: Given) -> Values:
-    launched: Values = {"gateway_host": "127.0.0.1", "cycle": int(given.get("rsi_cycle", "4"))} | tool_settings(given)
-    return launched | ({"ethernet_xml": read_text(given["ethernet_xml"])} if given.get("ethernet_xml") else {})
+    return {"gateway_host": "127.0.0.1"} | controller_settings(given) | tool_settings(given)
 
 
 def _monitor(given: Given) -> Values:

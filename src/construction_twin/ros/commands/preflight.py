@@ -20,7 +20,8 @@ import rosgraph
 import rospkg
 
 from construction_twin.broker.start import DEFAULT_PORT, listener_ports, trial
-from construction_twin.controller.makes import DEFAULT, make_of
+from construction_twin.controller.makes import DEFAULT, MODULES, make_of
+from construction_twin.controller.port import Make
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import check_writable
 from construction_twin.core.network import port_is_free, reaches_itself
@@ -28,9 +29,14 @@ from construction_twin.gateway.trace import room as trace_room
 from construction_twin.mqtt.account import load_account
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
 from construction_twin.robot.tool import read_tool
-from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
+from construction_twin.robot.urdf import expand_xacro, xacro_arguments
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
-from construction_twin.ros.commands.node_files import node_files_problem, read_mapping, tool_settings
+from construction_twin.ros.commands.node_files import (
+    controller_settings,
+    node_files_problem,
+    read_mapping,
+    tool_settings,
+)
 from construction_twin.ros.messages.joint_goals import control_messages
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.master import running
@@ -42,7 +48,7 @@ from construction_twin.scene.cell import load_cell
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
-from construction_twin.views.preflight import has_gateway_here, is_bare, is_true, notes, problem
+from construction_twin.views.preflight import NONE, has_gateway_here, is_bare, is_true, notes, problem
 from construction_twin.views.roslaunch_call import RoslaunchCall, argument_problem, known_arguments
 from construction_twin.work.extras import check_extras
 from construction_twin.work.site import read_site
@@ -89,20 +95,26 @@ def _check_self_collision(given: Given, robot: RobotModel) -> None:
     read_self_collision(given["self_collision"], robot)
 
 
-def _check_ethernet_xml(given: Given, robot: RobotModel) -> None:
+def _make(given: Given) -> Make:
+    return make_of(given.get("controller_make", DEFAULT))
+
+
+def _check_controller_file(given: Given, robot: RobotModel) -> None:
     """Check it as gateway and bridge do: axes, channels, and a format that can carry the robot's ranges."""
     if given.get("arm") == "none" or is_bare(given):
         return
-    path = given["ethernet_xml"]
-    make_of(DEFAULT).load_file(path)
+    path, form = given["ethernet_xml"], _make(given).file
+    if path != NONE:
+        _make(given).form_of(path).load(path)
+    elif form is not None:
+        raise ConfigurationError("path", path, f"that of the controller's {form.name}")
     settings = read_mapping(str(_package() / "config" / "gateway.yaml"), "link settings")
-    cycle = int(given.get("rsi_cycle", "4"))
-    given_here = {"decimals": int(given.get("decimals", "3")), "cycle": cycle, "ethernet_xml": read_text(path)}
+    given_here = {"decimals": int(given.get("decimals", "3"))} | controller_settings(given)
     gateway_config(robot, settings | given_here | tool_settings(given))
 
 
 def _check_tool(given: Given, _robot: RobotModel) -> None:
-    """Check the tool file; whether the Ethernet XML fits it is asked with that."""
+    """Check the tool file; whether the controller's file fits it is asked with that."""
     if given["tool"]:
         read_tool(given["tool"])
 
@@ -216,7 +228,7 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("robot_config", _check_estimates),
     ("self_collision", _check_self_collision),
     ("tool", _check_tool),
-    ("ethernet_xml", _check_ethernet_xml),
+    ("ethernet_xml", _check_controller_file),
     ("work_model", _check_work),
     ("scene", _check_scene),
     ("cell", _check_cell),
@@ -231,6 +243,17 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("follow_joint_trajectory", _check_action),
     ("console", _check_console),
 )
+
+
+def make_problem(given: Given) -> str:
+    """Return a sentence about a make of controller that is not known, or a cycle that it has not; empty when there is none."""
+    name, cycle = given.get("controller_make", DEFAULT), given.get("rsi_cycle")
+    if name not in MODULES:
+        return f"controller_make:={name}: expected {' or '.join(MODULES)}"
+    cycles = [str(known) for known in _make(given).cycles]
+    if cycle is not None and cycle not in cycles:
+        return f"rsi_cycle:={cycle}: expected {' or '.join(cycles)}"
+    return ""
 
 
 def contents_problem(given: Given) -> str:
@@ -361,7 +384,7 @@ def port_problem(given: Given) -> str:
     if given.get("arm") == "none" or not has_gateway_here(given) or "ethernet_xml" not in given:
         return ""
     port = given.get("rsi_port", "0")
-    number = int(port) or make_of(DEFAULT).load_file(given["ethernet_xml"]).port
+    number = int(port) or _port_of_controller(given)
     host = given.get("rsi_listen", "127.0.0.1")
     if not port_is_free(socket.SOCK_DGRAM, number, host):
         return (
@@ -369,6 +392,12 @@ def port_problem(given: Given) -> str:
             f"rsi_gateway or KUKA's TestServer runs: end it, or give rsi_listen and a free rsi_port, e.g. rsi_port:={number + 10}"
         )
     return ""
+
+
+def _port_of_controller(given: Given) -> int:
+    make, path = _make(given), given["ethernet_xml"]
+    # whatever its axes are, they have one port
+    return (make.plain(()) if path == NONE else make.form_of(path).load(path).layout).port
 
 
 def _listeners(path: str) -> list[int]:
@@ -413,7 +442,7 @@ def refusal(given: Given, call: RoslaunchCall | None, uri: str) -> str:
         uri: Of the master; empty: it is not known, and nothing that runs is looked at.
     """
     sentence = call_problem(call) if call is not None else ""
-    sentence = sentence or problem(given, readable, lets_in_everybody) or contents_problem(given)
+    sentence = sentence or problem(given, readable, lets_in_everybody) or make_problem(given) or contents_problem(given)
     if sentence or not uri:
         return sentence
     sentence = address_problem(os.environ)

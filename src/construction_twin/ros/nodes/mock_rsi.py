@@ -1,4 +1,4 @@
-"""mock_rsi: the mock KR C4 as a node. Talks to the gateway by RSI only; its topics and services are for tests."""
+"""mock_rsi: the mock controller as a node. Talks to the gateway only, as its make does; its topics and services are for tests."""
 
 from __future__ import annotations
 
@@ -106,8 +106,8 @@ class MockRsiNode:
             "last_refusal": controller.refusals.last,
             "flag": controller.flag,
             "session": controller.session,
-            "ipoc": controller.ipoc,
-            "delay": controller.delay,
+            "ipoc": controller.stamp,
+            "delay": controller.missed,
             "stat": controller.stat,
             "controller": controller.status.report(),
             "start_pose_deg": to_wire(controller.start_pose, linear),
@@ -149,10 +149,11 @@ class MockRsiNode:
 
     def _report(self) -> Report:
         controller = self._controller
+        protocol = controller.words.protocol
         values = self._mock.counters | {"last_refusal": controller.refusals.last}
         if not controller.running:
-            return Report(ERROR, f"RSI stopped: {controller.reason}", values)
-        running, refused = f"RSI session {controller.session} running", controller.refusals.present
+            return Report(ERROR, f"{protocol} stopped: {controller.reason}", values)
+        running, refused = f"{protocol} session {controller.session} running", controller.refusals.present
         if refused:
             return Report(WARN, f"{running}, replies are refused: {refused}", values)
         return Report(OK, running, values)
@@ -160,7 +161,7 @@ class MockRsiNode:
     def _on_restart(self, _request) -> TriggerResponse:
         def restart() -> str:
             self._controller.restart()
-            return "a new RSI session starts where the arm stands"
+            return f"a new {self._controller.words.protocol} session starts where the arm stands"
 
         return TriggerResponse(*self._ask(restart))
 
@@ -185,7 +186,7 @@ class MockRsiNode:
             values = tuple(axis.sign * value for value in values)
         elif kind is not None and not kind.lasting and len(values) == len(axes):
             values = axis_angles(self._robot, values)
-        return Fault(request.fault, axis.rsi if axis else "", values, request.direction, request.duration)
+        return Fault(request.fault, axis.name if axis else "", values, request.direction, request.duration)
 
     def _ask(self, action: Callable[[], str]) -> tuple[bool, str]:
         """Have the loop do something that says what it did."""

@@ -653,7 +653,7 @@ def tool_message(report: ToolReport) -> ToolState:
 
 def start(settings: Settings, robot: RobotModel) -> MqttBridge:
     """Return the bridge with its parameters, topics and services, connecting to the broker."""
-    config = config_from_parameters(needs_xml=settings.gateway_kind != PLC)
+    config = config_from_parameters(needs_file=settings.gateway_kind != PLC)
     broker = broker_of(settings)
     topics = Topics(settings.prefix, robot.name)
     bridge = MqttBridge(

@@ -18,26 +18,28 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.robot.tool import Tool, tool_of
 from construction_twin.ros.shared.params import robot_from_parameters
 
-#: Timeout of the ETHERNET object in every context that is known to be used with ROS [cycles] (docs/rsi.md, section 5).
+#: Time-out of a controller in every set-up that is known to be used with ROS [cycles] (docs/rsi.md, section 5).
 TIMEOUT = 100
 
 
-def config_from_parameters(namespace: str = "", needs_xml: bool = True) -> GatewayConfig:
+def config_from_parameters(namespace: str = "", needs_file: bool = True) -> GatewayConfig:
     """Return the configuration that a namespace's `robot_description`, `robot` and `gateway` parameters describe.
 
     Args:
         namespace: ``/kr120/``; the node's own by default.
-        needs_xml: Whether a controller's Ethernet XML belongs to it; it does not with a bare PLC, which speaks no RSI.
+        needs_file: Whether the file that describes a controller's telegrams belongs to it, where the make has one; it does not with
+            a bare PLC.
     """
     name = namespace + "gateway"
     if not rospy.has_param(name):
         raise ConfigurationError(rospy.resolve_name(name), None, "link settings, as launch/bringup.launch loads them")
     settings = rospy.get_param(name)
-    if "ethernet_xml" not in settings and needs_xml:
+    form = make_of(settings.get("make", DEFAULT)).file
+    if "ethernet_xml" not in settings and needs_file and form is not None:
         raise ConfigurationError(
             rospy.resolve_name(f"{name}/ethernet_xml"),
             None,
-            "the controller's RSI Ethernet XML, as launch/bringup.launch loads it",
+            f"the controller's {form.name}, as launch/bringup.launch loads it",
         )
     return gateway_config(robot_from_parameters(namespace), settings)
 
@@ -47,26 +49,25 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
 
     Args:
         robot: Its joint ranges are turned into ranges of the controller's axes (sign and offset).
-        settings: The other keys of `GatewayConfig`, SI units; see config/gateway.yaml. In place of `layout` it holds
-            `ethernet_xml`: the text of the controller's Ethernet XML; `timeout` is a number of the controller's cycles, which its
-            ETHERNET object counts; `tool` is the content of a tool file, {} for none. An Ethernet XML without any channel of a tool
-            makes it a tool without hands: the configuration has none then.
+        settings: The other keys of `GatewayConfig`, SI units; see config/gateway.yaml. In place of `layout` it holds `make`, the
+            controller's, and `ethernet_xml`: the text of the file that describes its telegrams, of RSI the Ethernet XML; none: the
+            make's plain layout. `timeout` is a number of the controller's cycles; `tool` is the content of a tool file, {} for
+            none. A layout without any channel of a tool makes it a tool without hands: the configuration has none then.
 
     Raises:
-        ConfigurationError: For an unknown key, or a value that does not fit: also a range that the joint string cannot carry.
-        EthernetXmlError: If the Ethernet XML does not fit the robot.
+        ConfigurationError: For an unknown key, or a value that does not fit: also a range that the joint string cannot carry, and
+            a file that does not fit the robot.
     """
-    axes = tuple(axis.rsi for axis in robot.axes)
+    axes = tuple(axis.name for axis in robot.axes)
     settings = dict(settings)
     make = make_of(settings.pop("make", DEFAULT))
-    if "ethernet_xml" in settings:
-        settings["layout"] = make.read_file(settings.pop("ethernet_xml"), "Ethernet XML")
+    layout = settings["layout"] = make.layout_of(settings.pop("ethernet_xml", ""), axes)
     tool = settings.pop("tool", None)
-    if tool and "layout" in settings and make.tool_channels(settings["layout"]):
+    if tool and make.tool_channels(layout):
         settings["tool"] = gateway_tool(tool_of(tool, "tool"))
     timeout, cycle = settings.pop("timeout", TIMEOUT), settings.get("cycle", 4)
     if type(timeout) is not int or timeout < 1:
-        expected = "a whole number of cycles, 1 or more, as Timeout of the controller's ETHERNET object"
+        expected = f"a whole number of cycles, 1 or more, as {make.words.timeout}"
         raise ConfigurationError("timeout", timeout, expected)
     ends = [
         sorted((axis.sign * low + axis.offset, axis.sign * high + axis.offset))
@@ -80,7 +81,7 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
             upper=tuple(high for _, high in ends),
             velocity=robot.velocity,
             acceleration=robot.acceleration,
-            linear=tuple(axis.rsi for axis, linear in zip(robot.axes, robot.linear) if linear),
+            linear=tuple(axis.name for axis, linear in zip(robot.axes, robot.linear) if linear),
             # what is no cycle is refused there, with its name
             timeout=timeout * cycle / 1000 if type(cycle) is int and cycle > 0 else 0.4,
             **settings,
