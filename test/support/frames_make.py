@@ -11,7 +11,6 @@ import struct
 from dataclasses import asdict, dataclass
 from typing import ClassVar
 
-from construction_twin.controller import makes
 from construction_twin.controller.last_resort import BareProtocol, LastResort
 from construction_twin.controller.port import ControllerSide, Make, Reader, Words
 from construction_twin.controller.telegram import Reply, Telegram
@@ -164,4 +163,3 @@ MAKE = Make(
     controller_side=controller_side,
     tool_channels=lambda layout: (),
 )
-makes.MODULES[MAKE.name] = __name__

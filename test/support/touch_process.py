@@ -15,7 +15,6 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import product
-from construction_twin.work import processes
 from construction_twin.work.jobs import WorkPlan
 from construction_twin.work.motions import Failed, Part, Search
 from construction_twin.work.process import Process
@@ -127,4 +126,3 @@ PROCESS = Process(
     plan=plan,
     changes=lambda job, scene, planner, stage: iter(()),
 )
-processes.MODULES[NAME] = __name__

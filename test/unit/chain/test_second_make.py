@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
+from contextlib import contextmanager
 
 import frames_make
 import numpy as np
@@ -12,6 +13,7 @@ from chain_samples import REACH, ROBOT, SETTINGS, make_plan, play_to_the_end
 from frames_make import CYCLE_MS, SESSION, Frames, fill, stamp_of
 from simulation import SimulatedChain
 
+from construction_twin.controller import makes
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
@@ -26,7 +28,23 @@ from construction_twin.mock.program import MockSettings, build_controller, gatew
 from construction_twin.mock.servo import IdealServo
 from construction_twin.ros.shared.gateway_config import gateway_config
 
-CONFIG = dataclasses.replace(gateway_config(ROBOT, SETTINGS | {"decimals": 6}), layout=Frames(), cycle=CYCLE_MS)
+
+@contextmanager
+def known():
+    """The second make is known in this module only: other tests compare what is known with the documents."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(makes.MODULES, frames_make.MAKE.name, "frames_make")
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def known_make():
+    with known():
+        yield
+
+
+with known():
+    CONFIG = dataclasses.replace(gateway_config(ROBOT, SETTINGS | {"decimals": 6}), layout=Frames(), cycle=CYCLE_MS)
 PEER = ("192.168.1.30", 50_000)
 #: Where the arm of a frame stands [rad].
 ARM = np.array(ROBOT.home)

@@ -27,6 +27,7 @@ from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.views.work_texts import list_lines, show_lines
+from construction_twin.work import processes
 from construction_twin.work.check import Checker
 from construction_twin.work.check_report import cell_picture, row
 from construction_twin.work.desk import Prepared
@@ -55,6 +56,14 @@ def recipes_file(folder, **changes):
     document["recipes"] = {"probe": {**yaml.safe_load(json.dumps(TOUCH)), **changes}, **document["recipes"]}
     (folder / "recipes.yaml").write_text(yaml.safe_dump(document, sort_keys=False))
     return folder / "recipes.yaml"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def known_process():
+    """The second process is known in this module only: other tests compare what is known with the documents."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(processes.MODULES, touch_process.NAME, "touch_process")
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -313,6 +322,6 @@ def test_a_process_that_this_program_does_not_have_is_refused_with_its_line(tmp_
     one = ledger(tmp_path / "l")
     one.add(Entry("offered", "T", "E", offer="o", process="touch"))
     one.close()
-    monkeypatch.delitem(touch_process.processes.MODULES, "touch")
+    monkeypatch.delitem(processes.MODULES, "touch")
     with pytest.raises(LedgerError, match="line 2 is none of a ledger: process 'touch'; expected one of place"):
         ledger(tmp_path / "l")
