@@ -1,8 +1,10 @@
-"""Writes the generated parts of docs/reference/ from the code, or with --check says which of them are not up to date.
+"""Writes the generated parts of docs/reference/, and the schemas of messages, from the code, or with --check says which of them are
+not up to date.
 
 A generated part stands between ``<!-- generated: KIND -->`` and ``<!-- end of KIND -->``; everything else on a page is written by
 hand and left alone. Sources: `doc=` of launch arguments, the pydantic settings of nodes with the comments of config/*.yaml, the
-``--help`` of commands, and the message and service definitions. Needs the package's environment (``source .ws/env.bash``).
+``--help`` of commands, the message and service definitions, and the records of `schemas.py`. Needs the package's environment
+(``source .ws/env.bash``).
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from unittest import mock
 from xml.etree import ElementTree
 
 import pydantic
+import schemas
 import yaml
 
 from construction_twin.core.state_table import cells
@@ -393,7 +396,7 @@ PARTS: dict[str, Callable[[], str]] = {
 
 
 def pages() -> Iterator[tuple[Path, str]]:
-    """Yield each page of docs/reference that has a generated part, with the text that it ought to have."""
+    """Yield each page of docs/reference that has a generated part, and the schemas, with the text that they ought to have."""
     written = set()
     for path in sorted(REFERENCE.glob("*.md")):
         text = path.read_text()
@@ -403,6 +406,8 @@ def pages() -> Iterator[tuple[Path, str]]:
             yield path, _PART.sub(lambda part: f"{part[1]}\n{PARTS[part[2]]()}\n{part[3]}", text)
     if written != set(PARTS):
         raise SystemExit(f"no page has the part {', '.join(sorted(set(PARTS) - written))}")
+    yield REFERENCE / "view.schema.json", schemas.view_schema()
+    yield ROOT / "web/src/schemas.js", schemas.page_schemas()
 
 
 def main(arguments: list[str]) -> int:
@@ -412,7 +417,7 @@ def main(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     changed = []
     for path, text in pages():
-        if path.read_text() != text:
+        if not path.exists() or path.read_text() != text:
             changed.append(path.name)
             if not options.check:
                 path.write_text(text)

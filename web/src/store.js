@@ -29,7 +29,9 @@
  *
  * Times are milliseconds of one monotonic clock of this browser; a stamp of another computer is never compared with it.
  */
+import {check} from "./check.js";
 import {checkPlan} from "./plan_hash.js";
+import {VIEW} from "./schemas.js";
 
 /** A view is old after so long [ms]. */
 export const OLD_AFTER = 1000;
@@ -47,34 +49,27 @@ const KINDS = {
 export const TOPICS = Object.keys(KINDS).map((topic) => ({topic, qos: topic === "view" ? 0 : 1}));
 /** Kinds whose newest value is kept. An answer is told once. */
 const KEPT = ["view", "screen", "scene", "plan", "tasks", "playback", "goal", "handle", "picked", "drawn"];
-/** Types of joints that a view may name. */
-const TYPES = ["revolute", "prismatic"];
 const FROM_BROKER = ["view", "screen", "scene", "plan", "tasks"];
 
 const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
 const isText = (value) => typeof value === "string";
 const isTexts = (value) => Array.isArray(value) && value.every(isText);
-const isNumbers = (value) => Array.isArray(value) && value.every((item) => Number.isFinite(item));
 
 function expect(is, sentence) {
   if (!is) throw new TypeError(sentence);
 }
 
+const NEWEST = VIEW.properties.version.const;
+
 function checkView(view) {
-  expect([1, 2, 3].includes(view.version), `view version ${view.version}; expected 1 to 3. Reload the page`);
-  expect(view.version < 3 || isText(view.moment), "view without moment");
-  expect(isText(view.run) && Number.isInteger(view.seq) && typeof view.online === "boolean", "view without run, seq or online");
-  expect(isObject(view.joints) && isTexts(view.joints.names), "view without joints");
+  const {version} = view;
+  expect(Number.isInteger(version) && version >= 1 && version <= NEWEST, `view version ${version}; expected 1 to ${NEWEST}. Reload the page`);
+  check(VIEW, {...view, version: NEWEST}, "view", version);
+  // what no schema says: the lists belong together
   const {names, types} = view.joints;
-  expect(Array.isArray(types) && types.length === names.length && types.every((type) => TYPES.includes(type)),
-    `view whose joints are not each one of ${TYPES.join(", ")}`);
+  expect(types.length === names.length, "view whose joints have not one type each");
   for (const part of ["twin", "arm"]) {
-    const pose = view[part];
-    expect(pose === null || isNumbers(pose?.positions) && pose.positions.length === view.joints.names.length,
-      `view whose ${part} has not one position per joint`);
-  }
-  for (const part of ["sync", "link", "execution"]) {
-    expect(view[part] === null || isObject(view[part]) && isText(view[part].state), `view whose ${part} has no state`);
+    expect(view[part] === null || view[part].positions.length === names.length, `view whose ${part} has not one position per joint`);
   }
 }
 
@@ -117,7 +112,7 @@ function checkTasks(work) {
  * @param {(plan: object) => Promise<object>} [options.check] checks a plan's hash; see plan_hash.js
  * @param {(error: Error) => void} [options.report] where exceptions of the page's parts go: the browser's console
  */
-export function makeStore({now = () => performance.now(), check = checkPlan, report = (error) => globalThis.reportError(error)} = {}) {
+export function makeStore({now = () => performance.now(), check: checkHash = checkPlan, report = (error) => globalThis.reportError(error)} = {}) {
   const robots = new Map();
   const listeners = new Map();
   const plans = new Map();
@@ -207,7 +202,7 @@ export function makeStore({now = () => performance.now(), check = checkPlan, rep
     expect(isText(plan.id) && plan.id !== "" && isText(plan.hash) && Array.isArray(plan.joints), "plan without id, hash or joints");
     // what is under review now is not the plan before any more
     if (robot.plan !== null && (robot.plan.id !== plan.id || robot.plan.hash !== plan.hash)) put(robot, "plan", null);
-    return check(plan).then((checked) => {
+    return checkHash(plan).then((checked) => {
       // another may have come meanwhile
       if (plans.get(robot.name) === turn) put(robot, "plan", checked);
     });

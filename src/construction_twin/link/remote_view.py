@@ -1,16 +1,16 @@
 """`view` on MQTT: the state of twin, arm, gate, link and execution in one message of plain JSON. Pure; standard library only.
 
-Fixed by docs/reference/view.schema.json; a change that a reader could notice raises `VERSION`. Versions that only add keys keep
-`COMPATIBLE`: a reader of that version goes on reading, if it leaves alone what it does not know. SI: m, rad, s; times are numbers
-of seconds, because stamps in ns are larger than the whole numbers that JavaScript keeps exactly.
+Fixed by docs/reference/view.schema.json, which is made from `View`; a change that a reader could notice raises `VERSION`.
+Versions that only add keys keep `COMPATIBLE`: a reader of that version goes on reading, if it leaves alone what it does not know.
+SI: m, rad, s; times are numbers of seconds, because stamps in ns are larger than the whole numbers that JavaScript keeps exactly.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Generic, TypeVar
+from dataclasses import dataclass, fields
+from typing import Annotated, Generic, Literal, TypeVar
 
 from construction_twin.core.freshness import Moment
 from construction_twin.core.records import decimals, dumped
@@ -26,41 +26,178 @@ _POSITION, _TIME = 9, 6
 _UNITS = {"angle": "rad", "length": "m", "time": "s"}
 #: States of the executor in which the plan goes on.
 _MOVING = ("PLAYING", "STOPPING", "PAUSING")
-#: What a view shows of each report, after its state, reason and age.
-_SYNC = ("policy", "agreed", "error", "threshold", "servo_lag", "violations")
-_LINK = ("gateway_state", "gateway_kind", "responsible", "round_trip_ms", "late")
-_EXECUTION = ("plan_id", "outcome", "duration", "progress", "rate", "speed_limit", "segment")
 
-
+# what the schema says of a value besides its type; `since` is the version that has added it
+_Count = Annotated[int, {"minimum": 0}]
+_Seconds = Annotated[float, {"minimum": 0}]
+_Three = {"minItems": 3, "maxItems": 3}
+_Two = {"minItems": 2, "maxItems": 2}
 _Report = TypeVar("_Report", SyncReport, LinkReport, ExecutionReport)
+_Part = TypeVar("_Part")
+
+
+@dataclass(frozen=True)
+class JointsView:
+    """The joints of all lists, base to tip."""
+
+    names: Sequence[str]
+    types: Sequence[Literal["revolute", "prismatic"]]
 
 
 @dataclass(frozen=True)
 class PoseView:
-    """A pose: its stamp in ROS time, its age since reception [s], positions [rad] or [m]."""
+    """A pose.
 
-    stamp: float = decimals(_TIME)
-    age: float = decimals(_TIME)
+    Attributes:
+        stamp: Of the joint state, ROS time [s].
+        age: At `stamp` of the message, since the pose was received [s].
+        positions: [rad], [m].
+    """
+
+    stamp: _Seconds = decimals(_TIME)
+    age: _Seconds = decimals(_TIME)
     positions: Sequence[float] = decimals(_POSITION)
 
 
 @dataclass(frozen=True)
-class SegmentNow:
-    """Where a work plan is: the segment's number from 0, its name, and whether the arm stands at its end."""
+class SyncView:
+    """The gate; null after 0.5 s without a report.
 
-    number: int
+    Attributes:
+        age: At `stamp` of the message, since the report was received [s].
+        agreed: Twin and arm agree, whatever the state.
+        error: Difference of arm and twin per joint [rad], [m].
+        threshold: What each error is compared with [rad], [m].
+        servo_lag: How long the arm trails its command [s]; null: not known yet.
+    """
+
+    state: str
+    reason: str
+    age: _Seconds
+    policy: str
+    agreed: bool
+    error: Sequence[float | None]
+    threshold: Sequence[float | None]
+    servo_lag: float | None
+    violations: _Count
+
+
+@dataclass(frozen=True)
+class LinkView:
+    """The bridge's view of broker, gateway and controller; null after 3 s without a report.
+
+    Attributes:
+        age: At `stamp` of the message, since the report was received [s].
+        responsible: Bare mode: the person who armed the PLC; empty otherwise.
+        round_trip_ms: From a setpoint's passing of the gate to the arm's answer to it.
+        late: Replies that came too late at the controller, since the gateway's start.
+    """
+
+    state: str
+    reason: str
+    age: _Seconds
+    gateway_state: str
+    gateway_kind: str
+    responsible: str
+    round_trip_ms: Annotated[float | None, {"since": 2}]
+    late: Annotated[int | None, {"minimum": 0, "since": 2}]
+
+
+@dataclass(frozen=True)
+class SegmentNow:
+    """Where a work plan is; null: the plan has no segments, or none was entered.
+
+    Attributes:
+        number: From 0.
+        at_boundary: The arm stands at its end: tool and scene change.
+    """
+
+    number: _Count
     name: str
     at_boundary: bool
 
 
 @dataclass(frozen=True)
+class ExecutionView:
+    """The executor; null while it does not run.
+
+    Attributes:
+        age: At `stamp` of the message, since the report was received [s].
+        plan_id: Of the plan that is played, or of the last one; empty: none.
+        outcome: Of the last plan; empty: none has ended.
+        duration: Of that plan as planned [s].
+        progress: How much of its time is over; 1: finished.
+        rate: Present fraction of the planned speed.
+        speed_limit: Fraction that `speed_limit` allows.
+    """
+
+    state: str
+    reason: str
+    age: _Seconds
+    plan_id: str
+    outcome: str
+    duration: _Seconds
+    progress: Annotated[float, {"minimum": 0, "maximum": 1}]
+    rate: float | None
+    speed_limit: float | None
+    segment: Annotated[SegmentNow | None, {"since": 2}]
+
+
+@dataclass(frozen=True)
 class ClosestView:
-    """Which two bodies are closest at the twin's pose: distance [m], where on the first of them in the base_link [m], age [s]."""
+    """The two bodies that are closest at the twin's pose; null: not measured.
+
+    Attributes:
+        distance: [m]; below 0: they overlap.
+        between: Links or objects.
+        point: On the first of them, in the robot's base_link [m].
+        age: At `stamp` of the message, since it was measured [s].
+    """
 
     distance: float
-    between: Sequence[str]
-    point: Sequence[float]
-    age: float
+    between: Annotated[Sequence[str], _Two]
+    point: Annotated[Sequence[float], _Three]
+    age: _Seconds
+
+
+@dataclass(frozen=True)
+class View:
+    """A message on <prefix>/<robot>/view: the state of one robot. SI units: m, rad, s. null: not known, or too old. Versions 2 and
+    3 add keys to version 1 and change none: a reader of version 1 that asks for `compatible` <= 1, in place of `version` = 1, and
+    leaves alone the keys that it does not know, reads it. `since` is the version that has added a key.
+
+    Attributes:
+        version: Raised by every change that a reader could notice.
+        compatible: The oldest version whose readers can read this message.
+        robot: Name in the topics.
+        online: False: the sender has ended or lost its connection; nothing else is known.
+        run: Random id of the sender's run.
+        seq: Rises by 1 from message to message of a run; 0 when not online.
+        stamp: ROS time of this message [s]; 0 when not online.
+        moment: The moment of this message, for a request to repeat as it is; "" when not online.
+        units: Of all values.
+        twin: The virtual robot.
+        arm: The physical arm, as measured.
+        plan: Id of the plan under review; empty: none.
+    """
+
+    version: Annotated[int, {"const": VERSION}]
+    compatible: Annotated[int, {"const": COMPATIBLE, "since": 2}]
+    robot: str
+    online: bool
+    run: str
+    seq: _Count
+    stamp: _Seconds
+    moment: Annotated[str, {"pattern": "^([0-9a-f]{8}-[0-9]{1,15})?$", "since": 3}]
+    units: Annotated[Mapping[str, str], {"const": _UNITS}]
+    joints: JointsView
+    twin: PoseView | None
+    arm: PoseView | None
+    sync: SyncView | None
+    link: LinkView | None
+    execution: ExecutionView | None
+    plan: Annotated[str, {"since": 2}]
+    closest: Annotated[ClosestView | None, {"since": 2}]
 
 
 @dataclass(frozen=True)
@@ -73,7 +210,7 @@ class Shown(Generic[_Report]):
 
 @dataclass(frozen=True)
 class Seen:
-    """The parts of a view; None is what is not known, or too old to be shown as the present. `plan` is the id of the plan under
+    """What a view is made of; None is what is not known, or too old to be shown as the present. `plan` is the id of the plan under
     review, "" for none; `progress` how much of the executor's plan is over, 0 to 1.
     """
 
@@ -97,8 +234,7 @@ class ViewWriter:
     def __init__(self, robot: str, run: str, joints: Joints):
         self._run = run
         self._robot = robot
-        kinds = ["prismatic" if linear else "revolute" for linear in joints.linear]
-        self._joints = {"names": list(joints.names), "types": kinds}
+        self._joints = JointsView(joints.names, ["prismatic" if linear else "revolute" for linear in joints.linear])
         self._seq = 0
 
     def write(self, now: int, seen: Seen, moment: Moment) -> bytes:
@@ -116,35 +252,36 @@ class ViewWriter:
         return self._message(False, 0, 0, Seen(), "")
 
     def _message(self, online: bool, seq: int, now: int, seen: Seen, moment: str) -> bytes:
-        message = {
-            "version": VERSION,
-            "compatible": COMPATIBLE,
-            "robot": self._robot,
-            "online": online,
-            "run": self._run,
-            "seq": seq,
-            "stamp": round(now / NANOSECONDS, _TIME),
-            "moment": moment,
-            "units": _UNITS,
-            "joints": self._joints,
-            "twin": seen.twin,
-            "arm": seen.arm,
-            "sync": _part(seen.sync, _SYNC),
-            "link": _part(seen.link, _LINK, round_trip_ms=_round_trip_ms(seen.sync)),
-            "execution": _part(seen.execution, _EXECUTION, progress=seen.progress, segment=_segment(seen.execution)),
-            "plan": seen.plan,
-            "closest": seen.closest,
-        }
-        return dumped(message, _POSITION)
+        progress, segment = seen.progress, _segment(seen.execution)
+        view = View(
+            version=VERSION,
+            compatible=COMPATIBLE,
+            robot=self._robot,
+            online=online,
+            run=self._run,
+            seq=seq,
+            stamp=round(now / NANOSECONDS, _TIME),
+            moment=moment,
+            units=_UNITS,
+            joints=self._joints,
+            twin=seen.twin,
+            arm=seen.arm,
+            sync=_part(SyncView, seen.sync),
+            link=_part(LinkView, seen.link, round_trip_ms=_round_trip_ms(seen.sync)),
+            execution=_part(ExecutionView, seen.execution, progress=progress, segment=segment),
+            plan=seen.plan,
+            closest=seen.closest,
+        )
+        return dumped(view, _POSITION)
 
 
-def _part(shown: Shown | None, names: Sequence[str], **known: object) -> Mapping | None:
-    """Return what a view shows of a report: fields of these names, of the report itself where they are not `known` otherwise."""
+def _part(kind: type[_Part], shown: Shown | None, **known: object) -> _Part | None:
+    """Return what a view shows of a report: its fields of the same names, where they are not `known` otherwise."""
     if shown is None:
         return None
-    report = shown.report
-    first = {"state": report.text, "reason": report.reason, "age": shown.age}
-    return first | {name: known[name] if name in known else getattr(report, name) for name in names}
+    report, given = shown.report, {"state": shown.report.text, "age": shown.age, **known}
+    names = [each.name for each in fields(kind)]  # type: ignore[arg-type]  # a part is a record
+    return kind(**{name: given[name] if name in given else getattr(report, name) for name in names})
 
 
 def _round_trip_ms(sync: Shown[SyncReport] | None) -> float:

@@ -171,7 +171,7 @@ def test_keys_of_a_remote_trajectory_its_answer_and_the_view_are_documented():
     keys = {
         *json.loads(trajectory_answer("", "", True, "")),
         *schema["properties"],
-        *schema["$defs"]["pose"]["properties"],
+        *schema["properties"]["twin"]["properties"],
     }
     for part in ("sync", "link", "execution"):
         keys |= set(schema["properties"][part]["properties"])

@@ -1,6 +1,7 @@
 """What travels stays as it was at commit 95d0454d: JSON byte for byte, ROS messages field for field, for wide values.
 
-`test/data/frozen_messages.json` was written by the code of that commit: the first cases in full, and one SHA-256 over all of them.
+`test/data/frozen_messages.json` was written by the code of that commit (`poses`, `plan` and `work list` by that of 1af7777a):
+the first cases in full, and one SHA-256 over all of them.
 What may change here is how the code is called, never what is expected.
 """
 
@@ -17,28 +18,34 @@ from types import SimpleNamespace
 
 import genpy
 import pytest
-from construction_twin.msg import Execution, Link, Signal, Sync, ToolSwitch, WorkTask, WorkTasks
+from construction_twin.msg import Execution, Link, Plan, Signal, Sync, ToolSwitch, WorkTask, WorkTasks
+from construction_twin.msg import SceneObject as SceneObjectMsg
 from construction_twin.msg import Segment as SegmentMsg
 from diagnostic_msgs.msg import KeyValue
+from geometry_msgs.msg import Point
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment
+from construction_twin.core.motion_errors import PlanningError
 from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.execution.states import ExecutorState
 from construction_twin.link.remote_trajectory import Joints
-from construction_twin.link.remote_view import ViewWriter
+from construction_twin.link.remote_view import ClosestView, PoseView, Seen, ViewWriter
 from construction_twin.link.tool_link import tool_report
 from construction_twin.mqtt.client import Broker
+from construction_twin.robot.segments import segments_content
 from construction_twin.ros.messages.console_json import scene_json, tasks_json
-from construction_twin.ros.messages.convert import segment_from_msg, segment_to_msg
+from construction_twin.ros.messages.convert import segment_from_msg, segment_to_msg, trajectory_from_msg
 from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.tool import tool_report_from_msg
-from construction_twin.ros.messages.work_convert import report_from_msg
+from construction_twin.ros.messages.work_convert import report_from_msg, work_facts_from_msg
 from construction_twin.ros.nodes import executor as executor_node
-from construction_twin.ros.nodes import mqtt_bridge, mqtt_planner
+from construction_twin.ros.nodes import mqtt_bridge, mqtt_planner, mqtt_review
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.views.snapshot import Snapshot
 from construction_twin.views.texts import status_lines
+from construction_twin.views.work_texts import list_lines, show_lines
 
 FROZEN = Path(__file__).parents[2] / "data/frozen_messages.json"
 #: Cases per kind of message, and how many of them are kept in full.
@@ -134,6 +141,41 @@ class Wide:
             scene=self.text(), scene_after=self.text(),
         )  # fmt: skip
 
+    def plan(self) -> Plan:
+        names = [f"joint_a{k}" for k in range(1, 3)]
+        points = [
+            JointTrajectoryPoint(
+                positions=[self.number(False) for _ in names], velocities=[self.number(False) for _ in names],
+                accelerations=[self.number() for _ in names], time_from_start=genpy.Duration(k, self.whole() if k else 0),
+            )
+            for k in range(self.random.choice((2, 3, 6)))
+        ]  # fmt: skip
+        message = Plan(
+            id=self.text(), source=self.text(), planner=self.text(), scene=self.text(), duration=self.number(),
+            planning_time=self.number(), trajectory=JointTrajectory(joint_names=names, points=points),
+            tool_path=[Point(self.number(False) % 9.0, k * k / 7.0, self.number(False) % 3.0) for k in range(len(points))],
+            clearance=self.number(), clearance_time=self.number(False), clearance_between=self.texts(2),
+            clearance_point=Point(self.number(False), 0.0, 1.0), velocity_use=[0.5] * self.random.choice((0, 2)),
+            acceleration_use=[self.number(False)], jerk_use=[],
+        )  # fmt: skip
+        message.header.frame_id = self.text()
+        message.header.stamp = self.time()
+        if self.flag():
+            message.task, message.clearance = self.text(), 0.25
+            message.segments = [self.segment() for _ in range(2)]
+            first, last = message.segments
+            first.end, last.end = 0.5, points[-1].time_from_start.to_nsec() / 1e9
+            first.scene, first.scene_after, last.scene = message.scene, "after", "after"
+            for point in points:
+                point.accelerations = [self.number(False) for _ in names]
+            for segment in message.segments:
+                segment.put = [SceneObjectMsg(name=name) for name in self.names()]
+                segment.remove = [self.text() for _ in range(self.random.choice((0, 1, 30)))]
+                for switch in segment.switches:
+                    switch.timeout = 0.5 + self.whole()
+            message.hash = hash_of(message)
+        return message
+
     def tasks(self) -> WorkTasks:
         message = WorkTasks(
             model=self.text(), model_hash=self.text(), schedule=self.text(), engaged=self.flag(), reading=self.flag(),
@@ -188,6 +230,28 @@ def views(wide: Wide) -> str:
     return "\n".join(shown)
 
 
+def poses(wide: Wide) -> str:
+    """Return a view of poses and of what is closest to the arm."""
+    where = [
+        PoseView(wide.number(False) % 1e9, wide.whole() / 7.0, tuple(wide.number(False) for _ in JOINTS.names))
+        for _ in range(2)
+    ]
+    near = ClosestView(wide.number(), (wide.text(), wide.text()), (0.1, wide.number(False), 1.0), wide.whole() / 7.0)
+    seen = Seen(where[0] if wide.flag() else None, where[1], closest=near if wide.flag() else None, plan=wide.text())
+    return ViewWriter("kr120", "cafe", JOINTS).write(NOW, seen, Moment("c0ffee00", 81_234_567_890)).decode()
+
+
+def plan_payload(wide: Wide) -> str:
+    """Return what a tablet gets to see of a plan."""
+    return mqtt_review.plan_view(wide.plan()).to_json(3).decode()
+
+
+def work_list(wide: Wide) -> str:
+    """Return what a terminal shows of the tasks."""
+    work = work_facts_from_msg(wide.tasks())
+    return "\n".join([*list_lines(work), *(line for task in work.tasks for line in show_lines(work, task))])
+
+
 def execution_message(wide: Wide) -> str:
     """Return what the executor publishes of itself."""
     names = [SimpleNamespace(name=wide.text()) for _ in range(3)]
@@ -231,8 +295,19 @@ def followed(wide: Wide) -> str:
     return repr((read.plan, read.playing, read.outcome, read.segment, read.at_boundary, read.wants_scene, read.reason))
 
 
+def hash_of(message: Plan) -> str:
+    """Return the hash of a work plan, when it can have one."""
+    trajectory = trajectory_from_msg(message.trajectory)
+    segments = tuple(map(segment_from_msg, message.segments))
+    content = segments_content(trajectory.content_hash(), message.task, segments)
+    return hashlib.sha256(content.encode()).hexdigest()
+
+
 KINDS: dict[str, Callable[[Wide], str]] = {
     "view": views,
+    "poses": poses,
+    "plan": plan_payload,
+    "work list": work_list,
     "execution": execution_message,
     "tool": tool_message,
     "screen": screen,
@@ -248,7 +323,7 @@ def made(kind: str) -> Iterator[str]:
     for seed in range(CASES):
         try:
             yield KINDS[kind](Wide(seed))
-        except (ValueError, OverflowError, PayloadError) as error:
+        except (ValueError, OverflowError, PayloadError, PlanningError, KeyError) as error:
             yield f"{type(error).__name__}: {error}"
 
 

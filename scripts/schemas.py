@@ -1,0 +1,124 @@
+"""JSON Schemas of what travels, made from the records: docs/reference/view.schema.json; web/src/schemas.js for the page's checks.
+
+Types are the annotations, meanings the docstrings, and what stands in `Annotated` beside a type is taken over as it is: `minimum`,
+`pattern`, ...; `since` is the version of the message that has added a key. A field with a default may be missing. Writes no file:
+make_reference.py does.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, fields, is_dataclass
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from construction_twin.link.remote_view import VERSION, View
+
+_TYPES = {str: "string", bool: "boolean", int: "integer", float: "number", NoneType: "null"}
+_ATTRIBUTES = "\n\nAttributes:\n"
+_WIDTH = 132
+#: What the page checks, by the name of the constant in web/src/schemas.js.
+CHECKED = {"VIEW": View}
+
+
+def schema(kind: Any, words: bool = True) -> dict[str, Any]:
+    """Return the schema of a type.
+
+    Args:
+        words: With descriptions.
+    """
+    if get_origin(kind) is Annotated:
+        inner, beside = get_args(kind)
+        return dict(beside) if "const" in beside else schema(inner, words) | beside
+    if get_origin(kind) in (Union, UnionType):
+        (inner,) = (each for each in get_args(kind) if each is not NoneType)
+        made = schema(inner, words)
+        return made | {"type": [made["type"], "null"]}
+    if get_origin(kind) is Literal:
+        return {"enum": list(get_args(kind))}
+    if is_dataclass(kind):
+        return _record(kind, words)
+    if get_origin(kind) is not None and issubclass(get_origin(kind), Mapping):
+        return {"type": "object", "additionalProperties": schema(get_args(kind)[1], words)}
+    if get_origin(kind) is not None and issubclass(get_origin(kind), Sequence):
+        return {"type": "array", "items": schema(get_args(kind)[0], words)}
+    return {"type": _TYPES[kind]}
+
+
+def _record(kind: Any, words: bool) -> dict[str, Any]:
+    hints = get_type_hints(kind, include_extras=True)
+    about, meanings = _told(kind)
+    properties = {}
+    for name, hint in hints.items():
+        made = schema(hint, words)
+        meaning = {"description": meanings[name]} if words and name in meanings else {}
+        properties[name] = made | meaning
+    return {
+        **({"description": about} if words else {}),
+        "type": "object",
+        "additionalProperties": False,
+        "required": [each.name for each in fields(kind) if not _may_be_missing(each)],
+        "properties": properties,
+    }
+
+
+def _may_be_missing(field: Any) -> bool:
+    return field.default is not MISSING or field.default_factory is not MISSING
+
+
+def _told(kind: type) -> tuple[str, dict[str, str]]:
+    """Return what a record's docstring says of it, and of its fields."""
+    about, _, rest = (inspect.getdoc(kind) or "").partition(_ATTRIBUTES)
+    meanings = {}
+    for entry in re.findall(r"^    (\S.*(?:\n {8}.*)*)", rest, re.MULTILINE):
+        names, _, meaning = entry.partition(": ")
+        meanings.update(dict.fromkeys(names.split(", "), _line(meaning)))
+    return _line(about), meanings
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def view_schema() -> str:
+    """Return the text of view.schema.json."""
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"view, version {VERSION}"}
+    return f"{_text(head | schema(View))}\n"
+
+
+def page_schemas() -> str:
+    """Return the text of web/src/schemas.js."""
+    constants = [
+        f"/** {schema(kind)['description'].partition('.')[0]}. */\nexport const {name} = {_text(schema(kind, words=False))};\n"
+        for name, kind in CHECKED.items()
+    ]
+    return "\n".join(["// Made from the records by scripts/make_reference.py; check.js reads it.\n", *constants])
+
+
+def _text(value: Any, indent: str = "", before: int = 0) -> str:
+    """Return JSON in which what fits into a line stands in one; `before` is what already stands in this line."""
+    line = json.dumps(value, ensure_ascii=False)
+    if len(indent) + before + len(line) < _WIDTH or not isinstance(value, (dict, list)):
+        return line
+    deeper = f"{indent}  "
+    if isinstance(value, dict):
+        items = [f'"{key}": {_text(item, deeper, len(key) + 4)}' for key, item in value.items()]
+        return "{\n" + ",\n".join(deeper + item for item in items) + f"\n{indent}}}"
+    items = [_text(item, deeper) for item in value]
+    if all(isinstance(item, str) for item in value):
+        # names, as many in a line as fit
+        return f"[\n{_filled(items, deeper)}\n{indent}]"
+    return "[\n" + ",\n".join(deeper + item for item in items) + f"\n{indent}]"
+
+
+def _filled(items: Sequence[str], indent: str) -> str:
+    lines = [indent]
+    for number, item in enumerate(items):
+        piece = item + ("," if number < len(items) - 1 else "")
+        if len(lines[-1]) + 1 + len(piece) > _WIDTH:
+            lines.append(indent)
+        lines[-1] += piece if lines[-1] == indent else f" {piece}"
+    return "\n".join(lines)
