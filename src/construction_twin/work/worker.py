@@ -1,7 +1,8 @@
-"""The process that reads models and plans tasks for the work node, so that neither a broken file nor a long search holds it up.
+"""Processes that read models and plan tasks for another one, so that neither a broken file nor a long search holds it up.
 
-``python -m construction_twin.work.worker``, started by `Worker`; both sides speak pickles over the process's own pipes, which
-nobody else can write to. It runs behind everything else on the machine: whatever has a cycle to keep comes first.
+``python -m construction_twin.work.worker`` is the work node's, started by `Worker`; both sides speak pickles over the process's own
+pipes, which nobody else can write to. It runs behind everything else on the machine: whatever has a cycle to keep comes first. It
+ends when its parent does, however that ends: after the question that it answers.
 """
 
 from __future__ import annotations
@@ -180,15 +181,27 @@ def _how(code: int) -> str:
     return f"signal {-code}" if code < 0 else f"exit code {code}"
 
 
-def main() -> None:
-    """Serve the parent until it closes its pipe."""
-    from construction_twin.work.tasks import FUNCTIONS
+def serve_parent(functions: Mapping[str, Callable]) -> None:
+    """Serve the parent until it closes its pipe, or ends.
 
+    Args:
+        functions: As of `serve`.
+    """
     # whatever a library prints must not get between the answers
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     os.nice(NICE)
-    serve(sys.stdin.buffer, answers, FUNCTIONS)
+    try:
+        serve(sys.stdin.buffer, answers, functions)
+    except BrokenPipeError:
+        return  # nobody is there any more to be told
+
+
+def main() -> None:
+    """Serve the work node."""
+    from construction_twin.work.tasks import FUNCTIONS
+
+    serve_parent(FUNCTIONS)
 
 
 if __name__ == "__main__":

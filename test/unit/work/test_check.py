@@ -1,14 +1,21 @@
 """What is found out about each task before anything starts, and how it is told."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from building_models import box, building, element
+from processes import wait_until
 from work_samples import box_pieces
 
+from construction_twin.ros.commands import work_check_pool
 from construction_twin.ros.commands.work_check_pool import Arm, Setup, check_all
 from construction_twin.work.building import Task
 from construction_twin.work.check import CheckedTask, reason_kind
@@ -16,6 +23,7 @@ from construction_twin.work.check_report import Header, as_json, page, row, shor
 from construction_twin.work.schedule import Schedule
 from construction_twin.work.site import read_site
 from construction_twin.work.site_scene import Layout
+from construction_twin.work.worker import WorkerError
 
 ROOT = Path(__file__).resolve().parents[3]
 ARM = Arm(
@@ -89,6 +97,68 @@ def test_of_another_robots_tasks_none_is_checked_but_their_elements_stand_in_the
     checked = check_all(replace(own, robot="kr120"), 1)
     assert [task.name for task in checked.tasks] == ["Place empty"] and checked.tasks[0].number == 1
     assert "near/0" in own.layout(ARM.robot()).scene().names
+
+
+#: Checks nothing, and tells as name of the task which process it is; a task of a negative number ends it.
+PROCESS = """
+    import os, time
+    from types import SimpleNamespace
+    from construction_twin.work.worker import serve_parent
+
+    def check(number):
+        if number < 0:
+            os._exit(9)
+        time.sleep(0.02)
+        return SimpleNamespace(number=number, name=os.getpid(), possible=True), os.getpid(), 1.0
+
+    serve_parent({"prepare": lambda setup: None, "check": check})
+"""
+#: Checks for ever with such processes.
+CHECK = """
+    import sys
+    from types import SimpleNamespace
+    from construction_twin.ros.commands import work_check_pool
+
+    work_check_pool.PROGRAM = (sys.executable, "-c", sys.argv[1])
+    setup = SimpleNamespace(numbers=range(100_000), changes=0.0)
+    work_check_pool.check_all(setup, 2, lambda task: print(task.name, flush=True))
+"""
+
+
+def alive(process: int) -> bool:
+    """Return whether a process runs; one that has ended and is not waited for by whoever inherited it does not."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_the_processes_end_when_the_check_is_killed():
+    own = textwrap.dedent(PROCESS)
+    check = subprocess.Popen([sys.executable, "-c", textwrap.dedent(CHECK), own], stdout=subprocess.PIPE, text=True)
+    try:
+        seen: set[int] = set()
+        while len(seen) < 2:
+            seen.add(int(check.stdout.readline()))
+        assert all(map(alive, seen))
+    finally:
+        os.kill(check.pid, signal.SIGKILL)
+        check.wait()
+        check.stdout.close()
+    wait_until(lambda: not any(map(alive, seen)), 20.0, "the processes to end")
+
+
+def test_a_process_that_is_ended_ends_the_check_and_the_others(monkeypatch, found):
+    setup, _, _ = found
+    monkeypatch.setattr(work_check_pool, "PROGRAM", (sys.executable, "-c", textwrap.dedent(PROCESS)))
+    jobs = replace(setup, jobs=setup.jobs[:1] * 5)
+    seen = []
+    assert len(check_all(jobs, 2, seen.append).tasks) == 5
+    monkeypatch.setattr(Setup, "numbers", (0, 1, -1, 2))
+    with pytest.raises(WorkerError, match="has ended") as caught:
+        check_all(jobs, 2, seen.append)
+    assert caught.value.kind == ""
+    wait_until(lambda: not any(alive(task.name) for task in seen), 20.0, "the processes to end")
 
 
 def test_reasons_that_differ_in_figures_only_are_of_one_kind():

@@ -11,7 +11,6 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterable
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -40,6 +39,7 @@ from construction_twin.work.proposed_schedule import propose
 from construction_twin.work.schedule import Job, Schedule
 from construction_twin.work.site import Site, pose_of, read_site
 from construction_twin.work.site_scene import Layout
+from construction_twin.work.worker import WorkerError
 
 #: By how much bodies may be larger than their element without being told [m].
 _TOLD = 0.0005
@@ -95,10 +95,9 @@ def main(arguments: list[str]) -> int:
             header = _header(options, work, notes, robot, checked)
             files = _write(directory, header, checked.tasks, setup.layout(robot))
     except (ConstructionTwinError, OSError) as error:
-        print(f"work check: {error}", file=sys.stderr)
-        return NOT_CHECKED
-    except BrokenProcessPool:
-        print("work check: a process was ended, perhaps for want of memory; try --processes 1", file=sys.stderr)
+        ended = isinstance(error, WorkerError) and not error.kind
+        said = "a process was ended, perhaps for want of memory; try --processes 1" if ended else error
+        print(f"work check: {said}", file=sys.stderr)
         return NOT_CHECKED
     _print(console, checked, files, options.changes)
     return ALL if all(task.possible for task in checked.tasks) else SOME
@@ -157,7 +156,6 @@ def _pieces(work: _Work, folder: Path) -> tuple[dict[str, tuple[SceneObject, ...
 
 def _check(setup: Setup, processes: int, console: Console) -> Checked:
     columns = (TextColumn("checking"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    # without refreshing by itself: that would be a thread, and the processes are forked
     with Progress(*columns, console=console, transient=True, auto_refresh=False) as progress:
         bar = progress.add_task("check", total=len(setup.numbers))
         progress.refresh()

@@ -1,19 +1,20 @@
 """The tasks of a building model, checked in several processes at once. Knows no ROS and no terminal.
 
-The processes are forked from the caller with one planner each and take one task after the other. What a process needs grows with
-the elements of one scene, not with the number of tasks.
+The processes (`work.worker`) have one planner each and take one task after the other. ``python -m`` with this module's name is one.
 """
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import resource
+import sys
 import time
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
 
 import numpy as np
 import yaml
@@ -27,7 +28,10 @@ from construction_twin.work.check import CheckedTask, Checker, reason_kind
 from construction_twin.work.schedule import Job
 from construction_twin.work.site import read_site
 from construction_twin.work.site_scene import Layout
+from construction_twin.work.worker import Worker, serve_parent
 
+#: What a process is started with.
+PROGRAM = (sys.executable, "-m", "construction_twin.ros.commands.work_check_pool")
 #: Most time for the changes of one task [s].
 TASK_CHANGES = 15.0
 
@@ -115,62 +119,91 @@ class Checked:
 
 
 def check_all(setup: Setup, processes: int, done: Callable[[CheckedTask], None] = lambda _: None) -> Checked:
-    """Check every job. To be called before the caller has threads: the processes are forked from it.
+    """Check every job.
 
     Args:
         processes: At least 1.
         done: Called with each result as it comes, in any order.
 
     Raises:
-        ConstructionTwinError: As `Setup.checker`.
-        BrokenProcessPool: If a process was ended, by want of memory for instance.
+        WorkerError: As `Setup.checker`; with an empty `kind` if a process was ended, by want of memory for instance.
     """
     began = time.monotonic()
-    worker = _Worker(setup.checker())
     found: dict[int, CheckedTask] = {}
     memory: dict[int, float] = {}
-    pool = ProcessPoolExecutor(processes, multiprocessing.get_context("fork"), _take, (worker,))
-    try:
-        for future in as_completed([pool.submit(_check, number) for number in setup.numbers]):
-            task, process, rss = future.result()
+    with _Pool(setup, processes) as pool:
+        for task, process, rss in pool.each("check", [{"number": number} for number in setup.numbers]):
             found[task.number] = task
             memory[process] = rss
             done(task)
         until = time.monotonic() + setup.changes
         failed = _first_of_each_reason([found[number] for number in sorted(found) if not found[number].possible])
-        for future in as_completed([pool.submit(_change, task, until) for task in failed if setup.changes > 0.0]):
-            task, process, rss = future.result()
+        tried = failed if setup.changes > 0.0 else []
+        for task, process, rss in pool.each("change", [{"task": task, "until": until} for task in tried]):
             found[task.number] = task
             memory[process] = rss
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
     tasks = tuple(found[number] for number in sorted(found))
     return Checked(tasks, time.monotonic() - began, _rss_mb() + sum(memory.values()))
 
 
-class _Worker:
-    """What a process checks with. Forked, not pickled: a checker holds shapes of compiled libraries."""
+class _Pool:
+    """Processes that check, each asked one thing at a time; they end with the context, and with this process."""
 
-    def __init__(self, checker: Checker):
-        self.checker = checker
+    def __init__(self, setup: Setup, processes: int):
+        self._setup = setup
+        self._workers = [Worker(PROGRAM) for _ in range(processes)]
+        self._idle: SimpleQueue[Worker] = SimpleQueue()
+        self._threads = ThreadPoolExecutor(processes)
+
+    def __enter__(self) -> _Pool:
+        try:
+            for future in [self._threads.submit(worker.ask, "prepare", setup=self._setup) for worker in self._workers]:
+                future.result()
+        except BaseException:
+            self._end()
+            raise
+        for worker in self._workers:
+            self._idle.put(worker)
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._end()
+
+    def each(self, name: str, questions: Sequence[dict[str, Any]]) -> Iterator[tuple[CheckedTask, int, float]]:
+        """Yield the answers to questions as they come: task, process, and its memory [MB]."""
+        for future in as_completed([self._threads.submit(self._ask, name, question) for question in questions]):
+            yield future.result()
+
+    def _ask(self, name: str, question: dict[str, Any]) -> tuple[CheckedTask, int, float]:
+        worker = self._idle.get()
+        try:
+            return worker.ask(name, **question)
+        finally:
+            self._idle.put(worker)
+
+    def _end(self) -> None:
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        for worker in self._workers:
+            worker.close()
+        self._threads.shutdown(wait=True)
 
 
-#: Of this process, set when it begins.
-_taken: list[_Worker] = []
+#: Of this process, made by `_prepare`.
+_checkers: list[Checker] = []
 
 
-def _take(worker: _Worker) -> None:
-    _taken.append(worker)
+def _prepare(setup: Setup) -> None:
+    _checkers[:] = [setup.checker()]
 
 
 def _check(number: int) -> tuple[CheckedTask, int, float]:
-    return _taken[-1].checker.check(number), os.getpid(), _rss_mb()
+    return _checkers[0].check(number), os.getpid(), _rss_mb()
 
 
 def _change(task: CheckedTask, until: float) -> tuple[CheckedTask, int, float]:
     # the clock of all processes of a machine is the same
     within = min(until, time.monotonic() + TASK_CHANGES)
-    return _taken[-1].checker.changed(task, within), os.getpid(), _rss_mb()
+    return _checkers[0].changed(task, within), os.getpid(), _rss_mb()
 
 
 def _first_of_each_reason(failed: list[CheckedTask]) -> list[CheckedTask]:
@@ -181,3 +214,7 @@ def _first_of_each_reason(failed: list[CheckedTask]) -> list[CheckedTask]:
 
 def _rss_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+if __name__ == "__main__":
+    serve_parent({"prepare": _prepare, "check": _check, "change": _change})
