@@ -15,13 +15,15 @@ from dataclasses import MISSING, fields, is_dataclass
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from construction_twin.core.records import ZERO
+from construction_twin.core.reports import WorkReport
 from construction_twin.link.remote_view import VERSION, View
 
 _TYPES = {str: "string", bool: "boolean", int: "integer", float: "number", NoneType: "null"}
 _ATTRIBUTES = "\n\nAttributes:\n"
 _WIDTH = 132
 #: What the page checks, by the name of the constant in web/src/schemas.js.
-CHECKED = {"VIEW": View}
+CHECKED = {"VIEW": View, "WORK": WorkReport}
 
 
 def schema(kind: Any, words: bool = True) -> dict[str, Any]:
@@ -52,8 +54,9 @@ def _record(kind: Any, words: bool) -> dict[str, Any]:
     hints = get_type_hints(kind, include_extras=True)
     about, meanings = _told(kind)
     properties = {}
-    for name, hint in hints.items():
-        made = schema(hint, words)
+    for each in fields(kind):
+        name = each.name
+        made = _seconds(each.metadata[ZERO]) if ZERO in each.metadata else schema(hints[name], words)
         meaning = {"description": meanings[name]} if words and name in meanings else {}
         properties[name] = made | meaning
     return {
@@ -63,6 +66,10 @@ def _record(kind: Any, words: bool) -> dict[str, Any]:
         "required": [each.name for each in fields(kind) if not _may_be_missing(each)],
         "properties": properties,
     }
+
+
+def _seconds(zero: float | None) -> dict[str, Any]:
+    return {"type": "number" if zero is not None else ["number", "null"]}
 
 
 def _may_be_missing(field: Any) -> bool:

@@ -120,3 +120,52 @@ export const VIEW = {
     }
   }
 };
+
+/** The tasks of a building model, in the order in which they can be done: `WorkTasks. */
+export const WORK = {
+  "type": "object",
+  "additionalProperties": false,
+  "required": ["model", "model_hash", "schedule", "engaged", "next", "reason", "tasks", "notes"],
+  "properties": {
+    "stamp": {"type": "number"},
+    "model": {"type": "string"},
+    "model_hash": {"type": "string"},
+    "schedule": {"type": "string"},
+    "engaged": {"type": "boolean"},
+    "reading": {"type": "boolean"},
+    "next": {"type": "string"},
+    "reason": {"type": "string"},
+    "tasks": {
+      "type": "array",
+      "items": {
+        "type": "object",
+        "additionalProperties": false,
+        "required": ["id", "name", "element", "state", "reason", "after"],
+        "properties": {
+          "id": {"type": "string"},
+          "name": {"type": "string"},
+          "element": {"type": "string"},
+          "element_name": {"type": "string"},
+          "state": {"type": "string"},
+          "reason": {"type": "string"},
+          "after": {"type": "array", "items": {"type": "string"}},
+          "robot": {"type": "string"},
+          "plan_id": {"type": "string"},
+          "deviation_mm": {"type": ["number", "null"]},
+          "deviation_deg": {"type": ["number", "null"]},
+          "mass_kg": {"type": ["number", "null"]},
+          "scheduled_duration": {"type": ["number", "null"]},
+          "tolerance_mm": {"type": ["number", "null"]},
+          "tolerance_deg": {"type": ["number", "null"]},
+          "question": {"type": "string"},
+          "answers": {"type": "array", "items": {"type": "string"}},
+          "grip": {"type": "string"},
+          "scheduled_start": {"type": "string"},
+          "begun": {"type": ["number", "null"]},
+          "settled": {"type": ["number", "null"]}
+        }
+      }
+    },
+    "notes": {"type": "array", "items": {"type": "string"}}
+  }
+};

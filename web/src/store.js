@@ -31,7 +31,7 @@
  */
 import {check} from "./check.js";
 import {checkPlan} from "./plan_hash.js";
-import {VIEW} from "./schemas.js";
+import {VIEW, WORK} from "./schemas.js";
 
 /** A view is old after so long [ms]. */
 export const OLD_AFTER = 1000;
@@ -53,7 +53,6 @@ const FROM_BROKER = ["view", "screen", "scene", "plan", "tasks"];
 
 const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
 const isText = (value) => typeof value === "string";
-const isTexts = (value) => Array.isArray(value) && value.every(isText);
 
 function expect(is, sentence) {
   if (!is) throw new TypeError(sentence);
@@ -83,25 +82,6 @@ function checkScreen(screen) {
 function checkScene(scene) {
   expect(Array.isArray(scene.objects) && scene.objects.every((each) => isObject(each) && isText(each.name) && isText(each.shape)),
     "scene without objects");
-}
-
-function checkTasks(work) {
-  for (const key of ["model", "model_hash", "schedule", "next", "reason"]) expect(isText(work[key]), `tasks without ${key}`);
-  expect(typeof work.engaged === "boolean", "tasks that do not say whether the arm is engaged");
-  expect(isTexts(work.notes), "tasks without notes");
-  expect(Array.isArray(work.tasks), "tasks without a list of them");
-  for (const task of work.tasks) {
-    expect(isObject(task) && ["id", "name", "element", "state", "reason"].every((key) => isText(task[key])),
-      "a task without id, name, element, state or reason");
-    expect(isTexts(task.after), `task ${task.id} that does not say what must be done before`);
-    for (const key of ["element_name", "robot", "question"]) {
-      expect(task[key] === undefined || isText(task[key]), `task ${task.id} whose ${key} is no text`);
-    }
-    for (const key of ["deviation_mm", "deviation_deg"]) {
-      expect((task[key] ?? null) === null || Number.isFinite(task[key]), `task ${task.id} whose ${key} is no number`);
-    }
-    expect(task.answers === undefined || isTexts(task.answers), `task ${task.id} whose answers are no texts`);
-  }
 }
 
 /**
@@ -316,7 +296,7 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
         else if (kind === "screen") put(robot, kind, checkScreen(value));
         else if (KEPT.includes(kind)) {
           if (kind === "scene" && value !== null) checkScene(value);
-          if (kind === "tasks" && value !== null) checkTasks(value);
+          if (kind === "tasks" && value !== null) check(WORK, value, "tasks");
           put(robot, kind, value);
         } else {
           expect(isObject(value), `${kind} that is no JSON object`);

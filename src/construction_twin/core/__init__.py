@@ -83,6 +83,8 @@ if TYPE_CHECKING:
     from construction_twin.core.reports import ExecutionReport as ExecutionReport
     from construction_twin.core.reports import LinkReport as LinkReport
     from construction_twin.core.reports import SyncReport as SyncReport
+    from construction_twin.core.reports import TaskReport as TaskReport
+    from construction_twin.core.reports import WorkReport as WorkReport
     from construction_twin.core.share import share_file as share_file
     from construction_twin.core.speed_limit import LimitState as LimitState
     from construction_twin.core.speed_limit import SpeedLimit as SpeedLimit

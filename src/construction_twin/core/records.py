@@ -2,7 +2,8 @@
 
 A record is a frozen dataclass. Its fields are numbers, texts, truth values, enumerations (by name), other records, and tuples,
 lists and mappings of them; keys are the fields' names, in their order. A number that is nan or infinite is null, because JSON has
-neither. Where a field is written with decimals of its own, `decimals` says so. Reads nothing.
+neither. Where a field is written with decimals of its own, or a time in whole ns as seconds, `decimals` and `as_seconds` say so.
+Reads nothing.
 """
 
 from __future__ import annotations
@@ -14,12 +15,25 @@ from dataclasses import field, fields, is_dataclass
 from enum import Enum
 from typing import Any
 
+from construction_twin.core.units import seconds
+
 _DECIMALS = "decimals"
+#: What `as_seconds` says of a field: what is written for 0.
+ZERO = "zero"
 
 
 def decimals(count: int) -> Any:
     """Return a field whose numbers are written with so many decimals, whatever the rest of its record has."""
     return field(metadata={_DECIMALS: count})
+
+
+def as_seconds(zero: float | None = 0.0) -> Any:
+    """Return a field of a time in whole ns, 0 where it is not given, that is written in seconds.
+
+    Args:
+        zero: What is written for 0: None where that means that there is no time.
+    """
+    return field(default=0, metadata={ZERO: zero})
 
 
 def document(value: Any, places: int | None = None) -> Any:
@@ -35,13 +49,16 @@ def document(value: Any, places: int | None = None) -> Any:
     if isinstance(value, Enum):
         return value.name
     if is_dataclass(value):
-        return {
-            each.name: document(getattr(value, each.name), each.metadata.get(_DECIMALS, places))
-            for each in fields(value)
-        }
+        return {each.name: _written(getattr(value, each.name), each.metadata, places) for each in fields(value)}
     if isinstance(value, Mapping):
         return {key: document(item, places) for key, item in value.items()}
     return [document(item, places) for item in value] if isinstance(value, (list, tuple)) else value
+
+
+def _written(value: Any, about: Mapping[str, Any], places: int | None) -> Any:
+    if ZERO in about:
+        return seconds(value) if value else about[ZERO]
+    return document(value, about.get(_DECIMALS, places))
 
 
 def dumped(value: Any, places: int | None = None) -> bytes:

@@ -1,4 +1,4 @@
-"""What gate, bridge and executor report: one record per message, for every folder that shows or acts on it.
+"""What gate, bridge, executor and work report: one record per message, for every folder that shows or acts on it.
 
 Each field has the name that it has in the ROS message; times are whole ns of ROS time, and lists are tuples in the order of the
 message. SI unless a name says otherwise. Records only: what follows from them is decided where it matters. Standard library only.
@@ -9,8 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Annotated
 
+from construction_twin.core.records import as_seconds
 from construction_twin.core.units import seconds
+
+#: A number that may be nan, which JSON has as null.
+_OrNan = Annotated[float, {"type": ["number", "null"]}]
 
 
 @dataclass(frozen=True)
@@ -114,3 +119,74 @@ class ExecutionReport:
         if self.text != "PLAYING" or not self.plan_start or self.duration <= 0.0:
             return None
         return min(1.0, max(0.0, (now - seconds(self.plan_start)) / self.duration))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskReport:
+    """One task of a building model: `WorkTask.msg`, one entry of `work/tasks` on MQTT. What has a default may be missing there.
+
+    Attributes:
+        id, element: GlobalIds: of the task, and of the element that it places, or that people take down.
+        state: As in docs/reference/states.md.
+        reason: One sentence: what is waited for, by whom, what to do.
+        after: Ids of the tasks that must be done before.
+        robot: Which robot does it; empty: any.
+        plan_id: Of the plan under review or executed; empty: none.
+        deviation_mm, deviation_deg: Of the placed element from the model; nan: not placed.
+        mass_kg: Of the element, as it is planned with; nan: nobody says.
+        scheduled_duration: [s]; nan: the schedule says nothing.
+        tolerance_mm, tolerance_deg: A placed element that deviates by more than one of them counts as off.
+        question, answers: What only a person can know, empty: nothing is asked; and what can be answered.
+        grip: How the element is or was held; empty: it was not gripped yet.
+        scheduled_start: ISO 8601; empty: the schedule says nothing.
+        begun, settled: When it was begun, and done or skipped, last; 0: not yet. Whole ns, in JSON [s] and null.
+    """
+
+    id: str
+    name: str
+    element: str
+    element_name: str = ""
+    state: str
+    reason: str
+    after: tuple[str, ...]
+    robot: str = ""
+    plan_id: str = ""
+    deviation_mm: _OrNan = math.nan
+    deviation_deg: _OrNan = math.nan
+    mass_kg: _OrNan = math.nan
+    scheduled_duration: _OrNan = math.nan
+    tolerance_mm: _OrNan = math.nan
+    tolerance_deg: _OrNan = math.nan
+    question: str = ""
+    answers: tuple[str, ...] = ()
+    grip: str = ""
+    scheduled_start: str = ""
+    begun: int = as_seconds(None)
+    settled: int = as_seconds(None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkReport:
+    """The tasks of a building model, in the order in which they can be done: `WorkTasks.msg`, and `work/tasks` on MQTT.
+
+    Attributes:
+        stamp: ROS time of the change; whole ns, in JSON [s].
+        model, model_hash: File name of the model, and the file's SHA-256.
+        schedule: `model`, `accepted` (a proposal that a person accepted) or `proposed` (nothing can be planned yet).
+        engaged: Only the way back can be planned.
+        reading: The model is being read: tasks come when it was.
+        next: Id of the task that comes next; empty: none can.
+        reason: One sentence: what the work waits for.
+        notes: What a person should know of model, schedule and ledger: what was left out, or understood in some way.
+    """
+
+    stamp: int = as_seconds()
+    model: str
+    model_hash: str
+    schedule: str
+    engaged: bool
+    reading: bool = False
+    next: str
+    reason: str
+    tasks: tuple[TaskReport, ...]
+    notes: tuple[str, ...]

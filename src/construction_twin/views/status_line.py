@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
 
+from construction_twin.core.reports import WorkReport
 from construction_twin.core.sentences import Sentence, has
 from construction_twin.views.startup import Missing, Word
 
@@ -134,24 +135,6 @@ _OVER = frozenset(("done", "skipped"))
 
 
 @dataclass(frozen=True)
-class WorkFacts:
-    """What the status line needs of the building model's tasks.
-
-    Attributes:
-        states: Of the tasks; empty: the model cannot be used.
-        engaged, proposed: Only the way back can be planned; the schedule was not accepted yet.
-        next: The task that comes next; empty: none can.
-        reason: What the work waits for.
-    """
-
-    states: tuple[str, ...]
-    engaged: bool
-    proposed: bool
-    next: str
-    reason: str
-
-
-@dataclass(frozen=True)
 class Heard:
     """What the nodes say now; a report that is None is silent.
 
@@ -172,7 +155,7 @@ class Heard:
     bare: bool = False
     plan: str = ""
     engaged: bool = False
-    work: WorkFacts | None = None
+    work: WorkReport | None = None
     started: bool = False
     missing: Missing | None = None
 
@@ -225,9 +208,9 @@ def status_lines(heard: Heard) -> list[Line]:
     return sorted(lines, key=lambda line: (-line.level, (TOPICS if line.level else calm).index(line.topic)))
 
 
-def work_state(work: WorkFacts) -> str:
+def work_state(work: WorkReport) -> str:
     """Return the state of the whole work, as `TABLE` has it."""
-    states = set(work.states)
+    states = {task.state for task in work.tasks}
     if not states:
         return "unavailable"
     for state, holds in (
@@ -235,7 +218,7 @@ def work_state(work: WorkFacts) -> str:
         ("asks", "asks" in states),
         ("working", states & _UNDER_WAY),
         ("planned", "planned" in states),
-        ("proposed", work.proposed),
+        ("proposed", work.schedule == "proposed"),
         ("ready", work.next),
         ("done", states <= _OVER),
     ):

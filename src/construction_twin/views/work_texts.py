@@ -4,44 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from construction_twin.core.errors import RequestRefused
+from construction_twin.core.reports import TaskReport, WorkReport
 
 
-@dataclass(frozen=True)
-class TaskFacts:
-    """One task, as the work node reports it; the fields of ``WorkTask.msg``."""
-
-    id: str
-    name: str
-    element: str
-    element_name: str
-    state: str
-    reason: str
-    after: tuple[str, ...]
-    robot: str
-    plan_id: str
-    deviation_mm: float
-    deviation_deg: float
-    question: str
-    answers: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class WorkFacts:
-    """The work node's report; the fields of ``WorkTasks.msg`` that people read."""
-
-    model: str
-    schedule: str
-    engaged: bool
-    next: str
-    reason: str
-    tasks: tuple[TaskFacts, ...]
-    notes: tuple[str, ...] = ()
-
-
-def chosen(tasks: Sequence[TaskFacts], text: str) -> TaskFacts:
+def chosen(tasks: Sequence[TaskReport], text: str) -> TaskReport:
     """Return the task that a person means by its id, its name, or the beginning of one of them.
 
     Raises:
@@ -63,7 +31,7 @@ def chosen(tasks: Sequence[TaskFacts], text: str) -> TaskFacts:
     raise RequestRefused(f"no task has the id or name {text!r}; `twin work list` shows them")
 
 
-def list_lines(work: WorkFacts) -> list[str]:
+def list_lines(work: WorkReport) -> list[str]:
     """Return the tasks in their order, after two lines about the whole; the notes behind them."""
     lines = [f"model      {work.model}, schedule: {work.schedule or 'not read'}", f"work       {work.reason}"]
     wide = max((len(task.name) for task in work.tasks), default=0)
@@ -76,12 +44,12 @@ def list_lines(work: WorkFacts) -> list[str]:
     return [*lines, *note_lines(work)]
 
 
-def note_lines(work: WorkFacts) -> list[str]:
+def note_lines(work: WorkReport) -> list[str]:
     """Return what a person should know of model, schedule and ledger."""
     return [f"note       {note}" for note in work.notes]
 
 
-def show_lines(work: WorkFacts, task: TaskFacts) -> list[str]:
+def show_lines(work: WorkReport, task: TaskReport) -> list[str]:
     """Return all that is known of one task."""
     names = {each.id: each.name for each in work.tasks}
     lines = [

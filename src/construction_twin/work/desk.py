@@ -5,12 +5,14 @@ Pure but for the ledger's file. Times in ns since 1970, poses in the robot's bas
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from construction_twin.core.reports import TaskReport
 from construction_twin.core.work_errors import WorkError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Tool
@@ -143,29 +145,6 @@ class Appearance:
     name: str
     word: str
     pose: Pose
-
-
-@dataclass(frozen=True)
-class TaskRow:
-    """One task, as people see it; the fields of `WorkTask.msg`."""
-
-    id: str
-    name: str
-    element: str
-    element_name: str
-    state: str
-    reason: str
-    after: tuple[str, ...]
-    robot: str
-    plan_id: str
-    deviation: Deviation | None
-    question: str
-    answers: tuple[str, ...]
-    mass: float | None
-    grip: str
-    scheduled: Scheduled
-    begun_ns: int
-    settled_ns: int
 
 
 def removed_command(task: str) -> str:
@@ -505,7 +484,7 @@ class Desk:
                 found.append(Appearance(job.element, facts.name, "stock", stock))
         return tuple(found)
 
-    def rows(self, now: int) -> tuple[TaskRow, ...]:
+    def rows(self, now: int) -> tuple[TaskReport, ...]:
         """Return every task, in order."""
         return tuple(self._row(task, now) for task in self.book.tasks)
 
@@ -524,10 +503,14 @@ class Desk:
             return f"{self.title(following)} can be planned"
         return self.obstacle(book.open[0], now) if book.open else "every task is done or skipped"
 
-    def _row(self, task: str, now: int) -> TaskRow:
+    def _row(self, task: str, now: int) -> TaskReport:
         job, memory = self.prepared.schedule.job(task), self.book.tasks[task]
-        facts = self._element(task)
-        return TaskRow(
+        facts, far, scheduled = (
+            self._element(task),
+            self.deviation(task),
+            self.prepared.scheduled.get(task, Scheduled()),
+        )
+        return TaskReport(
             id=task,
             name=job.name,
             element=job.element,
@@ -537,14 +520,18 @@ class Desk:
             after=tuple(dict.fromkeys(wait.job for wait in job.after)),
             robot=", ".join(job.robots),
             plan_id=memory.plan,
-            deviation=self.deviation(task),
+            deviation_mm=math.nan if far is None else far.distance * 1e3,
+            deviation_deg=math.nan if far is None else math.degrees(far.angle),
+            mass_kg=math.nan if facts.mass is None else facts.mass,
+            scheduled_duration=math.nan if scheduled.duration is None else scheduled.duration,
+            tolerance_mm=OFF * 1e3,
+            tolerance_deg=math.degrees(OFF_ANGLE),
             question=self._question(task),
             answers=memory.possible_answers(),
-            mass=facts.mass,
             grip=memory.grip,
-            scheduled=self.prepared.scheduled.get(task, Scheduled()),
-            begun_ns=memory.begun_ns,
-            settled_ns=memory.settled_ns,
+            scheduled_start=scheduled.start,
+            begun=memory.begun_ns,
+            settled=memory.settled_ns,
         )
 
     def _reason(self, task: str, now: int) -> str:

@@ -10,7 +10,7 @@ from enum import Enum
 from hypothesis import given
 from hypothesis import strategies as st
 
-from construction_twin.core.records import decimals, document, dumped
+from construction_twin.core.records import as_seconds, decimals, document, dumped
 
 
 class Kind(Enum):
@@ -36,6 +36,12 @@ class Outer:
 class Rounded:
     fine: float = decimals(3)
     coarse: float = 0.0
+
+
+@dataclass(frozen=True)
+class Timed:
+    stamp: int = as_seconds()
+    begun: int = as_seconds(None)
 
 
 def test_fields_come_in_their_order_with_what_they_hold():
@@ -74,3 +80,8 @@ def test_json_is_that_of_the_values_one_by_one(name, value, values, stamp):
     }
     record = Outer(name, Inner(value), tuple(map(Inner, values)), {}, stamp)
     assert dumped(record) == json.dumps(wanted, allow_nan=False, separators=(",", ":")).encode()
+
+
+def test_a_time_in_whole_ns_is_written_in_seconds_and_where_there_is_none_as_null():
+    assert document(Timed(1_500_000_000, 2_000_000_001)) == {"stamp": 1.5, "begun": 2.000000001}
+    assert document(Timed()) == {"stamp": 0.0, "begun": None}

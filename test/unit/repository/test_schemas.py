@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 
 import schemas
 
+from construction_twin.core.records import as_seconds
+
 
 @dataclass(frozen=True)
 class Inner:
@@ -37,6 +39,8 @@ class Outer:
     counts: Sequence[int] = ()
     flag: bool = False
     more: tuple[str, ...] = field(default_factory=tuple)
+    stamp: int = as_seconds()
+    begun: int = as_seconds(None)
 
 
 def test_types_bounds_and_words_are_those_of_the_record():
@@ -57,6 +61,7 @@ def test_types_bounds_and_words_are_those_of_the_record():
     assert made["properties"]["word"] == {"enum": ["a", "b"]}
     assert made["properties"]["texts"] == {"type": "object", "additionalProperties": {"type": "string"}}
     assert made["properties"]["units"] == {"const": {"length": "m"}}
+    assert [made["properties"][name]["type"] for name in ("stamp", "begun")] == ["number", ["number", "null"]]
     assert made["properties"]["counts"] == {"type": "array", "items": {"type": "integer"}}
 
 

@@ -28,18 +28,19 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import PlanningError
-from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
+from construction_twin.core.records import dumped
+from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport, WorkReport
 from construction_twin.execution.states import ExecutorState
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ClosestView, PoseView, Seen, ViewWriter
 from construction_twin.link.tool_link import tool_report
 from construction_twin.mqtt.client import Broker
 from construction_twin.robot.segments import segments_content
-from construction_twin.ros.messages.console_json import scene_json, tasks_json
+from construction_twin.ros.messages.console_json import scene_json
 from construction_twin.ros.messages.convert import segment_from_msg, segment_to_msg, trajectory_from_msg
 from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.tool import tool_report_from_msg
-from construction_twin.ros.messages.work_convert import report_from_msg, work_facts_from_msg
+from construction_twin.ros.messages.work_convert import report_from_msg
 from construction_twin.ros.nodes import executor as executor_node
 from construction_twin.ros.nodes import mqtt_bridge, mqtt_planner, mqtt_review
 from construction_twin.scene.objects import Scene, SceneObject
@@ -248,7 +249,7 @@ def plan_payload(wide: Wide) -> str:
 
 def work_list(wide: Wide) -> str:
     """Return what a terminal shows of the tasks."""
-    work = work_facts_from_msg(wide.tasks())
+    work = from_msg(WorkReport, wide.tasks())
     return "\n".join([*list_lines(work), *(line for task in work.tasks for line in show_lines(work, task))])
 
 
@@ -313,7 +314,7 @@ KINDS: dict[str, Callable[[Wide], str]] = {
     "screen": screen,
     "followed": followed,
     "segment": lambda wide: raw(segment_to_msg(segment_from_msg(wide.segment()))),
-    "tasks": lambda wide: tasks_json(wide.tasks()).decode(),
+    "tasks": lambda wide: dumped(from_msg(WorkReport, wide.tasks())).decode(),
     "scene": lambda wide: scene_json(wide.scene(), "kr120/base_link").decode(),
 }
 

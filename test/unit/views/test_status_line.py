@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from construction_twin.core.reports import TaskReport, WorkReport
 from construction_twin.core.sentences import Sentence, has
 from construction_twin.execution.states import ExecutorState
 from construction_twin.link.states import LinkState
@@ -21,7 +22,6 @@ from construction_twin.views.status_line import (
     WHO,
     Heard,
     Level,
-    WorkFacts,
     status_lines,
     work_state,
 )
@@ -166,9 +166,10 @@ def test_there_are_words_for_every_state_and_for_no_other():
     assert {key.removeprefix("line.").rpartition(".")[0] for key in SENTENCES if key.startswith("line.")} == states
 
 
-def facts(*states: str, **changes) -> WorkFacts:
-    given = {"engaged": False, "proposed": False, "next": "", "reason": "why"} | changes
-    return WorkFacts(states, **given)
+def facts(*states: str, proposed: bool = False, **changes) -> WorkReport:
+    given = {"engaged": False, "schedule": "proposed" if proposed else "model", "next": "", "reason": "why"} | changes
+    tasks = tuple(TaskReport(id="", name="", element="", state=state, reason="", after=()) for state in states)
+    return WorkReport(model="", model_hash="", tasks=tasks, notes=(), **given)
 
 
 @pytest.mark.parametrize(

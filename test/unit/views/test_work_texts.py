@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import math
+from construction_twin.core.reports import TaskReport, WorkReport
+from construction_twin.views.work_texts import list_lines, note_lines
 
-from construction_twin.views.work_texts import TaskFacts, WorkFacts, list_lines, note_lines
-
-TASK = TaskFacts("T1", "Place plate", "E1", "plate", "done", "", (), "", "", math.nan, math.nan, "", ())
+TASK = TaskReport(id="T1", name="Place plate", element="E1", element_name="plate", state="done", reason="", after=())
 
 
 def test_notes_come_behind_the_tasks_of_a_list():
-    work = WorkFacts("panel.ifc", "proposed", False, "", "why", (TASK,), ("element E7 is left out",))
+    work = WorkReport(
+        model="panel.ifc", model_hash="", schedule="proposed", engaged=False, next="", reason="why", tasks=(TASK,),
+        notes=("element E7 is left out",),
+    )  # fmt: skip
     assert note_lines(work) == ["note       element E7 is left out"]
     assert list_lines(work)[-1] == note_lines(work)[0]
     assert "mm" not in "".join(list_lines(work))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -195,7 +196,9 @@ def test_a_measured_pose_replaces_the_arms(tmp_path, clock):
     assert one.deviation("T1").distance == pytest.approx(0.0, abs=1e-12)
     found = one.measured("E1", product(one.goal("T1"), at(0.003, 0.0, 0.0, 0.01)), "eva", "tape")
     assert (found.distance, found.angle) == (pytest.approx(0.003), pytest.approx(0.01))
-    assert one.rows(clock())[0].deviation == found and "measured by eva" in one.rows(clock())[0].reason
+    row = one.rows(clock())[0]
+    assert (row.deviation_mm, row.deviation_deg) == (found.distance * 1e3, math.degrees(found.angle))
+    assert "measured by eva" in row.reason
     for wrong in (at(50.0), at(float("nan"))):
         with pytest.raises(WorkRefused, match="robot's base_link"):
             one.measured("E1", wrong, "eva", "")

@@ -8,14 +8,15 @@ import rospy
 from geometry_msgs.msg import PoseStamped
 
 from construction_twin.core.errors import RequestRefused, SilenceError
+from construction_twin.core.reports import WorkReport
 from construction_twin.msg import WorkTasks
-from construction_twin.ros.messages.work_convert import work_facts_from_msg
+from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.master import expect_publisher
 from construction_twin.ros.shared.operator_client import pose_to_msg
 from construction_twin.srv import WorkDecide, WorkMeasured, WorkPlanTask
 from construction_twin.views.arguments import Exit
 from construction_twin.views.goals import pose_goal
-from construction_twin.views.work_texts import WorkFacts, chosen, list_lines, note_lines, show_lines
+from construction_twin.views.work_texts import chosen, list_lines, note_lines, show_lines
 
 _DECISIONS = {"skip": "skip", "redo": "redo", "answer": "answer", "removed": "removed", "accept": "accept_schedule"}
 
@@ -84,7 +85,7 @@ class WorkCommand:
         request = {"element": options.element, "pose": pose, "person": person, "reason": options.reason}
         print(self._call("work/measured", WorkMeasured, **request).message)
 
-    def _work(self) -> WorkFacts:
+    def _work(self) -> WorkReport:
         """Return the newest report of the work node."""
         topic = f"{self._namespace}/work/tasks"
         expect_publisher(topic)
@@ -93,7 +94,7 @@ class WorkCommand:
         except rospy.ROSException as error:
             to_do = "start bringup with work_model and work_cell, or see why the node is down"
             raise SilenceError(topic, "the work node does not report", to_do) from error
-        return work_facts_from_msg(message)
+        return from_msg(WorkReport, message)
 
     def _call(self, name: str, kind: type, **request):
         service = f"{self._namespace}/{name}"

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
-import genpy
-
-from construction_twin.core.units import NANOSECONDS
-from construction_twin.msg import Engagement, Execution, WorkTask, WorkTasks
+from construction_twin.msg import Engagement, Execution
 from construction_twin.msg import Segment as SegmentMsg
 from construction_twin.msg import WorkSegment as WorkSegmentMsg
 from construction_twin.ros.messages.convert import signal_to_msg, switch_from_msg, switch_to_msg, trajectory_to_msg
 from construction_twin.ros.messages.scene_convert import object_from_msg, object_to_msg
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.views.work_texts import TaskFacts, WorkFacts
-from construction_twin.work.desk import OFF, OFF_ANGLE, TaskRow
 from construction_twin.work.engaged_scene import Left, Step
 from construction_twin.work.following import Report, SegmentEnd
 from construction_twin.work.jobs import WorkSegment
@@ -71,66 +64,3 @@ def report_from_msg(message: Execution) -> Report:
 def left_from_msg(message: Engagement) -> Left:
     """Return how an arm was left engaged."""
     return Left(message.plan_id, message.segment, tuple(message.scenes))
-
-
-def task_to_msg(row: TaskRow) -> WorkTask:
-    """Return the message of a task's line in the list; NaN where no deviation is known."""
-    far = row.deviation
-    return WorkTask(
-        id=row.id,
-        name=row.name,
-        element=row.element,
-        element_name=row.element_name,
-        state=row.state,
-        reason=row.reason,
-        after=list(row.after),
-        robot=row.robot,
-        plan_id=row.plan_id,
-        deviation_mm=far.distance * 1e3 if far is not None else math.nan,
-        deviation_deg=math.degrees(far.angle) if far is not None else math.nan,
-        question=row.question,
-        answers=list(row.answers),
-        mass_kg=math.nan if row.mass is None else row.mass,
-        grip=row.grip,
-        scheduled_start=row.scheduled.start,
-        scheduled_duration=math.nan if row.scheduled.duration is None else row.scheduled.duration,
-        begun=_time(row.begun_ns),
-        settled=_time(row.settled_ns),
-        tolerance_mm=OFF * 1e3,
-        tolerance_deg=math.degrees(OFF_ANGLE),
-    )
-
-
-def _time(since_1970: int) -> genpy.Time:
-    return genpy.Time(*divmod(since_1970, NANOSECONDS))
-
-
-def work_facts_from_msg(message: WorkTasks) -> WorkFacts:
-    """Return the work node's report as values."""
-    return WorkFacts(
-        model=message.model,
-        schedule=message.schedule,
-        engaged=message.engaged,
-        next=message.next,
-        reason=message.reason,
-        tasks=tuple(map(_task_facts, message.tasks)),
-        notes=tuple(message.notes),
-    )
-
-
-def _task_facts(message: WorkTask) -> TaskFacts:
-    return TaskFacts(
-        id=message.id,
-        name=message.name,
-        element=message.element,
-        element_name=message.element_name,
-        state=message.state,
-        reason=message.reason,
-        after=tuple(message.after),
-        robot=message.robot,
-        plan_id=message.plan_id,
-        deviation_mm=message.deviation_mm,
-        deviation_deg=message.deviation_deg,
-        question=message.question,
-        answers=tuple(message.answers),
-    )

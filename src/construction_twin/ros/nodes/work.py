@@ -28,12 +28,14 @@ from visualization_msgs.msg import MarkerArray
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.motion_errors import FrameError
+from construction_twin.core.reports import WorkReport
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.msg import Engagement, Execution, Plan, Review, Scene, ToolState, WorkTasks
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg, pose_from_transform_msg
+from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import tf_frame
-from construction_twin.ros.messages.work_convert import task_to_msg, work_segment_to_msg
+from construction_twin.ros.messages.work_convert import work_segment_to_msg
 from construction_twin.ros.messages.work_marker_convert import work_marker_array
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.frames import listen_to_frames
@@ -490,26 +492,33 @@ class WorkNode:
         engaged = self._heard.execution is not None and self._heard.execution.engaged
         desk, now = self._shared.desk, time.time_ns()
         if desk is None:
-            return WorkTasks(
+            said = WorkReport(
                 model=Path(self._settings.model).name,
+                model_hash="",
+                schedule="",
                 engaged=engaged,
                 reading=not self._shared.broken,
+                next="",
                 reason=self._shared.problem,
+                tasks=(),
+                notes=(),
             )
+            return to_msg(said, WorkTasks)
         reason = desk.summary(now)
         if engaged:
             reason = "the arm is engaged: only the way back can be planned"
             reason += f", and not yet: {self._scene.blocked}" if self._scene.blocked else ""
-        return WorkTasks(
+        said = WorkReport(
             model=desk.prepared.model,
             model_hash=desk.prepared.digest,
             schedule=desk.schedule_word,
             engaged=engaged,
             next=desk.next(now),
             reason=reason,
-            tasks=[task_to_msg(row) for row in desk.rows(now)],
-            notes=list(desk.notes),
+            tasks=desk.rows(now),
+            notes=tuple(desk.notes),
         )
+        return to_msg(said, WorkTasks)
 
 
 def report(shared: SharedDesk) -> Report:

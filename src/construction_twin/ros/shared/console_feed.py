@@ -12,16 +12,19 @@ from dataclasses import replace
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.records import dumped
+from construction_twin.core.reports import WorkReport
 from construction_twin.link.remote_review import PlanBoard
 from construction_twin.mqtt.messages import Topics
 from construction_twin.msg import Execution, Link, Plan, Review, Sync, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
-from construction_twin.ros.messages.console_json import scene_json, tasks_json
+from construction_twin.ros.messages.console_json import scene_json
+from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.scene.objects import Scene
 from construction_twin.views.startup import Deployment, Seen, Word, first_missing
-from construction_twin.views.status_line import Heard, WorkFacts, status_lines
+from construction_twin.views.status_line import Heard, status_lines
 
 #: The status line is looked at so often, and sent again without a change after so long [s].
 LOOK, REPEAT = 0.2, 1.0
@@ -55,7 +58,7 @@ class ConsoleFeed:
         self._session = ""
         self._retained: dict[str, bytes] = {}
         self._scene: Scene | None = None
-        self._work: WorkFacts | None = None
+        self._work: WorkReport | None = None
         self._arm_seen = self._twin_seen = False
         self._looked = self._told_at = float("-inf")
         self._told = b""
@@ -93,14 +96,8 @@ class ConsoleFeed:
 
     def on_tasks(self, message: WorkTasks) -> None:
         """Tell the tasks."""
-        self._work = WorkFacts(
-            states=tuple(task.state for task in message.tasks),
-            engaged=bool(message.engaged),
-            proposed=message.schedule == "proposed",
-            next=message.next,
-            reason=message.reason,
-        )
-        self._keep(self._topics.work_tasks, tasks_json(message))
+        self._work = from_msg(WorkReport, message)
+        self._keep(self._topics.work_tasks, dumped(self._work))
 
     # -- to MQTT
 
