@@ -17,12 +17,13 @@ from work_bench import Bench
 from work_samples import CELL, RECIPES, SCENE, building, element, job, layout, pairs, planner, robot, site, tool
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.reports import WorkReport
 from construction_twin.core.work_errors import LedgerError, TaskPlanningError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.work_plan import AskedSegment, plan_work
-from construction_twin.ros.messages.work_convert import work_facts_from_msg
+from construction_twin.ros.messages.records import from_msg
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
@@ -253,7 +254,7 @@ def test_the_node_follows_it_to_its_end_and_the_scene_stays(bench):
 
 def test_people_read_of_it_in_the_list_and_can_have_it_done_again(bench):
     test_the_node_follows_it_to_its_end_and_the_scene_stays(bench)
-    facts = work_facts_from_msg(bench.tasks[-1])
+    facts = from_msg(WorkReport, bench.tasks[-1])
     assert any("Place stud" in line and "done" in line for line in list_lines(facts))
     assert "state      done: done" in show_lines(facts, facts.tasks[0])
     desk = bench.desk.opened()
