@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from construction_twin.execution.states import ExecutorEvent as ExecutorEvent
     from construction_twin.execution.states import ExecutorState as ExecutorState
     from construction_twin.execution.stopping import StoppingForecast as StoppingForecast
-    from construction_twin.execution.tool_report import SwitchReport as SwitchReport
-    from construction_twin.execution.tool_report import SwitchState as SwitchState
-    from construction_twin.execution.tool_report import ToolReport as ToolReport
     from construction_twin.execution.tracking import Tracking as Tracking
     from construction_twin.execution.trajectory_goals import TrajectoryGoal as TrajectoryGoal
     from construction_twin.execution.trajectory_goals import TrajectoryGoals as TrajectoryGoals

@@ -29,7 +29,7 @@ from construction_twin.core.errors import (
     ReviewError,
 )
 from construction_twin.core.freshness import LIFETIME, Moment, is_newer, parse_moment, staleness
-from construction_twin.core.reports import ExecutionReport
+from construction_twin.core.reports import ExecutionReport, ToolReport
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
@@ -38,7 +38,7 @@ from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.execution.newest_reading import AHEAD, NewestReading
 from construction_twin.execution.playback import Braking
 from construction_twin.execution.states import ACTIVE
-from construction_twin.execution.tool_report import NO_ARM, ToolReport
+from construction_twin.execution.tool_report import NO_ARM
 from construction_twin.execution.way_back import check_way_back
 from construction_twin.monitor.gate import SyncState
 from construction_twin.msg import (
