@@ -20,7 +20,7 @@ from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.engagement import Engagement, EngagementKeeper
 from construction_twin.execution.play_rate import PlayRate
-from construction_twin.execution.playback import Braking, Playback
+from construction_twin.execution.playback import Playback, StopForecaster
 from construction_twin.execution.segment_run import SegmentRun
 from construction_twin.execution.states import (
     ACTIVE,
@@ -408,7 +408,7 @@ class Executor:
         stopping = self.state is ExecutorState.STOPPING
         return f"braking plan {self._played.plan.id}" if stopping else f"plan {self._played.plan.id} ended at rest"
 
-    def braking(self) -> Braking | None:
+    def braking(self) -> StopForecaster | None:
         """Return what tells where a stop that was just asked for will end, to be computed outside of any lock; else None."""
         return self._played.braking(self.lag) if self.state is ExecutorState.STOPPING else None
 
