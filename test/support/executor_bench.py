@@ -10,11 +10,11 @@ import numpy as np
 import plan_samples
 
 from construction_twin.core.freshness import Moment
+from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.execution.approval import Approval
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.executor import Executor, ExecutorState
-from construction_twin.execution.tool_report import SwitchReport, SwitchState, ToolReport
 from construction_twin.monitor.gate import SyncState
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.executed_path import ExecutedPath
@@ -114,7 +114,7 @@ class Gripper:
     """
 
     def __init__(self):
-        self.outputs: tuple[str, ...] = ("vacuum",)
+        self.outputs = {"vacuum": False}
         self.jams = ""
         self.playout, self.closing, self.answers = 5 * CYCLE_NS, 10, True
         self.inputs = {"gripped": False}

@@ -37,7 +37,7 @@ from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.nodes.executor import BACKGROUND_PERIOD
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario
-from construction_twin.scenario.judge import Verdict, judge
+from construction_twin.scenario.judge import Judgement, judge
 from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -123,7 +123,7 @@ class ScenarioRun:
         chain.run_for(0.6)
         return self._run(failure), self.trace
 
-    def judge(self) -> Verdict:
+    def judge(self) -> Judgement:
         """Carry out the scenario and judge what came of it."""
         run, trace = self.carry_out()
         return judge(self.scenario, run, trace, MotionLimits.of(ROBOT), DECIMALS, CYCLE_MS / 1000)

@@ -25,7 +25,6 @@ from construction_twin.evaluation.recording import FeedbackStream, PlayedPlan, R
 from construction_twin.execution.approval import Approval
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.executor import Executor, ExecutorState
-from construction_twin.execution.tool_report import SwitchReport, SwitchState, ToolReport
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.link.states import LinkState
@@ -334,11 +333,7 @@ class SimulatedChain:
         self._tell_tool()
 
     def _tell_tool(self) -> None:
-        report = self._tool_link.report("")
-        switches = {id: SwitchReport(SwitchState(told.value), reason) for id, told, reason in report.switches}
-        names = tuple(name for name, _ in report.outputs)
-        told = ToolReport(report.known, report.tool, names, dict(report.inputs), switches, report.reason)
-        self.executor.on_tool(told, self.now)
+        self.executor.on_tool(self._tool_link.report(""), self.now)
 
     def _receive(self, payload: bytes, properties: StateProperties) -> None:
         try:

@@ -82,8 +82,11 @@ if TYPE_CHECKING:
     from construction_twin.core.records import dumped as dumped
     from construction_twin.core.reports import ExecutionReport as ExecutionReport
     from construction_twin.core.reports import LinkReport as LinkReport
+    from construction_twin.core.reports import SwitchReport as SwitchReport
+    from construction_twin.core.reports import SwitchState as SwitchState
     from construction_twin.core.reports import SyncReport as SyncReport
     from construction_twin.core.reports import TaskReport as TaskReport
+    from construction_twin.core.reports import ToolReport as ToolReport
     from construction_twin.core.reports import WorkReport as WorkReport
     from construction_twin.core.share import share_file as share_file
     from construction_twin.core.speed_limit import LimitState as LimitState

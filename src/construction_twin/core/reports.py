@@ -1,4 +1,4 @@
-"""What gate, bridge, executor and work report: one record per message, for every folder that shows or acts on it.
+"""What gate, bridge, tool, executor and work report: one record per message, for every folder that shows or acts on it.
 
 Each field has the name that it has in the ROS message; times are whole ns of ROS time, and lists are tuples in the order of the
 message. SI unless a name says otherwise. Records only: what follows from them is decided where it matters. Standard library only.
@@ -7,13 +7,16 @@ message. SI unless a name says otherwise. Records only: what follows from them i
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated
+from enum import Enum
+from typing import Annotated, Protocol
 
 from construction_twin.core.records import as_seconds
 from construction_twin.core.units import seconds
 
+#: Why nothing is known of the tool before the first report.
+NO_REPORT = "no report of the tool yet; check that bridge and gateway run"
 #: A number that may be nan, which JSON has as null.
 _OrNan = Annotated[float, {"type": ["number", "null"]}]
 
@@ -190,3 +193,74 @@ class WorkReport:
     reason: str
     tasks: tuple[TaskReport, ...]
     notes: tuple[str, ...]
+
+
+class SwitchState(Enum):
+    """What became of a switch that was asked for; values are those of `ToolState.msg`."""
+
+    ARMED = 0
+    FIRED = 1
+    VOID = 2
+    REFUSED = 3
+
+
+@dataclass(frozen=True)
+class SwitchReport:
+    """What the gateway says of one switch: its state, and one sentence."""
+
+    state: SwitchState
+    reason: str = ""
+
+
+class Reading(Protocol):
+    """What an input of the tool must read."""
+
+    @property
+    def name(self) -> str:
+        """Input of the tool file."""
+
+    @property
+    def value(self) -> bool:
+        """What it must read."""
+
+
+@dataclass(frozen=True)
+class ToolReport:
+    """What is known of the tool: `ToolState.msg`, whose lists belong together.
+
+    Attributes:
+        known: Whether the outputs were read back in this RSI session: what is told below is true.
+        tool: Name of the tool; empty: a tool without hands.
+        outputs: As read back from the controller.
+        switches: The last switches that were asked for, by id, oldest first.
+        reason: Why nothing is known, or what was refused last.
+    """
+
+    known: bool = False
+    tool: str = ""
+    outputs: Mapping[str, bool] = field(default_factory=dict)
+    inputs: Mapping[str, bool] = field(default_factory=dict)
+    switches: Mapping[str, SwitchReport] = field(default_factory=dict)
+    reason: str = NO_REPORT
+
+    def problem(self, signals: Iterable[Reading]) -> str:
+        """Return why the inputs are not known to read what these signals say, as a clause; "" when they do, or none are named."""
+        signals = tuple(signals)
+        if not signals:
+            return ""
+        if not self.known:
+            return self.unknown()
+        for signal in signals:
+            if signal.name not in self.inputs:
+                return f"the tool {self.tool!r} has no input {signal.name!r}"
+            if self.inputs[signal.name] is not signal.value:
+                return f"{signal.name} reads {_word(self.inputs[signal.name])}, not {_word(signal.value)}"
+        return ""
+
+    def unknown(self) -> str:
+        """Return why nothing is known of the tool, as a clause; "" when it is known."""
+        return "" if self.known else f"the tool's state is not known: {self.reason or NO_REPORT}"
+
+
+def _word(value: bool) -> str:
+    return "on" if value else "off"

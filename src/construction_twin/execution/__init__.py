@@ -18,13 +18,10 @@ if TYPE_CHECKING:
     from construction_twin.execution.joint_tolerances import AskedTolerance as AskedTolerance
     from construction_twin.execution.joint_tolerances import Tolerances as Tolerances
     from construction_twin.execution.play_rate import PlayRate as PlayRate
-    from construction_twin.execution.playback import Braking as Braking
+    from construction_twin.execution.playback import StopForecaster as StopForecaster
     from construction_twin.execution.states import ExecutorEvent as ExecutorEvent
     from construction_twin.execution.states import ExecutorState as ExecutorState
     from construction_twin.execution.stopping import StoppingForecast as StoppingForecast
-    from construction_twin.execution.tool_report import SwitchReport as SwitchReport
-    from construction_twin.execution.tool_report import SwitchState as SwitchState
-    from construction_twin.execution.tool_report import ToolReport as ToolReport
     from construction_twin.execution.tracking import Tracking as Tracking
     from construction_twin.execution.trajectory_goals import TrajectoryGoal as TrajectoryGoal
     from construction_twin.execution.trajectory_goals import TrajectoryGoals as TrajectoryGoals

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.states import ExecutorEvent
-from construction_twin.execution.tool_report import SwitchReport, SwitchState, ToolReport
 from construction_twin.robot.segments import Segment, Signal, Switch
 
 #: A switch is armed for the setpoint this far ahead [ns]: its acknowledgement takes a message there and one back, over a link that

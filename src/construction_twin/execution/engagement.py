@@ -14,7 +14,7 @@ import numpy as np
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import TrajectoryError
-from construction_twin.execution.tool_report import ToolReport
+from construction_twin.core.reports import ToolReport
 from construction_twin.robot.executed_path import WAY_BACK_TOLERANCE, ExecutedPath
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.segments import Segment, Signal

@@ -13,13 +13,14 @@ from construction_twin.core.beside import Beside
 from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.limits import outside_tolerance
+from construction_twin.core.reports import ToolReport
 from construction_twin.core.state_table import Machine, Occasion, conditions
 from construction_twin.core.units import NANOSECONDS, for_people
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.engagement import Engagement, EngagementKeeper
 from construction_twin.execution.play_rate import PlayRate
-from construction_twin.execution.playback import Braking, Playback
+from construction_twin.execution.playback import Playback, StopForecaster
 from construction_twin.execution.segment_run import SegmentRun
 from construction_twin.execution.states import (
     ACTIVE,
@@ -33,7 +34,7 @@ from construction_twin.execution.states import (
     Row,
 )
 from construction_twin.execution.stopping import distance_along
-from construction_twin.execution.tool_report import ToolReport
+from construction_twin.execution.tool_report import awaited, lacks
 from construction_twin.monitor.gate import REPLAN, RESUME, SyncState
 from construction_twin.review.plan_under_review import EXECUTOR, WITHDRAWN, Ending, PlanUnderReview, Verdict
 from construction_twin.robot.description import RobotModel
@@ -315,7 +316,7 @@ class Executor:
         if self.engagement.engaged and not self._is_way_back(plan):
             raise ReviewError(f"plan {plan.id} may not start: {self.engaged()}")
         if plan.segments:
-            problem = self.tool.lacks(plan) or self.tool.problem(plan.segments[0].requires)
+            problem = lacks(self.tool, plan) or self.tool.problem(plan.segments[0].requires)
             present = self.engagement.present
             if not problem and self._is_way_back(plan) and present is not None:
                 if set(plan.segments[0].requires) != set(present.requires(self.tool)):
@@ -334,7 +335,7 @@ class Executor:
         plan = self.queue.plan
         if not ready or plan is None or not self.queue.scene or not self.queue.scene_alive:
             return False
-        if self.tool.awaited(plan):
+        if awaited(self.tool, plan):
             return False
         return not self.neighbour.problem(plan.id)
 
@@ -407,7 +408,7 @@ class Executor:
         stopping = self.state is ExecutorState.STOPPING
         return f"braking plan {self._played.plan.id}" if stopping else f"plan {self._played.plan.id} ended at rest"
 
-    def braking(self) -> Braking | None:
+    def braking(self) -> StopForecaster | None:
         """Return what tells where a stop that was just asked for will end, to be computed outside of any lock; else None."""
         return self._played.braking(self.lag) if self.state is ExecutorState.STOPPING else None
 

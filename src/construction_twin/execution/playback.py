@@ -103,7 +103,7 @@ class Playback:
         if self.goal_stamp == 0 and self._progress.finished:
             self.goal_stamp = stamp
 
-    def braking(self, lag: float) -> Braking:
+    def braking(self, lag: float) -> StopForecaster:
         """Return what is needed to forecast a stop that begins now; nothing is computed yet.
 
         Args:
@@ -116,10 +116,10 @@ class Playback:
             raise ExecutionError(f"a lag of {lag:.3f} s, expected 0 or more: it was measured on a clock that was set")
         cycles = min(-int(-lag * NANOSECONDS // CYCLE_NS), len(self._history) - 1)
         in_flight = [elapsed for _, elapsed in list(self._history)[len(self._history) - 1 - cycles :]]
-        return Braking(self._progress.copy(), in_flight, lag)
+        return StopForecaster(self._progress.copy(), in_flight, lag)
 
 
-class Braking:
+class StopForecaster:
     """The forecast of a stop, on a copy: it needs no lock and holds up no cycle.
 
     Args:

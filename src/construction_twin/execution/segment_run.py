@@ -5,6 +5,7 @@ Pure. Stamps in ns, `now` in ns on the monotonic clock, times in s.
 
 from __future__ import annotations
 
+from construction_twin.core.reports import ToolReport
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.boundary import Boundary, BoundaryEvent, ToolOrder
 from construction_twin.execution.engagement import (
@@ -16,7 +17,6 @@ from construction_twin.execution.engagement import (
     left_inside,
 )
 from construction_twin.execution.states import ExecutorEvent
-from construction_twin.execution.tool_report import ToolReport
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.segments import Segment
 

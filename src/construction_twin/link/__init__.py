@@ -34,6 +34,5 @@ if TYPE_CHECKING:
     from construction_twin.link.states import LinkState as LinkState
     from construction_twin.link.supervisor import LinkSupervisor as LinkSupervisor
     from construction_twin.link.tool_link import ToolLink as ToolLink
-    from construction_twin.link.tool_link import ToolReport as ToolReport
 else:
     __getattr__, __dir__, __all__ = lazy_exports(__name__)

@@ -9,8 +9,9 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+from construction_twin.core import records
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import parse_moment
 from construction_twin.mqtt.messages import demand_live, parse_object
@@ -123,28 +124,42 @@ def review_answer(
 
 
 @dataclass(frozen=True)
+class SwitchView:
+    """What is shown of a switch at the end of a segment.
+
+    Attributes:
+        confirm: What the tool's inputs must read afterwards.
+        timeout: [s]
+    """
+
+    output: str
+    value: bool
+    confirm: Mapping[str, bool]
+    timeout: float
+
+
+@dataclass(frozen=True)
 class SegmentView:
-    """What is shown of a segment of a work plan.
+    """What is shown of a segment of a work plan; the keys of its JSON.
 
     Attributes:
         end: [s]
+        tool_path_end: Which point of the tool path is at its end, from 0.
         requires: Inputs of the tool.
-        switches: ``output``, ``value``, ``confirm`` (as `requires`), ``timeout`` [s].
         scene, scene_after: Hashes.
         put, remove: Names of the objects that come, and of those that go; for display.
-        end_waypoint: Number of the waypoint at its end, from 0.
     """
 
     name: str
     end: float
+    tool_path_end: int
     engaged: bool
     requires: Mapping[str, bool]
-    switches: Sequence[Mapping]
+    switches: Sequence[SwitchView]
     scene: str
     scene_after: str
     put: Sequence[str]
     remove: Sequence[str]
-    end_waypoint: int
 
 
 @dataclass(frozen=True)
@@ -191,7 +206,7 @@ class PlanView:
             points: The tool path is thinned to at most so many points, both ends among them; of a work plan the ends of the
                 segments are kept besides.
         """
-        path, deviation, ends = thinned(self.tool_path, points, [segment.end_waypoint for segment in self.segments])
+        path, deviation, ends = thinned(self.tool_path, points, [segment.tool_path_end for segment in self.segments])
         document = {
             "id": self.id,
             "hash": self.hash,
@@ -215,22 +230,10 @@ class PlanView:
         if self.segments:
             document["task"], document["content"] = self.task, self.content
             document["segments"] = [
-                {
-                    "name": segment.name,
-                    "end": segment.end,
-                    "tool_path_end": end,
-                    "engaged": segment.engaged,
-                    "requires": dict(segment.requires),
-                    "switches": list(segment.switches),
-                    "scene": segment.scene,
-                    "scene_after": segment.scene_after,
-                    "put": _named(segment.put),
-                    "remove": list(segment.remove),
-                }
+                replace(segment, tool_path_end=end, put=_named(segment.put))
                 for segment, end in zip(self.segments, ends)
             ]
-        # nan and inf are no JSON: a tablet could not read them
-        return json.dumps(_finite(document), allow_nan=False).encode()
+        return json.dumps(records.document(document), allow_nan=False).encode()
 
     def _sent_trajectory(self) -> dict[str, list] | None:
         """Return the trajectory for JSON, whose numbers are read to the same bits; None when it is too long."""
@@ -250,14 +253,6 @@ def _named(names: Sequence[str]) -> list[str]:
     """Return the first names of many; the last entry says how many more there are."""
     told = [shown(name) for name in names[:_MOST_OBJECTS]]
     return told if len(names) <= _MOST_OBJECTS else [*told, f"and {len(names) - _MOST_OBJECTS} more"]
-
-
-def _finite(value):
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    return [_finite(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
 def thinned(path: Sequence[Point], points: int, keep: Sequence[int] = ()) -> tuple[list[Point], float, list[int]]:

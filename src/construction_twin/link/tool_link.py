@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import replace
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.gateway.tool_switches import MOST_TOLD
 from construction_twin.mqtt.messages import Control
 
@@ -20,32 +20,12 @@ from construction_twin.mqtt.messages import Control
 _MOST, _LONGEST = 16, 300
 
 
-class ToldSwitch(Enum):
-    """What is known of a switch; values are those of `ToolState.msg`."""
-
-    ARMED = 0
-    FIRED = 1
-    VOID = 2
-    REFUSED = 3
-
-
-_WORDS = {"armed": ToldSwitch.ARMED, "fired": ToldSwitch.FIRED, "void": ToldSwitch.VOID, "refused": ToldSwitch.REFUSED}
-
-
-@dataclass(frozen=True)
-class ToolReport:
-    """What `tool` tells; see `ToolState.msg`.
-
-    Attributes:
-        switches: Id, state, sentence; oldest first.
-    """
-
-    known: bool = False
-    tool: str = ""
-    outputs: tuple[tuple[str, bool], ...] = ()
-    inputs: tuple[tuple[str, bool], ...] = ()
-    switches: tuple[tuple[str, ToldSwitch, str], ...] = ()
-    reason: str = "no status of the gateway yet"
+_WORDS = {
+    "armed": SwitchState.ARMED,
+    "fired": SwitchState.FIRED,
+    "void": SwitchState.VOID,
+    "refused": SwitchState.REFUSED,
+}
 
 
 class ToolLink:
@@ -57,10 +37,10 @@ class ToolLink:
 
     def __init__(self, new_id: Callable[[], str]):
         self._new_id = new_id
-        self._switches: OrderedDict[str, tuple[ToldSwitch, str]] = OrderedDict()
+        self._switches: OrderedDict[str, SwitchReport] = OrderedDict()
         self._by_control: OrderedDict[str, str] = OrderedDict()
         self._run = self._session = ""
-        self._status = ToolReport()
+        self._status = ToolReport(reason="no status of the gateway yet")
         self._refused = ""
         #: Switches for which a gate that closed has sent `void`.
         self._voided: frozenset[str] = frozenset()
@@ -79,7 +59,7 @@ class ToolLink:
             self._refused = f"tool: switch {id!r} was asked for before"
             return None
         if obstacle:
-            self._tell(id, ToldSwitch.REFUSED, f"tool: {obstacle}")
+            self._tell(id, SwitchState.REFUSED, f"tool: {obstacle}")
             return None
         control = Control(
             self._new_id(), session, "switch", {"id": id, "output": output, "value": value, "stamp": stamp}
@@ -96,7 +76,7 @@ class ToolLink:
     @property
     def waiting(self) -> frozenset[str]:
         """Ids of the switches that are armed, or were sent and not answered yet."""
-        armed = [id for id, (told, _) in self._switches.items() if told is ToldSwitch.ARMED]
+        armed = [id for id, switch in self._switches.items() if switch.state is SwitchState.ARMED]
         return frozenset((*armed, *self._by_control.values()))
 
     def on_gate(self, is_open: bool, session: str) -> Control | None:
@@ -117,7 +97,7 @@ class ToolLink:
         reason, accepted = str(answer.get("reason"))[:_LONGEST], answer.get("ok") is True
         if accepted:
             self._refused = ""
-        self._tell(id, ToldSwitch.ARMED if accepted else ToldSwitch.REFUSED, reason)
+        self._tell(id, SwitchState.ARMED if accepted else SwitchState.REFUSED, reason)
 
     def on_status(self, status: dict) -> None:
         """Take the gateway's status, which `tool_report` has read before without complaint."""
@@ -130,23 +110,23 @@ class ToolLink:
         if isinstance(session, str) and session and session != self._session:
             self._session, self._refused = session, ""
         self._status = tool_report(status)
-        for id, told, reason in self._status.switches:
-            self._tell(id, told, reason)
+        for id, switch in self._status.switches.items():
+            self._tell(id, switch.state, switch.reason)
 
     def _lose(self, why: str) -> None:
         # not void: that would say that it has not fired, and may be asked for again
-        armed = [id for id, (told, _) in self._switches.items() if told is ToldSwitch.ARMED]
+        armed = [id for id, switch in self._switches.items() if switch.state is SwitchState.ARMED]
         for id in (*armed, *self._by_control.values()):
-            self._tell(id, ToldSwitch.REFUSED, why)
+            self._tell(id, SwitchState.REFUSED, why)
         self._by_control.clear()
 
-    def _tell(self, id: str, told: ToldSwitch, reason: str) -> None:
+    def _tell(self, id: str, told: SwitchState, reason: str) -> None:
         known = self._switches.get(id)
-        if known is not None and known[0] is not ToldSwitch.ARMED:
+        if known is not None and known.state is not SwitchState.ARMED:
             # final: an older message cannot take it back
             return
-        self._switches[id] = told, reason
-        if told is ToldSwitch.REFUSED:
+        self._switches[id] = SwitchReport(told, reason)
+        if told is SwitchState.REFUSED:
             self._refused = reason
         while len(self._switches) > MOST_TOLD:
             self._switches.popitem(last=False)
@@ -160,11 +140,10 @@ class ToolLink:
             obstacle: Why the gateway's status says nothing of the present; "" for nothing.
         """
         status = self._status
-        switches = tuple((id, told, reason) for id, (told, reason) in self._switches.items())
+        switches = dict(self._switches)
         if obstacle:
-            return ToolReport(False, status.tool, status.outputs, status.inputs, switches, obstacle)
-        reason = status.reason or self._refused
-        return ToolReport(status.known, status.tool, status.outputs, status.inputs, switches, reason)
+            return replace(status, known=False, switches=switches, reason=obstacle)
+        return replace(status, switches=switches, reason=status.reason or self._refused)
 
 
 def tool_report(status: dict) -> ToolReport:
@@ -181,30 +160,31 @@ def tool_report(status: dict) -> ToolReport:
         raise _unreadable("tool")
     if not isinstance(tool.get("known"), bool):
         raise _unreadable("tool.known")
-    told = []
+    told = {}
     for switch in switches:
         word = switch.get("state") if isinstance(switch, dict) else None
         if not isinstance(word, str) or word not in _WORDS:
             raise _unreadable("tool.switches")
-        told.append(
-            (_text("tool.switches", switch.get("id")), _WORDS[word], _text("tool.switches", switch.get("reason")))
-        )
+        id = _text("tool.switches", switch.get("id"))
+        if id in told:
+            raise _unreadable("tool.switches")
+        told[id] = SwitchReport(_WORDS[word], _text("tool.switches", switch.get("reason")))
     return ToolReport(
         tool["known"],
         _text("tool.name", tool.get("name")),
         _signals("tool.outputs", tool.get("outputs")),
         _signals("tool.inputs", tool.get("inputs")),
-        tuple(told),
+        told,
         _text("tool.reason", tool.get("reason")),
     )
 
 
-def _signals(name: str, value: object) -> tuple[tuple[str, bool], ...]:
+def _signals(name: str, value: object) -> dict[str, bool]:
     if not isinstance(value, dict) or len(value) > _MOST:
         raise _unreadable(name)
     if not all(isinstance(read, bool) and len(signal) <= 64 for signal, read in value.items()):
         raise _unreadable(name)
-    return tuple(value.items())
+    return value
 
 
 def _text(name: str, value: object) -> str:

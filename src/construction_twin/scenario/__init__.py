@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from construction_twin.scenario.definition import make_scenario as make_scenario
     from construction_twin.scenario.definition import read_scenario as read_scenario
     from construction_twin.scenario.judge import Check as Check
-    from construction_twin.scenario.judge import Verdict as Verdict
+    from construction_twin.scenario.judge import Judgement as Judgement
     from construction_twin.scenario.table import markdown_table as markdown_table
     from construction_twin.scenario.table import print_verdict as print_verdict
     from construction_twin.scenario.table import read_verdicts as read_verdicts

@@ -45,7 +45,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Judgement:
     """The outcome of a run.
 
     Attributes:
@@ -72,7 +72,7 @@ class Verdict:
 
 def judge(
     scenario: Scenario, run: Run, trace: Sequence[TraceEntry], limits: MotionLimits, decimals: int, cycle: float
-) -> Verdict:
+) -> Judgement:
     """Judge a run.
 
     Args:
@@ -94,7 +94,7 @@ def judge(
     checks += _arm(scenario, run, limits, decimals, cycle, measured)
     checks += _stop(scenario, run, cycle, measured)
     checks += _gateway_stops(scenario, run, limits)
-    return Verdict(scenario.name, scenario.title, tuple(checks), measured)
+    return Judgement(scenario.name, scenario.title, tuple(checks), measured)
 
 
 def _begun(scenario: Scenario, run: Run) -> list[Check]:

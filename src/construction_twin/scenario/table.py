@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from construction_twin.core.errors import ScenarioError
-from construction_twin.scenario.judge import Verdict
+from construction_twin.scenario.judge import Judgement
 
 #: Lines between which a document holds the table.
 BEGIN, END = "<!-- scenarios: begin -->", "<!-- scenarios: end -->"
@@ -31,7 +31,7 @@ _HEAD = (
 )
 
 
-def print_verdict(verdict: Verdict, console: Console) -> None:
+def print_verdict(verdict: Judgement, console: Console) -> None:
     """Print one run's checks."""
     table = Table(title=f"{verdict.scenario}: {verdict.title}", title_justify="left")
     for column in ("check", "expected", "found", ""):

@@ -20,7 +20,7 @@ from construction_twin.scene.objects import SceneObject, product
 from construction_twin.work.book import Book
 from construction_twin.work.built import Deviation, Piece, deviation, objects_of, pose_of_tuple, pose_tuple
 from construction_twin.work.events import ACCEPTED, Entry
-from construction_twin.work.following import Grip, question
+from construction_twin.work.following import GripReading, question
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.processes import process_of
 from construction_twin.work.racks import StockPlan
@@ -247,7 +247,7 @@ class Desk:
             return f"{self._element(task).name} is not delivered yet: its slot in the rack is taken by another element"
         return self._lag(task, now)
 
-    def left_closed(self, grip: Grip) -> str:
+    def left_closed(self, grip: GripReading) -> str:
         """Return what a person does about a grip that is commanded to hold while nothing counts as held; empty: nothing.
 
         So it is after a grip that was not confirmed, when the element was said to lie in its stock. The next approach would suck

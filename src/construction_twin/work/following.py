@@ -62,7 +62,7 @@ class Report:
 
 
 @dataclass(frozen=True)
-class Grip:
+class GripReading:
     """What the tool says of its grip.
 
     Attributes:
@@ -82,7 +82,7 @@ class Grip:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class OfferOutcome:
     """What became of a plan that was offered, as records and topics tell it.
 
     Attributes:
@@ -140,11 +140,11 @@ def followed_unseen(plan_id: str, memory: TaskMemory, outcome: str) -> Followed:
     return Followed(plan_id, memory.task, "", -2, -2)
 
 
-def grip_of(tool: Tool, outputs: Mapping[str, bool], inputs: Mapping[str, bool]) -> Grip:
+def grip_of(tool: Tool, outputs: Mapping[str, bool], inputs: Mapping[str, bool]) -> GripReading:
     """Return what a tool's outputs and inputs, read back, say of its grip."""
     asked = tuple(name for name, value in tool.grip.set.items() if outputs.get(name) == value)
     holds = any(inputs.get(name) == value for name, value in tool.grip.confirm.items())
-    return Grip(True, bool(asked) or holds, asked)
+    return GripReading(True, bool(asked) or holds, asked)
 
 
 class _Events:
@@ -177,7 +177,7 @@ def follow(
     element: str,
     plan: Followed,
     report: Report,
-    grip: Grip,
+    grip: GripReading,
     as_built: tuple[float, ...] = (),
     source: str = "",
 ) -> list[Entry]:
@@ -226,7 +226,7 @@ def _through(
         events.add(TaskEvent.RELEASED, pose=as_built, source=source if as_built else "")
 
 
-def _end(events: _Events, plan: Followed, report: Report, grip: Grip) -> None:
+def _end(events: _Events, plan: Followed, report: Report, grip: GripReading) -> None:
     reason = f"{report.outcome}: {report.reason}"
     if events.state is TaskState.WORKING and events.memory.stays:
         # from the first engaged segment on only a person sees what was done
@@ -243,7 +243,7 @@ def _end(events: _Events, plan: Followed, report: Report, grip: Grip) -> None:
     events.add(TaskEvent.NOT_GRIPPED if surely_not else TaskEvent.STOPPED, reason)
 
 
-def after_restart(memory: TaskMemory, element: str, verdict: Verdict, grip: Grip) -> list[Entry]:
+def after_restart(memory: TaskMemory, element: str, verdict: OfferOutcome, grip: GripReading) -> list[Entry]:
     """Return the events of a task whose plan the executor does not report any more, or never did.
 
     Args:

@@ -27,6 +27,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from construction_twin.core.errors import ConfigurationError, ExecutionError, ReviewError
+from construction_twin.core.reports import ToolReport
 from construction_twin.core.units import CYCLE
 from construction_twin.execution.engagement import (
     Engagement,
@@ -37,7 +38,6 @@ from construction_twin.execution.engagement import (
     to_text,
 )
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.execution.tool_report import ToolReport
 from construction_twin.execution.way_back import check_way_back, follow
 from construction_twin.monitor.gate import SyncState
 from construction_twin.robot.executed_path import LARGEST_ENTRY, WAY_BACK_TOLERANCE, ExecutedPath
@@ -103,7 +103,7 @@ class TestLeft:
         bench.executor.stop(bench.stamp)
         left = bench.executor.engagement.present
         assert left.holding == (FREE, GRIPPED)
-        assert left.requires(ToolReport(True, "t", (), {"gripped": True})) == GRIPPED
+        assert left.requires(ToolReport(True, "t", {}, {"gripped": True})) == GRIPPED
         assert left.requires(ToolReport()) == FREE
 
     def test_after_it_was_confirmed(self, bench):

@@ -23,12 +23,13 @@ from hypothesis import strategies as st
 
 from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.freshness import LIFETIME
+from construction_twin.core.reports import ToolReport
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.execution.boundary import FIRE_TIMEOUT, LEAD, SCENE_TIMEOUT
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.segment_run import RECORD_TIMEOUT, SegmentRun
 from construction_twin.execution.states import ACTIVE
-from construction_twin.execution.tool_report import NO_ARM, ToolReport
+from construction_twin.execution.tool_report import NO_ARM
 from construction_twin.monitor.gate import RESUME, SyncState
 from construction_twin.review.plan_under_review import Ending, Verdict
 from construction_twin.robot.segments import Segment, Signal, Switch
@@ -126,8 +127,8 @@ class TestApproval:
         "report, missing",
         [
             (ToolReport(True, ""), "names no tool"),
-            (ToolReport(True, "frame", (), {"gripped": False}), "no output 'vacuum'"),
-            (ToolReport(True, "frame", ("vacuum",), {}), "no input 'gripped'"),
+            (ToolReport(True, "frame", {}, {"gripped": False}), "no output 'vacuum'"),
+            (ToolReport(True, "frame", {"vacuum": False}, {}), "no input 'gripped'"),
         ],
     )
     def test_a_tool_that_lacks_something(self, bench, report, missing):
@@ -327,7 +328,7 @@ class TestBoundary:
 
     def test_several_switches_fire_together(self, bench):
         two = (Switch("vacuum", True, GRIPPED, 1.0), Switch("blow", False, (), 1.0))
-        bench.tool.outputs = ("vacuum", "blow")
+        bench.tool.outputs = {"vacuum": False, "blow": False}
         bench.run(1)
         bench.approve(make_work_plan(segment_1={"switches": two}))
         bench.run_to_end_of(1)

@@ -8,9 +8,10 @@ import pytest
 from tool_cell import ToolCell
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.link.tool_link import ToldSwitch, ToolLink, ToolReport, tool_report
+from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
+from construction_twin.link.tool_link import ToolLink, tool_report
 
-ARMED, FIRED, VOID, REFUSED = ToldSwitch
+ARMED, FIRED, VOID, REFUSED = SwitchState
 
 
 def link():
@@ -22,7 +23,7 @@ def switch(tool, id="a", obstacle=""):
 
 
 def told(tool, obstacle=""):
-    return {id: state for id, state, _ in tool.report(obstacle).switches}
+    return {id: switch.state for id, switch in tool.report(obstacle).switches.items()}
 
 
 def status(state="armed", run="r1", **changes):
@@ -59,14 +60,14 @@ def test_a_refusal_is_told_with_its_sentence():
     tool.on_status(status(switches=[]))
     tool.on_answer(answer(switch(tool), False, "tool: the outputs are not known"))
     report = tool.report("")
-    assert report.switches == (("a", REFUSED, "tool: the outputs are not known"),)
+    assert report.switches == {"a": SwitchReport(REFUSED, "tool: the outputs are not known")}
     assert report.reason == "tool: the outputs are not known" and report.known
 
 
 def test_without_an_armed_link_nothing_is_sent():
     tool = link()
     assert switch(tool, obstacle="the link is RESYNC: why") is None
-    assert tool.report("").switches == (("a", REFUSED, "tool: the link is RESYNC: why"),)
+    assert tool.report("").switches == {"a": SwitchReport(REFUSED, "tool: the link is RESYNC: why")}
 
 
 def test_an_id_is_used_once():
@@ -96,11 +97,14 @@ def test_a_gateway_that_was_started_again_has_no_armed_switches():
     tool.on_status(status("armed"))
     tool.on_status(status(run="r2", switches=[]))
     why = "the gateway was started again: whether it fired is not known"
-    assert tool.report("").switches == (("a", REFUSED, why),)
+    assert tool.report("").switches == {"a": SwitchReport(REFUSED, why)}
     waiting = switch(tool, "b")
     tool.on_status(status(run="r3", switches=[]))
     tool.on_answer(answer(waiting))
-    assert tool.report("").switches == (("a", REFUSED, why), ("b", REFUSED, why)) and not tool.waiting
+    assert (
+        tool.report("").switches == {"a": SwitchReport(REFUSED, why), "b": SwitchReport(REFUSED, why)}
+        and not tool.waiting
+    )
 
 
 def test_the_last_refusal_is_told_until_a_switch_is_accepted_or_another_session_begins():
@@ -161,10 +165,8 @@ def test_a_real_status_is_read_and_a_gateway_without_a_tool_has_no_hands():
     cell = ToolCell().follow()
     assert cell.ask(True, id="grip")[0]
     report = tool_report(cell.gateway.status())
-    assert report == ToolReport(
-        True, "vacuum_frame", (("vacuum", False),), (("vacuum_reached", False),), report.switches, ""
-    )
-    assert [(id, state) for id, state, _ in report.switches] == [("grip", ARMED)]
+    assert report == ToolReport(True, "vacuum_frame", {"vacuum": False}, {"vacuum_reached": False}, report.switches, "")
+    assert [(id, switch.state) for id, switch in report.switches.items()] == [("grip", ARMED)]
     assert tool_report({}).tool == "" and "without hands" in tool_report({}).reason
 
 
@@ -176,6 +178,7 @@ def test_a_real_status_is_read_and_a_gateway_without_a_tool_has_no_hands():
             status()["tool"] | change
             for change in (
                 {"known": 1}, {"outputs": {"vacuum": 1}}, {"name": 3}, {"inputs": []}, {"switches": [{}]}, {"switches": [5]},
+                {"switches": [{"id": "a", "state": "armed", "reason": ""}] * 2},
                 {"switches": [{"id": 5, "state": "armed", "reason": ""}]}, {"switches": [{}] * 17}, {"reason": None},
                 {"outputs": {str(n): True for n in range(17)}}, {"switches": [{"id": "a", "state": ["armed"], "reason": ""}]},
             )

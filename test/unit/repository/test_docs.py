@@ -156,7 +156,7 @@ def test_gateway_counters_are_documented():
 
 def test_keys_of_plan_review_and_account_files_are_documented():
     empty = PlanView("", "", "", "", "", "", 0, 0.0, 0.0, (), (), (), (), None, {})
-    segment = SegmentView("", 0.0, False, {}, (), "", "", (), (), 0)
+    segment = SegmentView("", 0.0, 0, False, {}, (), "", "", (), ())
     shown = json.loads(dataclasses.replace(empty, segments=(segment,)).to_json(2))
     keys = {*shown, *shown["segments"][0], *json.loads(review_answer(None, True, ""))}
     keys |= {field.name for field in dataclasses.fields(Account)} - {"name"}

@@ -39,10 +39,10 @@ from construction_twin.robot.segments import segments_content
 from construction_twin.ros.messages.console_json import scene_json
 from construction_twin.ros.messages.convert import segment_from_msg, segment_to_msg, trajectory_from_msg
 from construction_twin.ros.messages.records import from_msg, to_msg
-from construction_twin.ros.messages.tool import tool_report_from_msg
+from construction_twin.ros.messages.tool import tool_report_from_msg, tool_report_to_msg
 from construction_twin.ros.messages.work_convert import report_from_msg
 from construction_twin.ros.nodes import executor as executor_node
-from construction_twin.ros.nodes import mqtt_bridge, mqtt_planner, mqtt_review
+from construction_twin.ros.nodes import mqtt_planner, mqtt_review
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.views.snapshot import Snapshot
 from construction_twin.views.texts import status_lines
@@ -271,10 +271,10 @@ def execution_message(wide: Wide) -> str:
 
 def tool_message(wide: Wide) -> str:
     """Return what the bridge publishes of a gateway's status, and what the executor reads of that."""
-    message = mqtt_bridge.tool_message(tool_report(wide.tool_status()))
+    message = tool_report_to_msg(tool_report(wide.tool_status()), genpy.Time(7, 8))
     read = tool_report_from_msg(message)
     switches = {id: (switch.state.name, switch.reason) for id, switch in read.switches.items()}
-    return f"{raw(message)}\n{(read.known, read.tool, read.outputs, dict(read.inputs), switches, read.reason)}"
+    return f"{raw(message)}\n{(read.known, read.tool, tuple(read.outputs), dict(read.inputs), switches, read.reason)}"
 
 
 def screen(wide: Wide) -> str:
@@ -340,8 +340,7 @@ def still(monkeypatch):
     monkeypatch.setattr(mqtt_planner.time, "monotonic", lambda: 1000.0)
     monkeypatch.setattr(mqtt_planner, "now_ns", lambda: NOW)
     monkeypatch.setattr(mqtt_planner, "present", lambda: Moment("c0ffee00", 81_234_567_890))
-    for module in (mqtt_bridge, mqtt_planner):
-        monkeypatch.setattr(module.rospy.Time, "now", lambda: genpy.Time(7, 8))
+    monkeypatch.setattr(mqtt_planner.rospy.Time, "now", lambda: genpy.Time(7, 8))
 
 
 @pytest.mark.parametrize("kind", KINDS)

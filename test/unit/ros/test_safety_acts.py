@@ -19,7 +19,7 @@ from construction_twin.core.errors import RecordError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution import executor as library
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.execution.playback import Braking, Playback
+from construction_twin.execution.playback import Playback, StopForecaster
 from construction_twin.execution.stopping import StoppingForecast
 from construction_twin.review.record import ReviewLog
 from construction_twin.ros.nodes import executor as module
@@ -105,7 +105,7 @@ def test_with_a_wall_clock_that_was_set(world, which, step):
 #: What reports, records or predicts: where it is, and the acts that come by it.
 HELPERS = {
     "the forecast's beginning": (Playback, "braking", ("stop",)),
-    "the forecast": (Braking, "forecast", ("stop",)),
+    "the forecast": (StopForecaster, "forecast", ("stop",)),
     "its sentence": (StoppingForecast, "text", ("stop",)),
     "how far it went": (library, "distance_along", ("stop", "stop_plan")),
     "the name of the caller": (module, "caller_of", ("stop_plan",)),

@@ -33,7 +33,7 @@ from construction_twin.work.check import Checker
 from construction_twin.work.check_report import cell_picture, row
 from construction_twin.work.desk import Prepared
 from construction_twin.work.events import Entry
-from construction_twin.work.following import Grip, Verdict, after_restart, question
+from construction_twin.work.following import GripReading, OfferOutcome, after_restart, question
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.motions import TaskLimits
 from construction_twin.work.nearest_change import nearest_change
@@ -287,7 +287,7 @@ def test_an_open_grip_says_nothing_of_what_was_done(tmp_path):
     offered = TaskMemory("T", TaskState.READY).then(Entry("offered", "T", "E", offer="o", process="touch"))
     begun = offered.then(Entry("begun", "T", "E", plan="p"))
     for memory in (offered, begun):
-        (entry,) = after_restart(memory, "E", Verdict("p", False, None), Grip(True, False))
+        (entry,) = after_restart(memory, "E", OfferOutcome("p", False, None), GripReading(True, False))
         assert entry.event == "unknown" and "carried out?" in question(memory.then(entry), "stud")
 
 

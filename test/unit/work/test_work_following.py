@@ -13,10 +13,10 @@ from construction_twin.work.events import Entry
 from construction_twin.work.following import (
     FINISHED,
     Followed,
-    Grip,
+    GripReading,
+    OfferOutcome,
     Report,
     SegmentEnd,
-    Verdict,
     after_restart,
     follow,
     followed,
@@ -33,7 +33,7 @@ STANDS = (1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 1.0)
 PLAN = Followed("p1", "stud", "work, offer o1", grips=1, releases=3)
 #: As the work node follows it when the topic `plan` has another one by now.
 UNKNOWN_PLAN = Followed("p1", "stud", "", grips=-2, releases=-2)
-OPEN, CLOSED, UNKNOWN = Grip(True, False), Grip(True, True), Grip(False, False)
+OPEN, CLOSED, UNKNOWN = GripReading(True, False), GripReading(True, True), GripReading(False, False)
 
 
 def play(segment: int, at_boundary: bool = False, wants_scene: bool = False) -> Report:
@@ -85,7 +85,7 @@ class Node:
     def offer(self) -> None:
         self.add(Entry("offered", "stud", "E", offer="o1", grip="top", pose=HELD_AS))
 
-    def hear(self, report: Report, grip: Grip, plan: Followed = PLAN) -> None:
+    def hear(self, report: Report, grip: GripReading, plan: Followed = PLAN) -> None:
         for entry in follow(self.memory, "E", plan, report, grip, STANDS):
             self.add(entry)
 
@@ -155,7 +155,7 @@ def test_a_kill_after_any_line_with_everything_else_gone_too(tmp_path, lines, gr
         pass
     again = Node(tmp_path / "ledger")
     before = again.memory.state
-    for entry in after_restart(again.memory, "E", Verdict("p1", False, None), grip):
+    for entry in after_restart(again.memory, "E", OfferOutcome("p1", False, None), grip):
         again.add(entry)
     state = again.memory.state
     if before is TaskState.DONE or before is TaskState.RETREATING:
@@ -247,12 +247,12 @@ def test_other_plans_are_none_of_its_business(tmp_path):
 @pytest.mark.parametrize(
     ("verdict", "grip", "state"),
     [
-        (Verdict("p1", True, None), UNKNOWN, TaskState.PLANNED),
-        (Verdict("p1", False, False), UNKNOWN, TaskState.READY),
-        (Verdict("", False, False), UNKNOWN, TaskState.READY),
-        (Verdict("p1", False, True), UNKNOWN, TaskState.ASKS),
-        (Verdict("p1", False, None), CLOSED, TaskState.ASKS),
-        (Verdict("p1", False, True), OPEN, TaskState.READY),
+        (OfferOutcome("p1", True, None), UNKNOWN, TaskState.PLANNED),
+        (OfferOutcome("p1", False, False), UNKNOWN, TaskState.READY),
+        (OfferOutcome("", False, False), UNKNOWN, TaskState.READY),
+        (OfferOutcome("p1", False, True), UNKNOWN, TaskState.ASKS),
+        (OfferOutcome("p1", False, None), CLOSED, TaskState.ASKS),
+        (OfferOutcome("p1", False, True), OPEN, TaskState.READY),
     ],
 )
 def test_an_offer_whose_fate_was_not_seen(tmp_path, verdict, grip, state):
@@ -336,6 +336,6 @@ def test_of_a_plan_that_is_not_known_any_more_only_a_finish_tells_that_it_let_go
     ],
 )
 def test_a_grip_is_closed_when_it_is_told_to_hold_or_holds(output, inputs, closed):
-    assert grip_of(work_samples.tool().tool, {"vacuum": output}, inputs) == Grip(
+    assert grip_of(work_samples.tool().tool, {"vacuum": output}, inputs) == GripReading(
         True, closed, ("vacuum",) if output else ()
     )

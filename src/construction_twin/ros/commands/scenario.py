@@ -38,7 +38,7 @@ from construction_twin.ros.shared.roslaunch_above import roslaunch_above, say_be
 from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario, read_scenario
-from construction_twin.scenario.judge import Verdict, judge
+from construction_twin.scenario.judge import Judgement, judge
 from construction_twin.scenario.table import markdown_table, print_verdict, put_into, read_verdicts
 from construction_twin.scenario.timeline import Change
 from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan
@@ -240,7 +240,7 @@ class ScenarioDriver:
         self._rest.update(message.header.stamp.to_sec(), message.position)
 
 
-def run_scenario(settings: ScenarioSettings, content: dict, console: Console) -> Verdict:
+def run_scenario(settings: ScenarioSettings, content: dict, console: Console) -> Judgement:
     """Run, record and judge; see the module.
 
     Raises:
@@ -274,7 +274,7 @@ def run_scenario(settings: ScenarioSettings, content: dict, console: Console) ->
 
 def judge_folder(
     folder: Path, scenario: Scenario, robot: RobotModel, decimals: int, cycle_ms: int, namespace: str | None
-) -> Verdict:
+) -> Judgement:
     """Judge what lies in a folder, and write its verdict.json. `cycle_ms` is the controller's cycle.
 
     Raises:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import genpy
+
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.engagement import Engagement
-from construction_twin.execution.tool_report import SwitchReport, SwitchState, ToolReport
 from construction_twin.msg import Engagement as EngagementMsg
 from construction_twin.msg import ToolCommand, ToolState
 from construction_twin.ros.messages.convert import signal_to_msg, trajectory_to_msg
@@ -34,11 +36,23 @@ def tool_report_from_msg(msg: ToolState) -> ToolReport:
     return ToolReport(
         known=msg.known,
         tool=msg.tool,
-        outputs=tuple(msg.outputs),
+        outputs=dict(zip(msg.outputs, map(bool, msg.output_values))),
         inputs=dict(zip(msg.inputs, map(bool, msg.input_values))),
         switches=dict(zip(msg.switch_ids, map(SwitchReport, states, msg.switch_reasons))),
         reason=msg.reason,
     )
+
+
+def tool_report_to_msg(report: ToolReport, stamp: genpy.Time) -> ToolState:
+    """Return the message."""
+    message = ToolState(known=report.known, tool=report.tool, reason=report.reason)
+    message.header.stamp = stamp
+    message.outputs, message.output_values = list(report.outputs), list(report.outputs.values())
+    message.inputs, message.input_values = list(report.inputs), list(report.inputs.values())
+    message.switch_ids = list(report.switches)
+    message.switch_states = [switch.state.value for switch in report.switches.values()]
+    message.switch_reasons = [switch.reason for switch in report.switches.values()]
+    return message
 
 
 def order_to_msg(order: ToolOrder) -> ToolCommand:

@@ -29,16 +29,16 @@ from construction_twin.core.errors import (
     ReviewError,
 )
 from construction_twin.core.freshness import LIFETIME, Moment, is_newer, parse_moment, staleness
-from construction_twin.core.reports import ExecutionReport
+from construction_twin.core.reports import ExecutionReport, ToolReport
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.execution.newest_reading import AHEAD, NewestReading
-from construction_twin.execution.playback import Braking
+from construction_twin.execution.playback import StopForecaster
 from construction_twin.execution.states import ACTIVE
-from construction_twin.execution.tool_report import NO_ARM, ToolReport
+from construction_twin.execution.tool_report import NO_ARM
 from construction_twin.execution.way_back import check_way_back
 from construction_twin.monitor.gate import SyncState
 from construction_twin.msg import (
@@ -418,7 +418,7 @@ class ExecutorNode:
         self._say(rospy.logwarn, "stop: %s", sentence)
         return TriggerResponse(True, sentence)
 
-    def _forecast(self, braking: Braking) -> str:
+    def _forecast(self, braking: StopForecaster) -> str:
         return braking.forecast(lambda: time.sleep(PAUSE)).text(self._robot)
 
     def on_stop_plan(self, request: StopPlanRequest) -> StopPlanResponse:

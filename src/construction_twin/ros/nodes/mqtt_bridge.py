@@ -20,6 +20,7 @@ from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
 
 from construction_twin.core.beside import Beside
 from construction_twin.core.errors import PayloadError, ReviewError
+from construction_twin.core.reports import ToolReport
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
@@ -27,7 +28,7 @@ from construction_twin.link.speed_forwarder import SpeedForwarder
 from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import clock_sentence, controller_sentence, status_values, without_counts
 from construction_twin.link.supervisor import LinkSupervisor
-from construction_twin.link.tool_link import ToolLink, ToolReport, tool_report
+from construction_twin.link.tool_link import ToolLink, tool_report
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
@@ -45,6 +46,7 @@ from construction_twin.mqtt.messages import (
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Execution, Feedback, Link, SpeedLimit, Sync, ToolCommand, ToolState
 from construction_twin.robot.description import RobotModel
+from construction_twin.ros.messages.tool import tool_report_to_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.gateway_config import config_from_parameters
@@ -303,7 +305,7 @@ class MqttBridge:
             if report == self._tool_told:
                 return
             self._tool_told = report
-            self._outputs.tool.publish(tool_message(report))
+            self._outputs.tool.publish(tool_report_to_msg(report, rospy.Time.now()))
 
     def _tool_obstacle(self) -> str:
         """Return why the gateway's last word on the tool is not one on the present; "" when it is."""
@@ -635,20 +637,6 @@ class MqttBridge:
             return Report(WARN, f"{state.name}: {reason}; {failed}", values)
         level = OK if state in (LinkState.ARMED, LinkState.MIRROR) else WARN
         return Report(level, f"{state.name}: {reason}", values)
-
-
-def tool_message(report: ToolReport) -> ToolState:
-    """Return the message of what the gateway says of its tool, with the present as its stamp."""
-    message = ToolState(known=report.known, tool=report.tool, reason=report.reason)
-    message.header.stamp = rospy.Time.now()
-    message.outputs = [name for name, _ in report.outputs]
-    message.output_values = [value for _, value in report.outputs]
-    message.inputs = [name for name, _ in report.inputs]
-    message.input_values = [value for _, value in report.inputs]
-    message.switch_ids = [id for id, _, _ in report.switches]
-    message.switch_states = [told.value for _, told, _ in report.switches]
-    message.switch_reasons = [reason for _, _, reason in report.switches]
-    return message
 
 
 def start(settings: Settings, robot: RobotModel) -> MqttBridge:

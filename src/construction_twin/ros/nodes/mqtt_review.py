@@ -25,6 +25,7 @@ from construction_twin.link.remote_review import (
     PlanView,
     RemoteReview,
     SegmentView,
+    SwitchView,
     parse_review,
     recorded_reason,
     review_answer,
@@ -363,22 +364,22 @@ def segment_views(message: Plan) -> list[SegmentView]:
         SegmentView(
             name=segment.name,
             end=segment.end,
+            tool_path_end=min(bisect_left(times, round(segment.end * NANOSECONDS)), max(len(times) - 1, 0)),
             engaged=segment.engaged,
             requires={signal.name: signal.value for signal in segment.requires},
             switches=[
-                {
-                    "output": switch.output,
-                    "value": switch.value,
-                    "confirm": {signal.name: signal.value for signal in switch.confirm},
-                    "timeout": switch.timeout,
-                }
+                SwitchView(
+                    switch.output,
+                    switch.value,
+                    {signal.name: signal.value for signal in switch.confirm},
+                    switch.timeout,
+                )
                 for switch in segment.switches
             ],
             scene=segment.scene,
             scene_after=segment.scene_after,
             put=[item.name for item in segment.put],
             remove=segment.remove,
-            end_waypoint=min(bisect_left(times, round(segment.end * NANOSECONDS)), max(len(times) - 1, 0)),
         )
         for segment in message.segments
     ]

@@ -19,7 +19,7 @@ from construction_twin.ros.shared.work_listener import KnownPlan, WorkListener
 from construction_twin.work import engaged_scene, following
 from construction_twin.work.built import as_built, pose_of_tuple, pose_tuple
 from construction_twin.work.events import MEASURED, PLANNED, Entry
-from construction_twin.work.following import Followed, Grip, Verdict
+from construction_twin.work.following import Followed, GripReading, OfferOutcome
 from construction_twin.work.shared_desk import SharedDesk
 from construction_twin.work.task_memory import TaskMemory
 from construction_twin.work.task_states import UNDER_WAY, TaskState
@@ -53,10 +53,10 @@ class WorkFollower:
         self.settle_if_lost()
         self._doubt_if_open()
 
-    def grip(self) -> Grip:
+    def grip(self) -> GripReading:
         """Return what the tool says of its grip."""
         desk = self._shared.desk
-        return Grip(False, False) if desk is None else self._heard.grip(desk.prepared.tool)
+        return GripReading(False, False) if desk is None else self._heard.grip(desk.prepared.tool)
 
     # -- the task under way
 
@@ -189,7 +189,7 @@ class WorkFollower:
         """Settle a task whose plan was offered to a planner that did not answer: it may have published it before it went away."""
         self._settle(self._shared.opened().book.tasks[task], self._heard.verdict("", offer))
 
-    def _settle(self, memory: TaskMemory, verdict: Verdict) -> None:
+    def _settle(self, memory: TaskMemory, verdict: OfferOutcome) -> None:
         element = self._shared.opened().element_of(memory.task)
         self._add(following.after_restart(memory, element, verdict, self.grip()), rospy.logwarn)
 

@@ -18,7 +18,7 @@ from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.messages.work_convert import is_playing, step_from_msg
 from construction_twin.scene.objects import Scene
 from construction_twin.work.engaged_scene import Step
-from construction_twin.work.following import Grip, Verdict, grip_of
+from construction_twin.work.following import GripReading, OfferOutcome, grip_of
 
 #: Verdicts that are remembered.
 _KEPT = 100
@@ -211,7 +211,7 @@ class WorkListener:
         """Return the verdict on a plan as the topic told it; None: it told none."""
         return self._verdicts.get(plan_id)
 
-    def verdict(self, plan_id: str, offer: str) -> Verdict:
+    def verdict(self, plan_id: str, offer: str) -> OfferOutcome:
         """Return what became of a plan, from the topics, else from the executor's record.
 
         Args:
@@ -221,10 +221,10 @@ class WorkListener:
         plan = self.plan
         if plan is not None and (plan.id == plan_id or (offer and offer in plan.source)):
             if plan.id not in self._verdicts and self._publishers("plan"):
-                return Verdict(plan.id, True, False)
+                return OfferOutcome(plan.id, True, False)
             plan_id = plan.id
         fate = read_fate(self._review_file, plan_id, offer)
-        return Verdict(fate.plan, False, fate.approved, fate.outcome)
+        return OfferOutcome(fate.plan, False, fate.approved, fate.outcome)
 
     def forget_if_nobody_has(self, plan_id: str) -> bool:
         """Return whether a plan under review went with planner and executor, so that nobody can approve it any more.
@@ -247,11 +247,11 @@ class WorkListener:
         """Whether the tool's state is known, or nobody is there to tell it."""
         return self.tool is not None or not self._publishers("tool")
 
-    def grip(self, tool: Tool) -> Grip:
+    def grip(self, tool: Tool) -> GripReading:
         """Return what a tool says of its grip."""
         said = self.tool
         if said is None or not said.known or not self._publishers("tool"):
-            return Grip(False, False)
+            return GripReading(False, False)
         return grip_of(tool, dict(zip(said.outputs, said.output_values)), dict(zip(said.inputs, said.input_values)))
 
 
