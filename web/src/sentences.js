@@ -13,7 +13,20 @@ export function wordsOf(key, language) {
   return Object.hasOwn(sentences, key) ? sentences[key][language] : undefined;
 }
 
-const PLACE = /\{(\w+)(?::(?:\.(\d))?([fgqp]))?\}/g;
+/** Whether what came from a robot is key and values of a reason, with a value of the right kind in every place. */
+export function canSay(said) {
+  const {key, values} = said ?? {};
+  if (typeof key !== "string" || !key.startsWith("reason.") || typeof values !== "object" || values === null) return false;
+  const words = wordsOf(key, "en");
+  return words !== undefined && [...words.matchAll(PLACE)].every(([, name, , form]) => {
+    const value = Object.hasOwn(values, name) ? values[name] : undefined;
+    if (form === "p" || form === "q") return isNumberOrNull(value?.value) && typeof value.unit === "string";
+    if (form === "f" || form === "g") return isNumberOrNull(value);
+    return ["string", "number"].includes(typeof value) || canSay(value);
+  });
+}
+
+const PLACE = /\{(\w+)(?::(?:\.(\d))?([fgqps]))?\}/g;
 const UNITS = {rad: [180 / Math.PI, "deg"], m: [1e3, "mm"]};
 
 /**
@@ -44,6 +57,8 @@ function forPeople({value, unit}) {
 
 /** JSON has null for what is no number. */
 const isNumber = (value) => typeof value === "number" && Number.isFinite(value);
+
+const isNumberOrNull = (value) => value === null || typeof value === "number";
 
 function fixed(value, decimals) {
   return isNumber(value) ? value.toFixed(Number(decimals)) : "nan";

@@ -1,5 +1,5 @@
 /** The page's words in the person's language. */
-import {fill, languages, wordsOf} from "./sentences.js";
+import {canSay, fill, languages, wordsOf} from "./sentences.js";
 
 /** Return the language to use: the one that was chosen before, else the first of the browser's that there is, else English. */
 export function languageOf(chosen, wanted) {
@@ -23,9 +23,16 @@ export function makeTexts(language) {
   const texts = (key, values = {}) => {
     const words = wordsOf(key, language);
     if (words === undefined) throw new RangeError(`no text ${key} in ${language}`);
-    return fill(words, values);
+    return fill(words, values, {value, unit});
+  };
+  const value = (each) => (typeof each === "object" && each !== null ? texts(each.key, each.values) : String(each));
+  const unit = (name) => {
+    const [base, ...per] = name.split("/");
+    return [texts.has(`unit.${base}`) ? texts(`unit.${base}`) : base, ...per].join("/");
   };
   texts.language = language;
+  /** Return what a robot has said as key and values; without a key of this page, or with other values than it needs, its own text. */
+  texts.said = (said, text) => (canSay(said) ? texts(said.key, said.values) : text);
   texts.has = (key) => wordsOf(key, language) !== undefined;
   return texts;
 }

@@ -29,3 +29,26 @@ test("another language is another page of the same robots", () => {
   assert.equal(withoutLanguage("?language=de"), "");
   assert.equal(withoutLanguage(""), "");
 });
+
+const DIFFERS = {key: "reason.gate.differs", values: {
+  joint: "joint_a3", difference: {value: 0.0123456789, unit: "rad"}, threshold: {value: 0.01, unit: "rad"},
+}};
+const GAVE_UP = {key: "reason.gate.gave_up", values: {held: 30.004, reason: DIFFERS}};
+
+test("what a robot has said with key and values is said in the page's language, in deg, and in itself", () => {
+  const [de, en] = [makeTexts("de"), makeTexts("en")];
+  assert.equal(en.said(DIFFERS, "?"), "joint_a3 differs by 0.012346 rad, threshold 0.010000 rad");
+  assert.match(de.said(DIFFERS, "?"), /joint_a3 .*0\.707 °.*0\.573 °/);
+  assert.ok(de.said(GAVE_UP, "?").includes(de.said(DIFFERS, "?")));
+});
+
+test("what it has said without a key of the page, or with values that do not fit, is its own text", () => {
+  const de = makeTexts("de");
+  const without = (changes) => ({key: DIFFERS.key, values: {...DIFFERS.values, ...changes}});
+  for (const said of [
+    null, undefined, 7, "reason.gate.differs", {}, {key: "reason.gate.differs"}, {key: "reason.gate.other", values: {}},
+    {key: "page.title", values: {}}, {key: "constructor", values: {}}, without({joint: undefined}), without({joint: {}}),
+    without({difference: 0.1}), without({difference: {value: "0.1", unit: "rad"}}), without({difference: {value: 0.1}}),
+    {key: GAVE_UP.key, values: {held: "30", reason: DIFFERS}}, {key: GAVE_UP.key, values: {held: 30, reason: {key: "page.title", values: {}}}},
+  ]) assert.equal(de.said(said, "the text"), "the text", JSON.stringify(said));
+});

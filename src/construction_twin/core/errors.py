@@ -8,11 +8,16 @@ Standard library only: the gateway on the cell PC imports it.
 
 from __future__ import annotations
 
-from construction_twin.core.units import for_people
+from construction_twin.core.sentences import Quantity, Sentence
 
 
 class ConstructionTwinError(Exception):
     """Root of every error this package raises."""
+
+    @property
+    def sentence(self) -> str:
+        """What has happened: a `Sentence`, where it has a key; `str` of an error is its English text alone."""
+        return self.args[0] if self.args and isinstance(self.args[0], Sentence) else str(self)
 
 
 class ConfigurationError(ConstructionTwinError):
@@ -101,8 +106,9 @@ class MotionRefused(ConstructionTwinError):
         self.joint = joint
         self.value = value
         self.limit = limit
-        subject = f"{joint}: " if joint else ""
-        super().__init__(f"{subject}{reason} check failed: {for_people(value, unit)} against {for_people(limit, unit)}")
+        subject = {"joint": joint} if joint else {}
+        quantities = {"value": Quantity(value, unit), "limit": Quantity(limit, unit)}
+        super().__init__(Sentence(f"reason.motion.{reason}", **subject, **quantities))
 
 
 class ProtocolError(ConstructionTwinError):

@@ -2,7 +2,8 @@
 
 A place in braces is a named value, and is written as its format says; `web/src/sentences.js` follows the same rules:
 
-    {name}                a text or a whole number, as it is
+    {name}                a text or a whole number, as it is; in a reason one word
+    {name:s}              in a reason, a text of several words, or another sentence
     {name:.3f}            a number with three decimals
     {name:g}              a number with at most six digits
     {name:.6q}            a `Quantity` with six decimals, in its own unit
@@ -25,7 +26,7 @@ from typing import Any
 from construction_twin.core.records import document
 from construction_twin.core.units import for_people, from_people, to_people
 
-_PLACE = re.compile(r"\{(\w+)(?::(?:\.(\d))?([fgqp]))?\}")
+_PLACE = re.compile(r"\{(\w+)(?::(?:\.(\d))?([fgqps]))?\}")
 _ENGLISH: dict[str, str] = {
     key: words["en"] for key, words in json.loads(Path(__file__).with_name("sentences.json").read_bytes()).items()
 }
@@ -134,6 +135,8 @@ def understood(text: str) -> Sentence | None:
 
 def _read(form: str | None, part: str) -> Value:
     if form is None:
+        return part
+    if form == "s":
         return understood(part) or part
     if form in "fg":
         return float(part)
@@ -141,6 +144,8 @@ def _read(form: str | None, part: str) -> Value:
     return Quantity(*from_people(float(number), unit)) if form == "p" else Quantity(float(number), unit)
 
 
+#: What places with other values than one word may hold.
+_READ = {"s": "(.+?)", "p": r"(\S+ \S+?)", "q": r"(\S+ \S+?)"}
 _Pattern = tuple[str, re.Pattern[str], list[tuple[str, str | None]]]
 
 
@@ -160,6 +165,6 @@ def _pieces(template: str) -> Iterator[str]:
     at = 0
     for place in _PLACE.finditer(template):
         yield re.escape(template[at : place.start()])
-        yield {None: "(.+?)", "f": r"(\S+?)", "g": r"(\S+?)"}.get(place[3], r"(\S+ \S+?)")
+        yield _READ.get(place[3], r"(\S+?)")
         at = place.end()
     yield re.escape(template[at:])

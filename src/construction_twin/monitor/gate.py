@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from construction_twin.core.errors import ConfigurationError, MotionRefused, PayloadError
 from construction_twin.core.limits import MotionCheck, MotionLimits
+from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.state_table import conditions
 from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
@@ -37,7 +38,7 @@ POLICIES = (REPLAN, RESUME, STOP)
 LATEST = NANOSECONDS // 10
 #: A gate is at rest when the command has not changed for this long [ns]: by then the arm has arrived, too.
 REST = NANOSECONDS // 2
-_TOO_LATE = f"at most {LATEST / NANOSECONDS:g} s: the monitor was not run, or the executor's clock was set back (then call reset)"
+_LATEST_S = LATEST / NANOSECONDS
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ class Gate:
         }
         self._machine = SyncMachine(conditions(guards), actions)
         self._forget()
-        self._machine.on(SyncEvent.STARTED, SyncOccasion("started", now))
+        self._machine.on(SyncEvent.STARTED, SyncOccasion(Sentence("reason.gate.started"), now))
 
     def _forget(self) -> None:
         self.comparison = PoseComparison(self.settings.comparison(self._limits))
@@ -157,7 +158,8 @@ class Gate:
     @property
     def reason(self) -> str:
         """Why that state was entered, and why it is not left although the poses agree."""
-        return self._machine.reason + (f"; not opened: {self._obstacle}" if self._obstacle else "")
+        reason = self._machine.reason
+        return Sentence("reason.gate.not_opened", reason=reason, obstacle=self._obstacle) if self._obstacle else reason
 
     @property
     def policy(self) -> str:
@@ -191,7 +193,7 @@ class Gate:
     def mirror(self, leads: bool, now: int) -> None:
         """Take whether the arm leads: then nothing is sent, and what has been STOPPED stays so. A new session follows."""
         if leads and not self.mirrored:
-            self._fire(SyncEvent.MIRROR, "the arm leads: nothing is commanded", now)
+            self._fire(SyncEvent.MIRROR, Sentence("reason.gate.mirror"), now)
         self.mirrored = leads
 
     def rests(self, now: int) -> bool:
@@ -314,7 +316,8 @@ class Gate:
         if not was_open:
             self._try_to_open(stamp, theta_next, late, now)
         elif late > LATEST and self.state is SyncState.IN_SYNC:
-            self._close(SyncEvent.SETPOINT_STALE, f"theta_next is {late / NANOSECONDS:.3f} s late; {_TOO_LATE}", now)
+            sentence = Sentence("reason.gate.late", late=late / NANOSECONDS, latest=_LATEST_S)
+            self._close(SyncEvent.SETPOINT_STALE, sentence, now)
         if self.state is SyncState.IN_SYNC:
             return self._checked(stamp, theta_next, now)
         return self._check.position or None
@@ -324,10 +327,11 @@ class Gate:
         if self.state is SyncState.IN_SYNC:
             if self.settings.compares and not self._fresh(now) and self._last_feedback is not None:
                 age = (now - self._last_feedback) / NANOSECONDS
-                self._close(SyncEvent.FEEDBACK_STALE, f"last comparable feedback is {age:.3f} s old", now)
+                self._close(SyncEvent.FEEDBACK_STALE, Sentence("reason.gate.feedback_old", age=age), now)
         elif self._held_too_long(now) and self.state in HELD_STATES:
             held = (now - self._closed_at) / NANOSECONDS
-            self._fire(SyncEvent.GAVE_UP, f"held for {held:.3f} s; {self._machine.reason}; call reset", now)
+            sentence = Sentence("reason.gate.gave_up", held=held, reason=self._machine.reason)
+            self._fire(SyncEvent.GAVE_UP, sentence, now)
 
     def _held_too_long(self, now: int) -> bool:
         return now - self._closed_at > self.settings.give_up_time * NANOSECONDS
@@ -343,15 +347,20 @@ class Gate:
             return
         joint = comparison.worst()
         unit = "m" if self._limits.linear[joint] else "rad"
-        difference = f"{comparison.error[joint]:.6f} {unit}, threshold {comparison.threshold[joint]:.6f} {unit}"
-        self._close(SyncEvent.POSE_DIFFERS, f"{self._limits.names[joint]} differs by {difference}", now)
+        sentence = Sentence(
+            "reason.gate.differs",
+            joint=self._limits.names[joint],
+            difference=Quantity(comparison.error[joint], unit),
+            threshold=Quantity(comparison.threshold[joint], unit),
+        )
+        self._close(SyncEvent.POSE_DIFFERS, sentence, now)
 
     def _close(self, event: SyncEvent, reason: str, now: int) -> None:
         """Take a violation, and see whether that is the end of it."""
         self._fire(event, reason, now)
-        self._fire(SyncEvent.POLICY_STOP, f"the policy is to stop; {reason}; call reset", now)
-        often = f"held {len(self._closings)} times in {self.settings.escalate_time:g} s"
-        self._fire(SyncEvent.ESCALATED, f"{often}; {reason}; call reset", now)
+        self._fire(SyncEvent.POLICY_STOP, Sentence("reason.gate.policy_stop", reason=reason), now)
+        often = {"count": len(self._closings), "time": self.settings.escalate_time}
+        self._fire(SyncEvent.ESCALATED, Sentence("reason.gate.escalated", **often, reason=reason), now)
 
     def _hold(self, now: int) -> None:
         self.violations += 1
@@ -373,7 +382,7 @@ class Gate:
         if self.state is SyncState.STOPPED or self.mirrored or not self.agreed(now):
             return
         if late > LATEST:
-            self._obstacle = f"theta_next is late; {_TOO_LATE}"
+            self._obstacle = Sentence("reason.gate.late_to_open", latest=_LATEST_S)
             return
         latest = self.comparison.twin.latest
         if latest is None:
@@ -384,24 +393,24 @@ class Gate:
             trial.start(stamp - CYCLE_NS, self._codec.quantise(held))
             trial.accept(stamp, self._codec.quantise(theta_next))
         except (MotionRefused, PayloadError) as refusal:
-            self._obstacle = str(refusal)
+            self._obstacle = refusal.sentence
             return
         self._check.start(stamp - CYCLE_NS, self._codec.quantise(held))
         self._before = stamp - CYCLE_NS
-        self._fire(SyncEvent.OPENED, "poses agree and the stream continues from the held pose", now)
+        self._fire(SyncEvent.OPENED, Sentence("reason.gate.opened"), now)
 
     def _checked(self, stamp: int, theta_next: tuple[float, ...], now: int) -> tuple[float, ...]:
         try:
             command = self._codec.quantise(theta_next)
             moves = command != self._check.position
             if moves and stamp - self._before > LATEST:
-                missing = f"theta_next moves after {(stamp - self._before) / NANOSECONDS:.3f} s without setpoints"
-                self._close(SyncEvent.SETPOINT_STALE, f"{missing}; {_TOO_LATE}", now)
+                gap = (stamp - self._before) / NANOSECONDS
+                self._close(SyncEvent.SETPOINT_STALE, Sentence("reason.gate.gap", gap=gap, latest=_LATEST_S), now)
                 return self._check.position
             self._check.accept(stamp, command)
         except (MotionRefused, PayloadError) as refusal:
             self.refused += 1
-            self._close(SyncEvent.SETPOINT_REFUSED, str(refusal), now)
+            self._close(SyncEvent.SETPOINT_REFUSED, refusal.sentence, now)
             return self._check.position
         self.held_stamp = self._before = stamp
         if moves:

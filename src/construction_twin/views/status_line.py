@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
+from typing import Any
 
 from construction_twin.core.reports import WorkReport
-from construction_twin.core.sentences import Sentence, has
+from construction_twin.core.sentences import Sentence, has, said_in, understood
 from construction_twin.views.startup import Missing, Word
 
 
@@ -171,6 +172,7 @@ class Line:
         level: Number of a `Level`.
         sentence: With the reason.
         reason: The node's own, where the sentence has it; else empty.
+        said: Its key and values; None: it has none.
         waits_for, todo: "" for nothing.
         who, page: As in `Urgency`.
     """
@@ -182,6 +184,7 @@ class Line:
     level: int
     sentence: str
     reason: str
+    said: dict[str, Any] | None
     waits_for: str
     who: str
     todo: str
@@ -271,6 +274,7 @@ def _line(topic: str, word: Word | None, said: str = "") -> Line:
         level=int(words.level),
         sentence=f"{sentence[:-1]}: {told}" if told else sentence,
         reason=told,
+        said=said_in(understood(told)),
         waits_for=_said(key, "waits"),
         who=words.who,
         todo=_said(key, "todo"),

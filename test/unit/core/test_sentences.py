@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from construction_twin.core.sentences import Quantity, Sentence, fill, has, said_in
+from construction_twin.core.sentences import Quantity, Sentence, fill, has, said_in, understood
 
 ROOT = Path(__file__).parents[3]
 SENTENCES = json.loads((ROOT / "src/construction_twin/core/sentences.json").read_text())
@@ -37,7 +37,7 @@ def test_every_key_has_words_in_both_languages_with_the_same_values():
         assert all(text and text == text.strip() for text in words.values()), key
         assert places(words["en"]) == places(words["de"]), key
         # what cannot be filled in is no place
-        rest = re.sub(r"\{\w+(:(g|\.\df|\.\dq|(\.\d)?p))?\}", "", words["en"] + words["de"])
+        rest = re.sub(r"\{\w+(:(g|s|\.\df|\.\dq|(\.\d)?p))?\}", "", words["en"] + words["de"])
         assert "{" not in rest and "}" not in rest, key
 
 
@@ -73,3 +73,53 @@ def test_a_sentence_is_its_text_and_knows_its_key_and_values():
     with pytest.raises(KeyError):
         Sentence("line.nothing")
     assert has("page.title") and not has("line.nothing")
+
+
+def sample(template: str, reason: str) -> dict[str, object]:
+    """Values for a template: such as its places may have, `reason` for a part that is a sentence itself."""
+    values: dict[str, object] = {}
+    for name, decimals, form in re.findall(r"\{(\w+)(?::\.?(\d?)(\w))?\}", template):
+        number = round(1.23456789, int(decimals or 3))
+        quantity = Quantity(math.radians(12.5) if form == "p" else number, "rad")
+        values[name] = (
+            quantity if form in ("p", "q") else number if form in ("f", "g") else reason if form == "s" else "word"
+        )
+    return values
+
+
+REASONS = [key for key in SENTENCES if key.startswith("reason.")]
+
+
+@pytest.mark.parametrize("key", REASONS)
+def test_a_reason_is_found_in_its_text_again(key):
+    """ROS messages carry the text; no reason reads as another one."""
+    inner = Sentence(
+        "reason.motion.velocity", joint="joint_a1", value=Quantity(3.0, "rad/s"), limit=Quantity(2.0, "rad/s")
+    )
+    for reason in ("joint_a1", inner):
+        said = Sentence(key, **sample(SENTENCES[key]["en"], reason))
+        found = understood(str(said))
+        assert found == said and found.key == key and found.values.keys() == said.values.keys()
+        for name, value in said.values.items():
+            again = found.values[name]
+            if isinstance(value, Quantity):
+                assert again.unit == value.unit and again.value == pytest.approx(value.value, rel=1e-5)
+            else:
+                assert again == value and getattr(again, "key", "") == getattr(value, "key", "")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "at 2.1 s",
+        # not to the letter
+        "joint_a3 differs by 0.7 deg",
+        "joint_a3 differs by 0.01 rad, threshold 0.010000 rad",
+        "joint_a3 differs by x rad, threshold 0.010000 rad",
+        # a sentence, but no reason of a node
+        "Twin and arm agree.",
+    ],
+)
+def test_a_text_that_is_no_reason_to_the_letter_has_no_key(text):
+    assert understood(text) is None

@@ -22,6 +22,12 @@ def bench(**settings) -> Bench:
     return opened
 
 
+def held_often(gate: Gate) -> tuple[int, float]:
+    """Return how often a gate has held, and in which time [s], as its reason for giving up says."""
+    assert gate.reason.key == "reason.gate.escalated"
+    return gate.reason.values["count"], gate.reason.values["time"]
+
+
 class TestThresholds:
     def test_one_value_holds_for_all_joints_and_others_are_given_by_name(self):
         settings = GateSettings(threshold=0.02, thresholds={"joint_a2": 0.005}).comparison(LIMITS)
@@ -95,7 +101,9 @@ class TestClosing:
         cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
         (change,) = cell.gate.take_transitions()
         assert (change.at, change.source, change.event) == (cell.stamp, SyncState.IN_SYNC, SyncEvent.POSE_DIFFERS)
-        assert change.reason == "joint_a1 differs by 0.200000 rad, threshold 0.010000 rad"
+        said = change.reason
+        assert said.key == "reason.gate.differs" and said.values["joint"] == "joint_a1"
+        assert (said.values["difference"].value, said.values["threshold"].value) == pytest.approx((0.2, 0.01))
         assert change.comparison.error == pytest.approx((0.2, 0.0))
         assert change.held_stamp == cell.gate.held_stamp == cell.stamp
 
@@ -161,7 +169,7 @@ class TestPolicy:
         cell = bench(policy="stop")
         cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
         assert states(cell.gate) == [("pose_differs", "HOLDING"), ("policy_stop", "STOPPED")]
-        assert "joint_a1 differs by 0.2" in cell.gate.reason and "reset" in cell.gate.reason
+        assert cell.gate.reason.values["reason"].key == "reason.gate.differs"
 
     @pytest.mark.parametrize("policy", ["replan", "resume"])
     def test_the_others_open_again(self, policy):
@@ -274,7 +282,7 @@ class TestEscalation:
         self.violate(cell, 0.3)
         assert cell.state is SyncState.IN_SYNC
         self.violate(cell, 1.0)
-        assert cell.state is SyncState.STOPPED and "held 3 times in 2 s" in cell.gate.reason
+        assert cell.state is SyncState.STOPPED and held_often(cell.gate) == (3, 2.0)
 
     def test_spread_over_a_longer_time_they_do_not(self):
         cell = bench(escalate_count=3, escalate_time=2.0)
@@ -307,7 +315,7 @@ class TestEscalation:
             assert (cell.state is SyncState.STOPPED) is (left == 0)
             cell.offset = 0.0
             cell.run(0.3)
-        assert cell.state is SyncState.STOPPED and "held 3 times in 60 s" in cell.gate.reason
+        assert cell.state is SyncState.STOPPED and held_often(cell.gate) == (3, 60.0)
 
     def test_a_new_session_begins_counting_anew(self):
         cell = bench(escalate_count=2)

@@ -46,6 +46,7 @@ from construction_twin.ros.shared import stop_memory
 
 ROOT = Path(__file__).resolve().parents[3]
 PACKAGE = ROOT / "src/construction_twin"
+SENTENCES = PACKAGE / "core/sentences.json"
 NODE_MODULES = PACKAGE / "ros/nodes"
 DOCUMENTS = [
     ROOT / "README.md",
@@ -542,7 +543,7 @@ def test_readme_calls_what_a_newcomer_needs():
 def test_messages_in_the_troubleshooting_are_the_programs_own():
     """Own sentences only: what ROS or Python says cannot be looked up here."""
     foreign = ("No module named", "rospy", "is neither a launch file", "Couldn't find executable")
-    files = [*(ROOT / "src").rglob("*.py"), *(ROOT / "setup").glob("*.sh"), *(ROOT / "scripts").glob("*")]
+    files = [*(ROOT / "src").rglob("*.py"), SENTENCES, *(ROOT / "setup").glob("*.sh"), *(ROOT / "scripts").glob("*")]
     code = "".join(file.read_text() for file in files if file.is_file())
     code = re.sub(r"\"\s*f?\"", "", code)  # a sentence may be written in several pieces
     code = re.sub(r"\{[^{}\n]*\}", "*", code)

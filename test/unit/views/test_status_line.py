@@ -195,3 +195,11 @@ def test_the_work_is_in_one_state(work, state):
 def test_every_state_of_a_task_leads_to_a_state_of_the_work():
     found = {work_state(facts(state.value)) for state in TaskState}
     assert found <= set(states_of("work")) and {"working", "planned", "asks", "done", "waiting"} == found
+
+
+def test_a_reason_that_has_a_key_is_sent_with_it_for_other_languages():
+    said = Sentence("reason.gate.feedback_old", age=0.25)
+    heard = Heard(WELL.link, Word("STALE", str(said)), WELL.execution)
+    assert lines(heard)["sync"]["said"] == {"key": "reason.gate.feedback_old", "values": {"age": 0.25}}
+    assert lines(Heard(WELL.link, Word("STALE", "because"), WELL.execution))["sync"]["said"] is None
+    assert lines(WELL)["sync"]["said"] is None

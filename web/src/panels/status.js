@@ -35,8 +35,8 @@ export function ownLine({connected, robot, now}) {
 const WORDS = /^\w+\.\w+$/;
 
 /**
- * Return what a line says in the page's language: `sentence`, `waits`, `todo`. Where this language has no words for it, the
- * robot's own, which are English; the reason in a sentence always comes from the robot's programs as it is.
+ * Return what a line says in the page's language: `sentence`, `waits`, `todo`. Where this page has no words for it, the robot's
+ * own, which are English; so is a reason that the robot's programs send without a key.
  */
 export function wordsOf(line, texts) {
   const known = typeof line.words === "string" && WORDS.test(line.words);
@@ -48,7 +48,7 @@ export function wordsOf(line, texts) {
   };
   const sentence = own("sentence");
   return {
-    sentence: sentence === null ? line.sentence : line.reason ? `${sentence.slice(0, -1)}: ${line.reason}` : sentence,
+    sentence: sentence === null ? line.sentence : line.reason ? `${sentence.slice(0, -1)}: ${texts.said(line.said, line.reason)}` : sentence,
     waits: line.waits_for && (own("waits") ?? line.waits_for),
     todo: line.todo && (own("todo") ?? line.todo),
   };

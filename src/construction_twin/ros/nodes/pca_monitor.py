@@ -16,6 +16,7 @@ import rospy
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.reports import SyncReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.monitor.gate import REPLAN, Gate
 from construction_twin.monitor.replan import ReplanGoal, ReplanGoals
@@ -113,10 +114,7 @@ class PcaMonitorNode:
         self._stopped = StopMemory(stopped_in, outputs.remember)
         if stopped_in:
             self._session = stopped_in
-            gate.stay_stopped(
-                f"a monitor before this one was STOPPED in session {stopped_in}; see to the arm, then call reset",
-                time.monotonic_ns(),
-            )
+            gate.stay_stopped(Sentence("reason.gate.stopped_before", session=stopped_in), time.monotonic_ns())
         self._sync_period = round(NANOSECONDS / sync_rate)
         self._sync_at = 0
         self._reported: tuple = ()
@@ -180,7 +178,7 @@ class PcaMonitorNode:
             self._gate.mirror(message.state == Link.MIRROR, now)
             if message.session and message.session != self._session:
                 if self._session is not None:
-                    self._gate.restart("new command session", now)
+                    self._gate.restart(Sentence("reason.gate.new_session"), now)
                 self._session = message.session
             self._note_changes()
 
@@ -250,7 +248,7 @@ class PcaMonitorNode:
         wanted = self._goals.interrupted
         if wanted is None:
             return
-        asked = f"a path to the goal of plan {wanted.plan_id} was asked for, no faster than that plan"
+        asked = Sentence("reason.gate.replan_asked", plan=wanted.plan_id)
         if self._gate.on_replan(asked, change.at):
             request = self._gate.held, wanted, change.target.name, self._gate.violations
             threading.Thread(target=self._request_plan, args=request, daemon=True).start()
@@ -267,7 +265,7 @@ class PcaMonitorNode:
                 asked=to_time(wanted.seen),
             )
         except rospy.ServiceException as error:
-            self._on_replan_failed(f"the planner did not answer: {error}", violation)
+            self._on_replan_failed(Sentence("reason.gate.planner_silent", problem=str(error)), violation)
             return
         if answer.success:
             rospy.logwarn("re-planned from the held pose: %s; it waits for review", answer.message)
@@ -280,7 +278,7 @@ class PcaMonitorNode:
         with self._lock:
             # the answer may come late, in another hold
             if self._gate.violations == violation:
-                self._gate.on_replan_failed(f"re-plan failed: {problem}", now)
+                self._gate.on_replan_failed(Sentence("reason.gate.replan_failed", problem=problem), now)
                 self._note_changes()
         self._publish(now)
 
