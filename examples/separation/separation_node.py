@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 import threading
 import time
-from collections.abc import Callable
 
 import pydantic
 import rospy
@@ -16,10 +14,10 @@ from sensor_msgs.msg import Range
 from construction_twin.core.errors import PayloadError
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.ports import Every, Interface, Ports, Publication, Subscription
 from construction_twin.ros.transport.joint_stream import from_time
-from construction_twin.ros.transport.publisher import Publisher, Sink
-from construction_twin.ros.transport.subscriber import Subscriber
+from construction_twin.ros.transport.publisher import Sink
 
 
 class Settings(pydantic.BaseModel):
@@ -36,26 +34,21 @@ class SeparationNode:
     """ROS around a SeparationLimit; `start` gives it parameters and topics.
 
     Args:
-        diagnostics: Takes `report`; returns the node's NodeDiagnostics.
+        diagnostics: Counts what is refused.
     """
 
     def __init__(
         self,
         separation: SeparationLimit,
         speed_limit: Sink,
-        diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
+        diagnostics: NodeDiagnostics,
     ):
         self._separation = separation
         self._lock = threading.Lock()
         self._measured = rospy.Time()
         self._said = ("", 0.0)
         self._publisher = speed_limit
-        self._diagnostics = diagnostics(self.report)
-
-    @property
-    def refuse(self) -> Callable[[str, str], None]:
-        """Counts a refused input; takes reason and sentence."""
-        return self._diagnostics.refuse
+        self._diagnostics = diagnostics
 
     def on_range(self, message: Range) -> None:
         """Take a separation distance."""
@@ -85,19 +78,19 @@ class SeparationNode:
         return Report(level, f"speed limit {limit:g}: {reason}", {"speed limit": f"{limit:.3f}"})
 
 
-def start(settings: Settings, robot: RobotModel) -> SeparationNode:
+def start(settings: Settings, robot: RobotModel, ports: Ports) -> SeparationNode:
     """Return the node with its parameters and topics."""
-    node = SeparationNode(
-        SeparationLimit(SpeedTable(settings.table), settings.deadline),
-        Publisher("speed_limit", SpeedLimit, queue_size=1, latch=True, tcp_nodelay=True),
-        functools.partial(NodeDiagnostics, robot.name),
-    )
-    Subscriber("separation_distance", Range, node.on_range, node.refuse, queue_size=1, tcp_nodelay=True)
-    rospy.Timer(rospy.Duration(1.0 / settings.rate), lambda _: node.update())
-    return node
+    limit = SeparationLimit(SpeedTable(settings.table), settings.deadline)
+    return SeparationNode(limit, ports.publishers["speed_limit"], ports.diagnostics)
 
 
-NODE = NodeShell("separation", Settings, start, lambda settings, _robot: SpeedTable(settings.table))
+INTERFACE = Interface(
+    report=SeparationNode.report,
+    publishes=(Publication("speed_limit", SpeedLimit, queue_size=1, latch=True, tcp_nodelay=True),),
+    hears=(Subscription("separation_distance", Range, SeparationNode.on_range, queue_size=1, tcp_nodelay=True),),
+    every=(Every(lambda settings: 1.0 / settings.rate, lambda node, _ports: node.update()),),
+)
+NODE = NodeShell("separation", Settings, start, INTERFACE, lambda settings, _robot: SpeedTable(settings.table))
 
 
 def main() -> None:

@@ -87,7 +87,7 @@ class BridgeBench:
     """A bridge for the two-axis arm of `gateway_cell`.
 
     Args:
-        diagnostics: Callable. As the bridge's.
+        diagnostics: Takes what reports of the bridge; returns what counts.
         properties: Bool. Whether the link carries MQTT 5 properties.
         kind: Str. ``rsi`` or ``plc``: what takes the commands.
         options: The bridge's.
@@ -107,18 +107,14 @@ class BridgeBench:
         )
         config = dataclasses.replace(CONFIG, properties=properties)
         codec = JointStringCodec(len(config.axes), config.decimals)
-        self._made = None
         #: Whether commands come, that is, whether twin and arm can meet.
         self.commands = True
 
-        def make(report):
-            self._made = diagnostics(report)
-            return self._made
-
         self._codec, self._states = codec, 0
+        self._made = diagnostics(lambda: self.bridge.report())
         outputs = Outputs(self.physical, Published(), self.links, self.tools)
         self.bridge = MqttBridge(
-            settings, "arm", config, codec, Broker("127.0.0.1", 1), self.client, outputs, make, **options
+            settings, "arm", config, codec, Broker("127.0.0.1", 1), self.client, outputs, self._made, **options
         )
         self.gateway = {
             "state": "ready", "reason": "", "session": "", "run": RUN, "fault_number": 0, "hash": config.hash,

@@ -66,7 +66,7 @@ class World:
                 *map(self.topic, ("next/joint_states", "execution", "review", "tool_command", "engagement"))
             ),
             EngagementFile(tmp_path / "engagement.json", ROBOT.joint_names),
-            lambda _: SimpleNamespace(
+            SimpleNamespace(
                 refuse=lambda *said: self.refused.append(said), count=lambda *said: self.counted.append(said)
             ),
         )

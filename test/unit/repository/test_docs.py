@@ -15,6 +15,7 @@ import math
 import re
 import subprocess
 from pathlib import Path
+from types import ModuleType
 from xml.etree import ElementTree
 
 import make_reference
@@ -43,6 +44,7 @@ from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.nodes import mqtt_bridge
 from construction_twin.ros.shared import stop_memory
+from construction_twin.ros.shared.ports import Interface
 
 ROOT = Path(__file__).resolve().parents[3]
 PACKAGE = ROOT / "src/construction_twin"
@@ -79,11 +81,39 @@ NODES = [
 ]
 
 
-def ros_names(file: Path) -> set[str]:
-    """Return the topics and services a node's code opens, private ones with the node's name in front."""
-    calls = r"(?:Publisher|Subscriber|JointPublisher|JointSubscriber|Service|ServiceProxy)\(\s*\"([^\"]+)\""
+def node_module(file: Path) -> ModuleType:
+    return importlib.import_module(
+        file.stem if file.parent.name == "separation" else f"construction_twin.ros.nodes.{file.stem}"
+    )
+
+
+def declared(file: Path) -> tuple[set[str], set[str], set[str]]:
+    """Return what a node reads, gives and serves, private names with the node's name in front."""
+    interface = getattr(node_module(file), "INTERFACE", Interface())
+    reads = {each.topic for each in (*interface.reads, *interface.hears)} | set(interface.listeners)
+    gives, serves = {each.topic for each in interface.publishes}, {each.name for each in interface.serves}
     node = file.stem.removesuffix("_node")
-    return {name.replace("~", f"{node}/") for name in re.findall(calls, file.read_text())}
+    reads, gives, serves = ({name.replace("~", f"{node}/") for name in names} for names in (reads, gives, serves))
+    return reads, gives, serves
+
+
+def ros_names(file: Path) -> set[str]:
+    """Return the topics and services of a node, private ones with the node's name in front."""
+    return set().union(
+        *declared(file), re.findall(r"(?:ServiceProxy|PersistentService)\(\s*\"([^\"]+)\"", file.read_text())
+    )
+
+
+def table_of_nodes() -> dict[str, tuple[set[str], set[str], set[str]]]:
+    """Return what the table says that a node reads, gives and serves: names before the first semicolon, without what it calls."""
+    section = PAGES["topics"].split("\n## Nodes\n")[1].split("\n### ")[0]
+    found = {}
+    for row in re.findall(r"^\| (`.*)\|$", section, re.MULTILINE):
+        nodes, *cells = row.split("|")
+        names = [set(re.findall(r"`([^`]+)`", re.split("; |calls ", cell)[0])) for cell in cells]
+        for node in re.findall(r"`([^`]+)`", nodes):
+            found[node] = tuple({name.replace("~", f"{node}/") for name in cell} for cell in names)
+    return found
 
 
 def undocumented(names) -> list[str]:
@@ -109,10 +139,15 @@ def test_configuration_keys_are_documented(file):
 
 
 @pytest.mark.parametrize("file", NODES, ids=lambda file: file.stem)
+def test_the_table_of_nodes_is_what_they_declare(file):
+    module = node_module(file)
+    if hasattr(module, "NODE"):
+        assert table_of_nodes()[module.NODE.name] == declared(file)
+
+
+@pytest.mark.parametrize("file", NODES, ids=lambda file: file.stem)
 def test_parameters_are_documented(file):
-    module = importlib.import_module(
-        file.stem if file.parent.name == "separation" else f"construction_twin.ros.nodes.{file.stem}"
-    )
+    module = node_module(file)
     models = [
         value for value in vars(module).values() if isinstance(value, type) and issubclass(value, pydantic.BaseModel)
     ]

@@ -99,6 +99,7 @@ class Cell:
             configuration.write("\nconnection_messages true\nlog_type notice\n")
         self.site.start()
         self.planner = Planner()
+        self.refusals = Refusals(None)
         joints = Joints(tuple(ROBOT.joint_names), tuple(ROBOT.linear))
         broker = self.site.broker(self.site.account("kr120-bridge"))
         writer = ViewWriter("kr120", "cafe", joints)
@@ -106,9 +107,7 @@ class Cell:
             broker, unique_id("kr120", "planner"), "twin/kr120/view", writer.offline().decode(), will_retained=False
         )
         settings = Settings(host="localhost", port=1, max_trajectory_bytes=2_000_000, view_rate=25.0, max_pose_age=0.25)
-        self.node = MqttPlanner(
-            settings, "kr120", joints, broker, self._client, writer, self.planner, self._diagnostics
-        )
+        self.node = MqttPlanner(settings, "kr120", joints, broker, self._client, writer, self.planner, self.refusals)
         self.node.listen(Poses(Stream(), Stream()), lambda: True)
         self.node.on_execution(Execution(text="IDLE", reason="at rest"))
         self.node.connect()
@@ -117,10 +116,6 @@ class Cell:
         self._threads = [threading.Thread(target=run) for run in (self._show, self._check)]
         for thread in self._threads:
             thread.start()
-
-    def _diagnostics(self, report):
-        self.refusals = Refusals(report)
-        return self.refusals
 
     def _show(self) -> None:
         while not self._ended.wait(0.04):

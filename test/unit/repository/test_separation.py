@@ -121,7 +121,7 @@ def test_the_node_takes_a_sensor_for_silent_although_the_wall_clock_was_set_back
     node = module.SeparationNode(
         SeparationLimit(SpeedTable(ROWS), 0.3),
         SimpleNamespace(publish=said.append),
-        lambda _: SimpleNamespace(refuse=None),
+        SimpleNamespace(refuse=None),
     )
     node.on_range(Range(range=math.inf, max_range=5.0))
     node.update()

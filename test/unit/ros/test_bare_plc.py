@@ -56,7 +56,7 @@ class Cell:
             self.broker,
             self.client,
             Outputs(self.physical, Published(), self.links),
-            lambda report: self.refusals,
+            self.refusals,
         )
         self.target = HOME
         # what is sent next, a pose per string

@@ -217,7 +217,7 @@ def views(wide: Wide) -> str:
             host="127.0.0.1", port=1, max_trajectory_bytes=4096, view_rate=25.0, max_pose_age=0.25
         ),
         "kr120", JOINTS, Broker("127.0.0.1", 1), SimpleNamespace(is_connected=lambda: False),
-        ViewWriter("kr120", "cafe", JOINTS), None, lambda report: None,
+        ViewWriter("kr120", "cafe", JOINTS), None, None,
     )  # fmt: skip
     node.listen(mqtt_planner.Poses(None, None), lambda: True)
     shown = []

@@ -7,6 +7,7 @@ import json
 import socket
 import sys
 import threading
+from types import SimpleNamespace
 
 import pytest
 import rospy
@@ -64,14 +65,13 @@ class MockNode:
         chosen = MockSettings(gateway_host=host, gateway_port=port, **settings)
         robot = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
         patch = monkeypatch.setattr
-        patch(module, "NodeDiagnostics", lambda name, report: setattr(self, "report", report))
-        patch(module, "JointPublisher", lambda *_: self)
-        patch(module, "Publisher", lambda *_, **__: self)
-        patch(module, "Service", lambda *_: None)
         patch(rospy, "loginfo", self.lines.append)
         patch(rospy, "on_shutdown", self.ends.append)
         self._interval = sys.getswitchinterval()
-        self._loop = threading.Thread(target=module.MockRsiNode(chosen, robot).run, daemon=True)
+        ports = SimpleNamespace(publishers={"~joint_states": self, "~status": self})
+        node = module.MockRsiNode(chosen, robot, ports)
+        self.report = node.report
+        self._loop = threading.Thread(target=node.run, daemon=True)
         self.pc.start()
         self._loop.start()
 

@@ -69,7 +69,7 @@ class World:
             True,
             50.0,
             outputs,
-            lambda _: SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
+            SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
             self.parameters.get(PARAMETER, ""),
         )
 

@@ -71,16 +71,12 @@ class Bench:
     def __init__(self, **settings):
         self.client, self.asked, self.success, self.error, self.retimed = Client(), [], True, None, ""
         self.steady, self.wall = 1000.0, 1_764_000_000.0
-        self.made = None
+        self.made = Refusals(None)
         given = {"host": "127.0.0.1", "port": 1, "max_trajectory_bytes": 4096, "view_rate": 25.0, "max_pose_age": 0.25}
         self.node = MqttPlanner(
             Settings(**given | settings), "kr120", JOINTS, Broker("127.0.0.1", 1), self.client,
-            ViewWriter("kr120", "cafe", JOINTS), self, self._make_diagnostics,
+            ViewWriter("kr120", "cafe", JOINTS), self, self.made,
         )  # fmt: skip
-
-    def _make_diagnostics(self, report):
-        self.made = Refusals(report)
-        return self.made
 
     def __call__(self, **fields):
         # as rospy makes it: fields that the service does not have are an error

@@ -51,16 +51,11 @@ class Bench:
 
     def __init__(self, account=""):
         self.client = Client()
-        self.made = None
-
-        def make(report):
-            self.made = Refusals(report)
-            return self.made
-
+        self.made = Refusals(None)
         settings = Settings(host="127.0.0.1", port=1, path_points=10, account=account)
         self.pressed = []
         self.services = {verb: Trigger(verb, self.pressed) for verb in (STOP, PAUSE, RESUME)}
-        self.node = MqttReview(settings, "kr120", Broker("127.0.0.1", 1), self.client, self, self.services, make)
+        self.node = MqttReview(settings, "kr120", Broker("127.0.0.1", 1), self.client, self, self.services, self.made)
 
     resolved_name = "/kr120/review_plan"
 

@@ -84,7 +84,7 @@ def test_an_error_in_a_callback_reaches_the_hook_that_ends_the_node(monkeypatch,
     bench = BridgeBench(Clocks(monkeypatch, mqtt_bridge))
     codec = JointStringCodec(len(CONFIG.axes), CONFIG.decimals)
     outputs = Outputs(bench.physical, bench.physical, bench.links)
-    bridge = MqttBridge(settings, "arm", CONFIG, codec, address, client, outputs, lambda report: bench)
+    bridge = MqttBridge(settings, "arm", CONFIG, codec, address, client, outputs, bench)
     bridge.connect()
     try:
         error = caught()

@@ -17,7 +17,7 @@ from construction_twin.coordination.plan_book import PlanUnknownError
 from construction_twin.core.errors import PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError, PlanningError, SceneError
 from construction_twin.ros.nodes import neighbour as neighbour_node
-from construction_twin.ros.nodes.neighbour import Latest, NeighbourNode
+from construction_twin.ros.nodes.neighbour import NeighbourNode
 from construction_twin.ros.shared import arm_listener
 from construction_twin.ros.shared.arm_listener import ArmPlans, OtherArm
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
@@ -39,13 +39,12 @@ class Bench:
         self.own = SimpleNamespace(plans=self.plans, scene=EMPTY, poses=lambda _: (AWAY, AWAY))
         self.other = SimpleNamespace(occupied=self.occupied, claim=None, unknown="", complete=True)
         self.judge = SimpleNamespace(followed=self.followed, waiting=self.waiting, forget=lambda _: None)
-        self.latest = Latest()
         monkeypatch.setattr(neighbour_node.rospy.Time, "now", staticmethod(self._now))
         monkeypatch.setattr(neighbour_node.rospy, "loginfo", lambda *_: None)
         conflict = SimpleNamespace(publish=self.did.append)
         self.moveit: list = []
         told = SimpleNamespace(moves=lambda: self.moveit.append("moves"), stands=lambda *seen: self.moveit.append(seen))
-        self.node = NeighbourNode(settings, self.own, self.other, self.judge, 2.9, conflict, self.latest, told)
+        self.node = NeighbourNode(settings, self.own, self.other, self.judge, 2.9, conflict, told)
 
     def _now(self):
         self.did.append("time")
@@ -81,7 +80,7 @@ def test_the_verdict_on_the_plan_that_runs_is_out_before_the_one_that_waits_is_j
     bench.check()
     names = [item.plan_id if isinstance(item, Conflict) else item for item in bench.did]
     assert names == ["time", "read", "judge played", "played", "judge waiting", "waiting"]
-    assert bench.latest.report.level == OK
+    assert bench.node.report().level == OK
 
 
 def test_a_plan_that_began_while_it_was_judged_is_not_stopped_by_what_keeps_others_from_starting(bench):
@@ -105,11 +104,11 @@ def test_a_load_that_cannot_be_used_blocks_its_plan_and_is_an_error_on_diagnosti
     verdicts = bench.check()
     assert not verdicts["played"].conflict
     assert verdicts["waiting"].conflict and "/gone.stl" in verdicts["waiting"].reason
-    state = bench.latest.report
+    state = bench.node.report()
     assert state.level == ERROR and "/gone.stl" in state.sentence
     bench.judge.waiting = lambda *_: FREE
     assert not bench.check()["waiting"].conflict
-    assert bench.latest.report.level == OK
+    assert bench.node.report().level == OK
 
 
 def test_an_arm_of_unknown_shape_blocks_every_plan_and_is_an_error_on_diagnostics(bench):
@@ -119,13 +118,13 @@ def test_an_arm_of_unknown_shape_blocks_every_plan_and_is_an_error_on_diagnostic
     bench.other.occupied = unknown
     verdicts = bench.check()
     assert all(message.conflict and "cannot be used" in message.reason for message in verdicts.values())
-    assert set(verdicts) == {"played", "waiting"} and bench.latest.report.level == ERROR
+    assert set(verdicts) == {"played", "waiting"} and bench.node.report().level == ERROR
 
 
 def test_an_arm_of_unknown_pose_is_a_warning(bench):
     bench.other.unknown = "where b is, is not known"
     bench.check()
-    assert (bench.latest.report.level, bench.latest.report.sentence) == (WARN, "where b is, is not known")
+    assert (bench.node.report().level, bench.node.report().sentence) == (WARN, "where b is, is not known")
 
 
 def test_an_unexpected_exception_ends_the_process(bench, monkeypatch):

@@ -10,12 +10,28 @@ import pydantic
 import pytest
 import rospy
 from chain_samples import ROBOT
+from construction_twin.msg import Feedback
+from std_msgs.msg import String
+from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
+from unplugged import Unplugged
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.ros import nodes
 from construction_twin.ros.commands.node_files import NODE_FILES
-from construction_twin.ros.shared import node as module
-from construction_twin.ros.shared.node import NodeShell
+from construction_twin.ros.shared import node_shell as module
+from construction_twin.ros.shared import ports
+from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.ports import (
+    Every,
+    Interface,
+    NewestPose,
+    Ports,
+    PoseSubscription,
+    Publication,
+    Served,
+    Subscription,
+)
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -39,7 +55,8 @@ def refuse_fast(settings: Settings, robot) -> None:
 def started(monkeypatch, values: dict) -> list:
     """Run the node with private parameters; return what it was started with."""
     found = []
-    shell = NodeShell("fast", Settings, lambda settings, robot: found.append((settings.rate, robot)), refuse_fast)
+    start = lambda settings, robot, _ports: found.append((settings.rate, robot))  # noqa: E731
+    shell = NodeShell("fast", Settings, start, Interface(), refuse_fast)
     monkeypatch.setattr(rospy, "get_param", lambda name, default=None: values)
     monkeypatch.setattr(rospy, "get_name", lambda: "/kr120/fast")
     monkeypatch.setattr(module, "robot_from_parameters", lambda: ROBOT)
@@ -55,7 +72,7 @@ def test_a_node_starts_with_parameters_and_robot(monkeypatch):
 @pytest.mark.parametrize("values, says", [({"rate": 50.0}, "at most 10 for kr120"), ({}, "rate")])
 def test_what_preflight_refuses_the_node_refuses_in_the_same_words(monkeypatch, values, says):
     with pytest.raises(ConfigurationError, match=says) as caught:
-        NodeShell("fast", Settings, lambda *_: None, refuse_fast).check_values(values, ROBOT)
+        NodeShell("fast", Settings, lambda *_: None, Interface(), refuse_fast).check_values(values, ROBOT)
     with pytest.raises(ConfigurationError) as ended:
         started(monkeypatch, values)
     assert str(ended.value).endswith(str(caught.value))
@@ -72,3 +89,110 @@ def test_every_node_runs_its_shell():
     programs = {path.name for path in (ROOT / "nodes").iterdir() if path.is_file()}
     for name, shell in shells().items():
         assert name in programs and issubclass(shell.settings, pydantic.BaseModel)
+
+
+class Node:
+    """Says what it heard."""
+
+    def __init__(self, settings: Settings, robot, ports: Ports):
+        self.heard: list = []
+        self.ports = ports
+        self.said = ports.publishers["said"]
+        self.said.publish(String("first"))
+
+    def on_word(self, message: String) -> None:
+        self.heard.append(message.data)
+
+    def on_pose(self, stamp: int, q: tuple) -> None:
+        self.heard.append((stamp, q))
+
+    def on_ask(self, _request: TriggerRequest) -> TriggerResponse:
+        return TriggerResponse(True, "yes")
+
+
+INTERFACE = Interface(
+    report=lambda node: Report(OK, f"heard {len(node.heard)}"),
+    publishes=(
+        Publication("said", String, queue_size=3, latch=True, tcp_nodelay=True),
+        Publication("none", "no_such_msgs/Thing", queue_size=1),
+    ),
+    reads=(NewestPose("twin/joint_states"), NewestPose("slow", when=lambda settings: settings.rate < 1.0)),
+    hears=(
+        Subscription("word", String, Node.on_word, queue_size=2),
+        Subscription("often", String, Node.on_word, queue_size=2, when=lambda settings: settings.rate > 5.0),
+        PoseSubscription("pose", Node.on_pose),
+    ),
+    serves=(Served("ask", Trigger, Node.on_ask),),
+    every=(Every(lambda settings: 1.0 / settings.rate, lambda node, ports: node.heard.append(ports.connections("word"))),),
+)  # fmt: skip
+
+
+def unplugged(monkeypatch, rate: float = 2.0) -> Unplugged:
+    return Unplugged(monkeypatch, NodeShell("fast", Settings, Node, INTERFACE), Settings(rate=rate), ROBOT)
+
+
+def test_what_is_published_is_there_before_the_node_what_it_hears_after_it_and_requests_come_last(monkeypatch):
+    found = unplugged(monkeypatch)
+    assert found.opened == [
+        ("publishes", "said"), ("reads", "twin/joint_states"), ("hears", "word"), ("hears", "pose"), ("serves", "ask"),
+    ]  # fmt: skip
+    assert [message.data for message in found.published["said"]] == ["first"]
+
+
+def test_a_topic_is_there_where_the_parameters_or_installed_types_want_it(monkeypatch):
+    few, many = unplugged(monkeypatch), unplugged(monkeypatch, 10.0)
+    assert "often" not in few.callbacks and "often" in many.callbacks
+    assert set(few.node.ports.publishers) == {"said"} and set(few.node.ports.poses) == {"twin/joint_states"}
+
+
+def test_what_comes_in_goes_directly_to_the_node(monkeypatch):
+    found = unplugged(monkeypatch)
+    assert found.callbacks["pose"] == found.node.on_pose
+    found.callbacks["word"](String("hello"))
+    found.callbacks["pose"](5, (0.0,))
+    found.timers[0](None)
+    assert found.node.heard == ["hello", (5, (0.0,)), 1]
+    assert found.services["ask"](TriggerRequest()).message == "yes"
+
+
+def test_a_topic_is_opened_as_it_is_declared(monkeypatch):
+    opened = []
+    monkeypatch.setattr(ports, "Publisher", lambda *given, **options: opened.append((*given, options)))
+    monkeypatch.setattr(ports, "Subscriber", lambda *given: opened.append(given))
+    monkeypatch.setattr(ports, "JointSubscriber", lambda *given: opened.append(given))
+    Publication("said", String, 3, latch=True, tcp_nodelay=True).open(ROBOT)
+    Subscription("word", String, Node.on_word, 2, tcp_nodelay=True).open(print, ROBOT, repr)
+    PoseSubscription("pose", Node.on_pose, 1, Feedback, 0.02).open(print, ROBOT, repr)
+    assert opened == [
+        ("said", String, 3, {"latch": True, "tcp_nodelay": True}),
+        ("word", String, print, repr, 2, True),
+        ("pose", ROBOT.joint_names, print, repr, 1, Feedback, 0.02),
+    ]
+
+
+def test_a_topic_that_is_heard_no_more_has_no_publishers(monkeypatch):
+    found = unplugged(monkeypatch)
+    found.node.ports.stop_hearing("word")
+    assert "word" not in found.callbacks and found.node.ports.connections("word") == 0
+
+
+def test_the_node_reports_once_it_is_there(monkeypatch):
+    before = []
+
+    def start(settings: Settings, robot, ports: Ports) -> Node:
+        before.append(Unplugged.report())
+        return Node(settings, robot, ports)
+
+    found = Unplugged(monkeypatch, NodeShell("fast", Settings, start, INTERFACE), Settings(rate=2.0), ROBOT)
+    assert before == [Report(WARN, "this node starts")] and found.report() == Report(OK, "heard 0")
+
+
+@pytest.mark.parametrize("name", sorted(shells()))
+def test_a_node_declares_each_name_once(name):
+    interface = shells()[name].interface
+    for names in (
+        [each.topic for each in interface.publishes],
+        [each.topic for each in (*interface.reads, *interface.hears)],
+        [each.name for each in interface.serves],
+    ):
+        assert len(names) == len(set(names))

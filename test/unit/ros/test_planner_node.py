@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import math
 import re
 from collections import Counter
-from collections.abc import Callable
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,13 +24,14 @@ from construction_twin.srv import (
 from planning_cell import HOME, LEFT, RIGHT, ROBOT, ROOT, WALL, standing
 from std_srvs.srv import TriggerRequest
 from trajectory_msgs.msg import JointTrajectory
+from unplugged import Unplugged, over_the_wire
 
 from construction_twin.planning import work_plan
 from construction_twin.planning.timing import time_path
 from construction_twin.ros.messages import convert
 from construction_twin.ros.messages.scene_convert import object_to_msg, scene_to_msg
 from construction_twin.ros.nodes import planner as module
-from construction_twin.ros.nodes.planner import PlannerNode, Settings
+from construction_twin.ros.nodes.planner import NODE, Settings
 from construction_twin.ros.shared.frames import Frames
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
@@ -47,21 +45,12 @@ class Bench:
     """The node without ROS: its topics and services as calls, its messages through the wire format."""
 
     def __init__(self, monkeypatch):
-        self.services: dict[str, Callable] = {}
-        self.callbacks: dict[str, Callable] = {}
-        self.published: dict[str, list] = {"plan": [], "plan_outcome": []}
-        self.refused: Counter[str] = Counter()
         self.pose = tuple(HOME)
         values = yaml.safe_load((ROOT / "config/planner.yaml").read_text())
         values |= {"self_collision": str(ROOT / "config/kr120_self_collision.yaml"), "tf_prefix": "", "seed": 1}
         values |= {"max_waypoints": 600}
         patch = monkeypatch.setattr
         patch(module, "neighbour_settings", lambda: None)
-        patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=self.refuse, count=self.refuse))
-        patch(module, "Publisher", self.publisher)
-        patch(module, "Subscriber", self.subscriber)
-        patch(module, "Service", lambda name, _, handler: self.services.update({name: handler}))
-        patch(module, "LatestPose", lambda *_: SimpleNamespace(pose=lambda *_: self.pose))
         patch(module, "caller_of", lambda _: "a caller")
         patch(module, "now_ns", lambda: 7_000_000_000)
         patch(
@@ -71,18 +60,14 @@ class Bench:
         )
         patch(module.rospy, "resolve_name", lambda name: f"/kr120/{name}")
         patch(module.rospy.Time, "now", staticmethod(lambda: rospy.Time(7)))
-        self.node = PlannerNode(Settings(**values), ROBOT)
+        unplugged = Unplugged(monkeypatch, NODE, Settings(**values), ROBOT, lambda *_: self.pose)
+        self.node, self.services, self.callbacks = unplugged.node, unplugged.services, unplugged.callbacks
+        self.published, self._unplugged = unplugged.published, unplugged
         self.show(SCENE)
 
-    def refuse(self, reason: str, sentence: str) -> None:
-        self.refused[reason] += 1
-
-    def publisher(self, topic: str, *_, **__):
-        return SimpleNamespace(publish=lambda message: self.published[topic].append(over_the_wire(message)))
-
-    def subscriber(self, topic: str, _kind, callback, *_, **__):
-        self.callbacks[topic] = callback
-        return SimpleNamespace(get_num_connections=lambda: 1)
+    @property
+    def refused(self) -> Counter[str]:
+        return Counter(reason for reason, _ in (*self._unplugged.refused, *self._unplugged.counted))
 
     def show(self, scene: Scene) -> None:
         self.callbacks["scene"](scene_to_msg(scene, rospy.Time(6), "base_link"))
@@ -101,12 +86,6 @@ class Bench:
                 )
             )
         )  # fmt: skip
-
-
-def over_the_wire(message):
-    buffer = io.BytesIO()
-    message.serialize(buffer)
-    return type(message)().deserialize(buffer.getvalue())
 
 
 def motion(begin, end):

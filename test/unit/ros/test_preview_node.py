@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +11,7 @@ from construction_twin.msg import Review
 from construction_twin.srv import PreviewPlanRequest
 from plan_samples import make_plan
 from planning_cell import HOME, LEFT, RIGHT, ROBOT
+from unplugged import Unplugged
 from visualization_msgs.msg import Marker
 
 from construction_twin.core.errors import PoseUnknownError
@@ -23,7 +22,7 @@ from construction_twin.robot.segments import Segment
 from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import preview as module
-from construction_twin.ros.nodes.preview import PreviewNode, Settings
+from construction_twin.ros.nodes.preview import NODE, Settings
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 
@@ -49,23 +48,15 @@ class Bench:
     """The node without ROS; the markers as rviz would hold them."""
 
     def __init__(self, monkeypatch):
-        self.callbacks: dict[str, Callable] = {}
-        self.services: dict[str, Callable] = {}
-        self.messages: list = []
-        self.refused: list[str] = []
         self.now = 100.0
         patch = monkeypatch.setattr
-        refuse = lambda _, sentence: self.refused.append(sentence)  # noqa: E731
-        patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=refuse))
-        patch(module, "JointPublisher", lambda *_: SimpleNamespace(publish=lambda *_: None))
-        patch(module, "Publisher", lambda *_, **__: SimpleNamespace(publish=self.messages.append))
-        patch(module, "Subscriber", lambda topic, _, callback, *__, **___: self.callbacks.update({topic: callback}))
-        patch(module, "Service", lambda name, _, handler: self.services.update({name: handler}))
-        patch(module, "LatestPose", lambda *_: SimpleNamespace(pose=self.unknown))
         patch(module, "now_ns", lambda: 0)
         patch(module.time, "monotonic", lambda: self.now)
-        patch(module.rospy, "Timer", lambda _, callback: self.callbacks.update({"timer": callback}))
-        self.node = PreviewNode(Settings(frame_rate=25.0, tf_prefix="kr120/preview"), ROBOT)
+        settings = Settings(frame_rate=25.0, tf_prefix="kr120/preview")
+        unplugged = Unplugged(monkeypatch, NODE, settings, ROBOT, self.unknown)
+        self.callbacks, self.services, self.refused = unplugged.callbacks, unplugged.services, unplugged.refused
+        self.messages = unplugged.published["plan_markers"]
+        (self._timer,) = unplugged.timers
 
     def unknown(self, _):
         raise PoseUnknownError("twin/joint_states", 1.0, 0.5)
@@ -79,7 +70,7 @@ class Bench:
 
     def at(self, now: float) -> None:
         self.now = now
-        self.callbacks["timer"](None)
+        self._timer(None)
 
     def shown(self, namespace: str) -> list[Marker]:
         """Markers of a namespace in the newest message, which stands alone: it begins with the removal of all others."""
@@ -162,4 +153,4 @@ def test_a_plan_with_an_object_that_makes_no_sense_is_refused(bench):
     message.segments[0].put[0].size = [-1.0, 1.0, 1.0]
     count = len(bench.messages)
     bench.callbacks["plan"](message)
-    assert len(bench.messages) == count and "beam/0" in bench.refused[0]
+    assert len(bench.messages) == count and "beam/0" in bench.refused[0][1]

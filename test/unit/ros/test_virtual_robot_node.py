@@ -41,7 +41,7 @@ class World:
             VirtualRobot(None, ROBOT.linear),
             MotionLimits.of(ROBOT),
             SimpleNamespace(publish=self.publish),
-            lambda _: SimpleNamespace(refuse=lambda *_: None),
+            SimpleNamespace(refuse=lambda *_: None),
             SimpleNamespace(clear=self.clear, set=self.wake, wait=self.wait),
         )
         self._woken = False

@@ -32,7 +32,7 @@ from construction_twin.ros.nodes import (
     work,
 )
 from construction_twin.ros.shared.gateway_config import gateway_config
-from construction_twin.ros.shared.node import NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import settings_of
 from construction_twin.views.preflight import NONE, is_bare, is_true
 

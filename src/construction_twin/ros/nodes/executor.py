@@ -6,7 +6,6 @@ what `tool` says; `engagement`, and the service `release_engagement`.
 
 from __future__ import annotations
 
-import functools
 import math
 import threading
 import time
@@ -64,13 +63,24 @@ from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg,
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.engagement_file import ENDED, EngagementFile
-from construction_twin.ros.shared.node import NodeShell, Service
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import NodeSettings, ros_home
+from construction_twin.ros.shared.ports import (
+    Every,
+    Interface,
+    Ports,
+    PosePublication,
+    PoseSubscription,
+    Publication,
+    Served,
+    Subscription,
+    has_arm,
+)
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.cycle import Cycles
-from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, from_time, now_ns
-from construction_twin.ros.transport.publisher import Publisher, Sink
-from construction_twin.ros.transport.subscriber import Subscriber, caller_of
+from construction_twin.ros.transport.joint_stream import from_time, now_ns
+from construction_twin.ros.transport.publisher import Sink
+from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.srv import (
     ReleaseEngagement,
     ReleaseEngagementRequest,
@@ -177,7 +187,7 @@ class ExecutorNode:
 
     Args:
         engagements: What it says at the start holds: the executor before this one ended inside an engaged segment.
-        diagnostics: Takes `report`; returns the node's NodeDiagnostics.
+        diagnostics: Counts what is refused.
         without_person: Which plans are approved without a person; by default none.
     """
 
@@ -189,7 +199,7 @@ class ExecutorNode:
         log: ReviewLog,
         outputs: Outputs,
         engagements: EngagementFile,
-        diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
+        diagnostics: NodeDiagnostics,
         without_person: WithoutPerson = WithoutPerson(),
     ):
         self._robot = robot
@@ -218,7 +228,7 @@ class ExecutorNode:
         self._sync_at = 0
         self._reported: Said | None = None
         self._told: tuple = ()
-        self._diagnostics = diagnostics(self.report)
+        self._diagnostics = diagnostics
         found = engagements.read()
         if found is not None:
             executor.engagement.found(found if found.reason else replace(found, reason=ENDED))
@@ -228,11 +238,6 @@ class ExecutorNode:
     def beside(self) -> Beside:
         """What tells of a stop, a pause or a rejection, and cannot fail it."""
         return self._beside
-
-    @property
-    def refuse(self) -> Callable[[str, str], None]:
-        """Counts a refused input; takes reason and sentence."""
-        return self._diagnostics.refuse
 
     def run(self) -> None:
         """Publish one setpoint per cycle until shutdown."""
@@ -699,6 +704,17 @@ class ExecutorNode:
         return Report(level, f"{executor.state.name}: {executor.reason}", values)
 
 
+#: In the order of `Outputs`.
+PUBLISHES = (
+    PosePublication("next/joint_states"),
+    Publication("execution", Execution, queue_size=10, latch=True),
+    Publication("review", Review, queue_size=10, latch=True),
+    # not latched: a bridge that is started again must not take a switch that was meant for another moment
+    Publication("tool_command", ToolCommand, queue_size=50, tcp_nodelay=True),
+    Publication("engagement", Engagement, queue_size=5, latch=True),
+)
+
+
 def execution_report(said: Said, plan: PlanContent | None, rate: float, limit: float, stamp: int) -> ExecutionReport:
     """Return the report of what is said at the moment `stamp` [ns]."""
     report = ExecutionReport(
@@ -722,9 +738,8 @@ def execution_report(said: Said, plan: PlanContent | None, rate: float, limit: f
     return replace(report, plan_id=plan.id, plan_start=start, duration=duration, segment_name=name)
 
 
-def start(settings: Settings, robot: RobotModel) -> ExecutorNode:
+def start(settings: Settings, robot: RobotModel, ports: Ports) -> ExecutorNode:
     """Return the executor with its parameters, topics and services."""
-    names = robot.joint_names
     executor = Executor(robot)
     executor.neighbour = ConflictVerdicts(settings.neighbour)
     if settings.arm != "none":
@@ -737,38 +752,11 @@ def start(settings: Settings, robot: RobotModel) -> ExecutorNode:
         executor,
         SpeedLimit(settings.speed_limit_deadline, settings.speed_limit_silent, settings.speed_limit_required),
         log,
-        Outputs(
-            JointPublisher("next/joint_states", names),
-            Publisher("execution", Execution, queue_size=10, latch=True),
-            Publisher("review", Review, queue_size=10, latch=True),
-            # not latched: a bridge that is started again must not take a switch that was meant for another moment
-            Publisher("tool_command", ToolCommand, queue_size=50, tcp_nodelay=True),
-            Publisher("engagement", Engagement, queue_size=5, latch=True),
-        ),
-        EngagementFile(log.path.with_name(f"{log.path.stem}_engagement.json"), names),
-        functools.partial(NodeDiagnostics, robot.name),
+        Outputs(*(ports.publishers[each.topic] for each in PUBLISHES)),
+        EngagementFile(log.path.with_name(f"{log.path.stem}_engagement.json"), robot.joint_names),
+        ports.diagnostics,
         WithoutPerson(settings.auto_approve, settings.auto_approve_sources),
     )
-    refuse = node.refuse
-    JointSubscriber("twin/joint_states", names, node.on_twin, refuse, queue_size=1, pause=TWIN_PAUSE)
-    Subscriber("sync", Sync, node.on_sync, refuse, queue_size=50, tcp_nodelay=True)
-    scene = Subscriber("scene", Scene, node.on_scene, refuse, queue_size=5)
-    Subscriber("plan", Plan, node.on_plan, refuse, queue_size=5)
-    Subscriber("speed_limit", SpeedLimitMessage, node.on_limit, refuse, queue_size=5, tcp_nodelay=True)
-    if settings.neighbour:
-        Subscriber("conflict", Conflict, node.on_conflict, refuse, queue_size=20, tcp_nodelay=True)
-    if settings.arm != "none":
-        Subscriber("link", Link, node.on_link, refuse, queue_size=5)
-        Subscriber("tool", ToolState, node.on_tool, refuse, queue_size=20, tcp_nodelay=True)
-    Service("review_plan", ReviewPlan, node.on_review)
-    Service("review_from_screen", ReviewFromScreen, node.on_screen_review)
-    Service("stop", Trigger, node.on_stop)
-    Service("stop_plan", StopPlan, node.on_stop_plan)
-    Service("release_engagement", ReleaseEngagement, node.on_release)
-    Service("pause", Trigger, node.on_pause)
-    Service("resume", Trigger, node.on_resume)
-    Service("resume_from_screen", ResumeFromScreen, node.on_screen_resume)
-    rospy.Timer(rospy.Duration(BACKGROUND_PERIOD), lambda _: node.do_background_work(scene.get_num_connections() > 0))
     rospy.on_shutdown(node.write_records)
     rospy.loginfo("verdicts are recorded in %s (%d so far)", log.path, log.state.lines)
     if settings.auto_approve:
@@ -779,7 +767,40 @@ def start(settings: Settings, robot: RobotModel) -> ExecutorNode:
     return node
 
 
-NODE = NodeShell("executor", Settings, start, fast=True)
+INTERFACE = Interface(
+    report=ExecutorNode.report,
+    publishes=PUBLISHES,
+    hears=(
+        PoseSubscription("twin/joint_states", ExecutorNode.on_twin, queue_size=1, pause=TWIN_PAUSE),
+        Subscription("sync", Sync, ExecutorNode.on_sync, queue_size=50, tcp_nodelay=True),
+        Subscription("scene", Scene, ExecutorNode.on_scene, queue_size=5),
+        Subscription("plan", Plan, ExecutorNode.on_plan, queue_size=5),
+        Subscription("speed_limit", SpeedLimitMessage, ExecutorNode.on_limit, queue_size=5, tcp_nodelay=True),
+        Subscription(
+            "conflict", Conflict, ExecutorNode.on_conflict, queue_size=20, tcp_nodelay=True,
+            when=lambda settings: bool(settings.neighbour),
+        ),
+        Subscription("link", Link, ExecutorNode.on_link, queue_size=5, when=has_arm),
+        Subscription("tool", ToolState, ExecutorNode.on_tool, queue_size=20, tcp_nodelay=True, when=has_arm),
+    ),
+    serves=(
+        Served("review_plan", ReviewPlan, ExecutorNode.on_review),
+        Served("review_from_screen", ReviewFromScreen, ExecutorNode.on_screen_review),
+        Served("stop", Trigger, ExecutorNode.on_stop),
+        Served("stop_plan", StopPlan, ExecutorNode.on_stop_plan),
+        Served("release_engagement", ReleaseEngagement, ExecutorNode.on_release),
+        Served("pause", Trigger, ExecutorNode.on_pause),
+        Served("resume", Trigger, ExecutorNode.on_resume),
+        Served("resume_from_screen", ResumeFromScreen, ExecutorNode.on_screen_resume),
+    ),
+    every=(
+        Every(
+            lambda _settings: BACKGROUND_PERIOD,
+            lambda node, ports: node.do_background_work(ports.connections("scene") > 0),
+        ),
+    ),
+)  # fmt: skip
+NODE = NodeShell("executor", Settings, start, INTERFACE, fast=True)
 
 
 def main() -> None:

@@ -48,13 +48,13 @@ from construction_twin.ros.messages.joint_goals import (
     fill_feedback,
     trajectory_goal,
 )
-from construction_twin.ros.shared.diagnostics import OK, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import NodeShell
+from construction_twin.ros.shared.diagnostics import OK, Report
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.ports import Interface, Ports, PoseSubscription, Publication, Subscription, has_arm
 from construction_twin.ros.transport.goal_server import GoalServer
-from construction_twin.ros.transport.joint_stream import JointSubscriber, from_time
+from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.persistent_service import NO_ANSWER
-from construction_twin.ros.transport.publisher import Publisher
-from construction_twin.ros.transport.subscriber import Subscriber, caller_of
+from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.srv import PlanTrajectory, ReviewPlan, StopPlan
 
 #: Time between two looks at poses and clock while a goal has the arm, and while none has [s].
@@ -101,7 +101,7 @@ class Client:
 class FollowJointTrajectoryNode:
     """ROS around TrajectoryGoals."""
 
-    def __init__(self, settings: Settings, robot: RobotModel):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
         self._messages = control_messages()
         self._robot = robot
         self._planner_timeout, self._retime = settings.planner_timeout, settings.retime
@@ -122,16 +122,10 @@ class FollowJointTrajectoryNode:
         self._taken = 0
         self._last = self._described = "no goal yet"
         self._caller: tuple[str, bool] | None = None
-        self._caller_publisher = Publisher("plan_caller", PlanCaller, queue_size=5, latch=True)
-        self._diagnostics = NodeDiagnostics(robot.name, self._report)
-        refuse = self._diagnostics.refuse
-        names = robot.joint_names
-        JointSubscriber("twin/joint_states", names, self._on_twin, refuse, queue_size=1)
-        if settings.arm != "none":
-            JointSubscriber("physical/feedback", names, self._on_feedback, refuse, queue_size=1, kind=Feedback)
-        Subscriber("review", Review, self._on_review, refuse, queue_size=20)
-        Subscriber("execution", Execution, self._on_execution, refuse, queue_size=50, tcp_nodelay=True)
-        self._servers = [self._serve(name) for name in settings.action_names]
+        self._caller_publisher = ports.publishers["plan_caller"]
+        self._diagnostics = ports.diagnostics
+        self._names = settings.action_names
+        self._servers: list[GoalServer] = []
 
     def _serve(self, name: str) -> GoalServer:
         server: GoalServer = GoalServer(
@@ -147,6 +141,8 @@ class FollowJointTrajectoryNode:
 
     def run(self) -> None:
         """Do what has happened, and look at poses and clock, until shutdown."""
+        # here it can follow what becomes of a goal
+        self._servers = [self._serve(name) for name in self._names]
         looks = time.monotonic()
         while not rospy.is_shutdown():
             now = time.monotonic()
@@ -209,12 +205,14 @@ class FollowJointTrajectoryNode:
 
     # -- subscriptions and actions: other threads
 
-    def _on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
+    def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
+        """Take the twin's pose [rad] with its stamp [ns]."""
         with self._poses:
             self._tracking.on_twin(stamp, q)
         self._read_on()
 
-    def _on_feedback(self, _stamp: int, q: tuple[float, ...], _seq: int, command_stamp: int) -> None:
+    def on_feedback(self, _stamp: int, q: tuple[float, ...], _seq: int, command_stamp: int) -> None:
+        """Take the arm's pose [rad], and which command it answers [ns]."""
         with self._poses:
             self._tracking.on_arm(q, command_stamp)
         self._read_on()
@@ -223,10 +221,12 @@ class FollowJointTrajectoryNode:
         """Return when the next pose is of interest; rospy reads on then."""
         self._needs_poses.wait(PAUSE)
 
-    def _on_review(self, message: Review) -> None:
+    def on_review(self, message: Review) -> None:
+        """Take a verdict."""
         self._inbox.put(functools.partial(self._take_review, message))
 
-    def _on_execution(self, message: Execution) -> None:
+    def on_execution(self, message: Execution) -> None:
+        """Take what the executor does."""
         self._inbox.put(functools.partial(self._take_execution, message))
 
     # -- what was in the inbox
@@ -380,7 +380,8 @@ class FollowJointTrajectoryNode:
     def _put(self, take: Callable[..., None], *arguments: object) -> None:
         self._inbox.put(lambda: take(*arguments, time.monotonic_ns()))
 
-    def _report(self) -> Report:
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
         values = {"goals": self._taken, "last goal": self._last}
         return Report(OK, self._described, values)
 
@@ -389,7 +390,17 @@ def _key(server: GoalServer, handle: ServerGoalHandle) -> str:
     return f"{server.ns} {handle.get_goal_id().id}"
 
 
-NODE = NodeShell("follow_joint_trajectory", Settings, FollowJointTrajectoryNode)
+INTERFACE = Interface(
+    report=FollowJointTrajectoryNode.report,
+    publishes=(Publication("plan_caller", PlanCaller, queue_size=5, latch=True),),
+    hears=(
+        PoseSubscription("twin/joint_states", FollowJointTrajectoryNode.on_twin, queue_size=1),
+        PoseSubscription("physical/feedback", FollowJointTrajectoryNode.on_feedback, 1, Feedback, when=has_arm),
+        Subscription("review", Review, FollowJointTrajectoryNode.on_review, queue_size=20),
+        Subscription("execution", Execution, FollowJointTrajectoryNode.on_execution, queue_size=50, tcp_nodelay=True),
+    ),
+)
+NODE = NodeShell("follow_joint_trajectory", Settings, FollowJointTrajectoryNode, INTERFACE)
 
 
 def main() -> None:

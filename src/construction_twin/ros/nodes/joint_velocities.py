@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import pydantic
 import rospy
@@ -12,10 +12,11 @@ from sensor_msgs.msg import JointState
 
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.joint_velocities import JointVelocities
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import NodeShell
-from construction_twin.ros.transport.joint_stream import JointSubscriber, to_time
-from construction_twin.ros.transport.publisher import Publisher, Sink
+from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.ports import Interface, Ports, PoseSubscription, Publication
+from construction_twin.ros.transport.joint_stream import to_time
+from construction_twin.ros.transport.publisher import Sink
 
 #: A twin that has published nothing for this time is silent [s]; at a low rate, for two periods.
 SILENCE = 0.25
@@ -108,25 +109,23 @@ class JointVelocitiesNode:
         return Report(OK, "publishing the twin's velocities")
 
 
-def start(settings: Settings, robot: RobotModel) -> JointVelocitiesNode:
+def start(settings: Settings, robot: RobotModel, ports: Ports) -> JointVelocitiesNode:
     """Return the node with its parameters and topics."""
-    publisher = Publisher("velocities/joint_states", JointState, queue_size=5)
-    node = JointVelocitiesNode(robot.joint_names, JointVelocities(robot.velocity), 1.0 / settings.rate, publisher)
-    diagnostics = NodeDiagnostics(robot.name, node.report)
-    JointSubscriber("twin/joint_states", robot.joint_names, _paced(node.on_twin), diagnostics.refuse, queue_size=1)
-    return node
+    publisher = ports.publishers["velocities/joint_states"]
+    return JointVelocitiesNode(robot.joint_names, JointVelocities(robot.velocity), 1.0 / settings.rate, publisher)
 
 
-def _paced(take: Callable[[float, int, tuple[float, ...]], float]) -> Callable[[int, tuple[float, ...]], None]:
-    """Return a callback that sleeps until the next pose is of interest: rospy then takes the newest of what came meanwhile."""
-
-    def callback(stamp: int, q: tuple[float, ...]) -> None:
-        time.sleep(max(0.0, take(time.monotonic(), stamp, q) - time.monotonic()))
-
-    return callback
+def _on_twin(node: JointVelocitiesNode, stamp: int, q: tuple[float, ...]) -> None:
+    # sleeps until the next pose is of interest: rospy then takes the newest of what came meanwhile
+    time.sleep(max(0.0, node.on_twin(time.monotonic(), stamp, q) - time.monotonic()))
 
 
-NODE = NodeShell("joint_velocities", Settings, start)
+INTERFACE = Interface(
+    report=JointVelocitiesNode.report,
+    publishes=(Publication("velocities/joint_states", JointState, queue_size=5),),
+    hears=(PoseSubscription("twin/joint_states", _on_twin, queue_size=1),),
+)
+NODE = NodeShell("joint_velocities", Settings, start, INTERFACE)
 
 
 def main() -> None:

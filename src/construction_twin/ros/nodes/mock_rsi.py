@@ -13,7 +13,7 @@ from queue import SimpleQueue
 
 import rospy
 from std_msgs.msg import String
-from std_srvs.srv import Trigger, TriggerResponse
+from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.units import to_wire
@@ -21,10 +21,10 @@ from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.network import MockRsi
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import NodeShell, Service
-from construction_twin.ros.transport.joint_stream import JointPublisher, now_ns
-from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.ports import Interface, Ports, PosePublication, Publication, Served
+from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.srv import InjectFault, InjectFaultRequest, InjectFaultResponse
 
 #: Between two reports on `~status` [s].
@@ -43,7 +43,7 @@ class _Observed:
 class MockRsiNode:
     """ROS around a MockRsi. Its loop runs in the main thread and hands what is to be published to another one."""
 
-    def __init__(self, settings: MockSettings, robot: RobotModel):
+    def __init__(self, settings: MockSettings, robot: RobotModel, ports: Ports):
         self._settings = settings
         self._robot = robot
         self._controller = build_controller(self._settings, self._robot)
@@ -61,11 +61,7 @@ class MockRsiNode:
         self._status_cycles = round(_STATUS_PERIOD / self._controller.config.period)
         self._reported: tuple[int, bool, int, bool, bool] | None = None
         self._missed = 0
-        self._joints = JointPublisher("~joint_states", self._robot.joint_names)
-        self._status = Publisher("~status", String, queue_size=5, latch=True)
-        self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
-        Service("~restart", Trigger, self._on_restart)
-        Service("~inject", InjectFault, self._on_inject)
+        self._joints, self._status = ports.publishers["~joint_states"], ports.publishers["~status"]
 
     def run(self) -> None:
         """Run the controller until shutdown."""
@@ -147,7 +143,8 @@ class MockRsiNode:
             if seen.status is not None:
                 self._status.publish(json.dumps(seen.status))
 
-    def _report(self) -> Report:
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
         controller = self._controller
         protocol = controller.words.protocol
         values = self._mock.counters | {"last_refusal": controller.refusals.last}
@@ -158,14 +155,17 @@ class MockRsiNode:
             return Report(WARN, f"{running}, replies are refused: {refused}", values)
         return Report(OK, running, values)
 
-    def _on_restart(self, _request) -> TriggerResponse:
+    def on_restart(self, _request: TriggerRequest) -> TriggerResponse:
+        """Start a new RSI session where the arm stands."""
+
         def restart() -> str:
             self._controller.restart()
             return f"a new {self._controller.words.protocol} session starts where the arm stands"
 
         return TriggerResponse(*self._ask(restart))
 
-    def _on_inject(self, request: InjectFaultRequest) -> InjectFaultResponse:
+    def on_inject(self, request: InjectFaultRequest) -> InjectFaultResponse:
+        """Switch a fault on or off."""
         faults = self._mock.faults
 
         def inject() -> str:
@@ -200,7 +200,15 @@ class MockRsiNode:
         return True, done
 
 
-NODE = NodeShell("mock_rsi", MockSettings, MockRsiNode, build_controller)
+INTERFACE = Interface(
+    report=MockRsiNode.report,
+    publishes=(PosePublication("~joint_states"), Publication("~status", String, queue_size=5, latch=True)),
+    serves=(
+        Served("~restart", Trigger, MockRsiNode.on_restart),
+        Served("~inject", InjectFault, MockRsiNode.on_inject),
+    ),
+)
+NODE = NodeShell("mock_rsi", MockSettings, MockRsiNode, INTERFACE, build_controller)
 
 
 def main() -> None:

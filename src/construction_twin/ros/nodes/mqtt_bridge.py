@@ -51,11 +51,20 @@ from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.gateway_config import config_from_parameters
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
-from construction_twin.ros.shared.node import NodeShell, Service
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.ports import (
+    Interface,
+    Ports,
+    PosePublication,
+    PoseSubscription,
+    Publication,
+    Served,
+    Subscription,
+)
 from construction_twin.ros.shared.stop_memory import StopMemory
-from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, now_ns
-from construction_twin.ros.transport.publisher import Publisher, Sink
-from construction_twin.ros.transport.subscriber import Subscriber, caller_of
+from construction_twin.ros.transport.joint_stream import now_ns
+from construction_twin.ros.transport.publisher import Sink
+from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.srv import TakeResponsibility, TakeResponsibilityResponse
 
 #: Period at which the link is polled [s].
@@ -108,7 +117,7 @@ class MqttBridge:
         robot: Name in the MQTT topics.
         config: As the gateway should run it.
         client: Not connected yet.
-        diagnostics: Takes `report`; returns the node's NodeDiagnostics.
+        diagnostics: Counts what is refused.
         mirrors: Whether the arm leads from the start.
         waits: Why the bridge before this one waited for a person, in a sentence; empty: it did not.
         remember: Keeps such a sentence for the bridge after this one; it may take as long as the master does.
@@ -123,7 +132,7 @@ class MqttBridge:
         broker: Broker,
         client: PlainClient,
         outputs: Outputs,
-        diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
+        diagnostics: NodeDiagnostics,
         mirrors: bool = False,
         waits: str = "",
         remember: Callable[[str], object] = lambda waits: None,
@@ -162,7 +171,7 @@ class MqttBridge:
         # why only a person leads on, for the bridge after this one
         self._waits = waits
         self._memory = StopMemory(waits, remember, WAITS)
-        self._diagnostics = diagnostics(self.report)
+        self._diagnostics = diagnostics
 
     def connect(self) -> None:
         """Connect to the broker, and serve the connection in a thread of its own."""
@@ -639,7 +648,7 @@ class MqttBridge:
         return Report(level, f"{state.name}: {reason}", values)
 
 
-def start(settings: Settings, robot: RobotModel) -> MqttBridge:
+def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
     """Return the bridge with its parameters, topics and services, connecting to the broker."""
     config = config_from_parameters(needs_file=settings.gateway_kind != PLC)
     broker = broker_of(settings)
@@ -651,34 +660,44 @@ def start(settings: Settings, robot: RobotModel) -> MqttBridge:
         JointStringCodec.of(robot, config.decimals),
         broker,
         make_client(broker, unique_id(robot.name, "bridge"), topics.bridge_status, direct=True),
-        Outputs(
-            JointPublisher("physical/joint_states", robot.joint_names),
-            JointPublisher("physical/feedback", robot.joint_names, Feedback),
-            Publisher("link", Link, queue_size=10, latch=True),
-            Publisher("tool", ToolState, queue_size=50, latch=True),
-        ),
-        partial(NodeDiagnostics, robot.name),
+        Outputs(*(ports.publishers[each.topic] for each in PUBLISHES)),
+        ports.diagnostics,
         # not a private parameter: those hold settings, and this was asked for while the bridge ran
         mirrors=rospy.get_param(MIRROR_MODE, False) is True,
         waits=str(rospy.get_param(WAITS, "")),
         remember=partial(rospy.set_param, WAITS),
     )
     bridge.connect()
-    JointSubscriber("command/joint_states", robot.joint_names, bridge.on_command, bridge.refuse)
-    Service("reset", Trigger, bridge.on_reset)
-    Service("~arm", Trigger, bridge.on_arm)
-    Service("arm", TakeResponsibility, bridge.on_responsible)
-    Service("halt", Trigger, bridge.on_halt)
-    Service("mirror", SetBool, bridge.on_mirror)
-    Subscriber("speed_limit", SpeedLimit, bridge.on_speed_limit, bridge.refuse, queue_size=5)
-    Subscriber("tool_command", ToolCommand, bridge.on_tool_command, bridge.refuse, queue_size=50, tcp_nodelay=True)
-    # what makes a switch void must not wait behind others
-    Subscriber("sync", Sync, bridge.on_sync, bridge.refuse, queue_size=50, tcp_nodelay=True)
-    Subscriber("execution", Execution, bridge.on_execution, bridge.refuse, queue_size=10, tcp_nodelay=True)
     return bridge
 
 
-NODE = NodeShell("mqtt_bridge", Settings, start, fast=True)
+#: In the order of `Outputs`.
+PUBLISHES = (
+    PosePublication("physical/joint_states"),
+    PosePublication("physical/feedback", Feedback),
+    Publication("link", Link, queue_size=10, latch=True),
+    Publication("tool", ToolState, queue_size=50, latch=True),
+)
+INTERFACE = Interface(
+    report=MqttBridge.report,
+    publishes=PUBLISHES,
+    hears=(
+        PoseSubscription("command/joint_states", MqttBridge.on_command),
+        Subscription("speed_limit", SpeedLimit, MqttBridge.on_speed_limit, queue_size=5),
+        Subscription("tool_command", ToolCommand, MqttBridge.on_tool_command, queue_size=50, tcp_nodelay=True),
+        # what makes a switch void must not wait behind others
+        Subscription("sync", Sync, MqttBridge.on_sync, queue_size=50, tcp_nodelay=True),
+        Subscription("execution", Execution, MqttBridge.on_execution, queue_size=10, tcp_nodelay=True),
+    ),
+    serves=(
+        Served("reset", Trigger, MqttBridge.on_reset),
+        Served("~arm", Trigger, MqttBridge.on_arm),
+        Served("arm", TakeResponsibility, MqttBridge.on_responsible),
+        Served("halt", Trigger, MqttBridge.on_halt),
+        Served("mirror", SetBool, MqttBridge.on_mirror),
+    ),
+)
+NODE = NodeShell("mqtt_bridge", Settings, start, INTERFACE, fast=True)
 
 
 def main() -> None:

@@ -8,13 +8,12 @@ ROS topics in bundles, see LatestPose, so that the bridge does nothing more for 
 
 from __future__ import annotations
 
-import functools
 import secrets
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import genpy
 import pydantic
@@ -46,8 +45,14 @@ from construction_twin.ros.shared.console_requests import ConsoleRequests, PlanS
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outcome, Outlets
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
-from construction_twin.ros.shared.node import NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import ros_home
+from construction_twin.ros.shared.ports import (
+    Interface,
+    NewestPose,
+    Ports,
+    Subscription,
+)
 from construction_twin.ros.shared.pose_judge import PoseJudge
 from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.ros.shared.request_counts import RequestCounts
@@ -56,7 +61,6 @@ from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.persistent_service import call
-from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import (
     PlanCartesian,
     PlanToJoints,
@@ -122,7 +126,7 @@ class MqttPlanner:
         robot: Name in the MQTT topics.
         client: Not connected yet.
         plan_trajectory: The planner's service.
-        diagnostics: Takes `report`; returns the node's NodeDiagnostics.
+        diagnostics: Counts what is refused.
     """
 
     def __init__(
@@ -134,7 +138,7 @@ class MqttPlanner:
         client: PlainClient,
         writer: ViewWriter,
         plan_trajectory: rospy.ServiceProxy,
-        diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
+        diagnostics: NodeDiagnostics,
     ):
         self._settings = settings
         self._joints = joints
@@ -162,7 +166,7 @@ class MqttPlanner:
         self._line = RequestLine(WAITING, REPEAT_WINDOW, SENDER_PAUSE, lambda: time.monotonic())
         topics = (self._topics.trajectory, self._topics.trajectory_from("+")) if settings.trajectories else ()
         self._motions = tuple(self._motion_endpoint(topic) for topic in topics)
-        self._diagnostics = diagnostics(self.report)
+        self._diagnostics = diagnostics
 
     def _motion_endpoint(self, topic: str) -> Endpoint[_Motion]:
         return Endpoint(
@@ -184,6 +188,12 @@ class MqttPlanner:
     def refuse(self) -> Callable[[str, str], None]:
         """Counts a refused input; takes reason and sentence."""
         return self._diagnostics.refuse
+
+    @property
+    def feed(self) -> ConsoleFeed:
+        """What tells consoles more than `view`, where they are served."""
+        assert self._feed is not None  # what is heard for it comes after `serve_consoles`
+        return self._feed
 
     def listen(self, poses: Poses, executor_is_there: Callable[[], bool]) -> None:
         """Take where poses come from, and what tells whether the publisher of `execution` is there."""
@@ -442,7 +452,7 @@ def _pose_view(stream: LatestPose | None, settings: Settings) -> PoseView | None
     return PoseView(newest.stamp / NANOSECONDS, time.monotonic() - newest.received, newest.positions)
 
 
-def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: Poses) -> None:
+def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: Poses, ports: Ports) -> None:
     """Give the node what consoles want beside motions and `view`."""
     topics = Topics(settings.prefix, robot.name)
     files = None
@@ -461,10 +471,9 @@ def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: P
         rospy.ServiceProxy("plan_way_back", Trigger),
         rospy.ServiceProxy("work/plan", WorkPlanTask),
     )
-    work = Subscriber("work/tasks", WorkTasks, feed.on_tasks, node.refuse, queue_size=2)
     around = RobotContext(
         twin=lambda: _positions(poses.twin, settings.max_pose_age),
-        has_work=lambda: work.get_num_connections() > 0,
+        has_work=lambda: ports.connections("work/tasks") > 0,
         is_engaged=node.is_engaged,
     )
     requests = ConsoleRequests(
@@ -472,9 +481,6 @@ def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: P
         node.outlets, node.source_of,
     )  # fmt: skip
     node.serve_consoles(feed, requests)
-    Subscriber("scene", SceneMsg, feed.on_scene, node.refuse, queue_size=2)
-    Subscriber("plan", Plan, feed.on_plan, node.refuse, queue_size=5)
-    Subscriber("review", Review, feed.on_review, node.refuse, queue_size=10)
 
 
 def _positions(stream: LatestPose | None, oldest: float) -> tuple[float, ...]:
@@ -485,7 +491,7 @@ def _positions(stream: LatestPose | None, oldest: float) -> tuple[float, ...]:
         return ()
 
 
-def start(settings: Settings, robot: RobotModel) -> MqttPlanner:
+def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttPlanner:
     """Return the node with its parameters and topics, connecting to the broker."""
     joints = Joints(tuple(robot.joint_names), tuple(robot.linear))
     broker = broker_of(settings)
@@ -498,22 +504,33 @@ def start(settings: Settings, robot: RobotModel) -> MqttPlanner:
         will_retained=False,
     )
     service = rospy.ServiceProxy("plan_trajectory", PlanTrajectory)
-    diagnostics = functools.partial(NodeDiagnostics, robot.name)
-    node = MqttPlanner(settings, robot.name, joints, broker, client, writer, service, diagnostics)
-    poses = Poses(
-        LatestPose("twin/joint_states", robot.joint_names, node.refuse),
-        LatestPose("physical/joint_states", robot.joint_names, node.refuse),
-    )
-    executions = Subscriber("execution", Execution, node.on_execution, node.refuse, queue_size=10)
-    node.listen(poses, lambda: executions.get_num_connections() > 0)
-    _consoles(node, settings, robot, poses)
-    Subscriber("sync", Sync, node.on_sync, node.refuse, queue_size=1)
-    Subscriber("link", Link, node.on_link, node.refuse, queue_size=1)
+    node = MqttPlanner(settings, robot.name, joints, broker, client, writer, service, ports.diagnostics)
+    poses = Poses(ports.poses["twin/joint_states"], ports.poses["physical/joint_states"])
+    node.listen(poses, lambda: ports.connections("execution") > 0)
+    _consoles(node, settings, robot, poses, ports)
     node.connect()
     return node
 
 
-NODE = NodeShell("mqtt_planner", Settings, start)
+def _fed(handler: Callable[[ConsoleFeed, Any], object]) -> Callable[[MqttPlanner, Any], object]:
+    """Return a handler of the node, which gives its message to the feed of the consoles."""
+    return lambda node, message: handler(node.feed, message)
+
+
+INTERFACE = Interface(
+    report=MqttPlanner.report,
+    reads=(NewestPose("twin/joint_states"), NewestPose("physical/joint_states")),
+    hears=(
+        Subscription("execution", Execution, MqttPlanner.on_execution, queue_size=10),
+        Subscription("work/tasks", WorkTasks, _fed(ConsoleFeed.on_tasks), queue_size=2),
+        Subscription("scene", SceneMsg, _fed(ConsoleFeed.on_scene), queue_size=2),
+        Subscription("plan", Plan, _fed(ConsoleFeed.on_plan), queue_size=5),
+        Subscription("review", Review, _fed(ConsoleFeed.on_review), queue_size=10),
+        Subscription("sync", Sync, MqttPlanner.on_sync, queue_size=1),
+        Subscription("link", Link, MqttPlanner.on_link, queue_size=1),
+    ),
+)
+NODE = NodeShell("mqtt_planner", Settings, start, INTERFACE)
 
 
 def main() -> None:

@@ -5,7 +5,6 @@ A node of its own: the bridge has 4 ms.
 
 from __future__ import annotations
 
-import functools
 import math
 import threading
 import time
@@ -41,12 +40,12 @@ from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outcome, Outlets
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
-from construction_twin.ros.shared.node import NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.ports import Interface, Ports, Subscription
 from construction_twin.ros.shared.remote_interventions import EXECUTOR, remote_interventions
 from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.ros.shared.request_line import RequestLine
 from construction_twin.ros.transport.persistent_service import PersistentService, call, call_twice
-from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import ResumeFromScreen, ReviewFromScreen
 
 #: Verdicts that may wait while one is carried out; a tablet sends one at a time.
@@ -78,7 +77,7 @@ class MqttReview:
         client: Not connected yet.
         give_approval: The executor's `review_from_screen`.
         interventions: The executor's services of `stop`, `pause` and `resume`.
-        diagnostics: Takes `report`; returns the node's NodeDiagnostics.
+        diagnostics: Counts what is refused.
         give_rejection: The same as `give_approval`, for rejections, which may come twice and ask no master.
         connections: What is to be connected before it is called.
 
@@ -95,7 +94,7 @@ class MqttReview:
         client: PlainClient,
         give_approval: rospy.ServiceProxy,
         interventions: Mapping[str, rospy.ServiceProxy],
-        diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
+        diagnostics: NodeDiagnostics,
         give_rejection: rospy.ServiceProxy | None = None,
         connections: Sequence[PersistentService] = (),
     ):
@@ -124,7 +123,7 @@ class MqttReview:
             self._verdict_endpoint(topics.review_by("+")),
             *self.interventions.endpoints,
         )
-        self._diagnostics = diagnostics(self.report)
+        self._diagnostics = diagnostics
 
     def _verdict_endpoint(self, topic: str) -> Endpoint[RemoteReview]:
         # where the broker knows accounts, one in no name is refused where it arrives
@@ -408,7 +407,7 @@ def _xyz(point) -> tuple[float, float, float]:
     return point.x, point.y, point.z
 
 
-def start(settings: Settings, robot: RobotModel) -> MqttReview:
+def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttReview:
     """Return the node with its parameters and topics, connecting to the broker."""
     broker = broker_of(settings)
     # the last will takes the plan away: while this node does not run, a verdict on it would not be heard
@@ -421,17 +420,23 @@ def start(settings: Settings, robot: RobotModel) -> MqttReview:
     # a plan is rejected once, and a second time it is said to be
     reject = PersistentService("review_from_screen", ReviewFromScreen)
     connections = (services[STOP], services[PAUSE], reject)
-    diagnostics = functools.partial(NodeDiagnostics, robot.name)
-    node = MqttReview(settings, robot.name, broker, client, give_approval, services, diagnostics, reject, connections)
+    node = MqttReview(
+        settings, robot.name, broker, client, give_approval, services, ports.diagnostics, reject, connections
+    )
     node.connect()
-    Subscriber("plan", Plan, node.on_plan, node.refuse, queue_size=5)
-    Subscriber("plan_caller", PlanCaller, node.on_caller, node.refuse, queue_size=5)
-    Subscriber("review", Review, node.on_verdict, node.refuse, queue_size=10)
-    Subscriber("link", Link, node.on_link, node.refuse, queue_size=5)
     return node
 
 
-NODE = NodeShell("mqtt_review", Settings, start)
+INTERFACE = Interface(
+    report=MqttReview.report,
+    hears=(
+        Subscription("plan", Plan, MqttReview.on_plan, queue_size=5),
+        Subscription("plan_caller", PlanCaller, MqttReview.on_caller, queue_size=5),
+        Subscription("review", Review, MqttReview.on_verdict, queue_size=10),
+        Subscription("link", Link, MqttReview.on_link, queue_size=5),
+    ),
+)
+NODE = NodeShell("mqtt_review", Settings, start, INTERFACE)
 
 
 def main() -> None:

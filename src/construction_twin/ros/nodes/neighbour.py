@@ -20,15 +20,18 @@ from construction_twin.msg import Conflict as ConflictMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.planning_scene import moveit_types
 from construction_twin.ros.shared.arm_listener import (
+    ARM_POSES,
+    ARM_TOPICS,
     ArmListener,
     NeighbourSettings,
     OtherArm,
     listen_to_other_arm,
 )
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import NodeShell
-from construction_twin.ros.shared.planning_scene import QUEUE, OtherArmPublisher
-from construction_twin.ros.transport.publisher import Publisher, Sink
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.planning_scene import PLANNING_SCENE, OtherArmPublisher
+from construction_twin.ros.shared.ports import Interface, Ports, Publication
+from construction_twin.ros.transport.publisher import Sink
 
 #: From the moment when a verdict counts no longer to the first braking setpoint, and from a pose to its reception, at most
 #: [s]: a few cycles of the executor and the transport of a message, on a busy machine.
@@ -47,19 +50,11 @@ class Said:
     clear: bool
 
 
-@dataclass
-class Latest:
-    """The node's state as it was put last. The topics, which count what they refuse, are there before the node."""
-
-    report: Report = Report(WARN, "nothing to watch yet")
-
-
 class NeighbourNode:
     """Two arms' topics in, verdicts on our plans out; `start` gives it parameters and topics.
 
     Args:
         horizon: How far ahead a conflict is acted upon [s].
-        latest: Where the state is put for `/diagnostics`.
         moveit: Is told where the other arm rests, where MoveIt's message types are installed.
     """
 
@@ -71,7 +66,6 @@ class NeighbourNode:
         judge: PathJudge,
         horizon: float,
         conflict: Sink,
-        latest: Latest,
         moveit: OtherArmPublisher | None = None,
     ):
         self._settings = settings
@@ -80,7 +74,7 @@ class NeighbourNode:
         self._judge = judge
         self._horizon = horizon
         self._publisher = conflict
-        self._latest = latest
+        self._state = Report(WARN, "nothing to watch yet")
         self._moveit = moveit
         self._checks, self._longest = 0, 0.0
         self._failure = ""
@@ -103,7 +97,7 @@ class NeighbourNode:
         try:
             plans = self._own.plans()
         except PlanUnknownError as error:
-            self._report(WARN, f"our own plan is not known: {error}", {})
+            self._note(WARN, f"our own plan is not known: {error}", {})
             return
         followed, waiting = plans.followed, plans.waiting
         others = self._others()
@@ -186,36 +180,43 @@ class NeighbourNode:
 
     def _sum_up(self, verdicts: dict[str, Judgement], others: Others | None) -> None:
         if self._failure or others is None:
-            self._report(ERROR, self._failure, {"obstacles": 0})
+            self._note(ERROR, self._failure, {"obstacles": 0})
             return
         blocked = "; ".join(verdict.sentence for verdict in verdicts.values() if verdict.blocked)
         sentence = blocked or others.unknown or f"{self._settings.name} blocks no path"
-        self._report(WARN if blocked or others.unknown else OK, sentence, {"obstacles": len(others.obstacles)})
+        self._note(WARN if blocked or others.unknown else OK, sentence, {"obstacles": len(others.obstacles)})
 
-    def _report(self, level: int, sentence: str, values: dict) -> None:
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
+        return self._state
+
+    def _note(self, level: int, sentence: str, values: dict) -> None:
         known = {"checks": self._checks, "longest check": f"{self._longest:.4f}", "horizon": f"{self._horizon:.2f}"}
-        self._latest.report = Report(level, sentence, known | values)
+        self._state = Report(level, sentence, known | values)
 
 
-def start(settings: NeighbourSettings, robot: RobotModel) -> NeighbourNode:
+def start(settings: NeighbourSettings, robot: RobotModel, ports: Ports) -> NeighbourNode:
     """Return the watch with its parameters and topics."""
-    latest = Latest()
-    diagnostics = NodeDiagnostics(robot.name, lambda: latest.report)
-    other = listen_to_other_arm(robot.name, settings, diagnostics.refuse, streams=True)
-    own = ArmListener(robot, diagnostics.refuse, streams=True)
+    refuse = ports.diagnostics.refuse
+    other = listen_to_other_arm(robot.name, settings, refuse, streams=True)
+    own = ArmListener(robot, refuse, streams=True)
     timeout = VERDICT_TIMEOUT / NANOSECONDS
     horizon = braking_horizon(robot, other.robot, settings.max_pose_age, timeout, DELAY)
     judge = PathJudge(robot, settings.name, settings.watch_padding, settings.own_step, horizon)
-    conflict = Publisher("conflict", ConflictMsg, queue_size=10)
     types, moveit = moveit_types(), None
-    if types is not None:
-        told = Publisher("planning_scene", types.moveit.PlanningScene, queue_size=QUEUE, latch=True)
+    told = ports.publishers.get(PLANNING_SCENE.topic)
+    if types is not None and told is not None:
         moveit = OtherArmPublisher(types, robot, told, settings.padding)
     rospy.loginfo("watches %s; a conflict is acted upon at least %.2f s ahead", settings.name, horizon)
-    return NeighbourNode(settings, own, other, judge, horizon, conflict, latest, moveit)
+    return NeighbourNode(settings, own, other, judge, horizon, ports.publishers["conflict"], moveit)
 
 
-NODE = NodeShell("neighbour", NeighbourSettings, start)
+INTERFACE = Interface(
+    report=NeighbourNode.report,
+    publishes=(Publication("conflict", ConflictMsg, queue_size=10), PLANNING_SCENE),
+    listeners=(*ARM_TOPICS, *ARM_POSES),
+)
+NODE = NodeShell("neighbour", NeighbourSettings, start, INTERFACE)
 
 
 def main() -> None:

@@ -24,22 +24,26 @@ from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.msg import Execution, Feedback, Link, Plan, Sync
+from construction_twin.msg import Transition as TransitionMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import NodeShell, Service
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import NodeSettings
+from construction_twin.ros.shared.ports import (
+    Every,
+    Interface,
+    Ports,
+    PosePublication,
+    PoseSubscription,
+    Publication,
+    Served,
+    Subscription,
+)
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
 from construction_twin.ros.shared.transition_report import TransitionReport
-from construction_twin.ros.transport.joint_stream import (
-    JointPublisher,
-    JointSubscriber,
-    from_time,
-    now_ns,
-    to_time,
-)
-from construction_twin.ros.transport.publisher import Publisher, Sink
-from construction_twin.ros.transport.subscriber import Subscriber
+from construction_twin.ros.transport.joint_stream import from_time, now_ns, to_time
+from construction_twin.ros.transport.publisher import Sink
 from construction_twin.srv import (
     ConfigureGate,
     ConfigureGateRequest,
@@ -87,7 +91,7 @@ class PcaMonitorNode:
         names: Joint names.
         compares: Whether there is a physical arm.
         sync_rate: How often `sync` is published while nothing changes [Hz].
-        diagnostics: Takes `report`; returns the node's NodeDiagnostics.
+        diagnostics: Counts what is refused.
         stopped_in: The session in which a monitor before this one was STOPPED: the gate stays so until the link tells of another
             session.
     """
@@ -100,7 +104,7 @@ class PcaMonitorNode:
         compares: bool,
         sync_rate: float,
         outputs: Outputs,
-        diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
+        diagnostics: NodeDiagnostics,
         stopped_in: str = "",
     ):
         self._gate = gate
@@ -124,12 +128,7 @@ class PcaMonitorNode:
         self._syncing, self._reporting = threading.Lock(), threading.Lock()
         #: The executor's sentence while a plan is being executed, at rest or not; empty otherwise.
         self._executing = ""
-        self._diagnostics = diagnostics(self.report)
-
-    @property
-    def refuse(self) -> Callable[[str, str], None]:
-        """Counts a refused input; takes reason and sentence."""
-        return self._diagnostics.refuse
+        self._diagnostics = diagnostics
 
     # -- the path; all times but those of stamps and reports are monotonic
 
@@ -350,39 +349,49 @@ def make_gate(settings: Settings, robot: RobotModel, now: int) -> Gate:
     return Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), now)
 
 
-def start(settings: Settings, robot: RobotModel) -> PcaMonitorNode:
+def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode:
     """Return the monitor with its parameters, topics and services."""
     names = robot.joint_names
     compares = settings.arm != "none"
-    monitor = PcaMonitorNode(
+    return PcaMonitorNode(
         make_gate(settings, robot, time.monotonic_ns()),
         Behaviour.model_validate(settings.model_dump(include=set(Behaviour.model_fields))),
         names,
         compares,
         settings.sync_rate,
         Outputs(
-            JointPublisher("command/joint_states", names),
-            Publisher("sync", Sync, queue_size=50, latch=True, tcp_nodelay=True),
-            TransitionReport(settings.transition_file, names),
+            ports.publishers["command/joint_states"],
+            ports.publishers["sync"],
+            TransitionReport(settings.transition_file, names, ports.publishers["transitions"]),
             rospy.ServiceProxy("plan_to_joints", PlanToJoints),
             functools.partial(rospy.set_param, PARAMETER),
         ),
-        functools.partial(NodeDiagnostics, robot.name),
+        ports.diagnostics,
         rospy.get_param(PARAMETER, "") if compares else "",
     )
-    Service("configure_gate", ConfigureGate, monitor.on_configure)
-    refuse = monitor.refuse
-    JointSubscriber("twin/joint_states", names, monitor.on_twin, refuse)
-    JointSubscriber("physical/feedback", names, monitor.on_feedback, refuse, queue_size=FEEDBACK_KEPT, kind=Feedback)
-    JointSubscriber("next/joint_states", names, monitor.on_next, refuse, SETPOINTS_KEPT)
-    Subscriber("plan", Plan, monitor.on_plan, refuse, queue_size=5)
-    Subscriber("execution", Execution, monitor.on_execution, refuse, queue_size=5)
-    Subscriber("link", Link, monitor.on_link, refuse, queue_size=5)
-    rospy.Timer(rospy.Duration(1 / settings.sync_rate), lambda _: monitor.watch())
-    return monitor
 
 
-NODE = NodeShell("pca_monitor", Settings, start, lambda settings, robot: make_gate(settings, robot, 0), fast=True)
+INTERFACE = Interface(
+    report=PcaMonitorNode.report,
+    publishes=(
+        PosePublication("command/joint_states"),
+        Publication("sync", Sync, queue_size=50, latch=True, tcp_nodelay=True),
+        Publication("transitions", TransitionMsg, queue_size=50, latch=True),
+    ),
+    hears=(
+        PoseSubscription("twin/joint_states", PcaMonitorNode.on_twin),
+        PoseSubscription("physical/feedback", PcaMonitorNode.on_feedback, FEEDBACK_KEPT, Feedback),
+        PoseSubscription("next/joint_states", PcaMonitorNode.on_next, SETPOINTS_KEPT),
+        Subscription("plan", Plan, PcaMonitorNode.on_plan, queue_size=5),
+        Subscription("execution", Execution, PcaMonitorNode.on_execution, queue_size=5),
+        Subscription("link", Link, PcaMonitorNode.on_link, queue_size=5),
+    ),
+    serves=(Served("configure_gate", ConfigureGate, PcaMonitorNode.on_configure),),
+    every=(Every(lambda settings: 1 / settings.sync_rate, lambda node, _ports: node.watch()),),
+)
+NODE = NodeShell(
+    "pca_monitor", Settings, start, INTERFACE, lambda settings, robot: make_gate(settings, robot, 0), fast=True
+)
 
 
 def main() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 import uuid
 from collections.abc import Callable, Sequence
@@ -11,7 +12,7 @@ import numpy as np
 import pydantic
 import rospy
 from geometry_msgs.msg import PoseStamped
-from std_srvs.srv import Trigger, TriggerResponse
+from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
 from trajectory_msgs.msg import JointTrajectory
 
 from construction_twin.core.motion_errors import EngagedError, PlanningError, SceneError
@@ -42,30 +43,36 @@ from construction_twin.ros.messages.plan_requests import (
 )
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.arm_listener import listen_to_other_arm, neighbour_settings
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.frame_listener import FRAMES
 from construction_twin.ros.shared.frames import listen_to_frames
-from construction_twin.ros.shared.node import NodeShell, Service
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, Publication, Served, Subscription
 from construction_twin.ros.shared.request_handler import OccupiedSpace, RequestHandler
 from construction_twin.ros.transport.joint_stream import now_ns
-from construction_twin.ros.transport.latest_pose import LatestPose
-from construction_twin.ros.transport.publisher import Publisher
-from construction_twin.ros.transport.subscriber import Subscriber, caller_of
+from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.srv import (
     PlanCartesian,
+    PlanCartesianRequest,
     PlanCartesianResponse,
     PlanFromCsv,
+    PlanFromCsvRequest,
     PlanFromCsvResponse,
     PlanToJoints,
+    PlanToJointsRequest,
     PlanToJointsResponse,
     PlanToPose,
+    PlanToPoseRequest,
     PlanToPoseResponse,
     PlanTrajectory,
+    PlanTrajectoryRequest,
     PlanTrajectoryResponse,
     PlanWork,
+    PlanWorkRequest,
     PlanWorkResponse,
 )
 
@@ -90,13 +97,9 @@ class Settings(PlannerSettings):
 
 
 class PlannerNode:
-    """Services `plan_to_joints`, `plan_to_pose`, `plan_cartesian`, `plan_from_csv`, `plan_trajectory`; topic `joint_trajectory`.
+    """ROS around a PlanningPipeline: requests by service and topic in, plans out."""
 
-    For work plans the services `plan_work` and `plan_way_back`. Latched topics `plan` and `plan_outcome`; listens to
-    `twin/joint_states`, `scene`, `engagement` and tf.
-    """
-
-    def __init__(self, settings: Settings, robot: RobotModel):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
         self._settings = settings
         self._robot = robot
         self._chain = Chain(self._robot)
@@ -104,7 +107,7 @@ class PlannerNode:
         self._pipeline = self._make_pipeline()
         self._plans = 0
         self._last = "no plan asked for yet"
-        self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
+        self._diagnostics = ports.diagnostics
         # it subscribes to the other arm's topics now, to its poses only while a plan is made
         self._space: OccupiedSpace | None = None
         if self._beside is not None:
@@ -114,31 +117,19 @@ class PlannerNode:
         self._frames = listen_to_frames(
             self._robot, self._settings.tf_prefix, self._settings.tf_timeout, self._diagnostics.refuse
         )
-        self._publisher = Publisher("plan", PlanMsg, queue_size=1, latch=True)
-        self._outcome_publisher = Publisher("plan_outcome", PlanOutcome, queue_size=1, latch=True)
-        refuse = self._diagnostics.refuse
-        self._twin = LatestPose("twin/joint_states", self._robot.joint_names, refuse)
+        self._publisher, self._outcome_publisher = ports.publishers["plan"], ports.publishers["plan_outcome"]
+        self._twin = ports.poses["twin/joint_states"]
         self._engagement: Engagement | None = None
-        Subscriber("engagement", Engagement, self._on_engagement, refuse, queue_size=1)
-        self._scene_subscriber = Subscriber("scene", SceneMsg, self._on_scene, refuse, queue_size=1)
         self._requests = RequestHandler(
             self._pipeline,
             self._diagnostics,
-            self._scene_subscriber.get_num_connections,
+            functools.partial(ports.connections, "scene"),
             self._settings.scene_timeout,
             self._publish,
             self._publish_outcome,
             self._space,
             self._demand_free,
         )
-        Subscriber("joint_trajectory", JointTrajectory, self._on_trajectory, refuse, queue_size=10)
-        Service("plan_to_joints", PlanToJoints, self._on_plan_to_joints)
-        Service("plan_to_pose", PlanToPose, self._on_plan_to_pose)
-        Service("plan_cartesian", PlanCartesian, self._on_plan_cartesian)
-        Service("plan_from_csv", PlanFromCsv, self._on_plan_from_csv)
-        Service("plan_trajectory", PlanTrajectory, self._on_plan_trajectory)
-        Service("plan_work", PlanWork, self._on_plan_work)
-        Service("plan_way_back", Trigger, self._on_plan_way_back)
 
     def _make_pipeline(self) -> PlanningPipeline:
         settings = self._settings
@@ -161,14 +152,16 @@ class PlannerNode:
 
     # -- subscriptions
 
-    def _on_scene(self, msg: SceneMsg) -> None:
+    def on_scene(self, msg: SceneMsg) -> None:
+        """Take the scene to plan in."""
         try:
             self._pipeline.set_scene(scene_from_msg(msg))
         except SceneError as error:
             self._pipeline.refuse_scene(error)
             self._diagnostics.refuse("scene", str(error))
 
-    def _on_engagement(self, msg: Engagement) -> None:
+    def on_engagement(self, msg: Engagement) -> None:
+        """Take whether the arm was left inside an engaged segment."""
         self._engagement = msg if msg.engaged else None
 
     def _demand_free(self) -> None:
@@ -178,7 +171,8 @@ class PlannerNode:
 
     # -- requests
 
-    def _on_plan_to_joints(self, request) -> PlanToJointsResponse:
+    def on_plan_to_joints(self, request: PlanToJointsRequest) -> PlanToJointsResponse:
+        """Plan to joint positions."""
         arrived = now_ns()
 
         def plan(asked: PlanRequest) -> Plan:
@@ -188,14 +182,18 @@ class PlannerNode:
 
         return PlanToJointsResponse(*self._requests.answer(plan, self._request(request)).fields)
 
-    def _on_plan_to_pose(self, request) -> PlanToPoseResponse:
+    def on_plan_to_pose(self, request: PlanToPoseRequest) -> PlanToPoseResponse:
+        """Plan to a pose of the tool."""
+
         def plan(asked: PlanRequest) -> Plan:
             goal = self._goal_in_base(request.goal)
             return self._pipeline.to_pose(self._present_pose(), goal, asked, request.configuration)
 
         return PlanToPoseResponse(*self._requests.answer(plan, self._request(request)).fields)
 
-    def _on_plan_cartesian(self, request) -> PlanCartesianResponse:
+    def on_plan_cartesian(self, request: PlanCartesianRequest) -> PlanCartesianResponse:
+        """Plan along a path of the tool."""
+
         def plan(asked: PlanRequest) -> Plan:
             path = tool_waypoints(request.waypoints, self._frames.in_base(request.frame_id, rospy.Time(0)))
             return self._pipeline.along(self._present_pose(), path, request.speed or None, asked)
@@ -204,20 +202,24 @@ class PlannerNode:
         success, message, *plan_fields = answer.fields
         return PlanCartesianResponse(success, message, answer.fraction, *plan_fields)
 
-    def _on_plan_from_csv(self, request) -> PlanFromCsvResponse:
+    def on_plan_from_csv(self, request: PlanFromCsvRequest) -> PlanFromCsvResponse:
+        """Plan through the waypoints of a file."""
+
         def read() -> Callable[[PlanRequest], Plan]:
             waypoints = read_waypoints(request.path, self._robot, request.columns)
             return lambda asked: self._pipeline.through(waypoints, self._present_pose(), asked)
 
         return PlanFromCsvResponse(*self._requests.answer_read(read, self._request(request, request.path)).fields)
 
-    def _on_plan_trajectory(self, request) -> PlanTrajectoryResponse:
+    def on_plan_trajectory(self, request: PlanTrajectoryRequest) -> PlanTrajectoryResponse:
+        """Plan a motion from elsewhere."""
         asked = self._request(request, f"plan_trajectory from {caller_of(request)}")
         read = self._through(request.trajectory, request.retime)
         answer = self._requests.answer_read(read, asked)
         return PlanTrajectoryResponse(*answer.fields, answer.retimed)
 
-    def _on_plan_work(self, request) -> PlanWorkResponse:
+    def on_plan_work(self, request: PlanWorkRequest) -> PlanWorkResponse:
+        """Plan the segments of a task as one."""
         changes: list[SceneChange] = []
 
         def read() -> Callable[[PlanRequest], Plan]:
@@ -228,7 +230,8 @@ class PlannerNode:
         asked = PlanRequest(str(uuid.uuid4()), now_ns(), request.source or f"task {request.task}")
         return PlanWorkResponse(*self._requests.answer_read(read, asked, changes).fields)
 
-    def _on_plan_way_back(self, _request) -> TriggerResponse:
+    def on_plan_way_back(self, _request: TriggerRequest) -> TriggerResponse:
+        """Plan the way back out of an engaged segment."""
         left = self._engagement
 
         def read() -> Callable[[PlanRequest], Plan]:
@@ -252,7 +255,8 @@ class PlannerNode:
         answer = self._requests.answer_read(read, asked, back=True)
         return TriggerResponse(answer.success, answer.sentence)
 
-    def _on_trajectory(self, msg: JointTrajectory) -> None:
+    def on_trajectory(self, msg: JointTrajectory) -> None:
+        """Plan a motion from elsewhere; what becomes of it stands in `plan_outcome`."""
         caller = caller_of(msg)
         asked = PlanRequest(str(uuid.uuid4()), now_ns(), f"joint_trajectory from {caller}")
         self._requests.answer_read(self._through(msg), asked)
@@ -292,7 +296,8 @@ class PlannerNode:
         """Return ``base_T_tool`` for a goal in a link or any frame tf knows, at the goal's stamp (0: the latest)."""
         return product(self._frames.in_base(goal.header.frame_id, goal.header.stamp), pose_from_msg(goal.pose))
 
-    def _report(self) -> Report:
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
         scene = self._pipeline.scene
         values = {"plans": self._plans, "scene": scene.hash if scene is not None else "none"}
         return Report(OK if scene is not None else WARN, self._last, values)
@@ -308,7 +313,30 @@ def _sentence(plan: Plan) -> str:
     )
 
 
-NODE = NodeShell("planner", Settings, PlannerNode)
+INTERFACE = Interface(
+    report=PlannerNode.report,
+    publishes=(
+        Publication("plan", PlanMsg, queue_size=1, latch=True),
+        Publication("plan_outcome", PlanOutcome, queue_size=1, latch=True),
+    ),
+    reads=(NewestPose("twin/joint_states"),),
+    hears=(
+        Subscription("engagement", Engagement, PlannerNode.on_engagement, queue_size=1),
+        Subscription("scene", SceneMsg, PlannerNode.on_scene, queue_size=1),
+        Subscription("joint_trajectory", JointTrajectory, PlannerNode.on_trajectory, queue_size=10),
+    ),
+    listeners=FRAMES,
+    serves=(
+        Served("plan_to_joints", PlanToJoints, PlannerNode.on_plan_to_joints),
+        Served("plan_to_pose", PlanToPose, PlannerNode.on_plan_to_pose),
+        Served("plan_cartesian", PlanCartesian, PlannerNode.on_plan_cartesian),
+        Served("plan_from_csv", PlanFromCsv, PlannerNode.on_plan_from_csv),
+        Served("plan_trajectory", PlanTrajectory, PlannerNode.on_plan_trajectory),
+        Served("plan_work", PlanWork, PlannerNode.on_plan_work),
+        Served("plan_way_back", Trigger, PlannerNode.on_plan_way_back),
+    ),
+)
+NODE = NodeShell("planner", Settings, PlannerNode, INTERFACE)
 
 
 def main() -> None:

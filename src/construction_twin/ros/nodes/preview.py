@@ -19,12 +19,19 @@ from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
 from construction_twin.ros.messages.scene_convert import body_marker, scene_from_msg, tf_frame
-from construction_twin.ros.shared.diagnostics import OK, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import NodeShell, Service
-from construction_twin.ros.transport.joint_stream import JointPublisher, now_ns
-from construction_twin.ros.transport.latest_pose import LatestPose
-from construction_twin.ros.transport.publisher import Publisher
-from construction_twin.ros.transport.subscriber import Subscriber
+from construction_twin.ros.shared.diagnostics import OK, Report
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.ports import (
+    Every,
+    Interface,
+    NewestPose,
+    Ports,
+    PosePublication,
+    Publication,
+    Served,
+    Subscription,
+)
+from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.srv import PreviewPlan, PreviewPlanRequest, PreviewPlanResponse
@@ -63,7 +70,7 @@ class Settings(pydantic.BaseModel):
 class PreviewNode:
     """ROS around a Preview."""
 
-    def __init__(self, settings: Settings, robot: RobotModel):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
         self._robot = robot
         self._chain = Chain(self._robot)
         self._tf_prefix = settings.tf_prefix
@@ -76,21 +83,14 @@ class PreviewNode:
         self._news = threading.Condition()
         self._frame = ""
         self._drawn: str | None = None
-        self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
-        self._ghost = JointPublisher("preview/joint_states", self._robot.joint_names)
-        self._markers = Publisher("plan_markers", MarkerArray, queue_size=2, latch=True)
-        refuse = self._diagnostics.refuse
-        self._twin = LatestPose("twin/joint_states", self._robot.joint_names, refuse)
-        Subscriber("scene", SceneMsg, self._on_scene, refuse, queue_size=1)
-        Subscriber("review", Review, self._on_review, refuse, queue_size=5)
-        Subscriber("execution", Execution, self._on_execution, refuse, queue_size=10)
-        Subscriber("plan", Plan, self._on_plan, refuse, queue_size=2)
-        Service("preview_plan", PreviewPlan, self._on_preview)
-        self._timer = rospy.Timer(rospy.Duration(1 / settings.frame_rate), self._on_timer)
+        self._diagnostics = ports.diagnostics
+        self._ghost, self._markers = ports.publishers["preview/joint_states"], ports.publishers["plan_markers"]
+        self._twin = ports.poses["twin/joint_states"]
 
     # -- subscriptions
 
-    def _on_plan(self, message: Plan) -> None:
+    def on_plan(self, message: Plan) -> None:
+        """Show a plan."""
         try:
             plan = plan_from_msg(message)
             changes = tuple(map(change_from_msg, message.segments))
@@ -104,7 +104,8 @@ class PreviewNode:
             self._draw()
             self._news.notify_all()
 
-    def _on_scene(self, message: SceneMsg) -> None:
+    def on_scene(self, message: SceneMsg) -> None:
+        """Take the scene in which a work plan may begin."""
         try:
             scene = scene_from_msg(message)
         except SceneError as error:
@@ -118,12 +119,14 @@ class PreviewNode:
                 self._drawn = None
                 self._draw()
 
-    def _on_review(self, message: Review) -> None:
+    def on_review(self, message: Review) -> None:
+        """Take a verdict."""
         with self._news:
             self._preview.on_verdict(message.plan_id, message.approved)
             self._draw()
 
-    def _on_execution(self, message: Execution) -> None:
+    def on_execution(self, message: Execution) -> None:
+        """Take away what was played."""
         if not message.plan_id:
             return
         with self._news:
@@ -134,7 +137,8 @@ class PreviewNode:
 
     # -- the ghost
 
-    def _on_preview(self, request: PreviewPlanRequest) -> PreviewPlanResponse:
+    def on_preview(self, request: PreviewPlanRequest) -> PreviewPlanResponse:
+        """Play the plan under review with the ghost."""
         try:
             with self._news:
                 if request.speed > 0.0:
@@ -145,7 +149,8 @@ class PreviewNode:
             return PreviewPlanResponse(False, str(error))
         return PreviewPlanResponse(True, sentence)
 
-    def _on_timer(self, _event) -> None:
+    def move_ghost(self) -> None:
+        """Publish where the ghost is now."""
         try:
             twin = self._twin.pose(TWIN_TIMEOUT)
         except PoseUnknownError:
@@ -203,7 +208,8 @@ class PreviewNode:
         ]
         self._markers.publish(MarkerArray(markers=[*self._still, *grip]))
 
-    def _report(self) -> Report:
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
         plan = self._preview.plan
         return Report(OK, "no plan to show" if plan is None else f"shows plan {plan.id}")
 
@@ -260,7 +266,23 @@ def _marker(frame: str, number: int, kind: int, color: ColorRGBA, size: float, n
     return marker
 
 
-NODE = NodeShell("preview", Settings, PreviewNode)
+INTERFACE = Interface(
+    report=PreviewNode.report,
+    publishes=(
+        PosePublication("preview/joint_states"),
+        Publication("plan_markers", MarkerArray, queue_size=2, latch=True),
+    ),
+    reads=(NewestPose("twin/joint_states"),),
+    hears=(
+        Subscription("scene", SceneMsg, PreviewNode.on_scene, queue_size=1),
+        Subscription("review", Review, PreviewNode.on_review, queue_size=5),
+        Subscription("execution", Execution, PreviewNode.on_execution, queue_size=10),
+        Subscription("plan", Plan, PreviewNode.on_plan, queue_size=2),
+    ),
+    serves=(Served("preview_plan", PreviewPlan, PreviewNode.on_preview),),
+    every=(Every(lambda settings: 1 / settings.frame_rate, lambda node, _ports: node.move_ghost()),),
+)
+NODE = NodeShell("preview", Settings, PreviewNode, INTERFACE)
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ from typing import Annotated
 import pydantic
 import rosgraph
 import rospy
-from std_srvs.srv import Trigger, TriggerResponse
+from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
 from visualization_msgs.msg import MarkerArray
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, PoseUnknownError
@@ -20,13 +20,14 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg
 from construction_twin.ros.messages.planning_scene import moveit_types
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.frame_listener import FRAMES
 from construction_twin.ros.shared.frames import listen_to_frames
-from construction_twin.ros.shared.node import NodeShell, Service
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import ros_home
-from construction_twin.ros.shared.planning_scene import QUEUE, PlanningScenePublisher
-from construction_twin.ros.transport.latest_pose import LatestPose
-from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.shared.planning_scene import PLANNING_SCENE, PlanningScenePublisher
+from construction_twin.ros.shared.ports import Every, Interface, NewestPose, Ports, Publication, Served
+from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.edits import SceneFile
 from construction_twin.scene.lasting_contacts import lasting_contacts
@@ -36,14 +37,19 @@ from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.srv import (
     AddObject,
+    AddObjectRequest,
     AddObjectResponse,
     AttachObject,
+    AttachObjectRequest,
     AttachObjectResponse,
     DetachObject,
+    DetachObjectRequest,
     DetachObjectResponse,
     EditScene,
+    EditSceneRequest,
     EditSceneResponse,
     RemoveObject,
+    RemoveObjectRequest,
     RemoveObjectResponse,
 )
 
@@ -70,13 +76,9 @@ class Settings(pydantic.BaseModel):
 
 
 class SceneNode:
-    """Services `add_object`, `remove_object`, `attach_object`, `detach_object`, `clear_scene`, `edit_scene`.
+    """ROS around a CollisionWorld: what changes the scene, and who hears of it."""
 
-    Latched topics `scene` and `scene_markers`, and `planning_scene` where moveit_msgs is installed; listens to `twin/joint_states`
-    and tf.
-    """
-
-    def __init__(self, settings: Settings, robot: RobotModel):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
         self._robot = robot
         self._prefix = settings.tf_prefix.rstrip("/")
         start = read_scene(settings.scene)
@@ -92,40 +94,43 @@ class SceneNode:
         self._shown: set[str] = set()
         self._state = Report(WARN, "the twin's present pose is not known yet")
         self._edits = 0
-        self._diagnostics = NodeDiagnostics(self._robot.name, lambda: self._state)
+        self._diagnostics = ports.diagnostics
         self._frames = listen_to_frames(self._robot, self._prefix, _PATIENCE, self._diagnostics.refuse)
-        self._scene_publisher = Publisher("scene", SceneMsg, queue_size=1, latch=True)
-        self._marker_publisher = Publisher("scene_markers", MarkerArray, queue_size=1, latch=True)
-        self._planning_scene = self._for_moveit()
-        self._twin = LatestPose("twin/joint_states", self._robot.joint_names, self._diagnostics.refuse)
+        self._scene_publisher, self._marker_publisher = ports.publishers["scene"], ports.publishers["scene_markers"]
+        self._planning_scene = self._for_moveit(ports.publishers.get(PLANNING_SCENE.topic))
+        self._twin = ports.poses["twin/joint_states"]
         with self._busy:
             for sentence in self._new_lasting_contacts():
                 rospy.logwarn("%s", sentence)
             self._publish_scene()
-        Service("add_object", AddObject, self._on_add)
-        Service("remove_object", RemoveObject, self._on_remove)
-        Service("attach_object", AttachObject, self._on_attach)
-        Service("detach_object", DetachObject, self._on_detach)
-        Service("clear_scene", Trigger, self._on_clear)
-        Service("edit_scene", EditScene, self._on_edit)
-        self._timer = rospy.Timer(rospy.Duration(1.0 / settings.check_rate), lambda _: self._check())
 
-    def _on_add(self, request):
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
+        return self._state
+
+    def on_add(self, request: AddObjectRequest) -> AddObjectResponse:
+        """Put an object in."""
         return self._edit(lambda: self._add(request), AddObjectResponse)
 
-    def _on_remove(self, request):
+    def on_remove(self, request: RemoveObjectRequest) -> RemoveObjectResponse:
+        """Take an object out."""
+
         def remove() -> tuple[Scene, str]:
             return self._world.scene.remove(request.name), f"removed {request.name!r}"
 
         return self._edit(remove, RemoveObjectResponse)
 
-    def _on_attach(self, request):
+    def on_attach(self, request: AttachObjectRequest) -> AttachObjectResponse:
+        """Let a link carry an object."""
         return self._edit(lambda: self._attach(request), AttachObjectResponse)
 
-    def _on_detach(self, request):
+    def on_detach(self, request: DetachObjectRequest) -> DetachObjectResponse:
+        """Put down what a link carries."""
         return self._edit(lambda: self._detach(request.name), DetachObjectResponse)
 
-    def _on_clear(self, _) -> TriggerResponse:
+    def on_clear(self, _request: TriggerRequest) -> TriggerResponse:
+        """Take out all that is not fixed."""
+
         def clear() -> tuple[Scene, str]:
             cleared = self._world.scene.clear()
             gone = [name for name in self._world.scene.names if name not in cleared.names]
@@ -133,7 +138,9 @@ class SceneNode:
 
         return self._edit(clear, lambda success, message, **_: TriggerResponse(success, message))
 
-    def _on_edit(self, request):
+    def on_edit(self, request: EditSceneRequest) -> EditSceneResponse:
+        """Change several objects at once, from the scene that is named."""
+
         def change() -> tuple[Scene, str]:
             wanted = SceneChange(tuple(map(object_from_msg, request.put)), tuple(request.remove))
             return wanted.between(self._world.scene, request.before, request.after), str(wanted)
@@ -193,7 +200,7 @@ class SceneNode:
         before, self._lasting = self._lasting, [str(contact) for contact in lasting_contacts(self._world)]
         return [sentence for sentence in self._lasting if sentence not in before]
 
-    def _check(self) -> None:
+    def check(self) -> None:
         """Check the present pose; show where a contact begins or ends."""
         with self._busy:
             before = self._touching
@@ -232,15 +239,14 @@ class SceneNode:
             self._planning_scene.publish(self._world.scene, rospy.Time.now())
         self._publish_markers()
 
-    def _for_moveit(self) -> PlanningScenePublisher | None:
+    def _for_moveit(self, publisher: Sink | None) -> PlanningScenePublisher | None:
         """Return what tells MoveIt of the scene, where its message types are installed."""
         types = moveit_types()
-        if types is None:
+        if types is None or publisher is None:
             rospy.loginfo(
                 "moveit_msgs is not installed: planning_scene is not published; `twin scene --moveit` writes a file"
             )
             return None
-        publisher = Publisher("planning_scene", types.moveit.PlanningScene, queue_size=QUEUE, latch=True)
         return PlanningScenePublisher(types, self._robot, self._world.self_collision, publisher)
 
     def _publish_markers(self) -> None:
@@ -260,7 +266,26 @@ def _scene_file(start: Scene) -> SceneFile:
     return SceneFile(ros_home() / f"{name}_edits.json", run, start)
 
 
-NODE = NodeShell("scene", Settings, SceneNode)
+INTERFACE = Interface(
+    report=SceneNode.report,
+    publishes=(
+        Publication("scene", SceneMsg, queue_size=1, latch=True),
+        Publication("scene_markers", MarkerArray, queue_size=1, latch=True),
+        PLANNING_SCENE,
+    ),
+    reads=(NewestPose("twin/joint_states"),),
+    listeners=FRAMES,
+    serves=(
+        Served("add_object", AddObject, SceneNode.on_add),
+        Served("remove_object", RemoveObject, SceneNode.on_remove),
+        Served("attach_object", AttachObject, SceneNode.on_attach),
+        Served("detach_object", DetachObject, SceneNode.on_detach),
+        Served("clear_scene", Trigger, SceneNode.on_clear),
+        Served("edit_scene", EditScene, SceneNode.on_edit),
+    ),
+    every=(Every(lambda settings: 1.0 / settings.check_rate, lambda node, _ports: node.check()),),
+)
+NODE = NodeShell("scene", Settings, SceneNode, INTERFACE)
 
 
 def main() -> None:

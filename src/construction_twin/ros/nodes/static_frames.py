@@ -6,7 +6,7 @@ import numpy as np
 import pydantic
 import rospy
 from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
-from tf2_ros import StaticTransformBroadcaster
+from tf2_msgs.msg import TFMessage
 
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.other_frames import other_frames
@@ -14,7 +14,8 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.robot.urdf import parse_urdf
 from construction_twin.ros.messages.scene_convert import tf_frame
-from construction_twin.ros.shared.node import NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.ports import Interface, Ports, Publication
 from construction_twin.scene.cell import load_cell
 
 
@@ -36,10 +37,9 @@ class Settings(pydantic.BaseModel):
 class StaticFramesNode:
     """Sends the static transforms once; they are latched."""
 
-    def __init__(self, settings: Settings, robot: RobotModel):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
         cell = rospy.get_param("cell", None)
         place = Pose(np.zeros(3), np.eye(3)) if cell is None else load_cell(cell).world_T_root(robot.name)
-        self._broadcaster = StaticTransformBroadcaster()
         # the URDF's root, which need not be the base of the chain: any other link has a parent already
         base = parse_urdf(robot.urdf).get_root()
         transforms = [self._transform(settings.parent, tf_frame(prefix, base), place) for prefix in settings.prefixes]
@@ -49,7 +49,7 @@ class StaticFramesNode:
             for frame in other_frames(robot)
             if prefix in settings.chain_only or frame.kind == "floating"
         ]
-        self._broadcaster.sendTransform(transforms)
+        ports.publishers["/tf_static"].publish(TFMessage(transforms))
 
     @staticmethod
     def _transform(parent: str, child: str, place: Pose) -> TransformStamped:
@@ -62,7 +62,8 @@ class StaticFramesNode:
         return message
 
 
-NODE = NodeShell("static_frames", Settings, StaticFramesNode)
+INTERFACE = Interface(publishes=(Publication("/tf_static", TFMessage, queue_size=100, latch=True),))
+NODE = NodeShell("static_frames", Settings, StaticFramesNode, INTERFACE)
 
 
 def main() -> None:

@@ -7,7 +7,6 @@ import threading
 import time
 
 import pydantic
-import rospy
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
@@ -17,10 +16,9 @@ from construction_twin.monitor.states import SyncState
 from construction_twin.msg import Sync
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.scene_convert import tf_frame
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import NodeShell
-from construction_twin.ros.transport.publisher import Publisher
-from construction_twin.ros.transport.subscriber import Subscriber
+from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.ports import Every, Interface, Ports, Publication, Subscription
 from construction_twin.views.sync_picture import (
     COLOURS,
     Shape,
@@ -55,7 +53,7 @@ class Settings(pydantic.BaseModel):
 class SyncViewNode:
     """ROS around `sync_picture`."""
 
-    def __init__(self, settings: Settings, robot: RobotModel):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
         self._prefix = settings.tf_prefix
         self._robot = robot
         self._shapes = visual_shapes(self._robot.urdf)
@@ -65,19 +63,19 @@ class SyncViewNode:
         self._last: Sync | None = None
         self._heard = -math.inf
         self._shown: tuple[SyncState, str] | None = None
-        self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
-        self._markers = Publisher("sync_markers", MarkerArray, queue_size=2, latch=True)
-        Subscriber("sync", Sync, self._on_sync, self._diagnostics.refuse, queue_size=1)
-        self._timer = rospy.Timer(rospy.Duration(PERIOD), self._on_timer)
+        self._diagnostics = ports.diagnostics
+        self._markers = ports.publishers["sync_markers"]
 
-    def _on_sync(self, message: Sync) -> None:
+    def on_sync(self, message: Sync) -> None:
+        """Take the monitor's state."""
         if message.state not in SyncState._value2member_map_:
             self._diagnostics.refuse("sync", f"sync state {message.state} is unknown; expected one of Sync.msg")
             return
         with self._lock:
             self._last, self._heard = message, time.monotonic()
 
-    def _on_timer(self, _event) -> None:
+    def update(self) -> None:
+        """Make the picture anew, and publish it where it has changed."""
         with self._lock:
             last, silent = self._last, time.monotonic() - self._heard > SILENCE
         if last is None or silent:
@@ -95,7 +93,8 @@ class SyncViewNode:
         markers.append(text_marker(text, tf_frame(self._prefix, self._robot.base_link), self._text_at))
         self._markers.publish(MarkerArray(markers=markers))
 
-    def _report(self) -> Report:
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
         if self._shown is None:
             return Report(OK, "nothing shown yet")
         state = self._shown[0]
@@ -128,7 +127,13 @@ def text_marker(text: str, frame: str, at: Point) -> Marker:
     return marker
 
 
-NODE = NodeShell("sync_view", Settings, SyncViewNode)
+INTERFACE = Interface(
+    report=SyncViewNode.report,
+    publishes=(Publication("sync_markers", MarkerArray, queue_size=2, latch=True),),
+    hears=(Subscription("sync", Sync, SyncViewNode.on_sync, queue_size=1),),
+    every=(Every(lambda _settings: PERIOD, lambda node, _ports: node.update()),),
+)
+NODE = NodeShell("sync_view", Settings, SyncViewNode, INTERFACE)
 
 
 def main() -> None:

@@ -23,16 +23,14 @@ from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.marker_server import MarkerServer
-from construction_twin.ros.shared.node import NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.operator_client import OperatorClient, pose_to_msg
-from construction_twin.ros.shared.robot_listener import RobotListener
+from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, Publication, Subscription
+from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
 from construction_twin.ros.shared.tool_marker_menu import ToolMarkerMenu
 from construction_twin.ros.shared.tool_marker_shapes import NAME, tool_marker, verdict_markers
-from construction_twin.ros.transport.latest_pose import LatestPose
-from construction_twin.ros.transport.publisher import Publisher
-from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import read_self_collision
@@ -71,7 +69,7 @@ class Settings(pydantic.BaseModel):
 class ToolMarkerNode:
     """Interactive marker `tool_marker`, markers `tool_marker/verdict`; its menu calls the services that an operator would."""
 
-    def __init__(self, settings: Settings, robot: RobotModel):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
         self._settings = settings
         self._robot = robot
         self._chain = Chain(self._robot)
@@ -93,7 +91,7 @@ class ToolMarkerNode:
         self._drawn: MarkerArray | None = None
         self._finished = ""
         namespace = rospy.get_namespace()
-        self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
+        self._diagnostics = ports.diagnostics
         self._listener = RobotListener(namespace, self._robot, refuse=self._diagnostics.refuse)
         self._menu = ToolMarkerMenu(
             OperatorClient(namespace, self._settings.service_timeout, "tool_marker"),
@@ -103,16 +101,9 @@ class ToolMarkerNode:
             self._settings.reviewer,
             self._say,
         )
-        self._verdicts = Publisher("tool_marker/verdict", MarkerArray, queue_size=2, latch=True)
+        self._verdicts = ports.publishers["tool_marker/verdict"]
         self._server = MarkerServer("tool_marker", self._diagnostics.refuse)
-        self._twin = LatestPose("twin/joint_states", self._robot.joint_names, self._diagnostics.refuse)
-        refuse = self._diagnostics.refuse
-        self._subscribers = (
-            Subscriber("scene", SceneMsg, self._on_scene, refuse, queue_size=1),
-            Subscriber(
-                "tool_marker/feedback", InteractiveMarkerFeedback, self._menu.on_feedback, refuse, queue_size=50
-            ),
-        )
+        self._twin = ports.poses["twin/joint_states"]
 
     def run(self) -> None:
         """Judge the newest pose, or follow the tool, until shutdown."""
@@ -158,7 +149,12 @@ class ToolMarkerNode:
             raise PayloadError("pose", f"marker at {pose.position.tolist()} m; expected finite numbers")
         return pose
 
-    def _on_scene(self, message: SceneMsg) -> None:
+    def on_click(self, feedback: InteractiveMarkerFeedback) -> None:
+        """Take a click on the marker's menu."""
+        self._menu.on_feedback(feedback)
+
+    def on_scene(self, message: SceneMsg) -> None:
+        """Take the scene in which poses are judged."""
         try:
             self._scene = scene_from_msg(message)
         except SceneError as error:
@@ -244,7 +240,8 @@ class ToolMarkerNode:
             self._verdicts.publish(markers)
         self._menu.show("" if plan is None else plan.id)
 
-    def _report(self) -> Report:
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
         verdict = self._verdict
         if verdict is None:
             return Report(WARN, self._problem)
@@ -252,7 +249,17 @@ class ToolMarkerNode:
         return Report(OK, f"{'follows the tool' if self._goal.pose is None else f'goal is {free}'}: {verdict.sentence}")
 
 
-NODE = NodeShell("tool_marker", Settings, ToolMarkerNode)
+INTERFACE = Interface(
+    report=ToolMarkerNode.report,
+    publishes=(Publication("tool_marker/verdict", MarkerArray, queue_size=2, latch=True),),
+    reads=(NewestPose("twin/joint_states"),),
+    hears=(
+        Subscription("scene", SceneMsg, ToolMarkerNode.on_scene, queue_size=1),
+        Subscription("tool_marker/feedback", InteractiveMarkerFeedback, ToolMarkerNode.on_click, queue_size=50),
+    ),
+    listeners=REPORTS,
+)
+NODE = NodeShell("tool_marker", Settings, ToolMarkerNode, INTERFACE)
 
 
 def main() -> None:

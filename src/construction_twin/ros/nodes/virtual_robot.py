@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import threading
-from collections.abc import Callable
 from typing import Literal
 
 import rospy
@@ -14,12 +12,19 @@ from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.msg import Link
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node import NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import NodeSettings
+from construction_twin.ros.shared.ports import (
+    Interface,
+    Ports,
+    PosePublication,
+    PoseSubscription,
+    Subscription,
+    has_arm,
+)
 from construction_twin.ros.transport.cycle import Cycles
-from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, now_ns
+from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.publisher import Sink
-from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.twin.virtual_robot import TwinClock, VirtualRobot
 
 #: Between two reads of the arm's stream while the twin needs nothing from it [s].
@@ -38,7 +43,7 @@ class VirtualRobotNode:
     Args:
         limits: Within which it follows the physical arm.
         twin: For its pose.
-        diagnostics: Takes `report`; returns the node's NodeDiagnostics.
+        diagnostics: Counts what is refused.
         restarted: Ends the wait of `run` for a silence.
     """
 
@@ -47,7 +52,7 @@ class VirtualRobotNode:
         robot: VirtualRobot,
         limits: MotionLimits,
         twin: Sink,
-        diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
+        diagnostics: NodeDiagnostics,
         restarted: threading.Event,
     ):
         self._robot = robot
@@ -62,12 +67,7 @@ class VirtualRobotNode:
         # the twin needs the arm's poses: it has none of its own, or follows
         self._needs_arm = threading.Event()
         self._needs_arm.set()
-        self._diagnostics = diagnostics(self.report)
-
-    @property
-    def refuse(self) -> Callable[[str, str], None]:
-        """Counts a refused input; takes reason and sentence."""
-        return self._diagnostics.refuse
+        self._diagnostics = diagnostics
 
     def run(self) -> None:
         """Publish the held pose while no commands come, until shutdown."""
@@ -148,24 +148,27 @@ class VirtualRobotNode:
         return Report(OK, "following the physical arm" if self._robot.mirrors else "executing")
 
 
-def start(settings: Settings, robot: RobotModel) -> VirtualRobotNode:
+def start(settings: Settings, robot: RobotModel, ports: Ports) -> VirtualRobotNode:
     """Return the twin with its parameters and topics."""
-    names = robot.joint_names
-    node = VirtualRobotNode(
+    return VirtualRobotNode(
         VirtualRobot(robot.home if settings.arm == "none" else None, robot.linear),
         MotionLimits.of(robot),
-        JointPublisher("twin/joint_states", names),
-        functools.partial(NodeDiagnostics, robot.name),
+        ports.publishers["twin/joint_states"],
+        ports.diagnostics,
         threading.Event(),
     )
-    JointSubscriber("command/joint_states", names, node.on_command, node.refuse)
-    if settings.arm != "none":
-        Subscriber("link", Link, node.on_link, node.refuse, queue_size=5)
-        JointSubscriber("physical/joint_states", names, node.on_physical, node.refuse)
-    return node
 
 
-NODE = NodeShell("virtual_robot", Settings, start, fast=True)
+INTERFACE = Interface(
+    report=VirtualRobotNode.report,
+    publishes=(PosePublication("twin/joint_states"),),
+    hears=(
+        PoseSubscription("command/joint_states", VirtualRobotNode.on_command),
+        Subscription("link", Link, VirtualRobotNode.on_link, queue_size=5, when=has_arm),
+        PoseSubscription("physical/joint_states", VirtualRobotNode.on_physical, when=has_arm),
+    ),
+)
+NODE = NodeShell("virtual_robot", Settings, start, INTERFACE, fast=True)
 
 
 def main() -> None:

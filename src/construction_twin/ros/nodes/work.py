@@ -38,16 +38,24 @@ from construction_twin.ros.messages.scene_convert import tf_frame
 from construction_twin.ros.messages.work_convert import work_segment_to_msg
 from construction_twin.ros.messages.work_marker_convert import work_marker_array
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.frame_listener import FRAMES
 from construction_twin.ros.shared.frames import listen_to_frames
-from construction_twin.ros.shared.node import NodeShell, Service
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import ros_home
+from construction_twin.ros.shared.ports import (
+    Interface,
+    NewestPose,
+    Ports,
+    Publication,
+    Served,
+    Subscription,
+    has_arm,
+)
 from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.ros.shared.work_follower import WorkFollower
 from construction_twin.ros.shared.work_listener import WorkListener
 from construction_twin.ros.shared.work_scene import SCENE_TIME, Call, WorkScene
-from construction_twin.ros.transport.latest_pose import LatestPose
-from construction_twin.ros.transport.publisher import Publisher, Sink
-from construction_twin.ros.transport.subscriber import Subscriber
+from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.objects import product
 from construction_twin.srv import (
     EditScene,
@@ -144,6 +152,9 @@ class WorkNode:
         planner: The planner node's settings, with which tasks are planned.
         worker: The process that reads models and plans.
         desk: Opened by `open`.
+
+    Attributes:
+        heard: What the topics say.
     """
 
     def __init__(
@@ -165,7 +176,7 @@ class WorkNode:
         self._worker = worker
         self._shared = desk
         self._planning = threading.Lock()
-        self._heard = heard
+        self.heard = heard
         self._inputs, self._outputs = inputs, outputs
         self._diagnostics = diagnostics
         refuse = diagnostics.refuse
@@ -184,7 +195,7 @@ class WorkNode:
     def go_on(self) -> None:
         """Wait for the next piece of news, at most `retry_time`, and do what follows; to be called in one thread only."""
         # without news, too: what did not work before is tried again
-        if self._heard.wait_for_news(self._settings.retry_time):
+        if self.heard.wait_for_news(self._settings.retry_time):
             self._publish()
         if self._shared.desk is None:
             return
@@ -196,19 +207,19 @@ class WorkNode:
 
     def _catch_up(self) -> None:
         # one report for both: the scene may change only after what was written of it
-        report = self._heard.execution
+        report = self.heard.execution
         with self._shared.lock:
             self._follower.catch_up(report)
             idle = self._shared.desk is not None and not self._shared.desk.book.busy
         self._scene.change_as_planned(report)
-        engaged = self._heard.engaged
+        engaged = self.heard.engaged
         if not engaged:
             self._scene.unblock()
-        if (idle or engaged) and not self._heard.playing and self._planning.acquire(blocking=False):
+        if (idle or engaged) and not self.heard.playing and self._planning.acquire(blocking=False):
             try:
                 if engaged:
                     self._scene.make_for_way_back()
-                elif self._heard.executor_said:
+                elif self.heard.executor_said:
                     self._scene.tidy()
             finally:
                 self._planning.release()
@@ -255,7 +266,7 @@ class WorkNode:
             self._show_building(prepared, files)
         self._shared.open(desk)
         # nothing is tidied before it is known whether the arm was left engaged
-        heard = self._heard
+        heard = self.heard
         heard.wait_for(lambda: heard.execution is not None and not heard.unsaid, min(1.0, settings.listen_time))
         self._recall(desk)
 
@@ -276,7 +287,7 @@ class WorkNode:
         """Find out what became of a plan that the ledger has as offered or under way."""
         if not desk.book.busy:
             return
-        heard = self._heard
+        heard = self.heard
         # latched messages come within a moment of the connection; the executor may only now be starting
         heard.wait_for(lambda: heard.execution is not None and heard.tool_said, self._settings.listen_time)
         heard.wait_for(lambda: heard.plan is not None and not heard.unsaid, min(1.0, self._settings.listen_time))
@@ -300,10 +311,10 @@ class WorkNode:
             return WorkPlanTaskResponse(False, str(error), request.task, "", "", 0.0)
         finally:
             self._planning.release()
-            self._heard.announce()
+            self.heard.announce()
 
     def _plan_task(self, asked: str) -> WorkPlanTaskResponse:
-        heard = self._heard
+        heard = self.heard
         if problem := self._left_closed():
             raise WorkRefused(problem)
         if heard.engaged:
@@ -343,7 +354,7 @@ class WorkNode:
     def _left_closed(self) -> str:
         with self._shared.lock:
             desk = self._shared.opened()
-            return desk.left_closed(self._heard.grip(desk.prepared.tool))
+            return desk.left_closed(self.heard.grip(desk.prepared.tool))
 
     def _allowed(self, asked: str) -> tuple[str, Desk]:
         with self._shared.lock:
@@ -387,7 +398,7 @@ class WorkNode:
         return WorkPlanTaskResponse(True, sentence, task, answer.plan_id, answer.plan_hash, answer.duration)
 
     def _plan_way_back(self, asked: str) -> WorkPlanTaskResponse:
-        heard = self._heard
+        heard = self.heard
         before = heard.plan.id if heard.plan is not None else ""
         problem, answer = self._outputs.plan_way_back(TriggerRequest())
         if answer is None or not answer.success:
@@ -410,7 +421,7 @@ class WorkNode:
             self._diagnostics.count(type(error).__name__, str(error))
             return WorkDecideResponse(False, str(error))
         rospy.loginfo("%s (%s)", sentence, request.person)
-        self._heard.announce()
+        self.heard.announce()
         return WorkDecideResponse(True, sentence)
 
     @staticmethod
@@ -436,7 +447,7 @@ class WorkNode:
         except ConstructionTwinError as error:
             self._diagnostics.count(type(error).__name__, str(error))
             return WorkMeasuredResponse(False, str(error), math.nan, math.nan)
-        self._heard.announce()
+        self.heard.announce()
         distance, angle = found.distance * 1e3, math.degrees(found.angle)
         sentence = f"{request.element} is {distance:.2f} mm and {angle:.3f} deg from where the model has it"
         return WorkMeasuredResponse(True, sentence, distance, angle)
@@ -489,7 +500,7 @@ class WorkNode:
         self._outputs.markers.publish(work_marker_array(picture, self._robot.base_link, self._settings.tf_prefix))
 
     def _message(self) -> WorkTasks:
-        engaged = self._heard.execution is not None and self._heard.execution.engaged
+        engaged = self.heard.execution is not None and self.heard.execution.engaged
         desk, now = self._shared.desk, time.time_ns()
         if desk is None:
             said = WorkReport(
@@ -520,19 +531,19 @@ class WorkNode:
         )
         return to_msg(said, WorkTasks)
 
-
-def report(shared: SharedDesk) -> Report:
-    """Return the state of the work for `/diagnostics`."""
-    desk = shared.desk
-    if desk is None:
-        return Report(ERROR if shared.broken else WARN, shared.problem)
-    with shared.lock:
-        book = desk.book
-        values: dict[str, object] = {state.value: len(book.in_state(state)) for state in TaskState}
-        values |= {"lines of the ledger": desk.ledger.lines, "SHA-256 of the last line": desk.ledger.head}
-        values["notes on the model"] = len(desk.notes)
-        asks = bool(book.in_state(TaskState.ASKS))
-        return Report(WARN if asks else OK, desk.summary(time.time_ns()), values)
+    def report(self) -> Report:
+        """Return the state of the work for `/diagnostics`."""
+        shared = self._shared
+        desk = shared.desk
+        if desk is None:
+            return Report(ERROR if shared.broken else WARN, shared.problem)
+        with shared.lock:
+            book = desk.book
+            values: dict[str, object] = {state.value: len(book.in_state(state)) for state in TaskState}
+            values |= {"lines of the ledger": desk.ledger.lines, "SHA-256 of the last line": desk.ledger.head}
+            values["notes on the model"] = len(desk.notes)
+            asks = bool(book.in_state(TaskState.ASKS))
+            return Report(WARN if asks else OK, desk.summary(time.time_ns()), values)
 
 
 def ledger_path(folder: Path, robot: str, model: str) -> Path:
@@ -550,59 +561,64 @@ def _call(name: str, kind: type, timeout: float, request: Any) -> tuple[str, Any
         return f"{service} does not answer: {error}", None
 
 
-def start(settings: Settings, robot: RobotModel) -> WorkNode:
+def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:
     """Return the node with its parameters, topics and services."""
-    desk = SharedDesk("the model is being read")
-    diagnostics = NodeDiagnostics(robot.name, functools.partial(report, desk))
-    refuse = diagnostics.refuse
-    tasks = Publisher("work/tasks", WorkTasks, queue_size=5, latch=True)
-    markers = Publisher("work/markers", MarkerArray, queue_size=2, latch=True)
-    measured = "physical/joint_states" if settings.arm != "none" else "twin/joint_states"
-    twin, arm = (LatestPose(topic, robot.joint_names, refuse) for topic in ("twin/joint_states", measured))
+    refuse = ports.diagnostics.refuse
+    twin = ports.poses["twin/joint_states"]
+    # without a physical arm the twin's pose counts as measured
+    arm = ports.poses.get("physical/joint_states", twin)
     age, timeout = settings.max_pose_age, settings.service_timeout
     frames = listen_to_frames(robot, settings.tf_prefix, timeout, refuse)
-    subscribers: dict[str, Subscriber] = {}
-    heard = WorkListener(
-        # asked only by the node and its services, which come after the subscribers
-        lambda topic: subscribers[topic].get_num_connections(),
-        rospy.is_shutdown,
-        ros_home() / Path(settings.review_file).expanduser(),
-        refuse,
-    )
-    subscribers |= {
-        "engagement": Subscriber("engagement", Engagement, heard.on_engagement, refuse, queue_size=5),
-        "execution": Subscriber("execution", Execution, heard.on_execution, refuse, queue_size=50),
-        "plan": Subscriber("plan", Plan, heard.on_plan, refuse, queue_size=5),
-        "review": Subscriber("review", Review, heard.on_review, refuse, queue_size=20),
-        "scene": Subscriber("scene", Scene, heard.on_scene, refuse, queue_size=2),
-        "tool": Subscriber("tool", ToolState, heard.on_tool, refuse, queue_size=5),
-    }
+    review_file = ros_home() / Path(settings.review_file).expanduser()
     worker = Worker()
     rospy.on_shutdown(worker.close)
-    node = WorkNode(
+    return WorkNode(
         settings,
         robot,
         rospy.get_param("planner", {}),
         worker,
-        desk,
-        heard,
+        SharedDesk("the model is being read"),
+        WorkListener(ports.connections, rospy.is_shutdown, review_file, refuse),
         Inputs(functools.partial(twin.pose, age, age), functools.partial(arm.pose, age, age), frames.transform),
         Outputs(
-            tasks,
-            markers,
+            ports.publishers["work/tasks"],
+            ports.publishers["work/markers"],
             functools.partial(_call, "edit_scene", EditScene, timeout),
             functools.partial(_call, "plan_work", PlanWork, timeout),
             functools.partial(_call, "plan_way_back", Trigger, timeout),
         ),
-        diagnostics,
+        ports.diagnostics,
     )
-    Service("work/plan", WorkPlanTask, node.on_plan_task)
-    Service("work/decide", WorkDecide, node.on_decide)
-    Service("work/measured", WorkMeasured, node.on_measured)
-    return node
 
 
-NODE = NodeShell("work", Settings, start)
+def _heard(handler: Callable[[WorkListener, Any], object]) -> Callable[[WorkNode, Any], object]:
+    """Return a handler of the node, which gives its message to the listener."""
+    return lambda node, message: handler(node.heard, message)
+
+
+INTERFACE = Interface(
+    report=WorkNode.report,
+    publishes=(
+        Publication("work/tasks", WorkTasks, queue_size=5, latch=True),
+        Publication("work/markers", MarkerArray, queue_size=2, latch=True),
+    ),
+    reads=(NewestPose("twin/joint_states"), NewestPose("physical/joint_states", when=has_arm)),
+    hears=(
+        Subscription("engagement", Engagement, _heard(WorkListener.on_engagement), queue_size=5),
+        Subscription("execution", Execution, _heard(WorkListener.on_execution), queue_size=50),
+        Subscription("plan", Plan, _heard(WorkListener.on_plan), queue_size=5),
+        Subscription("review", Review, _heard(WorkListener.on_review), queue_size=20),
+        Subscription("scene", Scene, _heard(WorkListener.on_scene), queue_size=2),
+        Subscription("tool", ToolState, _heard(WorkListener.on_tool), queue_size=5),
+    ),
+    listeners=FRAMES,
+    serves=(
+        Served("work/plan", WorkPlanTask, WorkNode.on_plan_task),
+        Served("work/decide", WorkDecide, WorkNode.on_decide),
+        Served("work/measured", WorkMeasured, WorkNode.on_measured),
+    ),
+)
+NODE = NodeShell("work", Settings, start, INTERFACE)
 
 
 def main() -> None:

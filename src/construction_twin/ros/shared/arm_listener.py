@@ -90,6 +90,11 @@ class ArmPlans:
     waiting: PlanValue | None
 
 
+#: What is heard of an arm, and the poses that are asked for: without a physical arm the first one alone.
+ARM_TOPICS = {"plan": Plan, "execution": Execution, "review": Review, "scene": Scene}
+ARM_POSES = ("twin/joint_states", "physical/joint_states")
+
+
 class ArmListener:
     """Listens to an arm's own topics.
 
@@ -108,12 +113,8 @@ class ArmListener:
         self._book = PlanBook()
         self._scene: SceneValue | None = None
         self._streams = self._open() if streams else None
-        for topic, kind, callback in (
-            ("plan", Plan, self._on_plan),
-            ("execution", Execution, self._on_execution),
-            ("review", Review, self._on_review),
-            ("scene", Scene, self._on_scene),
-        ):
+        handlers = (self._on_plan, self._on_execution, self._on_review, self._on_scene)
+        for (topic, kind), callback in zip(ARM_TOPICS.items(), handlers):
             Subscriber(f"{self._space}/{topic}", kind, callback, refused, queue_size=10)
 
     @property
@@ -150,7 +151,7 @@ class ArmListener:
 
     def _open(self) -> list[LatestPose]:
         alone = rospy.get_param(f"{self._space}/executor/arm", "") == "none"
-        topics = ["twin/joint_states"] if alone else ["twin/joint_states", "physical/joint_states"]
+        topics = ARM_POSES[:1] if alone else ARM_POSES
         return [LatestPose(f"{self._space}/{topic}", self.robot.joint_names, self._refused) for topic in topics]
 
     def _on_plan(self, message: Plan) -> None:

@@ -32,6 +32,10 @@ _KEPT = 1000
 _OWNERS = 1000
 
 
+#: Where frames come from, those that move and those that do not.
+FRAMES = ("/tf", "/tf_static")
+
+
 class FrameListener:
     """Fills a buffer with what is heard of frames.
 
@@ -52,12 +56,9 @@ class FrameListener:
         self._look_at = _OWNERS
         #: By frame and node: the last static transform that was refused, the oldest first.
         self._kept: dict[tuple[str, str], TransformStamped] = {}
-        self._subscribers = [
-            Subscriber("/tf", TFMessage, partial(self._take, self.buffer.set_transform, False), refused, _QUEUE),
-            Subscriber(
-                "/tf_static", TFMessage, partial(self._take, self.buffer.set_transform_static, True), refused, _QUEUE
-            ),
-        ]
+        moving, static = self.buffer.set_transform, self.buffer.set_transform_static
+        takers = (partial(self._take, moving, False), partial(self._take, static, True))
+        self._subscribers = [Subscriber(topic, TFMessage, take, refused, _QUEUE) for topic, take in zip(FRAMES, takers)]
 
     def _take(self, put: Callable, static: bool, message: TFMessage) -> None:
         caller = caller_of(message)

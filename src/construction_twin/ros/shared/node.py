@@ -21,21 +21,16 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from types import TracebackType
-from typing import Generic
 
-import pydantic
 import rospy
 from rosgraph.roslogging import RosStreamHandler
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.realtime import release_realtime, request_realtime
-from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.master import await_master, wait_for_master
-from construction_twin.ros.shared.params import Settings, read_parameters, robot_from_parameters, settings_of
 
 #: Exit code of a process that an unexpected exception has ended.
 UNFORESEEN = 1
@@ -43,44 +38,6 @@ UNFORESEEN = 1
 ANSWER_TIME = 0.2
 #: How long the last log line may take [s].
 WRITE_TIME = 1.0
-
-
-def nothing_more(_settings: pydantic.BaseModel, _robot: RobotModel) -> None:
-    """Check nothing: what the model of the parameters accepts, the node can start with."""
-
-
-@dataclass(frozen=True)
-class NodeShell(Generic[Settings]):
-    """One robot's node, as its process starts it and as `preflight` checks it before anything starts.
-
-    Attributes:
-        name: Default node name.
-        settings: Model of its private parameters.
-        start: Makes the node with its topics and services; a result with a `run` method is run in the main thread.
-        check: Raises a ConstructionTwinError for parameters that fit the model and yet cannot work with this robot. Pure.
-        fast: It is on the 250 Hz path: its threads take turns every millisecond.
-    """
-
-    name: str
-    settings: type[Settings]
-    start: Callable[[Settings, RobotModel], object]
-    check: Callable[[Settings, RobotModel], object] = nothing_more
-    fast: bool = False
-
-    def check_values(self, values: Mapping[str, object], robot: RobotModel) -> None:
-        """Raise the ConstructionTwinError that the node would end with, were these its private parameters."""
-        self.check(settings_of(self.settings, values), robot)
-
-    def run(self) -> None:
-        """Be the node's process."""
-        if self.fast:
-            sys.setswitchinterval(0.001)
-        run_node(self.name, self._start)
-
-    def _start(self) -> object:
-        settings, robot = read_parameters(self.settings), robot_from_parameters()
-        self.check(settings, robot)
-        return self.start(settings, robot)
 
 
 def run_node(name: str, start: Callable[[], object]) -> None:

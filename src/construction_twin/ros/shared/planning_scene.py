@@ -14,6 +14,7 @@ import genpy
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import parse_urdf
 from construction_twin.ros.messages.planning_scene import MoveitTypes, beside_message, planning_scene_message
+from construction_twin.ros.shared.ports import Publication
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.neighbour import Obstacle
@@ -22,8 +23,9 @@ from construction_twin.scene.objects import Scene
 from construction_twin.scene.planner_scene import planner_scene
 from construction_twin.scene.self_collision import SelfCollision
 
-#: Messages kept for a MoveIt that is busy: one that is dropped may be the one that took something away.
-QUEUE = 50
+#: Where MoveIt is told, if its message types are installed. For one that is busy many messages are kept: one that is dropped may be
+#: the one that took something away.
+PLANNING_SCENE = Publication("planning_scene", "moveit_msgs/PlanningScene", queue_size=50, latch=True)
 
 
 class PlanningScenePublisher:

@@ -42,6 +42,8 @@ _REPORTS = {
     "plan_caller": PlanCaller,
     "review": Review,
 }
+#: What it listens to.
+REPORTS = tuple(_REPORTS)
 
 
 class RobotListener:

@@ -16,7 +16,7 @@ from construction_twin.review.chained_file import iso_time
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.transport.joint_stream import to_time
-from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.publisher import Sink
 
 #: Transitions shown on `/diagnostics`, the newest first.
 SHOWN = 5
@@ -31,6 +31,7 @@ class TransitionReport:
     Args:
         file: Log file: absolute, or relative to ROS_HOME.
         names: Joint names.
+        publisher: Of `transitions`.
 
     Attributes:
         problem: Why the log cannot be written; empty when it can.
@@ -39,14 +40,14 @@ class TransitionReport:
         ConfigurationError: When the log cannot be opened.
     """
 
-    def __init__(self, file: str, names: tuple[str, ...]):
+    def __init__(self, file: str, names: tuple[str, ...], publisher: Sink):
         self.problem = ""
         self.count = 0
         self._names = names
         self._log = TransitionLog(ros_home() / Path(file).expanduser(), names)
         self._said = DeferredLog()
         self._recent: deque[Transition] = deque(maxlen=SHOWN)
-        self._publisher = Publisher("transitions", TransitionMsg, queue_size=50, latch=True)
+        self._publisher = publisher
         rospy.loginfo("transitions are recorded in %s", self._log.path)
 
     def report(self, change: Transition) -> None:

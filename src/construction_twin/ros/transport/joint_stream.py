@@ -103,7 +103,7 @@ class JointSubscriber:
         self,
         topic: str,
         names: tuple[str, ...],
-        callback: Callable[..., None],
+        callback: Callable[..., object],
         refused: Callable[[str, str], None],
         queue_size: int = QUEUE,
         kind: type = JointState,

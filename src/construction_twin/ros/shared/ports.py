@@ -1,0 +1,248 @@
+"""What a node has to do with ROS, declared: topics that it publishes and hears, services, timers; `Ports` opens them.
+
+A declaration is data, so that a test without a master compares it with docs/reference/topics.md. Its handler is a function whose
+first argument is the node, mostly a method of its class; it is bound to the node once, when the subscription is opened: what comes
+in afterwards goes directly to the method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from types import MethodType
+from typing import Any
+
+import rospy
+from sensor_msgs.msg import JointState
+
+from construction_twin.robot.description import RobotModel
+from construction_twin.ros.shared.diagnostics import WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.node import Service
+from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher, JointSubscriber
+from construction_twin.ros.transport.latest_pose import LatestPose
+from construction_twin.ros.transport.publisher import Publisher, Sink
+from construction_twin.ros.transport.subscriber import Subscriber
+
+Refuse = Callable[[str, str], None]
+#: Takes the node's parameters; returns whether there is such a topic with them.
+When = Callable[[Any], bool]
+
+
+def always(_settings: Any) -> bool:
+    """Return True: with any parameters."""
+    return True
+
+
+def has_arm(settings: Any) -> bool:
+    """Return whether there is a physical arm, mock or real."""
+    return settings.arm != "none"
+
+
+@dataclass(frozen=True)
+class Publication:
+    """A topic that the node publishes.
+
+    Attributes:
+        kind: Of its messages; the name of one that need not be installed, as ``moveit_msgs/PlanningScene``: then there is no topic.
+        queue_size: Messages kept for a subscriber that is too slow.
+    """
+
+    topic: str
+    kind: type | str
+    queue_size: int
+    latch: bool = False
+    tcp_nodelay: bool = False
+
+    def open(self, _robot: RobotModel) -> Sink | None:
+        """Return the publisher; None where its kind is not installed."""
+        kind = installed(self.kind) if isinstance(self.kind, str) else self.kind
+        if kind is None:
+            return None
+        return Publisher(self.topic, kind, self.queue_size, latch=self.latch, tcp_nodelay=self.tcp_nodelay)
+
+
+def installed(kind: str) -> type | None:
+    """Return a type of messages by its ROS name, None where its package is not installed."""
+    package, name = kind.split("/")
+    try:
+        return getattr(import_module(f"{package}.msg"), name)
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.split(".")[0] != package:
+            raise
+        return None
+
+
+@dataclass(frozen=True)
+class PosePublication:
+    """Poses of the robot that the node publishes, as joint states or as `Feedback`."""
+
+    topic: str
+    kind: type = JointState
+
+    def open(self, robot: RobotModel) -> Sink:
+        """Return the publisher."""
+        return JointPublisher(self.topic, robot.joint_names, self.kind)
+
+
+@dataclass(frozen=True)
+class Subscription:
+    """A topic that the node hears.
+
+    Attributes:
+        handler: Takes node and message.
+        queue_size: Messages kept for a handler that is busy.
+        when: Whether it is heard.
+    """
+
+    topic: str
+    kind: type
+    handler: Callable[[Any, Any], object]
+    queue_size: int
+    tcp_nodelay: bool = False
+    when: When = always
+
+    def open(self, handler: Callable[..., object], _robot: RobotModel, refuse: Refuse) -> Subscriber:
+        """Return the subscriber, with a handler that knows its node."""
+        return Subscriber(self.topic, self.kind, handler, refuse, self.queue_size, self.tcp_nodelay)
+
+
+@dataclass(frozen=True)
+class PoseSubscription:
+    """Poses that the node hears, each of them.
+
+    Attributes:
+        handler: Takes the node, a stamp [ns] and positions [rad]; of `Feedback` also its number and the command's stamp [ns].
+        queue_size, kind, pause: As of `JointSubscriber`.
+        when: Whether they are heard.
+    """
+
+    topic: str
+    handler: Callable[..., object]
+    queue_size: int = QUEUE
+    kind: type = JointState
+    pause: float = 0.0
+    when: When = always
+
+    def open(self, handler: Callable[..., object], robot: RobotModel, refuse: Refuse) -> JointSubscriber:
+        """Return the subscriber, with a handler that knows its node."""
+        return JointSubscriber(self.topic, robot.joint_names, handler, refuse, self.queue_size, self.kind, self.pause)
+
+
+@dataclass(frozen=True)
+class NewestPose:
+    """Poses of which the node asks for the newest, now and then: see `LatestPose`.
+
+    Attributes:
+        when: Whether it does.
+    """
+
+    topic: str
+    when: When = always
+
+
+@dataclass(frozen=True)
+class Served:
+    """A service.
+
+    Attributes:
+        handler: Takes node and request; returns the response, and turns typed errors into one.
+    """
+
+    name: str
+    kind: type
+    handler: Callable[[Any, Any], object]
+
+
+@dataclass(frozen=True)
+class Every:
+    """What the node does again and again.
+
+    Attributes:
+        period: Takes the node's parameters; returns how often [s].
+        act: Takes the node and its ports.
+    """
+
+    period: Callable[[Any], float]
+    act: Callable[[Any, Ports], object]
+
+
+@dataclass(frozen=True)
+class Interface:
+    """All that a node has to do with ROS.
+
+    Attributes:
+        report: Takes the node; returns its state for `/diagnostics`. None: it reports nothing there, and has nothing to refuse.
+        reads: Poses that are asked for.
+        listeners: Topics that its collaborators hear by themselves.
+        every: Each in a thread of its own.
+    """
+
+    report: Callable[[Any], Report] | None = None
+    publishes: tuple[Publication | PosePublication, ...] = ()
+    reads: tuple[NewestPose, ...] = ()
+    hears: tuple[Subscription | PoseSubscription, ...] = ()
+    listeners: tuple[str, ...] = ()
+    serves: tuple[Served, ...] = ()
+    every: tuple[Every, ...] = ()
+
+
+class Ports:
+    """A node's topics and services, opened in an order in which nothing comes before somebody can take it.
+
+    What the node publishes, and the poses that it asks for, are there before it is made; what it hears comes once it is there,
+    requests after that, because then it can answer them. rospy takes all of them back at once when the process shuts down, before
+    anybody else hears of the shutdown.
+
+    Attributes:
+        publishers, poses: By topic; without what is not there with these parameters.
+    """
+
+    def __init__(self, interface: Interface, settings: Any, robot: RobotModel):
+        self._interface, self._settings, self._robot = interface, settings, robot
+        self._node: object = None
+        self._diagnostics = None if interface.report is None else NodeDiagnostics(robot.name, self._report)
+        opened = ((each.topic, each.open(robot)) for each in interface.publishes)
+        self.publishers: dict[str, Sink] = {topic: publisher for topic, publisher in opened if publisher is not None}
+        self.poses = {
+            each.topic: LatestPose(each.topic, robot.joint_names, self.diagnostics.refuse)
+            for each in interface.reads
+            if each.when(settings)
+        }
+        self._subscribers: dict[str, Subscriber] = {}
+
+    @property
+    def diagnostics(self) -> NodeDiagnostics:
+        """Where the node counts what it refuses; only of one that reports."""
+        assert self._diagnostics is not None  # it reports
+        return self._diagnostics
+
+    def connect(self, node: object) -> None:
+        """Open what the node hears, what it serves, and what it does again and again."""
+        self._node = node
+        for each in self._interface.hears:
+            if each.when(self._settings):
+                opened = each.open(MethodType(each.handler, node), self._robot, self.diagnostics.refuse)
+                if isinstance(opened, Subscriber):
+                    self._subscribers[each.topic] = opened
+        for served in self._interface.serves:
+            Service(served.name, served.kind, MethodType(served.handler, node))
+        for timer in self._interface.every:
+            rospy.Timer(rospy.Duration(timer.period(self._settings)), self._doing(timer.act))
+
+    def connections(self, topic: str) -> int:
+        """Return how many publishers of a topic that is heard are connected; before it is heard, none."""
+        subscriber = self._subscribers.get(topic)
+        return subscriber.get_num_connections() if subscriber is not None else 0
+
+    def stop_hearing(self, topic: str) -> None:
+        """Hear no more of a topic."""
+        self._subscribers.pop(topic).unregister()
+
+    def _doing(self, act: Callable[[Any, Ports], object]) -> Callable[[object], object]:
+        return lambda _event: act(self._node, self)
+
+    def _report(self) -> Report:
+        if self._node is None or self._interface.report is None:
+            return Report(WARN, "this node starts")
+        return self._interface.report(self._node)

@@ -1,0 +1,100 @@
+"""A node's ports without ROS: what it declares is opened as calls, so that a test speaks and listens for the rest of the system."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import genpy
+
+from construction_twin.ros.shared import ports
+from construction_twin.ros.shared.node_shell import NodeShell
+
+
+class Unplugged:
+    """A node that runs without a master.
+
+    Args:
+        pose: Takes the oldest age; returns every pose that the node asks for.
+
+    Attributes:
+        node: What the shell started.
+        callbacks, services: What the node takes, by topic and name.
+        timers: What it does again and again, in the order in which it is declared.
+        published: What it published, by topic; messages, and of poses what they are made of.
+        refused, counted: Reason and sentence of each.
+        opened: What was opened, in order: as what, and its name.
+        report: Of the node that was made last.
+    """
+
+    report: Callable
+
+    def __init__(self, monkeypatch, shell: NodeShell, settings, robot, pose: Callable = lambda *_: ()):
+        self.callbacks: dict[str, Callable] = {}
+        self.services: dict[str, Callable] = {}
+        self.timers: list[Callable] = []
+        self.published: dict[str, list] = {}
+        self.refused: list[tuple[str, str]] = []
+        self.counted: list[tuple[str, str]] = []
+        self.opened: list[tuple[str, str]] = []
+        patch = monkeypatch.setattr
+        patch(ports, "NodeDiagnostics", self._diagnostics)
+        patch(ports, "Publisher", self._publisher)
+        patch(ports, "JointPublisher", self._publisher)
+        patch(ports, "Subscriber", Subscriber)
+        patch(ports, "JointSubscriber", lambda topic, _names, callback, *_: self.hear(topic, callback))
+        patch(ports, "LatestPose", lambda topic, *_: self._opens("reads", topic, SimpleNamespace(pose=pose)))
+        patch(ports, "Service", self._serve)
+        patch(ports.rospy, "Timer", lambda _period, callback: self.timers.append(callback))
+        patch(Subscriber, "bench", self, raising=False)
+        self.node = shell.open(settings, robot)
+
+    def _diagnostics(self, _name: str, report: Callable):
+        Unplugged.report = staticmethod(report)
+        return SimpleNamespace(
+            refuse=lambda *said: self.refused.append(said), count=lambda *said: self.counted.append(said)
+        )
+
+    def _opens(self, what: str, name: str, made: object) -> object:
+        self.opened.append((what, name))
+        return made
+
+    def _publisher(self, topic: str, *_, **__):
+        sent = self.published.setdefault(topic, [])
+
+        def publish(*content) -> None:
+            sent.append(over_the_wire(content[0]) if isinstance(content[0], genpy.Message) else content)
+
+        return self._opens("publishes", topic, SimpleNamespace(publish=publish))
+
+    def hear(self, topic: str, callback: Callable) -> None:
+        self.callbacks[topic] = callback
+        self._opens("hears", topic, None)
+
+    def _serve(self, name: str, _kind: type, handler: Callable) -> None:
+        self.services[name] = handler
+        self._opens("serves", name, None)
+
+
+def over_the_wire(message: genpy.Message) -> genpy.Message:
+    """Return what arrives of a message."""
+    buffer = io.BytesIO()
+    message.serialize(buffer)
+    return type(message)().deserialize(buffer.getvalue())
+
+
+class Subscriber:
+    """In place of the one that asks a master; its publisher is there."""
+
+    bench: Unplugged
+
+    def __init__(self, topic: str, _kind: type, callback: Callable, *_):
+        self._topic = topic
+        self.bench.hear(topic, callback)
+
+    def get_num_connections(self) -> int:
+        return 1
+
+    def unregister(self) -> None:
+        del self.bench.callbacks[self._topic]
