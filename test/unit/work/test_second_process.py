@@ -13,8 +13,24 @@ import touch_process
 import work_bench
 import yaml
 from construction_twin.msg import Execution
+from ifc_models import IfcModel
 from work_bench import Bench
-from work_samples import CELL, RECIPES, SCENE, building, element, job, layout, pairs, planner, robot, site, tool
+from work_samples import (
+    BRICK,
+    CELL,
+    RECIPES,
+    ROOT,
+    SCENE,
+    building,
+    element,
+    job,
+    layout,
+    pairs,
+    planner,
+    robot,
+    site,
+    tool,
+)
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.reports import WorkReport
@@ -25,13 +41,13 @@ from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.work_plan import AskedSegment, plan_work
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.scene.collision_world import CollisionWorld
-from construction_twin.scene.objects import product
+from construction_twin.scene.objects import Scene, product
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.views.work_texts import list_lines, show_lines
-from construction_twin.work import processes
+from construction_twin.work import processes, tasks
 from construction_twin.work.check import Checker
 from construction_twin.work.check_report import cell_picture, row
-from construction_twin.work.desk import Prepared
+from construction_twin.work.desk import Desk, Prepared
 from construction_twin.work.events import Entry
 from construction_twin.work.following import GripReading, OfferOutcome, after_restart, question
 from construction_twin.work.ledger import Ledger
@@ -45,6 +61,7 @@ from construction_twin.work.task_memory import NotNow, TaskMemory
 from construction_twin.work.task_states import TaskState
 
 HOME = np.array(robot().home)
+PLANNER = yaml.safe_load((ROOT / "config/planner.yaml").read_text())
 TOP = (0.05, 0.0, 0.071)
 TOUCH = {
     "process": "touch", "match": {"elements": ["brick0"]}, "speed": 0.2, "free_speed_scale": 0.5, "points": [TOP], "gap": 0.04,
@@ -189,18 +206,34 @@ def test_what_would_help_is_looked_for_where_the_arm_does_not_reach(tmp_path, aw
 
 
 def test_the_check_before_the_work_plans_it_too(work):
-    settings = PlannerSettings(
-        **{
-            name: value
-            for name, value in yaml.safe_load((RECIPES.parents[1] / "planner.yaml").read_text()).items()
-            if name in PlannerSettings.model_fields
-        }
-    )
+    settings = PlannerSettings(**{name: PLANNER[name] for name in PlannerSettings.model_fields})
     jobs = [Job("T1", "T1", "Probe brick", "brick0", (), ())]
     checker = Checker(robot(), pairs(), settings, work, jobs, lambda: 0.0, np.random.default_rng(0))
     found = checker.check(0)
     assert found.possible and found.grip == "point 50 0 71 mm" and found.track is not None and found.path
     assert row(found)[4] == "point 50 0 71 mm" and cell_picture((found,), work).startswith(b"\x89PNG")
+
+
+def test_the_works_child_process_reads_a_model_with_it_and_plans_it(tmp_path, monkeypatch, work):
+    """As the node asks: from an IFC file to the plan, the other elements placed as ever."""
+    monkeypatch.setattr(tasks, "_SESSIONS", [])
+    model = IfcModel()
+    bricks = [model.box(f"brick{number}", BRICK, (0.25 * number, 0.0, 0.0), "IfcBeam") for number in range(2)]
+    asked = [model.task(f"do {brick.Name}", [brick]) for brick in bricks]
+    site(tmp_path, {"recipes": str(recipes_file(tmp_path))})
+    made = tasks.FUNCTIONS["prepare"](
+        model=str(model.save(tmp_path / "m.ifc")), cell=str(tmp_path / "cell.yaml"), robot=robot(),
+        self_collision=str(ROOT / "config/kr120_track_self_collision.yaml"), planner={**PLANNER, "seed": 1}, cache=str(tmp_path),
+    )  # fmt: skip
+    task, element_id = asked[0].GlobalId, bricks[0].GlobalId
+    assert made.processes == {task: "touch"} and list(made.stock.slots) == [bricks[1].GlobalId]
+    desk = Desk(made, Ledger(tmp_path / "l", made.after, made.digest, lambda: 1), "kr120", robot().tip_link)
+    wanted, alone = desk.wanted_scene()
+    assert not alone and f"{element_id}/0" in wanted and not wanted[f"{element_id}/0"].link
+    scene = Scene((*work.site.scene.objects, *wanted.values()), work.site.scene.padding)
+    plan = tasks.FUNCTIONS["plan"](task=task, element=element_id, start=robot().home, scene=scene)
+    assert [part.name for part in plan.segments] == ["to point", "touch", "back"]
+    desk.ledger.close()
 
 
 # -- its ledger
@@ -250,6 +283,13 @@ def test_the_node_follows_it_to_its_end_and_the_scene_stays(bench):
     assert (bench.row.state, bench.row.reason) == ("done", "done") and bench.scene.hash == before
     offered = json.loads(bench.ledger_lines[1])
     assert offered["process"] == "touch" and offered["grip"] == "point 0 0 0 mm" and "pose" not in offered
+
+
+def test_a_line_of_place_is_written_as_before_there_were_processes(bench):
+    bench.start()
+    bench.planned()
+    (offered,) = (json.loads(line) for line in bench.ledger_lines if '"offered"' in line)
+    assert set(offered) == {"time", "time_ns", "previous", "event", "task", "element", "offer", "grip", "pose"}
 
 
 def test_people_read_of_it_in_the_list_and_can_have_it_done_again(bench):
