@@ -18,12 +18,13 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 from construction_twin.core.records import ZERO
 from construction_twin.core.reports import WorkReport
 from construction_twin.link.remote_view import VERSION, View
+from construction_twin.views.scene_view import SceneView
 
 _TYPES = {str: "string", bool: "boolean", int: "integer", float: "number", NoneType: "null"}
 _ATTRIBUTES = "\n\nAttributes:\n"
 _WIDTH = 132
 #: What the page checks, by the name of the constant in web/src/schemas.js.
-CHECKED = {"VIEW": View, "WORK": WorkReport}
+CHECKED = {"VIEW": View, "WORK": WorkReport, "SCENE": SceneView}
 
 
 def schema(kind: Any, words: bool = True) -> dict[str, Any]:

@@ -169,3 +169,34 @@ export const WORK = {
     "notes": {"type": "array", "items": {"type": "string"}}
   }
 };
+
+/** A message on <prefix>/<robot>/scene: what the arm must not touch. */
+export const SCENE = {
+  "type": "object",
+  "additionalProperties": false,
+  "required": ["hash", "frame", "padding", "objects"],
+  "properties": {
+    "hash": {"type": "string"},
+    "frame": {"type": "string"},
+    "padding": {"type": "number"},
+    "objects": {
+      "type": "array",
+      "items": {
+        "type": "object",
+        "additionalProperties": false,
+        "required": ["name", "shape", "size", "mesh", "position", "orientation", "padding", "link", "touch"],
+        "properties": {
+          "name": {"type": "string"},
+          "shape": {"type": "string"},
+          "size": {"type": "array", "items": {"type": "number"}},
+          "mesh": {"type": "string"},
+          "position": {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3},
+          "orientation": {"type": "array", "items": {"type": "number"}, "minItems": 4, "maxItems": 4},
+          "padding": {"type": "number"},
+          "link": {"type": "string"},
+          "touch": {"type": "array", "items": {"type": "string"}}
+        }
+      }
+    }
+  }
+};

@@ -31,7 +31,7 @@
  */
 import {check} from "./check.js";
 import {checkPlan} from "./plan_hash.js";
-import {VIEW, WORK} from "./schemas.js";
+import {SCENE, VIEW, WORK} from "./schemas.js";
 
 /** A view is old after so long [ms]. */
 export const OLD_AFTER = 1000;
@@ -77,11 +77,6 @@ function checkScreen(screen) {
   expect(Array.isArray(lines) && lines.every((line) => isObject(line) && isText(line.topic) && isText(line.sentence)),
     "screen that is no list of lines with topic and sentence");
   return lines;
-}
-
-function checkScene(scene) {
-  expect(Array.isArray(scene.objects) && scene.objects.every((each) => isObject(each) && isText(each.name) && isText(each.shape)),
-    "scene without objects");
 }
 
 /**
@@ -295,7 +290,7 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
         else if (kind === "plan") await takePlan(robot, value);
         else if (kind === "screen") put(robot, kind, checkScreen(value));
         else if (KEPT.includes(kind)) {
-          if (kind === "scene" && value !== null) checkScene(value);
+          if (kind === "scene" && value !== null) check(SCENE, value, "scene");
           if (kind === "tasks" && value !== null) check(WORK, value, "tasks");
           put(robot, kind, value);
         } else {

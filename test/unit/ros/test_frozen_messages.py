@@ -36,7 +36,6 @@ from construction_twin.link.remote_view import ClosestView, PoseView, Seen, View
 from construction_twin.link.tool_link import tool_report
 from construction_twin.mqtt.client import Broker
 from construction_twin.robot.segments import segments_content
-from construction_twin.ros.messages.console_json import scene_json
 from construction_twin.ros.messages.convert import segment_from_msg, segment_to_msg, trajectory_from_msg
 from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.tool import tool_report_from_msg, tool_report_to_msg
@@ -44,6 +43,7 @@ from construction_twin.ros.messages.work_convert import report_from_msg
 from construction_twin.ros.nodes import executor as executor_node
 from construction_twin.ros.nodes import mqtt_planner, mqtt_review
 from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.views.scene_view import scene_view
 from construction_twin.views.snapshot import Snapshot
 from construction_twin.views.texts import status_lines
 from construction_twin.views.work_texts import list_lines, show_lines
@@ -315,7 +315,7 @@ KINDS: dict[str, Callable[[Wide], str]] = {
     "followed": followed,
     "segment": lambda wide: raw(segment_to_msg(segment_from_msg(wide.segment()))),
     "tasks": lambda wide: dumped(from_msg(WorkReport, wide.tasks())).decode(),
-    "scene": lambda wide: scene_json(wide.scene(), "kr120/base_link").decode(),
+    "scene": lambda wide: dumped(scene_view(wide.scene(), "kr120/base_link")).decode(),
 }
 
 

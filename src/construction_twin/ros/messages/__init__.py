@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from construction_twin.core.exports import lazy_exports
 
 if TYPE_CHECKING:
-    from construction_twin.ros.messages.console_json import scene_json as scene_json
     from construction_twin.ros.messages.convert import change_from_msg as change_from_msg
     from construction_twin.ros.messages.convert import plan_from_msg as plan_from_msg
     from construction_twin.ros.messages.convert import plan_to_msg as plan_to_msg

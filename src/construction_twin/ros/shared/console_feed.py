@@ -18,11 +18,11 @@ from construction_twin.link.remote_review import PlanBoard
 from construction_twin.mqtt.messages import Topics
 from construction_twin.msg import Execution, Link, Plan, Review, Sync, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
-from construction_twin.ros.messages.console_json import scene_json
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.scene.objects import Scene
+from construction_twin.views.scene_view import scene_view
 from construction_twin.views.startup import Deployment, Seen, Word, first_missing
 from construction_twin.views.status_line import Heard, status_lines
 
@@ -92,7 +92,7 @@ class ConsoleFeed:
             self._refuse("scene", str(error))
             return
         self._scene = scene
-        self._keep(self._topics.scene, scene_json(scene, self._base_link))
+        self._keep(self._topics.scene, dumped(scene_view(scene, self._base_link)))
 
     def on_tasks(self, message: WorkTasks) -> None:
         """Tell the tasks."""
