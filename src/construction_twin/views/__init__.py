@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from construction_twin.views.roslaunch_call import RoslaunchCall as RoslaunchCall
     from construction_twin.views.roslaunch_call import argument_problem as argument_problem
     from construction_twin.views.roslaunch_call import known_arguments as known_arguments
-    from construction_twin.views.scene_view import scene_view as scene_view
     from construction_twin.views.snapshot import Snapshot as Snapshot
     from construction_twin.views.startup import Deployment as Deployment
     from construction_twin.views.startup import StartUp as StartUp
