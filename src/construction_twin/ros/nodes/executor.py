@@ -62,6 +62,7 @@ from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg, tool_report_from_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.endpoint import Outcome
 from construction_twin.ros.shared.engagement_file import ENDED, EngagementFile
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import NodeSettings, ros_home
@@ -367,22 +368,20 @@ class ExecutorNode:
 
     def on_review(self, request: ReviewPlanRequest) -> ReviewPlanResponse:
         """Approve or reject a plan in a person's name; the call's own age counts."""
-        success, sentence, _ = self._review(request, None)
-        return ReviewPlanResponse(success, sentence)
+        outcome = self._review(request, None)
+        return ReviewPlanResponse(outcome.ok, outcome.sentence)
 
     def on_screen_review(self, request: ReviewFromScreenRequest) -> ReviewFromScreenResponse:
         """Approve or reject a plan in a person's name; an approval's age is that of what its screen had shown."""
         try:
             seen = parse_moment(request.moment) if request.approve else None
         except PayloadError as error:
-            self._diagnostics.refuse(error.reason, str(error))
-            return ReviewFromScreenResponse(False, str(error), False)
-        return ReviewFromScreenResponse(*self._review(request, seen))
+            outcome = self._refused("review", error)
+        else:
+            outcome = self._review(request, seen)
+        return ReviewFromScreenResponse(outcome.ok, outcome.sentence, outcome.expired)
 
-    def _review(
-        self, request: ReviewPlanRequest | ReviewFromScreenRequest, seen: Moment | None
-    ) -> tuple[bool, str, bool]:
-        """Take a verdict; return whether it was taken, a sentence, and whether it was too old."""
+    def _review(self, request: ReviewPlanRequest | ReviewFromScreenRequest, seen: Moment | None) -> Outcome:
         try:
             if request.reviewer.strip() in (AUTO_APPROVE, EXECUTOR):
                 raise ReviewError(
@@ -395,19 +394,14 @@ class ExecutorNode:
                 request.plan_id, request.plan_hash, request.approve, request.reviewer, request.reason, seen
             )
         except ConstructionTwinError as error:
-            expired = isinstance(error, ExpiredError)
-            if expired:
-                self._diagnostics.refuse("too_old", str(error))
-            else:
-                self._refuse_request("review", error)
-            return False, str(error), expired
+            return self._refused("review", error)
         if taken.verdict.approved:
             # a rejection is told with what the executor decides by itself
             self._publish_verdict(taken.verdict)
         else:
             # what was answered is on record, also where the node ends before its next cycle
             self._beside.do("the record", self._log.defer, taken.verdict)
-        return True, taken.sentence, False
+        return Outcome(True, taken.sentence)
 
     def on_stop(self, _request) -> TriggerResponse:
         """Brake on the path and drop the plan."""
@@ -429,16 +423,36 @@ class ExecutorNode:
     def on_stop_plan(self, request: StopPlanRequest) -> StopPlanResponse:
         """Brake one plan on its path; what waits is left alone."""
         caller = self._beside.do("the name of a caller", caller_of, request)
-        try:
+
+        def stop() -> str:
             with self._lock:
                 self._note_act()
                 sentence = self._executor.stop_plan(request.plan_id, f"stop requested by {caller or 'a client'}")
                 self._note_rest()
-        except ExecutionError as error:
-            self._refuse_request("stop_plan", error)
-            return StopPlanResponse(False, str(error))
-        self._say(rospy.logwarn, "stop_plan: %s", sentence)
-        return StopPlanResponse(True, sentence)
+            return sentence
+
+        outcome = self._carry_out("stop_plan", stop, rospy.logwarn)
+        return StopPlanResponse(outcome.ok, outcome.sentence)
+
+    def _carry_out(self, request: str, act: Callable[[], str], write: Callable[..., None] | None = None) -> Outcome:
+        """Carry out a person's request: the one place where a refusal becomes an answer, a count and a line in the log."""
+        try:
+            sentence = act()
+        except ConstructionTwinError as error:
+            return self._refused(request, error)
+        self._say(write or rospy.loginfo, "%s: %s", request, sentence)
+        return Outcome(True, sentence)
+
+    def _refused(self, request: str, error: ConstructionTwinError) -> Outcome:
+        """Count a request that was refused, and have it written after the answer."""
+        if isinstance(error, PayloadError):
+            self._diagnostics.refuse(error.reason, str(error))
+        elif isinstance(error, ExpiredError):
+            self._diagnostics.refuse("too_old", str(error))
+        else:
+            self._beside.do("the count of refusals", self._diagnostics.count, request, str(error))
+            self._say(rospy.logwarn, "%s refused: %s", request, error)
+        return Outcome(False, str(error), isinstance(error, ExpiredError))
 
     def _note_act(self) -> None:
         self._acts += 1
@@ -451,58 +465,62 @@ class ExecutorNode:
         """Have a line written after the answer."""
         self._beside.do("the log", self._said.add, write, *words)
 
-    def _refuse_request(self, request: str, error: Exception) -> None:
-        """Count a person's request that was refused, and have it written after the answer."""
-        self._beside.do("the count of refusals", self._diagnostics.count, request, str(error))
-        self._say(rospy.logwarn, "%s refused: %s", request, error)
-
     def on_release(self, request: ReleaseEngagementRequest) -> ReleaseEngagementResponse:
         """Take a person's word that the arm was freed; recorded before it counts."""
-        person, reason = request.person.strip(), request.reason.strip()
+
+        def release() -> str:
+            return self._release(request.person.strip(), request.reason.strip())
+
+        outcome = self._carry_out("release_engagement", release, rospy.logwarn)
+        return ReleaseEngagementResponse(outcome.ok, outcome.sentence)
+
+    def _release(self, person: str, reason: str) -> str:
+        if not person or not reason:
+            raise ExecutionError("a release needs the name of a person, and how the arm was freed")
+        with self._lock:
+            left = self._executor.check_release()
+        release = Release(person, reason, left.plan_id, left.task, left.segment)
+        asked = present()
+        self._log.append(release)
         try:
-            if not person or not reason:
-                raise ExecutionError("a release needs the name of a person, and how the arm was freed")
+            if problem := staleness(asked, present()):
+                raise ExecutionError(f"the release is {problem}")
             with self._lock:
-                left = self._executor.check_release()
-            release = Release(person, reason, left.plan_id, left.task, left.segment)
-            asked = present()
-            self._log.append(release)
-            try:
-                if problem := staleness(asked, present()):
-                    raise ExecutionError(f"the release is {problem}")
-                with self._lock:
-                    self._executor.release(left)
-            except ExecutionError as error:
-                # something happened while it was written down: the record is corrected
-                self._log.append(replace(release, refused=str(error)))
-                raise
-        except ConstructionTwinError as error:
-            self._refuse_request("release_engagement", error)
-            return ReleaseEngagementResponse(False, str(error))
-        sentence = f"the arm, left in segment {left.segment!r} of plan {left.plan_id}, was freed by {person}: {reason}"
-        rospy.logwarn("release_engagement: %s", sentence)
-        return ReleaseEngagementResponse(True, sentence)
+                self._executor.release(left)
+        except ExecutionError as error:
+            # something happened while it was written down: the record is corrected
+            self._log.append(replace(release, refused=str(error)))
+            raise
+        return f"the arm, left in segment {left.segment!r} of plan {left.plan_id}, was freed by {person}: {reason}"
 
     def on_pause(self, _request) -> TriggerResponse:
         """Brake on the path and keep the plan."""
-        return self._on_trigger("pause", self._pause)
+        outcome = self._carry_out("pause", self._pause)
+        return TriggerResponse(outcome.ok, outcome.sentence)
 
     def on_resume(self, _request) -> TriggerResponse:
         """Go on after a pause."""
-        return self._on_trigger("resume", self._executor.resume)
+        outcome = self._carry_out("resume", self._resume)
+        return TriggerResponse(outcome.ok, outcome.sentence)
 
     def _pause(self) -> str:
-        self._note_act()
-        sentence = self._executor.pause(self._asked_until())
-        self._note_rest()
+        with self._lock:
+            self._note_act()
+            sentence = self._executor.pause(self._asked_until())
+            self._note_rest()
         return sentence
+
+    def _resume(self) -> str:
+        with self._lock:
+            return self._executor.resume()
 
     def _asked_until(self) -> int:
         return self._readings.asked_until(now_ns(), time.monotonic_ns())
 
     def on_screen_resume(self, request: ResumeFromScreenRequest) -> ResumeFromScreenResponse:
         """Go on after a pause, unless what the person's screen had shown is too old, or older than a pause or stop."""
-        try:
+
+        def resume() -> str:
             seen = parse_moment(request.moment)
             with self._lock:
                 now = present()
@@ -512,28 +530,10 @@ class ExecutorNode:
                     raise ExpiredError(
                         "the resume is void: the arm was paused or stopped since; look again, and then ask anew"
                     )
-                sentence = self._executor.resume(LIFETIME - (now.at - seen.at))
-        except PayloadError as error:
-            self._diagnostics.refuse(error.reason, str(error))
-            return ResumeFromScreenResponse(False, str(error), False)
-        except ExpiredError as error:
-            self._diagnostics.refuse("too_old", str(error))
-            return ResumeFromScreenResponse(False, str(error), True)
-        except ConstructionTwinError as error:
-            self._refuse_request("resume", error)
-            return ResumeFromScreenResponse(False, str(error), False)
-        rospy.loginfo("resume: %s", sentence)
-        return ResumeFromScreenResponse(True, sentence, False)
+                return self._executor.resume(LIFETIME - (now.at - seen.at))
 
-    def _on_trigger(self, name: str, action: Callable[[], str]) -> TriggerResponse:
-        try:
-            with self._lock:
-                sentence = action()
-        except ConstructionTwinError as error:
-            self._refuse_request(name, error)
-            return TriggerResponse(False, str(error))
-        self._say(rospy.loginfo, "%s: %s", name, sentence)
-        return TriggerResponse(True, sentence)
+        outcome = self._carry_out("resume", resume)
+        return ResumeFromScreenResponse(outcome.ok, outcome.sentence, outcome.expired)
 
     # -- in the background
 
