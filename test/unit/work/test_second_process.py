@@ -214,9 +214,8 @@ def test_the_check_before_the_work_plans_it_too(work):
     assert row(found)[4] == "point 50 0 71 mm" and cell_picture((found,), work).startswith(b"\x89PNG")
 
 
-def test_the_works_child_process_reads_a_model_with_it_and_plans_it(tmp_path, monkeypatch, work):
+def test_the_works_child_process_reads_a_model_with_it_and_plans_it(tmp_path, work):
     """As the node asks: from an IFC file to the plan, the other elements placed as ever."""
-    monkeypatch.setattr(tasks, "_SESSIONS", [])
     model = IfcModel()
     bricks = [model.box(f"brick{number}", BRICK, (0.25 * number, 0.0, 0.0), "IfcBeam") for number in range(2)]
     asked = [model.task(f"do {brick.Name}", [brick]) for brick in bricks]

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import SimpleQueue
@@ -131,7 +132,7 @@ def check_all(setup: Setup, processes: int, done: Callable[[CheckedTask], None] 
     began = time.monotonic()
     found: dict[int, CheckedTask] = {}
     memory: dict[int, float] = {}
-    with _Pool(setup, processes) as pool:
+    with _pool(setup, processes) as pool:
         for task, process, rss in pool.each("check", [{"number": number} for number in setup.numbers]):
             found[task.number] = task
             memory[process] = rss
@@ -146,33 +147,43 @@ def check_all(setup: Setup, processes: int, done: Callable[[CheckedTask], None] 
     return Checked(tasks, time.monotonic() - began, _rss_mb() + sum(memory.values()))
 
 
-class _Pool:
-    """Processes that check, each asked one thing at a time; they end with the context, and with this process."""
+@contextmanager
+def _pool(setup: Setup, processes: int) -> Iterator[_Pool]:
+    """Yield processes that are ready to check; they end with the context, and with this process."""
+    pool = _Pool(processes)
+    try:
+        pool.prepare(setup)
+        yield pool
+    finally:
+        pool.close()
 
-    def __init__(self, setup: Setup, processes: int):
-        self._setup = setup
+
+class _Pool:
+    """Processes that check, each asked one thing at a time."""
+
+    def __init__(self, processes: int):
         self._workers = [Worker(PROGRAM) for _ in range(processes)]
         self._idle: SimpleQueue[Worker] = SimpleQueue()
         self._threads = ThreadPoolExecutor(processes)
 
-    def __enter__(self) -> _Pool:
-        try:
-            for future in [self._threads.submit(worker.ask, "prepare", setup=self._setup) for worker in self._workers]:
-                future.result()
-        except BaseException:
-            self._end()
-            raise
+    def prepare(self, setup: Setup) -> None:
+        """Give every process all it needs, and wait until it has it."""
+        for future in [self._threads.submit(worker.ask, "prepare", setup=setup) for worker in self._workers]:
+            future.result()
         for worker in self._workers:
             self._idle.put(worker)
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        self._end()
 
     def each(self, name: str, questions: Sequence[dict[str, Any]]) -> Iterator[tuple[CheckedTask, int, float]]:
         """Yield the answers to questions as they come: task, process, and its memory [MB]."""
         for future in as_completed([self._threads.submit(self._ask, name, question) for question in questions]):
             yield future.result()
+
+    def close(self) -> None:
+        """End the processes."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        for worker in self._workers:
+            worker.close()
+        self._threads.shutdown(wait=True)
 
     def _ask(self, name: str, question: dict[str, Any]) -> tuple[CheckedTask, int, float]:
         worker = self._idle.get()
@@ -180,12 +191,6 @@ class _Pool:
             return worker.ask(name, **question)
         finally:
             self._idle.put(worker)
-
-    def _end(self) -> None:
-        self._threads.shutdown(wait=False, cancel_futures=True)
-        for worker in self._workers:
-            worker.close()
-        self._threads.shutdown(wait=True)
 
 
 #: Of this process, made by `_prepare`.
