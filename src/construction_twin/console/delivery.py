@@ -8,6 +8,7 @@ pieces, each when the one before it has gone out, and the connection ends when t
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import socket
 
 from websockets.http11 import Request, Response
@@ -38,7 +39,7 @@ async def deliver(visitor: HttpConnection, request: Request, answer: Response, s
     # a drained connection is one whose bytes have left this process; with a limit of 0 asyncio's TLS pauses with nothing to write
     transport.set_write_buffer_limits(high=1, low=0)
     body = b"" if request.method == "HEAD" else answer.body
-    head = f"HTTP/1.1 {answer.status_code} {answer.reason_phrase}\r\n".encode() + answer.headers.serialize()
+    head = dataclasses.replace(answer, body=b"").serialize()
     try:
         async with asyncio.timeout(stall_s + len(body) / SLOWEST):
             for piece in (head, *(body[at : at + _PIECE] for at in range(0, len(body), _PIECE))):

@@ -21,6 +21,8 @@ class HttpConnection(ServerConnection):
     #: The peer has half-closed the connection: it sends no more, and may still read.
     half_closed = False
     written = False
+    #: Of the browser, once its request for a WebSocket is answered.
+    ticket = ""
 
     @property
     def is_asking(self) -> bool:

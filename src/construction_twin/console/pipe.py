@@ -42,6 +42,8 @@ class PipeLimits:
         burst_packets, burst_bytes: And at once.
         login_s: Longest wait for the broker, and from then on for the whole CONNECT [s].
         stall_s: A browser that takes nothing for so long is cut off [s]: what is shown there is old.
+        ping_s: Time between pings, and longest wait for an answer, whatever else comes [s]. A browser that does not answer is gone:
+            what it had sent before, and comes later, is not passed on.
     """
 
     largest: int = 65536
@@ -51,6 +53,7 @@ class PipeLimits:
     burst_bytes: float = 262144.0
     login_s: float = 5.0
     stall_s: float = 5.0
+    ping_s: float = 3.0
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ import logging
 import secrets
 import ssl
 import time
-import weakref
 from collections.abc import Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
@@ -36,8 +35,6 @@ log = logging.getLogger("console")
 SOCKET, PRIVATE = "/mqtt", "/private/"
 #: The subprotocol that MQTT has for WebSockets (MQTT 5.0, section 6).
 SUBPROTOCOL = "mqtt"
-#: A browser that does not answer for so long is gone [s]: what it had sent before, and comes later, is not passed on.
-_PING_S = 3.0
 #: No script, style, picture or connection but this server's own; nothing may frame the page.
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
@@ -80,8 +77,6 @@ class ConsoleServer:
         self._settings = settings
         self._tickets = Tickets(lambda: secrets.token_urlsafe(24), 0)
         self._places = OpenConnections(settings.places)
-        # weak: a browser may leave between the answer and its first frame
-        self._given: weakref.WeakKeyDictionary[ServerConnection, str] = weakref.WeakKeyDictionary()
         self._delivering: set[HttpConnection] = set()
         self._cache = FileCache()
         self._lines = TokenBucket(rate=1, burst=20)
@@ -119,8 +114,8 @@ class ConsoleServer:
             max_queue=16,
             open_timeout=None,  # a visitor has little time to ask, a file more to go out
             close_timeout=1.0,
-            ping_interval=_PING_S,
-            ping_timeout=_PING_S,
+            ping_interval=settings.limits.ping_s,
+            ping_timeout=settings.limits.ping_s,
             server_header=None,
             create_connection=connection_type(settings.limits.login_s),
             ssl=settings.tls,
@@ -208,13 +203,14 @@ class ConsoleServer:
 
     def _on_response(self, connection: ServerConnection, request: Request, response: Response) -> Response | None:
         if response.status_code == http.HTTPStatus.SWITCHING_PROTOCOLS:
-            ticket = self._tickets.give(_joined(request.headers, "Cookie", "; "))
-            self._given[connection] = ticket
-            response.headers["Set-Cookie"] = self._tickets.cookie(ticket, self._settings.tls is not None)
+            assert isinstance(connection, HttpConnection)
+            connection.ticket = self._tickets.give(_joined(request.headers, "Cookie", "; "))
+            response.headers["Set-Cookie"] = self._tickets.cookie(connection.ticket, self._settings.tls is not None)
         return None
 
     async def _on_socket(self, connection: ServerConnection) -> None:
-        peer, ticket = _peer(connection), self._given.pop(connection)
+        assert isinstance(connection, HttpConnection)
+        peer, ticket = _peer(connection), connection.ticket
         number = connection.transport.get_extra_info("socket").fileno()
         accounts: list[str] = []
 

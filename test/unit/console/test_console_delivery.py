@@ -17,7 +17,7 @@ import pytest
 from construction_twin.broker.access import Site
 from construction_twin.broker.make_site import SiteFolder
 from construction_twin.console import delivery
-from construction_twin.console.pipe import BrokerAddress
+from construction_twin.console.pipe import BrokerAddress, PipeLimits
 from construction_twin.console.server import ConsoleServer, ServerSettings
 from construction_twin.console.static_files import StaticFile
 
@@ -120,6 +120,42 @@ def test_who_takes_nothing_is_cut_off_and_nobody_else(site, secure, caplog):
 
     with caplog.at_level(logging.WARNING, "console"):
         asyncio.run(scene())
+
+
+def test_a_handshake_of_tls_that_does_not_end_is_cut_off(site):
+    async def scene() -> None:
+        async with running(contexts(site)[0], limits=PipeLimits(login_s=0.3)):
+            # nothing, and the head of a handshake
+            for begun in (b"", b"\x16\x03\x01\x02\0\x01\0"):
+                reader, writer = await ask(begun)
+                assert await asyncio.wait_for(reader.read(), 10) == b""
+                writer.close()
+
+    asyncio.run(scene())
+
+
+@pytest.mark.parametrize(
+    ("request_", "status"),
+    (
+        (b"GET /" + b"a" * 20_000 + b" HTTP/1.1\r\n\r\n", b"414"),
+        (b"GET / HTTP/1.1\r\nX: " + b"a" * 20_000 + b"\r\n\r\n", b"431"),
+        (b"GET / HTTP/1.1\r\n" + b"X: a\r\n" * 200 + b"\r\n", b"431"),
+        # no HTTP, no version that it speaks, and a body: no answer
+        (b"\x16\x03\x01 \0\r\n\r\n", b""),
+        (b"GET / HTTP/2.0\r\n\r\n", b""),
+        (b"POST / HTTP/1.1\r\nContent-Length: 1000000000\r\n\r\n", b""),
+    ),
+)
+def test_a_head_that_is_too_long_or_none_is_refused_at_once_and_not_logged(caplog, request_, status):
+    async def scene() -> None:
+        async with running():
+            reader, writer = await ask(request_)
+            assert (await asyncio.wait_for(reader.read(), 10))[9:12] == status
+            writer.close()
+
+    with caplog.at_level(logging.ERROR):
+        asyncio.run(scene())
+    assert not caplog.records
 
 
 def test_who_takes_a_little_for_ever_is_cut_off(monkeypatch, caplog):

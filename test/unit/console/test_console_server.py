@@ -43,6 +43,12 @@ PORT, BROKER_PORT = 28480, 28481
 ORIGIN = f"http://127.0.0.1:{PORT}"
 CONNACK_OK = b"\x20\x02\0\0"
 PING, PONG = b"\xc0\0", b"\xd0\0"
+#: A browser's request for the WebSocket.
+UPGRADE = (
+    f"GET /mqtt HTTP/1.1\r\nHost: 127.0.0.1:{PORT}\r\n"
+    f"Origin: {ORIGIN}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+    "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Protocol: mqtt\r\n\r\n"
+).encode()
 
 
 @pytest.fixture(scope="module")
@@ -294,6 +300,53 @@ def test_who_says_nothing_or_too_much_is_cut_off(broker, tmp_path):
     asyncio.run(scene())
 
 
+def test_who_answers_no_ping_is_cut_off_whatever_he_sends(broker, tmp_path):
+    """No library is this browser: each of them answers pings by itself."""
+
+    async def scene() -> None:
+        async with running(settings(tmp_path, limits=PipeLimits(ping_s=0.3))):
+            reader, writer = await asyncio.open_connection("127.0.0.1", PORT)
+            writer.write(UPGRADE)
+            await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 10)
+            received = b""
+            # a short frame, masked with zeros
+            for sent in (login(), *[PING] * 100):
+                writer.write(bytes([0x82, 0x80 | len(sent), 0, 0, 0, 0]) + sent)
+                with contextlib.suppress(TimeoutError):
+                    received = await asyncio.wait_for(reader.readuntil(b"keepalive ping timeout"), 0.1)
+                    break
+            assert PONG in received
+            writer.close()
+
+    asyncio.run(scene())
+
+
+def test_who_takes_nothing_of_what_he_is_shown_is_cut_off(tmp_path, caplog):
+    async def flood(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.readexactly(len(login()))
+        writer.write(CONNACK_OK)
+        with contextlib.suppress(ConnectionError):
+            while True:
+                writer.write(packet(3, text("view") + bytes(60_000)))
+                await writer.drain()
+
+    async def scene() -> None:
+        server = await asyncio.start_server(flood, "127.0.0.1", 28483)
+        served = settings(
+            tmp_path, broker=BrokerAddress("127.0.0.1", 28483), limits=PipeLimits(stall_s=0.3, ping_s=300.0)
+        )
+        async with server, running(served), browser() as client:
+            await client.send(login())
+            client.transport.pause_reading()
+            async with asyncio.timeout(10):
+                while "the browser took nothing for 0.3 s" not in caplog.text:
+                    await asyncio.sleep(0.05)
+            client.transport.abort()
+
+    with caplog.at_level(logging.INFO, "console"):
+        asyncio.run(scene())
+
+
 def test_a_broker_that_is_not_there_is_told_at_once(tmp_path):
     async def scene() -> None:
         async with running(settings(tmp_path, broker=BrokerAddress("127.0.0.1", 28482))), browser() as client:
@@ -378,13 +431,6 @@ def test_who_has_logged_in_stays_and_others_get_in_whoever_fills_the_places(brok
     """Four addresses hold all places of visitors: with nothing, with half a request, with a WebSocket that does not log in."""
     places = ConnectionLimits(visitors=24, visitors_per_address=8)
     half = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{PORT}\r\n".encode()
-    upgrade = (
-        half.replace(b"GET /", b"GET /mqtt")
-        + (
-            f"Origin: {ORIGIN}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Protocol: mqtt\r\n\r\n"
-        ).encode()
-    )
 
     async def scene() -> None:
         # nobody is cut off for being late
@@ -396,7 +442,7 @@ def test_who_has_logged_in_stays_and_others_get_in_whoever_fills_the_places(brok
                 address = f"127.0.0.{2 + number % 4}"
                 _, writer = await asyncio.open_connection("127.0.0.1", PORT, local_addr=(address, 0))
                 held.callback(writer.transport.abort)
-                writer.write((b"", half, upgrade)[number // 4 % 3])
+                writer.write((b"", half, UPGRADE)[number // 4 % 3])
             assert (await asyncio.to_thread(get, "/"))[0].status == 200
             async with browser() as late:
                 await late.send(login())
