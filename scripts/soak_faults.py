@@ -95,7 +95,7 @@ class Soak:
         self.operator = Operator(self.witness, world.folder, world.ports.broker, chance)
         self.operator.back()
         self.operator.client.wait(lambda: retained(world.ports.broker), "retained topics", RETURN)
-        self.robot, self.limits = self.operator.client.robot, config_from_parameters(needs_xml=False).limits
+        self.robot, self.limits = self.operator.client.robot, config_from_parameters(needs_file=False).limits
         self.braking = max(v / a for v, a in zip(self.robot.velocity, self.robot.acceleration))
         self.memory: dict[str, list[float]] = {}
         self._take(Fault("start", lambda *_: ""), {}, frozenset(), time.monotonic(), time.monotonic(), "")

@@ -114,7 +114,7 @@ class TwinClient:
         self.decimals = rospy.get_param("gateway/decimals")
         #: The controller's cycle [s].
         self.period = rospy.get_param("gateway/cycle", 4) / 1000
-        self._limits = config_from_parameters(needs_xml=False).limits
+        self._limits = config_from_parameters(needs_file=False).limits
         self._trace = rospy.get_param("~gateway_trace", "")
         self.link = self.sync = self.execution = None
         self.syncs: list[Sync] = []
