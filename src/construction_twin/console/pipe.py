@@ -25,6 +25,8 @@ from construction_twin.core.rate_limit import TokenBucket
 log = logging.getLogger("console")
 #: Close codes that the page knows (RFC 6455 leaves 4000 to 4999 to applications).
 BROKER_AWAY, NOT_MQTT, TOO_MUCH, TOO_SLOW = 4001, 4002, 4003, 4004
+#: Longest wait for a browser to take the end of its WebSocket, and to answer it [s].
+CLOSE_S = 1.0
 #: Bytes that are read from the broker at once.
 _CHUNK = 65536
 #: A broker that answers or takes nothing on TCP is gone after so long [s]. Else a verdict would wait for a quarter of an hour, and
@@ -91,7 +93,7 @@ async def pipe(
         connecting = asyncio.open_connection(broker.host, broker.port, ssl=broker.tls)
         reader, writer = await asyncio.wait_for(connecting, limits.login_s)
     except (OSError, TimeoutError) as error:
-        await browser.close(BROKER_AWAY, "the broker cannot be reached")
+        await _close(browser, BROKER_AWAY, "the broker cannot be reached")
         return f"the broker at {broker.host}:{broker.port} cannot be reached: {str(error) or 'no answer'}"
     _notice_silence(writer.get_extra_info("socket"))
     stream = ClientStream(limits.largest)
@@ -108,14 +110,21 @@ async def pipe(
         writer.transport.abort()
         if not isinstance(cut, Cut):
             raise cut
-        # a reason of a close frame has at most 123 bytes
-        await browser.close(cut.code, cut.sentence[:100].encode("ascii", "replace").decode())
+        await _close(browser, cut.code, cut.sentence)
         return cut.sentence
     finally:
         for task in (up, down):
             task.cancel()
         await asyncio.gather(up, down, return_exceptions=True)
         writer.transport.abort()
+
+
+async def _close(browser: ServerConnection, code: int, sentence: str) -> None:
+    # the library's own limit begins when the close frame has gone out, and to who takes nothing it never does
+    with contextlib.suppress(TimeoutError):
+        # a reason of a close frame has at most 123 bytes
+        await asyncio.wait_for(browser.close(code, sentence[:100].encode("ascii", "replace").decode()), CLOSE_S)
+    browser.transport.abort()
 
 
 def _notice_silence(broker: socket.socket) -> None:

@@ -23,7 +23,7 @@ from construction_twin.console.delivery import deliver
 from construction_twin.console.http_connection import HttpConnection, connection_type
 from construction_twin.console.listener import Listener, listeners
 from construction_twin.console.origin import refusal
-from construction_twin.console.pipe import BrokerAddress, PipeLimits, pipe
+from construction_twin.console.pipe import CLOSE_S, BrokerAddress, PipeLimits, pipe
 from construction_twin.console.recordings import listing, recordings
 from construction_twin.console.static_files import FileCache, StaticFile, names
 from construction_twin.console.tickets import Tickets
@@ -113,7 +113,7 @@ class ConsoleServer:
             max_size=settings.limits.largest + 16,
             max_queue=16,
             open_timeout=None,  # a visitor has little time to ask, a file more to go out
-            close_timeout=1.0,
+            close_timeout=CLOSE_S,
             ping_interval=settings.limits.ping_s,
             ping_timeout=settings.limits.ping_s,
             server_header=None,
