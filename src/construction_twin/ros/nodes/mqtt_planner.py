@@ -43,9 +43,10 @@ from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.console_feed import ConsoleFeed, deployment_of
 from construction_twin.ros.shared.console_requests import ConsoleRequests, PlanServices, RobotContext
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outcome, Outlets
+from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.ports import (
     Interface,
@@ -401,7 +402,7 @@ class MqttPlanner:
 
 def _motion_answer(incoming: Incoming, _motion: _Motion | None, outcome: Outcome) -> bytes:
     name = incoming.echo.get("id", "")
-    return trajectory_answer(name, incoming.account, outcome.ok, outcome.sentence, **outcome.fields)
+    return trajectory_answer(name, incoming.account, outcome.success, outcome.message, **outcome.fields)
 
 
 def source_of(says: str, sender: str, proven: bool) -> str:

@@ -38,9 +38,10 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.robot.segments import segments_content
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outcome, Outlets
+from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import Interface, Ports, Subscription
 from construction_twin.ros.shared.remote_interventions import EXECUTOR, remote_interventions
 from construction_twin.ros.shared.request_counts import RequestCounts
@@ -305,7 +306,7 @@ def _refuse_nameless(review: RemoteReview) -> Outcome:
 
 
 def _verdict_answer(incoming: Incoming, review: RemoteReview | None, outcome: Outcome) -> bytes:
-    return review_answer(review, outcome.ok, outcome.sentence, incoming.account, outcome.expired)
+    return review_answer(review, outcome.success, outcome.message, incoming.account, outcome.expired)
 
 
 def _describe(review: RemoteReview) -> str:

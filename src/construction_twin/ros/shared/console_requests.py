@@ -36,7 +36,8 @@ from construction_twin.link.remote_view import ClosestView
 from construction_twin.mqtt.messages import Topics
 from construction_twin.msg import CartesianWaypoint
 from construction_twin.robot.frames import quaternion_to_rotation
-from construction_twin.ros.shared.endpoint import FLOOD, TOO_OLD, Endpoint, Incoming, Outcome, Outlets
+from construction_twin.ros.shared.endpoint import FLOOD, TOO_OLD, Endpoint, Incoming, Outlets
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.pose_judge import PoseJudge
 from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.ros.shared.request_line import NewestLine, RequestLine
@@ -248,7 +249,7 @@ class ConsoleRequests:
 def _plan_answer(incoming: Incoming, _request: _PlanAsked | None, outcome: Outcome) -> bytes:
     name, kind = incoming.echo.get("id", ""), incoming.echo.get("kind", "")
     plan: dict[str, Any] = dict(outcome.fields)
-    return plan_answer(name, incoming.account, kind, outcome.ok, outcome.sentence, expired=outcome.expired, **plan)
+    return plan_answer(name, incoming.account, kind, outcome.success, outcome.message, expired=outcome.expired, **plan)
 
 
 def _describe(request: _PlanAsked) -> str:
@@ -257,7 +258,7 @@ def _describe(request: _PlanAsked) -> str:
 
 def _pose_answer(incoming: Incoming, _asked: IkRequest | None, outcome: Outcome) -> bytes:
     found: dict[str, Any] = {"reach": "unknown", "joints": None, **outcome.fields}
-    return ik_answer(incoming.echo.get("id", ""), sentence=outcome.sentence, **found)
+    return ik_answer(incoming.echo.get("id", ""), sentence=outcome.message, **found)
 
 
 def _pose_msg(asked: RemoteRequest) -> PoseMsg:

@@ -8,7 +8,7 @@ hold up nothing (`deferred_log`). Of a safety act none of them can fail it eithe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Generic, TypeVar
@@ -20,6 +20,7 @@ from construction_twin.core.beside import Beside
 from construction_twin.core.errors import PayloadError, ServiceSilentError
 from construction_twin.mqtt.messages import account_of
 from construction_twin.ros.shared.deferred_log import DeferredLog
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.ros.shared.request_line import Line, Request
 
@@ -45,24 +46,6 @@ class Incoming:
     payload: bytes
     retained: bool
     echo: dict[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of a request.
-
-    Attributes:
-        sentence: For people.
-        expired: It is void, because what its screen had shown is too old.
-        fields: Further fields of the answer.
-        counted: As what it is counted; "": as done or not.
-    """
-
-    ok: bool
-    sentence: str
-    expired: bool = False
-    fields: Mapping[str, object] = field(default_factory=dict)
-    counted: str = ""
 
 
 class Outlets:
@@ -195,11 +178,11 @@ class Endpoint(Generic[Asked]):
         answer = b""
         if refused is None or refused.reason not in UNANSWERED:
             answer = self._send(incoming, asked, outcome)
-            self._counts.add(outcome.ok, outcome.counted)
+            self._counts.add(outcome.success, outcome.counted)
         if refused is not None:
             self._count_refusal(refused.reason, str(refused))
         if self._describe is not None:
-            self._outlets.tell("the log", self._say, self._describe, asked, outcome.sentence)
+            self._outlets.tell("the log", self._say, self._describe, asked, outcome.message)
         return answer
 
     def _send(self, incoming: Incoming, asked: Asked | None, outcome: Outcome) -> bytes:

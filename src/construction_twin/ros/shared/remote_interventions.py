@@ -24,7 +24,8 @@ from construction_twin.mqtt.interventions import (
     parse_intervention,
 )
 from construction_twin.mqtt.messages import Topics
-from construction_twin.ros.shared.endpoint import REPEATED, Endpoint, Incoming, Outcome, Outlets
+from construction_twin.ros.shared.endpoint import REPEATED, Endpoint, Incoming, Outlets
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.ros.shared.request_line import RequestLine
 from construction_twin.ros.transport.persistent_service import call, call_twice
@@ -94,7 +95,7 @@ def _read(verb: str, incoming: Incoming) -> Intervention:
 def _answer(incoming: Incoming, wanted: Intervention | None, outcome: Outcome) -> bytes:
     id_ = incoming.echo.get("id", "")
     return intervention_answer(
-        id_, incoming.account, interventions.EXECUTOR, outcome.ok, outcome.sentence, outcome.expired
+        id_, incoming.account, interventions.EXECUTOR, outcome.success, outcome.message, outcome.expired
     )
 
 
