@@ -16,7 +16,7 @@ from typing import Annotated, Literal, NamedTuple, TypeVar
 
 import pydantic
 import rospy
-from std_srvs.srv import Trigger, TriggerResponse
+from std_srvs.srv import Trigger
 
 from construction_twin.core.beside import Beside
 from construction_twin.core.errors import (
@@ -62,9 +62,9 @@ from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg, tool_report_from_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.endpoint import Outcome
 from construction_twin.ros.shared.engagement_file import ENDED, EngagementFile
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import NodeSettings, ros_home
 from construction_twin.ros.shared.ports import (
     Every,
@@ -85,19 +85,14 @@ from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.srv import (
     ReleaseEngagement,
     ReleaseEngagementRequest,
-    ReleaseEngagementResponse,
     ResumeFromScreen,
     ResumeFromScreenRequest,
-    ResumeFromScreenResponse,
     ReviewFromScreen,
     ReviewFromScreenRequest,
-    ReviewFromScreenResponse,
     ReviewPlan,
     ReviewPlanRequest,
-    ReviewPlanResponse,
     StopPlan,
     StopPlanRequest,
-    StopPlanResponse,
 )
 
 #: The gate counts as closed this long after the monitor's last word; it speaks at `sync_rate` [ns].
@@ -366,20 +361,17 @@ class ExecutorNode:
 
     # A stop, a pause, a rejection: first the act, under the lock; then, beside it, what tells of it (docs/architecture.md).
 
-    def on_review(self, request: ReviewPlanRequest) -> ReviewPlanResponse:
+    def on_review(self, request: ReviewPlanRequest) -> Outcome:
         """Approve or reject a plan in a person's name; the call's own age counts."""
-        outcome = self._review(request, None)
-        return ReviewPlanResponse(outcome.ok, outcome.sentence)
+        return self._review(request, None)
 
-    def on_screen_review(self, request: ReviewFromScreenRequest) -> ReviewFromScreenResponse:
+    def on_screen_review(self, request: ReviewFromScreenRequest) -> Outcome:
         """Approve or reject a plan in a person's name; an approval's age is that of what its screen had shown."""
         try:
             seen = parse_moment(request.moment) if request.approve else None
         except PayloadError as error:
-            outcome = self._refused("review", error)
-        else:
-            outcome = self._review(request, seen)
-        return ReviewFromScreenResponse(outcome.ok, outcome.sentence, outcome.expired)
+            return self._refused("review", error)
+        return self._review(request, seen)
 
     def _review(self, request: ReviewPlanRequest | ReviewFromScreenRequest, seen: Moment | None) -> Outcome:
         try:
@@ -403,7 +395,7 @@ class ExecutorNode:
             self._beside.do("the record", self._log.defer, taken.verdict)
         return Outcome(True, taken.sentence)
 
-    def on_stop(self, _request) -> TriggerResponse:
+    def on_stop(self, _request) -> Outcome:
         """Brake on the path and drop the plan."""
         with self._lock:
             self._note_act()
@@ -415,12 +407,12 @@ class ExecutorNode:
             forecast = self._beside.do("the forecast of a stop", self._forecast, braking)
             sentence = f"{sentence}; {forecast or 'how far it goes on is not known'}"
         self._say(rospy.logwarn, "stop: %s", sentence)
-        return TriggerResponse(True, sentence)
+        return Outcome(True, sentence)
 
     def _forecast(self, braking: StopForecaster) -> str:
         return braking.forecast(lambda: time.sleep(PAUSE)).text(self._robot)
 
-    def on_stop_plan(self, request: StopPlanRequest) -> StopPlanResponse:
+    def on_stop_plan(self, request: StopPlanRequest) -> Outcome:
         """Brake one plan on its path; what waits is left alone."""
         caller = self._beside.do("the name of a caller", caller_of, request)
 
@@ -431,8 +423,7 @@ class ExecutorNode:
                 self._note_rest()
             return sentence
 
-        outcome = self._carry_out("stop_plan", stop, rospy.logwarn)
-        return StopPlanResponse(outcome.ok, outcome.sentence)
+        return self._carry_out("stop_plan", stop, rospy.logwarn)
 
     def _carry_out(self, request: str, act: Callable[[], str], write: Callable[..., None] | None = None) -> Outcome:
         """Carry out a person's request: the one place where a refusal becomes an answer, a count and a line in the log."""
@@ -465,14 +456,13 @@ class ExecutorNode:
         """Have a line written after the answer."""
         self._beside.do("the log", self._said.add, write, *words)
 
-    def on_release(self, request: ReleaseEngagementRequest) -> ReleaseEngagementResponse:
+    def on_release(self, request: ReleaseEngagementRequest) -> Outcome:
         """Take a person's word that the arm was freed; recorded before it counts."""
 
         def release() -> str:
             return self._release(request.person.strip(), request.reason.strip())
 
-        outcome = self._carry_out("release_engagement", release, rospy.logwarn)
-        return ReleaseEngagementResponse(outcome.ok, outcome.sentence)
+        return self._carry_out("release_engagement", release, rospy.logwarn)
 
     def _release(self, person: str, reason: str) -> str:
         if not person or not reason:
@@ -493,15 +483,13 @@ class ExecutorNode:
             raise
         return f"the arm, left in segment {left.segment!r} of plan {left.plan_id}, was freed by {person}: {reason}"
 
-    def on_pause(self, _request) -> TriggerResponse:
+    def on_pause(self, _request) -> Outcome:
         """Brake on the path and keep the plan."""
-        outcome = self._carry_out("pause", self._pause)
-        return TriggerResponse(outcome.ok, outcome.sentence)
+        return self._carry_out("pause", self._pause)
 
-    def on_resume(self, _request) -> TriggerResponse:
+    def on_resume(self, _request) -> Outcome:
         """Go on after a pause."""
-        outcome = self._carry_out("resume", self._resume)
-        return TriggerResponse(outcome.ok, outcome.sentence)
+        return self._carry_out("resume", self._resume)
 
     def _pause(self) -> str:
         with self._lock:
@@ -517,7 +505,7 @@ class ExecutorNode:
     def _asked_until(self) -> int:
         return self._readings.asked_until(now_ns(), time.monotonic_ns())
 
-    def on_screen_resume(self, request: ResumeFromScreenRequest) -> ResumeFromScreenResponse:
+    def on_screen_resume(self, request: ResumeFromScreenRequest) -> Outcome:
         """Go on after a pause, unless what the person's screen had shown is too old, or older than a pause or stop."""
 
         def resume() -> str:
@@ -532,8 +520,7 @@ class ExecutorNode:
                     )
                 return self._executor.resume(LIFETIME - (now.at - seen.at))
 
-        outcome = self._carry_out("resume", resume)
-        return ResumeFromScreenResponse(outcome.ok, outcome.sentence, outcome.expired)
+        return self._carry_out("resume", resume)
 
     # -- in the background
 
