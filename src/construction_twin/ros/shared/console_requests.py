@@ -19,6 +19,7 @@ from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.core.freshness import Moment, staleness
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.rate_limit import RollingWindow, SenderLimits
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_request import MAX_BYTES, IkRequest, RemoteRequest, parse_ik, parse_plan_request
 from construction_twin.link.remote_trajectory import Joints
@@ -152,7 +153,7 @@ class ConsoleRequests:
     def _demand_fresh(self, asked: RemoteRequest) -> None:
         """Refuse a plan request (PayloadError) that is too old to be begun."""
         if problem := staleness(asked.moment, self._around.clock()):
-            raise PayloadError(TOO_OLD, f"the request is {problem}")
+            raise PayloadError(TOO_OLD, Sentence("executor.void.request", problem=problem))
 
     def _make(self, asked: RemoteRequest, account: str, arrived: int) -> Outcome:
         """Have a plan made by the service of its kind."""
