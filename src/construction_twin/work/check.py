@@ -184,7 +184,7 @@ class Checker:
         return scene, self._layout.job_for(self._jobs[number].element, scene, self._jobs[number].id)
 
     def _described(self, found: CheckedTask, plan: WorkPlan) -> CheckedTask:
-        acts = process_of(self._layout.process(plan.job.element)).acts
+        acts = process_of(self._jobs[found.number].process).acts
         at = next(segment for segment in plan.segments if segment.name == acts).trajectory.positions[-1]
         linear = [float(value) for value, is_linear in zip(at, self._robot.linear, strict=True) if is_linear]
         return replace(
