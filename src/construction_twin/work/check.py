@@ -27,6 +27,7 @@ from construction_twin.work.jobs import WorkJob, WorkPlan
 from construction_twin.work.motions import TaskLimits
 from construction_twin.work.nearest_change import LONGER, longer_track, nearest_change
 from construction_twin.work.processes import process_of
+from construction_twin.work.recipe import DEFAULT
 from construction_twin.work.schedule import Job
 from construction_twin.work.site import pose_of
 from construction_twin.work.site_scene import Layout, WorkState
@@ -46,6 +47,7 @@ class CheckedTask:
     Attributes:
         number: In the order of the schedule, from 0.
         job, name: Id of the job, name of its task.
+        process: Name of its process.
         grip: How it is done, see `WorkPlan.method`, or the method that came furthest; empty: none.
         track: Value of the first linear joint where the process acts at the element's place [m]; None: the robot has none, or
             there is no plan.
@@ -66,6 +68,7 @@ class CheckedTask:
     element_name: str
     ifc_class: str
     possible: bool
+    process: str = DEFAULT
     grip: str = ""
     track: float | None = None
     clearance: float | None = None
@@ -131,7 +134,7 @@ class Checker:
         job = self._jobs[number]
         element = self._layout.building.element(job.element)
         began = self._clock()
-        found = CheckedTask(number, job.id, job.name, job.element, element.name, element.ifc_class, False)
+        found = CheckedTask(number, job.id, job.name, job.element, element.name, element.ifc_class, False, job.process)
         if element.doubt:
             return replace(found, reason=f"its body is doubtful: {element.doubt}")
         if job.element not in self._layout.order:
@@ -184,7 +187,7 @@ class Checker:
         return scene, self._layout.job_for(self._jobs[number].element, scene, self._jobs[number].id)
 
     def _described(self, found: CheckedTask, plan: WorkPlan) -> CheckedTask:
-        acts = process_of(self._jobs[found.number].process).acts
+        acts = process_of(found.process).acts
         at = next(segment for segment in plan.segments if segment.name == acts).trajectory.positions[-1]
         linear = [float(value) for value, is_linear in zip(at, self._robot.linear, strict=True) if is_linear]
         return replace(

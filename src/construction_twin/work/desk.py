@@ -116,8 +116,8 @@ class Prepared:
         }
 
     @property
-    def worked_on(self) -> dict[str, str]:
-        """The element that each job places, or works on."""
+    def element_of(self) -> dict[str, str]:
+        """GlobalId of each job's element."""
         return {job.id: job.element for job in self.schedule.jobs}
 
     def stays(self, job: str) -> bool:

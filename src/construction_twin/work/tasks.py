@@ -121,7 +121,7 @@ def prepare(
         digest=building.digest,
         cell=str(cell),
         schedule=schedule,
-        schedule_digest=_digest(schedule),
+        schedule_digest=schedule_digest(schedule),
         elements=elements,
         stock=layout.stock,
         tool=site.tool.tool,
@@ -134,9 +134,12 @@ def prepare(
     )
 
 
-def _digest(schedule: Schedule) -> str:
+def schedule_digest(schedule: Schedule) -> str:
     """Return the SHA-256 of what a person accepts; of jobs that place it is the same as before there were other processes."""
-    jobs = [{key: value for key, value in asdict(job).items() if value != DEFAULT or key != "process"} for job in schedule.jobs]
+    jobs = [
+        {key: value for key, value in asdict(job).items() if value != DEFAULT or key != "process"}
+        for job in schedule.jobs
+    ]
     return hashlib.sha256(json.dumps(jobs).encode()).hexdigest()
 
 

@@ -15,6 +15,7 @@ import yaml
 from construction_twin.msg import Execution
 from ifc_models import IfcModel
 from work_bench import Bench
+from touch_process import TOP, recipes_file
 from work_samples import (
     BRICK,
     CELL,
@@ -62,26 +63,7 @@ from construction_twin.work.task_states import TaskState
 
 HOME = np.array(robot().home)
 PLANNER = yaml.safe_load((ROOT / "config/planner.yaml").read_text())
-TOP = (0.05, 0.0, 0.071)
-TOUCH = {
-    "process": "touch", "match": {"elements": ["brick0"]}, "speed": 0.2, "free_speed_scale": 0.5, "points": [TOP], "gap": 0.04,
-}  # fmt: skip
-
-
-def recipes_file(folder, **changes):
-    """Return a file with a recipe that touches, before those that place."""
-    document = yaml.safe_load(RECIPES.read_text())
-    document["recipes"] = {"probe": {**yaml.safe_load(json.dumps(TOUCH)), **changes}, **document["recipes"]}
-    (folder / "recipes.yaml").write_text(yaml.safe_dump(document, sort_keys=False))
-    return folder / "recipes.yaml"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def known_process():
-    """The second process is known in this module only: other tests compare what is known with the documents."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(processes.MODULES, touch_process.NAME, "touch_process")
-        yield
+known_process = pytest.fixture(touch_process.known, scope="module", autouse=True)
 
 
 @pytest.fixture(scope="module")
@@ -226,7 +208,9 @@ def test_the_works_child_process_reads_a_model_with_it_and_plans_it(tmp_path, wo
         self_collision=str(ROOT / "config/kr120_track_self_collision.yaml"), planner={**PLANNER, "seed": 1}, cache=str(tmp_path),
     )  # fmt: skip
     task, element_id = asked[0].GlobalId, bricks[0].GlobalId
-    assert [job.process for job in made.schedule.jobs] == ["touch", "place"] and list(made.stock.slots) == [bricks[1].GlobalId]
+    assert [job.process for job in made.schedule.jobs] == ["touch", "place"] and list(made.stock.slots) == [
+        bricks[1].GlobalId
+    ]
     desk = Desk(made, Ledger(tmp_path / "l", made.after, made.digest, lambda: 1), "kr120", robot().tip_link)
     wanted, alone = desk.wanted_scene()
     assert not alone and f"{element_id}/0" in wanted and not wanted[f"{element_id}/0"].link

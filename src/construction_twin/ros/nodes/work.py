@@ -254,7 +254,7 @@ class WorkNode:
             return
         path = ledger_path(ros_home() / settings.folder, self._robot.name, prepared.model)
         ledger = Ledger(
-            path, prepared.after, prepared.digest, time.time_ns, str(Path(prepared.cell).resolve()), prepared.worked_on,
+            path, prepared.after, prepared.digest, time.time_ns, str(Path(prepared.cell).resolve()), prepared.element_of,
             prepared.staying,
         )  # fmt: skip
         desk = Desk(prepared, ledger, self._robot.name, self._robot.tip_link)
@@ -378,10 +378,19 @@ class WorkNode:
         process = desk.prepared.schedule.job(task).process
         with self._shared.lock:
             self._allowed(task)
-            entry = Entry("offered", task, element, offer=offer, grip=plan.method, pose=held, process="" if process == DEFAULT else process)
+            entry = Entry(
+                "offered",
+                task,
+                element,
+                offer=offer,
+                grip=plan.method,
+                pose=held,
+                process="" if process == DEFAULT else process,
+            )
             desk.ledger.add(entry)
         segments = [work_segment_to_msg(segment) for segment in plan.segments]
-        request = PlanWorkRequest(task=task, source=f"{title} by {plan.method}, offer {offer}", segments=segments)
+        how = plan.method if process == DEFAULT else f"{process}, {plan.method}"
+        request = PlanWorkRequest(task=task, source=f"{title} by {how}, offer {offer}", segments=segments)
         problem, answer = self._outputs.plan_work(request)
         with self._shared.lock:
             memory = desk.book.tasks[task]
