@@ -423,7 +423,6 @@ class Desk:
 
     def wanted_scene(self) -> tuple[dict[str, SceneObject], tuple[str, ...]]:
         """Return the work's objects of the scene by name, and the elements whose objects are left as they are."""
-        book = self.book
         gone = self._gone()
         wanted = {item.name: item for item in (*self.prepared.tool_objects, *self._standing(gone))}
         # what stands, but is no longer in the model, goes only when a person takes it out
@@ -503,9 +502,9 @@ class Desk:
             facts, memory = self.prepared.elements[element], self._placing(element)
             mine = [job.id for job in self.prepared.schedule.jobs if job.element == element]
             states = {self.book.tasks[task].state for task in mine}
-            placed = memory is not None and memory.placed
-            where = facts.base_T_goal
-            if placed:
+            placed, where = False, facts.base_T_goal
+            if memory is not None and memory.placed:
+                placed = True
                 where = pose_of_tuple(memory.base_T_element) if memory.base_T_element else facts.base_T_goal
             if placed and self._is_off(element):
                 word = "off"

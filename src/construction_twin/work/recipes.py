@@ -1,8 +1,8 @@
 """Which recipe an element is worked on with: those of one file, and what the building model says of an element.
 
 Read from a YAML file, see config/work/recipes.yaml; the first recipe that fits an element is used, and it names the process. The
-property set `PROPERTY_SET` of the element in the model overrides single keys. So does that of the task, which comes first: an element
-that is placed, then drilled has one recipe for each.
+property set `PROPERTY_SET` of the element in the model overrides single keys, and that of the task comes before it: an element that
+is placed, then drilled has one recipe for each.
 """
 
 from __future__ import annotations

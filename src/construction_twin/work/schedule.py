@@ -3,11 +3,11 @@
 In: the tasks and sequences of a `BuildingModel`. Out: jobs in an order that can be built, or one sentence with the ids of what
 makes no sense. Times are arguments, in seconds of any one clock. Plans nothing and remembers nothing.
 
-A job is one element that a task without subtasks makes or works on; one element can have several: it is placed once, and what works on it
-where it stands waits for that. A sequence of a nesting task holds for all that it nests: with
-``START_START`` everything in the first must have started before anything in the second may. An arm cannot end a placing later than
-it is done, so what the end of a job waits for (``FINISH_FINISH``, ``START_FINISH``), its start waits for here. A task without
-product passes order and lags on and takes no time, and so does one that is completed.
+A job is one element that a task without subtasks makes or works on; one element can have several: it is placed once, and what
+works on it where it stands waits for that. A sequence of a nesting task holds for all that it nests: with ``START_START``
+everything in the first must have started before anything in the second may. An arm cannot end a placing later than it is done, so
+what the end of a job waits for (``FINISH_FINISH``, ``START_FINISH``), its start waits for here. A task without product passes
+order and lags on and takes no time, and so does one that is completed.
 
 A removal is one element that a task takes down, or that is to be taken down without a task. It is no job: people do it, and the
 element stands until one of them says that it is gone; what comes after it waits for that.

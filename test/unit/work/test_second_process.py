@@ -14,8 +14,8 @@ import work_bench
 import yaml
 from construction_twin.msg import Execution
 from ifc_models import IfcModel
-from work_bench import Bench
 from touch_process import TOP, recipes_file
+from work_bench import Bench
 from work_samples import (
     BRICK,
     CELL,

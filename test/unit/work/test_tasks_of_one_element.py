@@ -31,7 +31,6 @@ from construction_twin.work.build_report import TaskResult, summary
 from construction_twin.work.building import Sequence, Task
 from construction_twin.work.built import change, pose_tuple
 from construction_twin.work.check import Checker
-from construction_twin.work.check_report import as_json
 from construction_twin.work.desk import Desk, WorkRefused
 from construction_twin.work.events import Entry
 from construction_twin.work.ifc.reading import read_building
@@ -273,7 +272,7 @@ def test_the_check_before_the_work_plans_each_in_its_turn(tmp_path):
         ("place", True, "place"),
         ("touch", True, "touch"),
     ]
-    assert found[1].grip == "point 50 0 71 mm"
+    assert found[1].grip == "point 50 0 71 mm" and asdict(found[1])["process"] == "touch"
 
 
 # -- what people say and see
