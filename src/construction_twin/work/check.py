@@ -47,7 +47,6 @@ class CheckedTask:
     Attributes:
         number: In the order of the schedule, from 0.
         job, name: Id of the job, name of its task.
-        process: Name of its process.
         grip: How it is done, see `WorkPlan.method`, or the method that came furthest; empty: none.
         track: Value of the first linear joint where the process acts at the element's place [m]; None: the robot has none, or
             there is no plan.
@@ -59,6 +58,7 @@ class CheckedTask:
         tried: Whether changes were looked for.
         remarks: What a person should know of the task or its element, as the model was read.
         path: Length 3. The tool's centre point in the base [m].
+        process: Name of its process.
     """
 
     number: int
@@ -68,7 +68,6 @@ class CheckedTask:
     element_name: str
     ifc_class: str
     possible: bool
-    process: str = DEFAULT
     grip: str = ""
     track: float | None = None
     clearance: float | None = None
@@ -80,6 +79,7 @@ class CheckedTask:
     tried: bool = False
     remarks: tuple[str, ...] = ()
     path: tuple[tuple[float, float, float], ...] = field(default=(), repr=False)
+    process: str = DEFAULT
 
 
 class Checker:
@@ -134,7 +134,9 @@ class Checker:
         job = self._jobs[number]
         element = self._layout.building.element(job.element)
         began = self._clock()
-        found = CheckedTask(number, job.id, job.name, job.element, element.name, element.ifc_class, False, job.process)
+        found = CheckedTask(
+            number, job.id, job.name, job.element, element.name, element.ifc_class, False, process=job.process
+        )
         if element.doubt:
             return replace(found, reason=f"its body is doubtful: {element.doubt}")
         if job.element not in self._layout.order:
