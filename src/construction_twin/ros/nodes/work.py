@@ -76,6 +76,7 @@ from construction_twin.work.events import Entry
 from construction_twin.work.glb import ShownElement, glb
 from construction_twin.work.jobs import WorkPlan
 from construction_twin.work.ledger import Ledger
+from construction_twin.work.recipe import DEFAULT
 from construction_twin.work.shared_desk import SharedDesk
 from construction_twin.work.task_states import TaskState
 from construction_twin.work.worker import Worker, WorkerError
@@ -260,8 +261,9 @@ class WorkNode:
             return
         path = ledger_path(ros_home() / settings.folder, self._robot.name, prepared.model)
         ledger = Ledger(
-            path, prepared.after, prepared.digest, time.time_ns, str(Path(prepared.cell).resolve()), prepared.placed_by
-        )
+            path, prepared.after, prepared.digest, time.time_ns, str(Path(prepared.cell).resolve()), prepared.element_of,
+            prepared.staying,
+        )  # fmt: skip
         desk = Desk(prepared, ledger, self._robot.name, self._robot.tip_link)
         rospy.loginfo(
             "%s: %d tasks, %d lines in %s; read in %.1f s",
@@ -374,13 +376,22 @@ class WorkNode:
         offer, element = uuid.uuid4().hex[:12], desk.element_of(task)
         title = desk.title(task)
         held = () if plan.tool0_T_element is None else pose_tuple(plan.tool0_T_element)
-        process = desk.prepared.processes.get(task, "")
+        process = desk.prepared.schedule.job(task).process
         with self._shared.lock:
             self._allowed(task)
-            entry = Entry("offered", task, element, offer=offer, grip=plan.method, pose=held, process=process)
+            entry = Entry(
+                "offered",
+                task,
+                element,
+                offer=offer,
+                grip=plan.method,
+                pose=held,
+                process="" if process == DEFAULT else process,
+            )
             desk.ledger.add(entry)
         segments = [work_segment_to_msg(segment) for segment in plan.segments]
-        request = PlanWorkRequest(task=task, source=f"{title} by {plan.method}, offer {offer}", segments=segments)
+        how = plan.method if process == DEFAULT else f"{process}, {plan.method}"
+        request = PlanWorkRequest(task=task, source=f"{title} by {how}, offer {offer}", segments=segments)
         problem, answer = self._outputs.plan_work(request)
         with self._shared.lock:
             memory = desk.book.tasks[task]
