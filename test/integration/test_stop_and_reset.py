@@ -18,7 +18,6 @@ from twin_client import RobotTest, TwinClient, case, node_pid, wait
 
 from construction_twin.mqtt.messages import Topics
 
-PORT = 18891
 TOPICS = Topics("twin", "kr120")
 #: Between the call of `reset` and the stop [s]: from before anything is sent to long after everything is accepted. Every 10 ms of
 #: it is tested on a simulated clock: unit/link/test_reset_and_stop.py, TestEveryMoment.
@@ -44,7 +43,7 @@ class StopAndResetTest(RobotTest):
             [(TOPICS.stop_ack, 1), (TOPICS.status, 1), (TOPICS.control, 1)]
         )
         cls.phone.on_message = cls.on_message
-        cls.phone.connect("127.0.0.1", PORT)
+        cls.phone.connect("127.0.0.1", rospy.get_param("mqtt_bridge/port"))
         cls.phone.loop_start()
         cls.addClassCleanup(cls.phone.loop_stop)
         cls.addClassCleanup(cls.phone.disconnect)
