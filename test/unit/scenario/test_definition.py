@@ -92,7 +92,7 @@ def test_shipped_scenarios_are_valid_fit_the_robot_and_are_documented(path):
             ROBOT.check_range(from_wire(step.move.goal_deg, ROBOT.linear))
         if step.inject and not step.inject.end:
             assert step.inject.joint in ("", *ROBOT.joint_names)
-            axis = ROBOT.axes[ROBOT.joint_names.index(step.inject.joint)].rsi if step.inject.joint else ""
+            axis = ROBOT.axes[ROBOT.joint_names.index(step.inject.joint)].name if step.inject.joint else ""
             fault = Fault(
                 step.inject.fault, axis, tuple(step.inject.values), step.inject.direction, step.inject.duration
             )
