@@ -321,7 +321,7 @@ class ScriptedRobot:
             else:
                 answer[verb](account, payload, message.retain)
 
-    def _answer(self, kind: RequestKind, account: str, ok: bool, reason: str = "", **known: object) -> None:
+    def _answer(self, kind: RequestKind, account: str, ok: bool, reason: str = "", /, **known: object) -> None:
         payload = kind.payload(account=account, ok=ok, reason=reason, **known)
         self._publish(self._topics.ack_of(kind, account), payload)
 

@@ -57,7 +57,7 @@ class RequestKind:
         """Return whether somebody hears the answer; where each account has a topic of its own, "" has none."""
         return bool(account) or "{}" not in self.ack
 
-    def payload(self, **known: object) -> bytes:
+    def payload(self, /, **known: object) -> bytes:
         """Return an answer: of what is known its fields, the others as in `UNKNOWN`."""
         return json.dumps({key: known.get(key, UNKNOWN[key]) for key in self.answer}, allow_nan=False).encode()
 
