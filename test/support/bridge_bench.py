@@ -8,13 +8,14 @@ from collections import Counter
 from types import SimpleNamespace
 
 from gateway_cell import CONFIG, RUN, START
+from unplugged import ask
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.states import LinkState
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import PROTOCOL, parse_control
-from construction_twin.ros.nodes.mqtt_bridge import MqttBridge, Outputs, Settings
+from construction_twin.ros.nodes.mqtt_bridge import NODE, MqttBridge, Outputs, Settings
 
 
 class Clocks:
@@ -126,6 +127,10 @@ class BridgeBench:
         """What was refused, and how often."""
         return self._made.refused
 
+    def ask(self, name: str, **request):
+        """Return the answer of one of the bridge's services."""
+        return ask(NODE, self.bridge, name, SimpleNamespace(**request), self._made.refuse)
+
     def connect(self) -> None:
         """Let the broker say welcome."""
         self.bridge.on_connect(self.client, None, None, SimpleNamespace(is_failure=False), None)
@@ -174,7 +179,7 @@ class BridgeBench:
 
     def at_rest(self) -> bool:
         """Tell whether the bridge takes the arm to be at rest: only then `mirror` is not refused for its pose."""
-        return "still changing" not in self.bridge.on_mirror(SimpleNamespace(data=True)).message
+        return "still changing" not in self.ask("mirror", data=True).message
 
     def shown(self, status: dict) -> dict[str, str]:
         """Give the bridge a status; return what `link` says of the gateway a second later."""

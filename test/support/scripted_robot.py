@@ -22,8 +22,8 @@ from construction_twin.core.reports import ExecutionReport, LinkReport, SyncRepo
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.link.json_fields import read_document
-from construction_twin.link.remote_request import MAX_BYTES, ik_answer, parse_ik, parse_plan_request, plan_answer
-from construction_twin.link.remote_review import PlanView, parse_review, review_answer
+from construction_twin.link.remote_request import MAX_BYTES, parse_ik, parse_plan_request
+from construction_twin.link.remote_review import PlanView, parse_review
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
     ClosestView,
@@ -32,9 +32,11 @@ from construction_twin.link.remote_view import (
     Shown,
     ViewWriter,
 )
+from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import Broker, make_client, unique_id
-from construction_twin.mqtt.interventions import EXECUTOR, GATEWAY, intervention_answer, parse_intervention
+from construction_twin.mqtt.interventions import parse_intervention
 from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.requests import EXECUTOR, GATEWAY, RequestKind
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.frames import quaternion_to_rotation
 from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds
@@ -319,65 +321,67 @@ class ScriptedRobot:
             else:
                 answer[verb](account, payload, message.retain)
 
+    def _answer(self, kind: RequestKind, account: str, ok: bool, reason: str = "", /, **known: object) -> None:
+        payload = kind.payload(account=account, ok=ok, reason=reason, **known)
+        self._publish(self._topics.ack_of(kind, account), payload)
+
     def _on_review(self, account: str, payload: bytes, retained: bool) -> None:
         try:
             review = parse_review(payload, retained, account)
         except PayloadError as error:
-            self._publish(self._topics.review_ack, review_answer(None, False, str(error), account))
+            self._answer(requests.REVIEW, account, False, str(error), reviewer=account)
             return
+        known = {name: getattr(review, name) for name in ("plan_id", "plan_hash", "verdict", "reviewer")}
         plan = self.plan
         if plan is None or (plan.id, plan.hash) != (review.plan_id, review.plan_hash):
             sentence = f"plan {review.plan_id} with this hash is not under review"
-            self._publish(self._topics.review_ack, review_answer(review, False, sentence))
+            self._answer(requests.REVIEW, account, False, sentence, **known)
             return
         if review.approves and (problem := self._too_old(review.moment)):
-            sentence = f"the approval is {problem}"
-            self._publish(self._topics.review_ack, review_answer(review, False, sentence, expired=True))
+            self._answer(requests.REVIEW, account, False, f"the approval is {problem}", expired=True, **known)
             return
         self.verdicts.append((review.reviewer, review.verdict, review.plan_id))
         self.plan = None
-        self._publish(self._topics.review_ack, review_answer(review, True, f"{review.verdict} by {review.reviewer}"))
+        self._answer(requests.REVIEW, account, True, f"{review.verdict} by {review.reviewer}", **known)
         self._publish(self._topics.plan, b"", retain=True)
         if review.approves:
             self.state, self._outcome, self._playing, self._elapsed, self._rate = "PLAYING", "", plan.id, 0.0, 1.0
 
     def _on_intervention(self, verb: str, account: str, payload: bytes, retained: bool) -> None:
-        topic = self._topics.stop_ack if verb == "stop" else self._topics.pause_ack
+        kind = requests.STOP if verb == "stop" else requests.PAUSE
         by = (GATEWAY, EXECUTOR) if verb == "stop" else (EXECUTOR,)
         try:
             asked = parse_intervention(verb, account, payload, retained)
         except PayloadError as error:
             for each in by:
-                self._publish(topic, intervention_answer("", account, each, False, str(error)))
+                self._answer(kind, account, False, str(error), by=each)
             return
         if verb == "resume" and (problem := self._too_old(asked.moment)):
-            answer = intervention_answer(asked.id, account, EXECUTOR, False, f"the resume is {problem}", expired=True)
-            self._publish(topic, answer)
+            self._answer(kind, account, False, f"the resume is {problem}", id=asked.id, expired=True)
             return
         moves = {"stop": ("IDLE", "stopped"), "pause": ("PAUSED", ""), "resume": ("PLAYING", "")}
         ok = self.state in ("PLAYING", "PAUSED") or verb == "stop"
         if self.state in ("PLAYING", "PAUSED"):
             self.state, self._outcome = moves[verb]
         for each in by:
-            self._publish(topic, intervention_answer(asked.id, account, each, ok, "" if ok else "nothing is played"))
+            self._answer(kind, account, ok, "" if ok else "nothing is played", id=asked.id, by=each)
 
     def _on_plan_request(self, account: str, payload: bytes, retained: bool) -> None:
         try:
             asked = parse_plan_request(read_document(payload, retained, "plan_request", MAX_BYTES), self._joints)
         except PayloadError as error:
-            answer = plan_answer("", account, "", False, str(error))
+            self._answer(requests.PLAN_REQUEST, account, False, str(error))
+            return
+        known = {"id": asked.id, "kind": asked.kind}
+        if problem := self._too_old(str(asked.moment)):
+            self._answer(requests.PLAN_REQUEST, account, False, f"the request is {problem}", expired=True, **known)
+        elif asked.kind == "joints":
+            plan = self.show_plan(asked.joints)
+            known |= {"plan_id": plan.id, "plan_hash": plan.hash, "duration": plan.duration}
+            self._answer(requests.PLAN_REQUEST, account, True, "planned", **known)
         else:
-            if problem := self._too_old(str(asked.moment)):
-                sentence = f"the request is {problem}"
-                answer = plan_answer(asked.id, account, asked.kind, False, sentence, expired=True)
-            elif asked.kind == "joints":
-                plan = self.show_plan(asked.joints)
-                answer = plan_answer(asked.id, account, asked.kind, True, "planned", plan.id, plan.hash, plan.duration)
-            else:
-                answer = plan_answer(
-                    asked.id, account, asked.kind, False, f"this robot of a test plans no {asked.kind}"
-                )
-        self._publish(self._root + "plan_request/ack", answer)
+            reason = f"this robot of a test plans no {asked.kind}"
+            self._answer(requests.PLAN_REQUEST, account, False, reason, **known)
 
     def _too_old(self, moment: str) -> str:
         """Return why what repeats a moment is void, as if it had lain on its way for `delay`."""
@@ -388,13 +392,13 @@ class ScriptedRobot:
         try:
             asked = parse_ik(read_document(payload, retained, "ik", MAX_BYTES), self._joints)
         except PayloadError as error:
-            answer = ik_answer("", "unknown", None, str(error))
-        else:
-            try:
-                pose = Pose(np.array(asked.position), quaternion_to_rotation(asked.orientation))
-                found = self._inverse.nearest(pose, np.array(asked.seed or self.twin))
-            except KinematicsError as error:
-                answer = ik_answer(asked.id, "out", None, str(error))
-            else:
-                answer = ik_answer(asked.id, "free", dict(zip(self._names, found.q.tolist())), "reached")
-        self._publish(f"{self._root}ik/ack/{account}", answer)
+            self._answer(requests.IK, account, False, sentence=str(error))
+            return
+        try:
+            pose = Pose(np.array(asked.position), quaternion_to_rotation(asked.orientation))
+            found = self._inverse.nearest(pose, np.array(asked.seed or self.twin))
+        except KinematicsError as error:
+            self._answer(requests.IK, account, False, id=asked.id, reach="out", sentence=str(error))
+            return
+        joints = dict(zip(self._names, found.q.tolist()))
+        self._answer(requests.IK, account, True, id=asked.id, reach="free", joints=joints, sentence="reached")

@@ -6,15 +6,22 @@ padding holds all the way.
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import pydantic
+import pytest
+import yaml
+from work_samples import RECIPES
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import product
+from construction_twin.work import processes
 from construction_twin.work.jobs import WorkPlan
 from construction_twin.work.motions import Failed, Part, Search
 from construction_twin.work.process import Process
@@ -23,6 +30,11 @@ from construction_twin.work.site import inverse, pose_of
 
 NAME = "touch"
 TO_POINT, TOUCH, BACK, HOME = "to point", "touch", "back", "home"
+#: In the frame of a brick of `work_samples`.
+TOP = (0.05, 0.0, 0.071)
+RECIPE = {
+    "process": NAME, "match": {"elements": ["brick0"]}, "speed": 0.2, "free_speed_scale": 0.5, "points": [TOP], "gap": 0.04,
+}  # fmt: skip
 #: The tool's z points down, its x along the base's.
 _DOWN = np.diag([1.0, -1.0, -1.0])
 
@@ -126,3 +138,18 @@ PROCESS = Process(
     plan=plan,
     changes=lambda job, scene, planner, stage: iter(()),
 )
+
+
+def recipes_file(folder: Path, **changes: object) -> Path:
+    """Return a file with a recipe that touches, before those that place."""
+    document = yaml.safe_load(RECIPES.read_text())
+    document["recipes"] = {"probe": {**yaml.safe_load(json.dumps(RECIPE)), **changes}, **document["recipes"]}
+    (folder / "recipes.yaml").write_text(yaml.safe_dump(document, sort_keys=False))
+    return folder / "recipes.yaml"
+
+
+def known() -> Iterator[None]:
+    """A fixture of a module, in which this process is known: other tests compare what is known with the documents."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(processes.MODULES, NAME, "touch_process")
+        yield

@@ -77,6 +77,12 @@ class Unplugged:
         self._opens("serves", name, None)
 
 
+def ask(shell: NodeShell, node: object, name: str, request: object = None, refuse: Callable = lambda *_: None):
+    """Return the answer of a service that a node declares, as its caller gets it."""
+    (served,) = (each for each in shell.interface.serves if each.name == name)
+    return served.answer(node, refuse, request)
+
+
 def over_the_wire(message: genpy.Message) -> genpy.Message:
     """Return what arrives of a message."""
     buffer = io.BytesIO()

@@ -6,7 +6,6 @@ moment. Messages go through the wire format.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,6 +23,7 @@ from construction_twin.srv import (
 from executor_bench import ROBOT, joined, reach
 from plan_samples import make_report
 from std_srvs.srv import TriggerResponse
+from unplugged import ask, over_the_wire
 
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Chain, Pose
@@ -94,13 +94,6 @@ def segments(scene: Scene) -> tuple[WorkSegment, ...]:
     return tuple(made)
 
 
-def over_the_wire(message):
-    """Return a message as another process gets it."""
-    buffer = io.BytesIO()
-    message.serialize(buffer)
-    return type(message)().deserialize(buffer.getvalue())
-
-
 class Killed(Exception):
     """The node ends at this point."""
 
@@ -144,7 +137,7 @@ class Bench:
             model="panel.ifc", cell="/cell.yaml", self_collision="", tf_prefix="", review_file=str(self.review_file),
             folder="work", arm="mock", max_pose_age=0.5, service_timeout=1.0, listen_time=0.02, retry_time=0.01,
         ).model_copy(update=files)  # fmt: skip
-        refuse = lambda *said: self.refused.append(said)  # noqa: E731
+        refuse = self.refuse
         self.desk = SharedDesk("the model is being read")
         self.heard = WorkListener(self.publishers.__getitem__, lambda: False, self.review_file, refuse)
         self.node = module.WorkNode(
@@ -234,11 +227,19 @@ class Bench:
             log.append(Ending(plan, outcome, ""))
         log.close()
 
+    def refuse(self, *said) -> None:
+        """Note what is refused."""
+        self.refused.append(said)
+
     # -- what the node does
 
     def ask(self, task: str = TASK) -> WorkPlanTaskResponse:
         """Ask for a plan as a person would."""
-        return self.node.on_plan_task(over_the_wire(WorkPlanTaskRequest(task)))
+        return self.call("work/plan", WorkPlanTaskRequest(task))
+
+    def call(self, name: str, request):
+        """Return the answer of one of the node's services."""
+        return ask(module.NODE, self.node, name, over_the_wire(request), self.refuse)
 
     def play(self, segment: int, at_boundary: bool = False, wants_scene: bool = False) -> Bench:
         """Have the executor say where it is, and the node act on it."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -22,6 +22,7 @@ from construction_twin.work.building import Body, BuildingModel, Element
 from construction_twin.work.jobs import WorkJob, bare_job
 from construction_twin.work.motions import TaskLimits
 from construction_twin.work.recipes import Recipes, read_recipes
+from construction_twin.work.schedule import Job
 from construction_twin.work.site import Site, read_site
 from construction_twin.work.site_scene import Layout
 from construction_twin.work.task_planner import TaskPlanner
@@ -93,10 +94,10 @@ def site(folder: Path, cell: Mapping | None = None, scene: Mapping | None = None
     return read_site(folder / "cell.yaml")
 
 
-def layout(at: Site, model: BuildingModel) -> Layout:
+def layout(at: Site, model: BuildingModel, jobs: Sequence[Job] = ()) -> Layout:
     """Return the layout of a model's elements, boxes all, in the order of the file."""
     pieces = {one.id: box_pieces(one) for one in model.elements.values()}
-    return Layout(at, model, pieces, list(model.elements), robot().tip_link)
+    return Layout(at, model, pieces, list(model.elements), robot().tip_link, jobs=jobs)
 
 
 @cache

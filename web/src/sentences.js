@@ -5,6 +5,9 @@
  */
 import sentences from "../../src/construction_twin/core/sentences.json" with {type: "json"};
 
+const PLACE = /\{(\w+)(?::(?:\.(\d))?([fgqps]))?\}/g;
+const UNITS = {rad: [180 / Math.PI, "deg"], m: [1e3, "mm"]};
+
 /** Languages that there are. */
 export const languages = Object.keys(sentences["page.title"]);
 
@@ -13,10 +16,14 @@ export function wordsOf(key, language) {
   return Object.hasOwn(sentences, key) ? sentences[key][language] : undefined;
 }
 
+/** Beginnings of the keys of reasons and answers. */
+const REASONS = ["reason.", "executor.", "review.", "link.", "gateway."];
+const isReason = (key) => REASONS.some((each) => key.startsWith(each));
+
 /** Whether what came from a robot is key and values of a reason, with a value of the right kind in every place. */
 export function canSay(said) {
   const {key, values} = said ?? {};
-  if (typeof key !== "string" || !key.startsWith("reason.") || typeof values !== "object" || values === null) return false;
+  if (typeof key !== "string" || !isReason(key) || typeof values !== "object" || values === null) return false;
   const words = wordsOf(key, "en");
   return words !== undefined && [...words.matchAll(PLACE)].every(([, name, , form]) => {
     const value = Object.hasOwn(values, name) ? values[name] : undefined;
@@ -25,9 +32,6 @@ export function canSay(said) {
     return ["string", "number"].includes(typeof value) || canSay(value);
   });
 }
-
-const PLACE = /\{(\w+)(?::(?:\.(\d))?([fgqps]))?\}/g;
-const UNITS = {rad: [180 / Math.PI, "deg"], m: [1e3, "mm"]};
 
 /**
  * Return a template with its places filled in.
@@ -46,6 +50,48 @@ export function fill(template, values, said = {value: String, unit: (unit) => un
     return `${decimals === undefined ? short(number, unit) : fixed(number, decimals)} ${said.unit(unit)}`.trim();
   });
 }
+
+// -- reasons that come as text, as `understood` of core/sentences.py finds them
+
+/** What a place in a text may be, by its form; others are one word. */
+const READ = {s: "(.+?)", p: "(\\S+ \\S+?)", q: "(\\S+ \\S+?)"};
+const escaped = (text) => text.replace(/[\\^$.*+?()[\]{}|]/g, "\\$&");
+
+/** Key, places and pattern of each reason, and its own words; the one with the most of them first. */
+const PATTERNS = Object.keys(sentences).filter(isReason).map((key) => {
+  const words = sentences[key].en;
+  const places = [...words.matchAll(PLACE)].map(([, name, , form]) => ({name, form}));
+  const own = words.split(PLACE).filter((_, k) => k % 4 === 0);
+  const pattern = own.slice(1).reduce((text, each, k) => text + (READ[places[k].form] ?? "(\\S+?)") + escaped(each), escaped(own[0]));
+  return {key, places, own: own.join(""), pattern: new RegExp(`^${pattern}$`, "s")};
+}).sort((one, other) => other.own.length - one.own.length);
+
+/** Return key and values of the reason whose English text this is, to the letter; null: none reads so. */
+export function understood(text) {
+  for (const {key, places, own, pattern} of PATTERNS) {
+    const found = pattern.exec(text);
+    if (found === null) continue;
+    const values = Object.fromEntries(places.map(({name, form}, k) => [name, read(form, found[k + 1])]));
+    const said = {key, values};
+    if (english(said) !== text) continue;
+    if (/\p{L}/u.test(own) || Object.values(values).some((value) => typeof value?.key === "string")) return said;
+  }
+  return null;
+}
+
+function read(form, part) {
+  if (form === "s") return understood(part) ?? part;
+  if (form === "f" || form === "g") return Number(part);
+  if (form !== "p" && form !== "q") return part;
+  const [number, unit] = part.split(" ");
+  const [base, ...per] = unit.split("/");
+  const inside = Object.keys(UNITS).find((each) => form === "p" && UNITS[each][1] === base);
+  return inside === undefined ? {value: Number(number), unit} : {value: Number(number) / UNITS[inside][0], unit: [inside, ...per].join("/")};
+}
+
+const english = ({key, values}) => fill(sentences[key].en, values, {
+  value: (each) => (typeof each?.key === "string" ? english(each) : String(each)), unit: (unit) => unit,
+});
 
 /** Convert rad to deg, m to mm, alone or over a time; others stay. */
 function forPeople({value, unit}) {

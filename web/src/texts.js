@@ -1,5 +1,5 @@
 /** The page's words in the person's language. */
-import {canSay, fill, languages, wordsOf} from "./sentences.js";
+import {canSay, fill, languages, understood, wordsOf} from "./sentences.js";
 
 /** Return the language to use: the one that was chosen before, else the first of the browser's that there is, else English. */
 export function languageOf(chosen, wanted) {
@@ -31,8 +31,13 @@ export function makeTexts(language) {
     return [texts.has(`unit.${base}`) ? texts(`unit.${base}`) : base, ...per].join("/");
   };
   texts.language = language;
-  /** Return what a robot has said as key and values; without a key of this page, or with other values than it needs, its own text. */
-  texts.said = (said, text) => (canSay(said) ? texts(said.key, said.values) : text);
+  /** Return what a robot has said as key and values; without a key of this page, or with other values than it needs, its text. */
+  texts.said = (said, text) => (canSay(said) ? texts(said.key, said.values) : texts.reason(text));
+  /** Return a reason or an answer that a robot has sent as English text; where it is none of the sentences, as it came. */
+  texts.reason = (text) => {
+    const said = language === "en" || typeof text !== "string" ? null : understood(text);
+    return said === null ? text : texts(said.key, said.values);
+  };
   texts.has = (key) => wordsOf(key, language) !== undefined;
   return texts;
 }

@@ -8,7 +8,7 @@ import * as plots from "../src/panels/plots.js";
 import * as runs from "../src/panels/runs.js";
 import * as tasks from "../src/panels/tasks.js";
 import {readListing} from "../src/runs/listing.js";
-import {counts, group, isAskable, nextTask, taskOfElement, waitsFor} from "../src/work/task_list.js";
+import {counts, group, isAskable, nextTask, stateOfElement, taskOfElement, waitsFor} from "../src/work/task_list.js";
 import {fakePage, view} from "./support/fake.js";
 
 const URDF = readFileSync(new URL("support/track.urdf", import.meta.url), "utf8");
@@ -312,6 +312,17 @@ test("an element that is placed in two tasks leads to the one that is not over",
   assert.equal(taskOfElement(both, "x").id, "2");
   assert.equal(taskOfElement(work({tasks: [task("1", "done", {element: "x"})]}), "x").id, "1");
   assert.equal(taskOfElement(both, "y"), null);
+});
+
+test("an element with several tasks has the colour of the one that is open, but what was placed stands", () => {
+  const states = (...each) => stateOfElement(work({tasks: each.map((state, k) => task(`${k}`, state, {element: "x"}))}), "x");
+  assert.equal(states("carrying", "waiting"), "carrying");
+  assert.equal(states("waiting", "waiting"), "waiting");
+  assert.equal(states("done", "waiting"), "done");
+  assert.equal(states("done", "ready"), "ready");
+  assert.equal(states("done", "skipped"), "done");
+  assert.equal(states("skipped", "skipped"), "skipped");
+  assert.equal(stateOfElement(work({tasks: []}), "x"), undefined);
 });
 
 test("a robot without a building model has no list of tasks", async () => {

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import {readFileSync} from "node:fs";
 import {test} from "node:test";
-import {fill} from "../src/sentences.js";
+import {fill, understood, wordsOf} from "../src/sentences.js";
 import {languageOf, makeTexts, withoutLanguage} from "../src/texts.js";
 
 const cases = JSON.parse(readFileSync(new URL("./support/sentence_cases.json", import.meta.url), "utf8"));
@@ -51,4 +51,33 @@ test("what it has said without a key of the page, or with values that do not fit
     without({difference: 0.1}), without({difference: {value: "0.1", unit: "rad"}}), without({difference: {value: 0.1}}),
     {key: GAVE_UP.key, values: {held: "30", reason: DIFFERS}}, {key: GAVE_UP.key, values: {held: 30, reason: {key: "page.title", values: {}}}},
   ]) assert.equal(de.said(said, "the text"), "the text", JSON.stringify(said));
+});
+
+const reasons = Object.keys(JSON.parse(readFileSync(new URL("../../src/construction_twin/core/sentences.json", import.meta.url), "utf8")))
+  .filter((key) => /^(reason|executor|review|link|gateway)\./.test(key));
+
+test("a reason that came as text is found in it again, and said in the page's language", () => {
+  const de = makeTexts("de");
+  assert.ok(reasons.length > 100);
+  for (const key of reasons) {
+    const values = {};
+    for (const [, name, decimals, form] of wordsOf(key, "en").matchAll(/\{(\w+)(?::(?:\.(\d))?(\w))?\}/g)) {
+      const number = Number((1.23456789).toFixed(Number(decimals ?? 3)));
+      values[name] = form === "p" || form === "q" ? {value: form === "p" ? Math.PI * 12.5 / 180 : number, unit: "rad"}
+        : form === "f" || form === "g" ? number : form === "s" ? {key: "executor.where.before", values: {}} : "word";
+    }
+    const text = makeTexts("en")(key, values);
+    assert.equal(understood(text)?.key, key, text);
+    assert.equal(de.reason(text), de(key, values));
+  }
+});
+
+test("a text that is no reason to the letter stays as it is", () => {
+  const de = makeTexts("de");
+  for (const text of ["", "at 2.1 s", "this; that", "this: that", "joint_a3 differs by 0.7 deg", "Twin and arm agree.", "before the first"]) {
+    assert.equal(understood(text), null, text);
+    assert.equal(de.reason(text), text);
+  }
+  assert.equal(de.reason(undefined), undefined);
+  assert.equal(makeTexts("en").reason("goal reached"), "goal reached");
 });

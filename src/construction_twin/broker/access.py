@@ -10,9 +10,13 @@ from dataclasses import dataclass, field
 from string import Template
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.requests import REQUESTS
 
-#: What a right lets an account do is its template, ``right_<right>.acl``. Each has topics of its own, so the broker alone decides.
-RIGHTS = ("view", "stop", "pause", "plan_request", "trajectory", "review")
+_OF_ACCOUNTS = [kind for kind in REQUESTS if kind.right]
+#: What a right lets an account do is its template, ``right_<right>.acl``, with the topics of its requests in it. Each right has
+#: topics of its own, so the broker alone decides.
+RIGHTS = ("view", *dict.fromkeys(kind.right for kind in _OF_ACCOUNTS))
 #: Roles of people, and of programs in their place: lists of rights.
 ROLES = {
     "viewer": ("view",),
@@ -138,12 +142,26 @@ def access_rules(site: Site, template: Callable[[str], str]) -> str:
     """
     parts = ["# Who may do what. Made by make_site from config/mosquitto/; it is written anew with every run.\n"]
     for account in site.accounts():
-        values = {"account": account.name, "topics": f"{site.prefix}/{account.robot}"}
+        topics = Topics(site.prefix, account.robot)
+        values = {"account": account.name, "topics": f"{site.prefix}/{account.robot}", "requests": _answering(topics)}
         rights = ROLES.get(account.role)
         head = f"# {account.role}: {', '.join(rights)}\nuser {account.name}\n" if rights else ""
-        names = [f"right_{right}.acl" for right in rights] if rights else [f"{account.role}.acl"]
-        parts.append(head + "".join(_filled(name, template(name), **values) for name in names))
+        files = {f"right_{right}.acl": right for right in rights} if rights else {f"{account.role}.acl": ""}
+        for name, right in files.items():
+            head += _filled(name, template(name), **values, writes=_asking(topics, right, account.name))
+        parts.append(head)
     return "\n".join(parts)
+
+
+def _asking(topics: Topics, right: str, account: str) -> str:
+    """Return the rules of who may ask for what a right is about."""
+    return "\n".join(f"topic write {topics.of(kind, account)}" for kind in _OF_ACCOUNTS if kind.right == right)
+
+
+def _answering(topics: Topics) -> str:
+    """Return the rules of who takes all requests of accounts, and answers them."""
+    asked = [f"topic read {topics.of(kind)}" for kind in _OF_ACCOUNTS]
+    return "\n".join([*asked, *dict.fromkeys(f"topic write {topics.ack_of(kind)}" for kind in _OF_ACCOUNTS)])
 
 
 def broker_configuration(site: Site, template: Callable[[str], str]) -> str:

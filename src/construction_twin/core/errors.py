@@ -63,7 +63,7 @@ class RecordError(ReviewError):
 
     def __init__(self, path: str, problem: str):
         self.path = path
-        super().__init__(f"{path}: {problem}; nothing is approved without a record, mend it and restart the executor")
+        super().__init__(Sentence("review.no_record", path=path, problem=problem))
 
 
 class TransitionLogError(ConstructionTwinError):

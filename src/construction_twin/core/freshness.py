@@ -12,6 +12,7 @@ import re
 from dataclasses import dataclass
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 
 #: A request is void so long after the moment that it repeats [ns]: 1 s for the oldest picture that the page shows as the present,
@@ -50,9 +51,7 @@ def parse_moment(text: object) -> Moment:
     found = _TEXT.fullmatch(text) if isinstance(text, str) else None
     if found is None:
         shown = "nothing" if text is None or text == "" else repr(text)[:60]
-        raise PayloadError(
-            "moment", f"found {shown} as moment; expected the text moment of the newest view, as it came"
-        )
+        raise PayloadError("moment", Sentence("executor.void.no_moment", shown=shown))
     return Moment(found[1], int(found[2]) * _MILLISECOND)
 
 
@@ -62,15 +61,13 @@ def staleness(seen: Moment, now: Moment) -> str:
     Args:
         seen, now: What was shown, and the present; compared only where both are of one clock.
     """
-    again = "look again, and then ask anew"
     if seen.origin != now.origin:
-        return f"void: it repeats a moment of another computer, or of before this one was started; {again}"
+        return Sentence("executor.void.elsewhere")
     age = now.at - seen.at
     if age < 0:
-        return f"void: it repeats a moment that is {-age / NANOSECONDS:.3f} s ahead, which no view has shown; {again}"
+        return Sentence("executor.void.ahead", ahead=-age / NANOSECONDS)
     if age > LIFETIME:
-        oldest = LIFETIME / NANOSECONDS
-        return f"too old: it is of {age / NANOSECONDS:.1f} s ago, and after {oldest:g} s it is void; {again}"
+        return Sentence("executor.void.old", age=age / NANOSECONDS, oldest=LIFETIME / NANOSECONDS)
     return ""
 
 

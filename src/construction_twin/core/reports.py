@@ -13,10 +13,11 @@ from enum import Enum
 from typing import Annotated, Protocol
 
 from construction_twin.core.records import as_seconds
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import seconds
 
 #: Why nothing is known of the tool before the first report.
-NO_REPORT = "no report of the tool yet; check that bridge and gateway run"
+NO_REPORT = Sentence("executor.tool.no_report")
 #: A number that may be nan, which JSON has as null.
 _OrNan = Annotated[float, {"type": ["number", "null"]}]
 
@@ -252,15 +253,11 @@ class ToolReport:
             return self.unknown()
         for signal in signals:
             if signal.name not in self.inputs:
-                return f"the tool {self.tool!r} has no input {signal.name!r}"
+                return Sentence("executor.tool.no_input", tool=repr(self.tool), signal=repr(signal.name))
             if self.inputs[signal.name] is not signal.value:
-                return f"{signal.name} reads {_word(self.inputs[signal.name])}, not {_word(signal.value)}"
+                return Sentence(f"executor.tool.reads_{'off' if signal.value else 'on'}", signal=signal.name)
         return ""
 
     def unknown(self) -> str:
         """Return why nothing is known of the tool, as a clause; "" when it is known."""
-        return "" if self.known else f"the tool's state is not known: {self.reason or NO_REPORT}"
-
-
-def _word(value: bool) -> str:
-    return "on" if value else "off"
+        return "" if self.known else Sentence("executor.tool.unknown", reason=self.reason or NO_REPORT)

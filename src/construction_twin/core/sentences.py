@@ -30,8 +30,8 @@ _PLACE = re.compile(r"\{(\w+)(?::(?:\.(\d))?([fgqps]))?\}")
 _ENGLISH: dict[str, str] = {
     key: words["en"] for key, words in json.loads(Path(__file__).with_name("sentences.json").read_bytes()).items()
 }
-#: Keys of what nodes give as their reasons: `understood` finds these.
-_REASONS = "reason."
+#: Beginnings of the keys of what nodes give as reasons and answers: `understood` finds these.
+REASONS = ("reason.", "executor.", "review.", "link.", "gateway.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +80,18 @@ class Sentence(str):
         }
 
 
+def replaced(text: str, part: str, other: str) -> str:
+    """Return a sentence with another one in the place of the part that it has as a value."""
+    if text == part:
+        return other
+    if not isinstance(text, Sentence):
+        return text
+    values = text.values.items()
+    return Sentence(
+        text.key, **{name: replaced(each, part, other) if isinstance(each, str) else each for name, each in values}
+    )
+
+
 def said_in(text: object) -> dict[str, Any] | None:
     """Return key and values of a sentence as JSON has them; None: of a text without a key."""
     return text.document() if isinstance(text, Sentence) else None
@@ -118,9 +130,10 @@ def understood(text: str) -> Sentence | None:
         text: As it was said.
 
     Returns:
-        The sentence whose text this is, character by character; None: no reason of `sentences.json` reads so.
+        The sentence whose text this is, character by character; None: no reason of `sentences.json` reads so. What has no words of
+        its own, as ``{first:s}; {second:s}``, is found around another one only.
     """
-    for key, pattern, names in _patterns():
+    for key, pattern, names, has_words in _patterns():
         found = pattern.fullmatch(text)
         if found is not None:
             try:
@@ -128,7 +141,7 @@ def understood(text: str) -> Sentence | None:
             except ValueError:
                 continue
             sentence = Sentence(key, **values)
-            if sentence == text:
+            if sentence == text and (has_words or any(isinstance(value, Sentence) for value in values.values())):
                 return sentence
     return None
 
@@ -146,15 +159,23 @@ def _read(form: str | None, part: str) -> Value:
 
 #: What places with other values than one word may hold.
 _READ = {"s": "(.+?)", "p": r"(\S+ \S+?)", "q": r"(\S+ \S+?)"}
-_Pattern = tuple[str, re.Pattern[str], list[tuple[str, str | None]]]
+_Pattern = tuple[str, re.Pattern[str], list[tuple[str, str | None]], bool]
 
 
 @lru_cache(maxsize=1)
 def _patterns() -> list[_Pattern]:
-    """Return key, pattern and places of each reason, the one with the most words of its own first."""
-    reasons = {key: words for key, words in _ENGLISH.items() if key.startswith(_REASONS)}
-    own = sorted(reasons, key=lambda key: -len(_PLACE.sub("", reasons[key])))
-    return [(key, re.compile("".join(_pieces(reasons[key])), re.DOTALL), _names(reasons[key])) for key in own]
+    """Return key, pattern, places, and whether there are other words, of each reason; the one with the most of its own first."""
+    reasons = {key: words for key, words in _ENGLISH.items() if key.startswith(REASONS)}
+    own = {key: _PLACE.sub("", words) for key, words in reasons.items()}
+    return [
+        (
+            key,
+            re.compile("".join(_pieces(reasons[key])), re.DOTALL),
+            _names(reasons[key]),
+            any(letter.isalpha() for letter in own[key]),
+        )
+        for key in sorted(own, key=lambda key: -len(own[key]))
+    ]
 
 
 def _names(template: str) -> list[tuple[str, str | None]]:

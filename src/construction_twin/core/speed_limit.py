@@ -9,6 +9,7 @@ from __future__ import annotations
 from enum import Enum
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 
 
@@ -93,7 +94,7 @@ class SpeedLimit:
                 "speed_limit_source", f"{name} sent a speed limit while {self.name} does; let only one of them"
             )
         self.hear(fraction, name, now)
-        self._words, self.reason = words.strip() or "no reason given", ""
+        self._words, self.reason = words.strip() or Sentence("executor.speed.no_words"), ""
         self.update(now)
 
     def is_heard(self, now: int) -> bool:
@@ -125,11 +126,10 @@ class SpeedLimit:
         return self.limit
 
     def _sentence(self) -> str:
-        limit = f"speed limit {self.limit:g}"
         if self.state is LimitState.UNLIMITED:
-            return "no speed limit: no source of `speed_limit` was heard"
+            return Sentence("executor.speed.unlimited")
         if self.state is LimitState.HEARD:
-            return f"{limit} by {self.name}: {self._words}"
+            return Sentence("executor.speed.limit", limit=self.limit, name=self.name, words=self._words)
         if self.state is LimitState.MISSING:
-            return f"{limit}: none was heard, and one is required; start a source of `speed_limit`"
-        return f"{limit}: {self.name} is silent for more than {self.deadline:g} s; check it, or start another source"
+            return Sentence("executor.speed.missing", limit=self.limit)
+        return Sentence("executor.speed.silent", limit=self.limit, name=self.name, deadline=self.deadline)

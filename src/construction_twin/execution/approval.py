@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 from construction_twin.core.errors import ExpiredError, RecordError, ReviewError
 from construction_twin.core.freshness import LIFETIME, Moment, staleness
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import Executor
 from construction_twin.review.plan_under_review import APPROVED, REFUSED, REJECTED, Ending, Verdict, prove_hash
@@ -40,10 +41,10 @@ class WithoutPerson:
     def reason(self, source: str) -> str:
         """Return why a plan of this source needs no person, for the record; "" when it needs one."""
         if self.every:
-            return "the launch argument auto_approve is on"
+            return Sentence("review.by_itself")
         for name in self.sources:
             if source == name or source.endswith(f" from {name}"):
-                return f"the launch argument auto_approve_sources names {name}, and the plan is of {source!r}"
+                return Sentence("review.by_source", name=name, source=repr(source))
         return ""
 
 
@@ -111,7 +112,7 @@ class Approval:
             with self._lock:
                 verdict = self._examine(plan_id, plan_hash, False, reviewer, reason)
                 self._executor.reject(verdict)
-            return Taken(verdict, f"plan {plan_id} rejected by {reviewer}")
+            return Taken(verdict, Sentence("review.rejected", plan=plan_id, reviewer=reviewer))
         # before the verdicts that are waited for
         moment = self._clock() if seen is None else seen
         with self._one_verdict_at_a_time:
@@ -121,7 +122,7 @@ class Approval:
                 with self._lock:
                     verdict = self._examine(plan_id, plan_hash, True, reviewer, reason)
             except ReviewError as error:
-                self._refuse(plan_id, plan_hash, reviewer, str(error))
+                self._refuse(plan_id, plan_hash, reviewer, error.sentence)
                 raise
             self._record(verdict)
             try:
@@ -130,7 +131,8 @@ class Approval:
             except ReviewError as error:
                 # something happened while it was written down: the record is corrected
                 if verdict.plan is not None:
-                    self._record(Ending(verdict.plan, "dropped", f"not started: {error}"))
+                    reason = Sentence("review.not_started", reason=error.sentence)
+                    self._record(Ending(verdict.plan, "dropped", reason))
                 raise
 
     def approve_by_itself(self, now: int, which: WithoutPerson = WithoutPerson(every=True)) -> Taken | None:
@@ -157,7 +159,7 @@ class Approval:
             return self.review(plan.id, plan.hash, True, AUTO_APPROVE, reason)
         except ReviewError as error:
             with self._lock:
-                self._withdraw(plan.id, f"{AUTO_APPROVE}: {error}")
+                self._withdraw(plan.id, Sentence("review.not_by_itself", reason=error.sentence))
             if isinstance(error, RecordError):
                 raise
             return None
@@ -174,7 +176,7 @@ class Approval:
         """Return how long an approval may still wait for the first setpoint [ns]; ExpiredError when that is over."""
         now = self._clock()
         if problem := staleness(moment, now):
-            raise ExpiredError(f"the approval is {problem}")
+            raise ExpiredError(Sentence("executor.void.approval", problem=problem))
         return LIFETIME - (now.at - moment.at)
 
     def _begin_approved(self, verdict: Verdict, moment: Moment) -> str:
@@ -182,8 +184,9 @@ class Approval:
         left = self._demand_fresh(moment)
         self._examine(verdict.plan_id, verdict.plan_hash, True, verdict.reviewer)
         plan = self._executor.queue.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
-        self._executor.begin(plan, f"approved by {verdict.reviewer}", left)
-        return f"plan {plan.id} approved by {verdict.reviewer}; it takes {plan.trajectory.duration:.3f} s"
+        who = {"reviewer": verdict.reviewer}
+        self._executor.begin(plan, Sentence("executor.approved", **who), left)
+        return Sentence("review.approved", plan=plan.id, seconds=plan.trajectory.duration, **who)
 
     def _withdraw(self, plan_id: str, reason: str) -> None:
         """Take a plan out of review, if it is still there."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.states import ExecutorEvent
 from construction_twin.robot.segments import Segment, Signal, Switch
@@ -20,6 +21,7 @@ LEAD = NANOSECONDS * 3 // 20 // CYCLE_NS * CYCLE_NS
 FIRE_TIMEOUT = 3 * NANOSECONDS
 #: What is asked to change the scene must have done so within this time [ns]: longer than a node that was killed takes to come back.
 SCENE_TIMEOUT = 30 * NANOSECONDS
+_FIRE_TIMEOUT_S, _SCENE_TIMEOUT_S = FIRE_TIMEOUT / NANOSECONDS, SCENE_TIMEOUT / NANOSECONDS
 
 
 @dataclass(frozen=True)
@@ -153,8 +155,8 @@ class Boundary:
             self._wanted_at = now
         self.wants_scene = scene != self.scene_after
         if self.wants_scene and now - self._wanted_at > SCENE_TIMEOUT:
-            waited = f"the scene did not become {self.scene_after[:12]} within {SCENE_TIMEOUT / NANOSECONDS:g} s"
-            return BoundaryEvent(ExecutorEvent.TIMEOUT, f"{waited}; check that the node that changes it runs")
+            late = Sentence("executor.boundary.scene_late", scene=self.scene_after[:12], seconds=_SCENE_TIMEOUT_S)
+            return BoundaryEvent(ExecutorEvent.TIMEOUT, late)
         return None
 
     # -- switches
@@ -181,10 +183,7 @@ class Boundary:
         """Tell of a switch that would confirm nothing: a sensor that is stuck reads the same before and after it."""
         for order in self._ordered:
             if order.switch.confirm and not tool.problem(order.switch.confirm):
-                words = (
-                    f"what confirms {_name(order)} reads so before it was switched; look at the sensor and at the tool"
-                )
-                return BoundaryEvent(ExecutorEvent.LOST, words)
+                return BoundaryEvent(ExecutorEvent.LOST, Sentence("executor.boundary.stuck", switch=_name(order)))
         return None
 
     def _arm(self, which: list[_Order], stamp: int, now: int) -> None:
@@ -212,7 +211,8 @@ class Boundary:
                 continue
             if report.state is SwitchState.REFUSED or (_is_void(report) and not self._voided):
                 word = "refused" if report.state is SwitchState.REFUSED else "forgotten"
-                return BoundaryEvent(ExecutorEvent.REFUSED, f"the gateway has {word} {_name(order)}: {report.reason}")
+                sentence = Sentence(f"executor.boundary.{word}", switch=_name(order), reason=report.reason)
+                return BoundaryEvent(ExecutorEvent.REFUSED, sentence)
         return None
 
     def _late(self, now: int, tool: ToolReport) -> BoundaryEvent | None:
@@ -223,13 +223,14 @@ class Boundary:
             if order.fired is None:
                 all_in = False
                 if now - self._armed_at > FIRE_TIMEOUT:
-                    words = f"{_name(order)} was not reported as fired within {FIRE_TIMEOUT / NANOSECONDS:g} s"
+                    words = Sentence("executor.boundary.not_fired", switch=_name(order), seconds=_FIRE_TIMEOUT_S)
                     late = BoundaryEvent(ExecutorEvent.TIMEOUT, words)
             elif problem := tool.problem(order.switch.confirm):
                 all_in = False
                 if now - order.fired > order.switch.timeout * NANOSECONDS:
-                    words = (
-                        f"{_name(order)} has fired, but was not confirmed within {order.switch.timeout:g} s: {problem}"
+                    waited = order.switch.timeout
+                    words = Sentence(
+                        "executor.boundary.unconfirmed", switch=_name(order), seconds=waited, problem=problem
                     )
                     late = BoundaryEvent(ExecutorEvent.TIMEOUT, words)
         self._confirmed = all_in
@@ -241,4 +242,4 @@ def _is_void(report: SwitchReport | None) -> bool:
 
 
 def _name(order: _Order) -> str:
-    return f"the switch of {order.switch.output} to {'on' if order.switch.value else 'off'}"
+    return Sentence(f"executor.tool.switch_{'on' if order.switch.value else 'off'}", output=order.switch.output)

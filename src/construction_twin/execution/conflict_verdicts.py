@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 
 #: A verdict holds this long after the poses that it was computed from were read [ns]; the watch repeats it at its `rate`.
@@ -68,10 +69,9 @@ class ConflictVerdicts:
         if not self.name:
             return ""
         known = self._verdicts.get(plan_id)
-        hint = "is the node `neighbour` running?"
         if known is None:
-            return f"its path was not checked against {self.name} yet; {hint}"
+            return Sentence("executor.neighbour.unchecked", name=self.name)
         age = self.now - known.at
         if age > VERDICT_TIMEOUT:
-            return f"its path was last checked against {self.name} {age / NANOSECONDS:.1f} s ago; {hint}"
+            return Sentence("executor.neighbour.old", name=self.name, age=age / NANOSECONDS)
         return known.problem

@@ -14,8 +14,9 @@ from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.reports import ToolReport
+from construction_twin.core.sentences import Quantity, Sentence, Value, replaced
 from construction_twin.core.state_table import Machine, Occasion, conditions
-from construction_twin.core.units import NANOSECONDS, for_people
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.engagement import Engagement, EngagementKeeper
@@ -69,8 +70,8 @@ def check_start_pose(plan: Plan, pose: tuple[float, ...], robot: RobotModel) -> 
     off = outside_tolerance(start, pose, START_TOLERANCE)
     if off is not None:
         joint, unit = robot.joint_names[off], "m" if robot.linear[off] else "rad"
-        distance = for_people(start[off] - pose[off], unit)
-        raise ReviewError(f"plan {plan.id} starts {distance} from the present pose at {joint}; plan again")
+        distance = Quantity(start[off] - pose[off], unit)
+        raise ReviewError(Sentence("executor.start.pose", plan=plan.id, distance=distance, joint=joint))
 
 
 class Executor:
@@ -96,7 +97,7 @@ class Executor:
         self._machine = Machine(
             ROWS,
             ExecutorState.WAITING,
-            "started; waits for twin and physical arm to agree",
+            Sentence("executor.started"),
             conditions(self._guards()),
             {action: self._with_sentence(act) for action, act in self._actions().items()},
             after=self._after,
@@ -178,34 +179,34 @@ class Executor:
         """
         self._sync, self._agreed, self._policy, self._passed = state, agreed, policy, held_stamp
         if self._closed and state is SyncState.IN_SYNC:
-            self._machine.reason = self.cause.replace(self._closed, "the gate held, and is open again")
+            self._machine.reason = replaced(self.cause, self._closed, Sentence("executor.gate_open_again"))
             self._begin_saying()
         if self.state not in ACTIVE:
             return
-        reason = f"the gate holds ({state.name})"
         if state is SyncState.IN_SYNC:
             self._on(ExecutorEvent.GATE_OPENS)
-        elif policy != RESUME or state not in SURVIVED:
-            self._on(ExecutorEvent.GATE_ENDS, reason)
         else:
-            self._on(ExecutorEvent.GATE_HOLDS, reason)
+            ends = policy != RESUME or state not in SURVIVED
+            reason = Sentence("executor.gate_holds", state=state.name)
+            self._on(ExecutorEvent.GATE_ENDS if ends else ExecutorEvent.GATE_HOLDS, reason)
 
     def on_link(self, armed: bool, reason: str) -> None:
         """Take the link's state; without a physical arm there is none. While the arm is not armed nothing is played."""
         self._unarmed = "" if armed else reason
         if not armed:
-            self._on(ExecutorEvent.DISARMED, f"the arm is no longer armed: {reason}")
+            self._on(ExecutorEvent.DISARMED, Sentence("executor.disarmed", reason=reason))
 
     def on_scene(self, scene: str) -> None:
         """Take the present scene's hash: what was planned for another one is withdrawn, stopped or ended."""
-        before = self.queue.scene
-        reason = f"the scene changed from {before[:12] or 'none'} to {scene[:12]}"
-        self.tell_withdrawn(self.queue.on_scene(scene), f"{reason}; plan again")
+        change = {"before": self.queue.scene[:12] or "none", "after": scene[:12]}
+        self.tell_withdrawn(self.queue.on_scene(scene), Sentence("executor.scene_changed_since", **change))
         if self.state not in ACTIVE:
             return
+        reason = Sentence("executor.scene_changed", **change)
         if self.segment_run is not None:
             if not self.segment_run.expects(scene):
-                self._on(ExecutorEvent.LOST, f"{reason}, which was not planned {self.segment_run.where}")
+                where = self.segment_run.where
+                self._on(ExecutorEvent.LOST, Sentence("executor.scene_unplanned", change=reason, where=where))
         elif scene != self._played.plan.scene:
             self._on(ExecutorEvent.STOP, reason)
 
@@ -258,18 +259,16 @@ class Executor:
         """
         present = self.engagement.present
         if self.engagement.engaged and present is not way_back:
-            raise ReviewError(f"plan {plan.id} cannot be reviewed: {self.engaged()}")
-        self.tell_withdrawn(self.queue.offer(plan), f"replaced by plan {plan.id}")
+            raise ReviewError(Sentence("executor.start.engaged", plan=plan.id, reason=self.engaged()))
+        self.tell_withdrawn(self.queue.offer(plan), Sentence("executor.replaced", plan=plan.id))
         self._way_back = None if way_back is None else (plan.id, way_back)
 
     def engaged(self) -> str:
         """Return where the arm was left and what to do, as a sentence; only for an arm that is engaged."""
         present = self.engagement.present
         assert present is not None  # an arm that is engaged is so somewhere
-        return (
-            f"the arm was left in engaged segment {present.segment!r} of plan {present.plan_id} ({present.reason}); plan the way "
-            "back with plan_way_back, or free it by hand and call release_engagement"
-        )
+        left = {"segment": repr(present.segment), "plan": present.plan_id}
+        return Sentence("executor.engaged", **left, reason=present.reason)
 
     def _is_way_back(self, plan: Plan) -> bool:
         return self.engagement.engaged and self._way_back == (plan.id, self.engagement.present)
@@ -281,7 +280,7 @@ class Executor:
             ExecutionError: See `check_release`; also when the engagement is another one.
         """
         if self.check_release() is not left:
-            raise ExecutionError("the arm was left inside another engaged segment meanwhile; look at it again")
+            raise ExecutionError(Sentence("executor.release.another"))
         self.engagement.end()
 
     def check_release(self) -> Engagement:
@@ -292,11 +291,9 @@ class Executor:
         """
         present = self.engagement.present
         if not self.engagement.engaged or present is None:
-            raise ExecutionError("the arm is not engaged; there is nothing to release")
+            raise ExecutionError(Sentence("executor.release.nothing"))
         if self.state in ACTIVE:
-            raise ExecutionError(
-                f"plan {self._played.plan.id} is {self.state.name}; release the arm when it is at rest"
-            )
+            raise ExecutionError(self._said("executor.release.active", state=self.state.name))
         return present
 
     def check_start(self, plan: Plan) -> None:
@@ -306,25 +303,22 @@ class Executor:
             ReviewError: Naming what is against it.
         """
         if self.state is not ExecutorState.IDLE:
-            raise ReviewError(f"the executor is {self.state.name} ({self.reason}); approve when it is idle")
+            raise ReviewError(Sentence("executor.start.state", state=self.state.name, reason=self.reason))
         if self._sync is not SyncState.IN_SYNC:
-            raise ReviewError(f"twin and physical arm are not in sync ({self._sync.name}); approve when they are")
+            raise ReviewError(Sentence("executor.start.sync", state=self._sync.name))
         if self._unarmed:
-            raise ReviewError(f"the arm is not armed ({self._unarmed}); approve when it is")
-        if problem := self.neighbour.problem(plan.id):
-            raise ReviewError(f"plan {plan.id} may not start: {problem}")
-        if self.engagement.engaged and not self._is_way_back(plan):
-            raise ReviewError(f"plan {plan.id} may not start: {self.engaged()}")
-        if plan.segments:
+            raise ReviewError(Sentence("executor.start.unarmed", reason=self._unarmed))
+        problem = self.neighbour.problem(plan.id)
+        if not problem and self.engagement.engaged and not self._is_way_back(plan):
+            problem = self.engaged()
+        if not problem and plan.segments:
             problem = lacks(self.tool, plan) or self.tool.problem(plan.segments[0].requires)
             present = self.engagement.present
             if not problem and self._is_way_back(plan) and present is not None:
                 if set(plan.segments[0].requires) != set(present.requires(self.tool)):
-                    problem = (
-                        "the tool reads something else than when the way back was planned; call plan_way_back again"
-                    )
-            if problem:
-                raise ReviewError(f"plan {plan.id} may not start: {problem}")
+                    problem = Sentence("executor.start.tool_changed")
+        if problem:
+            raise ReviewError(Sentence("executor.start.refused", plan=plan.id, reason=problem))
         self.queue.check_scene()
         assert self._setpoint is not None  # in IDLE there always is one
         check_start_pose(plan, self._setpoint, self._robot)
@@ -376,9 +370,10 @@ class Executor:
 
         Plans asked for until `now` [ns] are void, so that nothing that a person stopped is taken up again by itself.
         """
-        reason = "stop requested"
+        reason = Sentence("executor.stop_asked")
         waiting = self.queue.void(now)
-        sentence = self._stop(reason) if self.state in ACTIVE else f"nothing is playing ({self.state.name})"
+        is_active = self.state in ACTIVE
+        sentence = self._stop(reason) if is_active else Sentence("executor.stop.nothing", state=self.state.name)
         self.beside.do("the verdict on a waiting plan", self.tell_withdrawn, waiting, reason)
         return sentence
 
@@ -392,21 +387,26 @@ class Executor:
             ExecutionError: When this plan is not played.
         """
         if self.state not in ACTIVE:
-            raise ExecutionError(f"plan {plan_id!r} is not played: the executor is {self.state.name} ({self.reason})")
+            present = {"state": self.state.name, "reason": self.reason}
+            raise ExecutionError(Sentence("executor.stop.idle", plan=repr(plan_id), **present))
         if self._played.plan.id != plan_id:
-            raise ExecutionError(f"plan {plan_id!r} is not played: the executor plays plan {self._played.plan.id}")
+            present = {"present": self._played.plan.id}
+            raise ExecutionError(Sentence("executor.stop.another", plan=repr(plan_id), **present))
         return self._stop(reason)
 
     def _stop(self, reason: str) -> str:
         if self.plan_start == 0:
-            self._on(ExecutorEvent.STOP, "stopped before it began")
-            return f"plan {self._played.plan.id} had not begun"
+            self._on(ExecutorEvent.STOP, Sentence("executor.stopped_unbegun"))
+            return self._said("executor.stop.unbegun")
         brakes = self.state is ExecutorState.STOPPING
         self._on(ExecutorEvent.STOP, reason)
         if brakes:
-            return f"plan {self._played.plan.id} is braking already"
-        stopping = self.state is ExecutorState.STOPPING
-        return f"braking plan {self._played.plan.id}" if stopping else f"plan {self._played.plan.id} ended at rest"
+            return self._said("executor.stop.again")
+        return self._said(f"executor.stop.{'braking' if self.state is ExecutorState.STOPPING else 'at_rest'}")
+
+    def _said(self, key: str, **values: Value) -> Sentence:
+        """Return a sentence about the present plan."""
+        return Sentence(key, plan=self._played.plan.id, **values)
 
     def braking(self) -> StopForecaster | None:
         """Return what tells where a stop that was just asked for will end, to be computed outside of any lock; else None."""
@@ -419,19 +419,19 @@ class Executor:
             ExecutionError: When nothing is playing.
         """
         if not ROWS[self.state, ExecutorEvent.PAUSE]:
-            raise ExecutionError(f"nothing to pause: the executor is {self.state.name} ({self.reason})")
+            raise ExecutionError(Sentence("executor.pause.nothing", state=self.state.name, reason=self.reason))
         before = self.state
         if before in (ExecutorState.PLAYING, ExecutorState.AT_BOUNDARY):
             self.queue.void_coming(now)
-        self._on(ExecutorEvent.PAUSE, "pause requested")
+        self._on(ExecutorEvent.PAUSE, Sentence("executor.pause_asked"))
         if self.segment_run is not None and before is ExecutorState.AT_BOUNDARY:
-            where = self.beside.do("where a pause rests", lambda work: work.where, self.segment_run) or "at a boundary"
-            return f"plan {self._played.plan.id} rests {where}; resume goes on"
+            where = self.beside.do("where a pause rests", lambda work: work.where, self.segment_run)
+            return self._said("executor.pause.boundary", where=where or Sentence("executor.where.boundary"))
         if before is ExecutorState.HELD:
-            return f"plan {self._played.plan.id} is HELD; when twin and arm agree again it stays at rest, and resume goes on"
+            return self._said("executor.pause.held")
         if before is not ExecutorState.PLAYING:
-            return f"plan {self._played.plan.id} is {before.name} already"
-        return f"plan {self._played.plan.id} comes to rest on its path; resume goes on"
+            return self._said("executor.pause.again", state=before.name)
+        return self._said("executor.pause.coming")
 
     def resume(self, may_wait: int = LIFETIME) -> str:
         """Go on along the same path; return one sentence. The approval that started the plan covers it.
@@ -443,17 +443,16 @@ class Executor:
             ExecutionError: When nothing is paused, or twin and arm are not in sync and armed.
         """
         if not ROWS[self.state, ExecutorEvent.RESUME]:
-            raise ExecutionError(f"nothing to resume: the executor is {self.state.name} ({self.reason})")
+            raise ExecutionError(Sentence("executor.resume.nothing", state=self.state.name, reason=self.reason))
         if self._sync is not SyncState.IN_SYNC:
-            raise ExecutionError(f"twin and physical arm are not in sync ({self._sync.name}); resume when they are")
+            raise ExecutionError(Sentence("executor.resume.sync", state=self._sync.name))
         if self._unarmed:
-            raise ExecutionError(f"the arm is not armed ({self._unarmed}); resume when it is")
+            raise ExecutionError(Sentence("executor.resume.unarmed", reason=self._unarmed))
         if problem := self.neighbour.problem(self._played.plan.id):
-            raise ExecutionError(f"plan {self._played.plan.id} may not go on: {problem}")
+            raise ExecutionError(self._said("executor.resume.refused", reason=problem))
         self._begin_by = self._now + may_wait
-        self._on(ExecutorEvent.RESUME, "resumed")
-        rest = self._played.plan.trajectory.duration - self._played.elapsed
-        return f"plan {self._played.plan.id} goes on; {rest:.3f} s of it are left"
+        self._on(ExecutorEvent.RESUME, Sentence("executor.resumed"))
+        return self._said("executor.resume.done", rest=self._played.plan.trajectory.duration - self._played.elapsed)
 
     # -- output
 
@@ -465,11 +464,12 @@ class Executor:
             if problem := self.neighbour.problem(self._played.plan.id):
                 self._on(ExecutorEvent.STOP, problem)
         if machine.state is ExecutorState.WAITING and self._agreed and self._fresh_twin(now) is not None:
-            self._on(ExecutorEvent.AGREED, "twin and physical arm agree")
+            self._on(ExecutorEvent.AGREED, Sentence("executor.agreed"))
         if machine.state is ExecutorState.WAITING:
             return None
         if machine.state in _MAY_BEGIN and now > self._begin_by and self._played.elapsed == 0.0:
-            self._on(ExecutorEvent.TIMEOUT, f"not begun, {self._waits_for()}: an approval is void after {_OLDEST:g} s")
+            sentence = Sentence("executor.not_begun", waits=self._waits_for(), seconds=_OLDEST)
+            self._on(ExecutorEvent.TIMEOUT, sentence)
         if machine.state is ExecutorState.AT_BOUNDARY:
             self._wait_at_boundary(stamp, now)
         if machine.state is ExecutorState.IDLE:
@@ -482,7 +482,7 @@ class Executor:
     def _repeat_twin(self, stamp: int, now: int) -> tuple[float, ...] | None:
         twin = self._fresh_twin(now)
         if twin is None:
-            self._on(ExecutorEvent.TWIN_LOST, "the twin's pose is not known")
+            self._on(ExecutorEvent.TWIN_LOST, Sentence("executor.twin_unknown"))
             return None
         # until the twin has executed the last setpoint it has not arrived; repeating its pose would step back
         if twin.stamp >= self._setpoint_stamp:
@@ -492,10 +492,10 @@ class Executor:
     def _waits_for(self) -> str:
         """Return why a plan that was approved stands at its beginning."""
         if self.state is ExecutorState.HELD:
-            return f"the gate holds ({self._sync.name})"
+            return Sentence("executor.gate_holds", state=self._sync.name)
         if self.segment_run is not None and self.state is ExecutorState.AT_BOUNDARY:
             return self.segment_run.waits_for()
-        return self.limit.reason if self.limit.fraction == 0.0 else "as its first setpoint was due too late"
+        return self.limit.reason if self.limit.fraction == 0.0 else Sentence("executor.waits.late")
 
     def _wait_at_boundary(self, stamp: int, now: int) -> None:
         work = self.segment_run
@@ -505,7 +505,7 @@ class Executor:
         if event is not None:
             self._on(event.event, event.reason)
         else:
-            cause = f"stands {work.where}, {work.waits_for()}"
+            cause = Sentence("executor.stands_and_waits", where=work.where, waits=work.waits_for())
             if cause != self.cause:
                 self._machine.reason = cause
                 self._say()
@@ -520,11 +520,11 @@ class Executor:
             self._setpoint = playback.advance(stamp, rate)
         self._setpoint_stamp = stamp
         if self.segment_run is not None and playback.goal_stamp:
-            self._on(ExecutorEvent.SEGMENT_END, f"stopped {self.segment_run.where}")
+            self._on(ExecutorEvent.SEGMENT_END, Sentence("executor.stopped_at", where=self.segment_run.where))
         elif playback.goal_stamp and machine.state is not ExecutorState.HELD:
             # a hold may still come that takes back the last setpoints: then the plan must be there to go on
             if self._policy != RESUME or self._passed >= playback.goal_stamp:
-                self._on(ExecutorEvent.GOAL, "goal reached")
+                self._on(ExecutorEvent.GOAL, Sentence("executor.goal"))
         elif playback.at_rest:
             self._on(ExecutorEvent.AT_REST)
             if machine.state is ExecutorState.PLAYING and not self.limit.standing and self.limit.fraction == 0.0:
@@ -645,8 +645,8 @@ class Executor:
         if work is None:
             return sentence
         if action is not Action.FINISH:
-            where = self.beside.do("where a work plan ends", lambda: work.where)
-            sentence = f"{sentence}; {where or 'where it stands'} the rest is dropped"
+            where = self.beside.do("where a work plan ends", lambda: work.where) or Sentence("executor.where.unknown")
+            sentence = Sentence("executor.end.dropped", reason=sentence, where=where)
         was_engaged = self.engagement.engaged
         self._orders += work.end(action is Action.FINISH, self._played.elapsed, sentence)
         if self.engagement.engaged and not was_engaged:
@@ -654,38 +654,35 @@ class Executor:
             self.beside.do("the verdict on a waiting plan", self._withdraw_other, waiting)
         if action is Action.FINISH:
             return sentence
-        if self.engagement.engaged:
-            return f"{sentence}; the arm is engaged: plan the way back, or free it by hand and call release_engagement"
-        return f"{sentence}: look at arm and tool, then plan the task again from where things are"
+        return Sentence(f"executor.end.{'engaged' if self.engagement.engaged else 'look'}", end=sentence)
 
     def _withdraw_other(self, plan: Plan | None) -> None:
-        self.tell_withdrawn(plan, f"not the way back: {self.engaged()}")
+        self.tell_withdrawn(plan, Sentence("executor.not_way_back", engaged=self.engaged()))
 
     def _sentence(self, row: Row, reason: str) -> str:
         """Return why the next state is entered, in words for the operator."""
         if row.event is ExecutorEvent.GATE_HOLDS:
             if row.state is ExecutorState.STOPPING:
-                return f"{self.cause}; {reason}"
+                return Sentence("executor.both", first=self.cause, second=reason)
             if row.action is Action.LOSE:
-                return f"{reason} at a setpoint that is not known to be of plan {self._played.plan.id}"
-            where = f"{self._played.elapsed:.3f} s into the plan"
-            return f"{reason} {where}; goes on by itself when twin and arm agree again"
+                return self._said("executor.held_elsewhere", hold=reason)
+            return Sentence("executor.held", hold=reason, elapsed=self._played.elapsed)
         if row.target is ExecutorState.AT_BOUNDARY:
-            assert self.segment_run is not None  # only a work plan has boundaries
-            return (
-                f"{reason}; stands {self.segment_run.where}"
-                if row.event is ExecutorEvent.APPROVED
-                else f"stands {self.segment_run.where}"
-            )
+            where = self._run_at_boundary.where
+            if row.event is ExecutorEvent.APPROVED:
+                return Sentence("executor.approved_stands", reason=reason, where=where)
+            return Sentence("executor.stands", where=where)
         if row.target is ExecutorState.PAUSED:
-            return f"at rest {self._played.elapsed:.3f} s into the plan; resume goes on"
+            return Sentence("executor.paused", elapsed=self._played.elapsed)
         if row.event is ExecutorEvent.GATE_OPENS:
-            return "twin and arm agree again; the same approval covers the rest"
+            return Sentence("executor.gate_opens")
         if row.event is ExecutorEvent.NEXT_SEGMENT:
-            assert self.segment_run is not None and self.segment_run.segment is not None  # it was entered
-            return f"segment {self.segment_run.number} ({self.segment_run.segment.name!r})"
+            work = self._run_at_boundary
+            assert work.segment is not None  # it was entered
+            return Sentence("executor.segment", number=work.number, name=repr(work.segment.name))
         if row.event in (ExecutorEvent.AT_REST, ExecutorEvent.SEGMENT_END) and row.state is ExecutorState.STOPPING:
-            return f"{self.cause}; at rest after {distance_along(self._stopping).text(self._robot)}"
+            path = distance_along(self._stopping).text(self._robot)
+            return Sentence("executor.at_rest", reason=self.cause, path=path)
         return reason
 
     def _begin_saying(self) -> None:

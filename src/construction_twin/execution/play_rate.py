@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from construction_twin.core.errors import ExecutionError
+from construction_twin.core.sentences import Sentence
 
 
 class PlayRate:
@@ -38,7 +39,7 @@ class PlayRate:
     def sentence(self, cause: str) -> str:
         """Return what a playing plan does, and why: always of the present limit. `cause` is why it plays."""
         if self.standing:
-            return f"stands still on the path, goes on by itself: {self.reason}"
+            return Sentence("executor.speed.standing", reason=self.reason)
         if self.fraction < 1.0:
-            return f"{cause}; at {self.fraction:.0%} of the planned speed: {self.reason}"
+            return Sentence("executor.speed.slower", cause=cause, percent=100.0 * self.fraction, reason=self.reason)
         return cause

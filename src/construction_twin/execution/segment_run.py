@@ -6,6 +6,7 @@ Pure. Stamps in ns, `now` in ns on the monotonic clock, times in s.
 from __future__ import annotations
 
 from construction_twin.core.reports import ToolReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.boundary import Boundary, BoundaryEvent, ToolOrder
 from construction_twin.execution.engagement import (
@@ -67,19 +68,19 @@ class SegmentRun:
     def where(self) -> str:
         """Where it is, for people: a clause."""
         if self.segment is None:
-            return "before the first segment"
-        name = f"segment {self.number} ({self.segment.name!r})"
-        return f"at the end of {name}" if self.at_boundary else f"in {name}"
+            return Sentence("executor.where.before")
+        key = f"executor.where.{'end' if self.at_boundary else 'inside'}"
+        return Sentence(key, number=self.number, name=repr(self.segment.name))
 
     def waits_for(self) -> str:
         """Return what a boundary waits for, as a clause for the operator."""
         if not self._boundary.confirmed:
-            return "waits for the tool"
+            return Sentence("executor.waits.tool")
         if self._boundary.wants_scene:
-            return f"waits for the scene {self._boundary.scene_after[:12]}"
+            return Sentence("executor.waits.scene", scene=self._boundary.scene_after[:12])
         if self._recording_since is not None and not self._keeper.settled:
-            return "waits for the disk"
-        return "goes on"
+            return Sentence("executor.waits.disk")
+        return Sentence("executor.waits.nothing")
 
     # -- events from outside
 
@@ -142,15 +143,15 @@ class SegmentRun:
         if not self._recorded(following, now):
             assert self._recording_since is not None  # `_recorded` has set it
             if now - self._recording_since > RECORD_TIMEOUT:
-                words = "the disk did not take what is needed to find the way back; see the executor's log"
-                return BoundaryEvent(ExecutorEvent.TIMEOUT, words)
+                return BoundaryEvent(ExecutorEvent.TIMEOUT, Sentence("executor.boundary.disk"))
             return None
         if following is None:
-            return BoundaryEvent(ExecutorEvent.GOAL, "goal reached")
+            return BoundaryEvent(ExecutorEvent.GOAL, Sentence("executor.goal"))
         if following.switches and not tool.known:
             return BoundaryEvent(ExecutorEvent.LOST, tool.unknown())
         if problem := tool.problem(following.requires):
-            return BoundaryEvent(ExecutorEvent.LOST, f"segment {following.name!r} cannot begin: {problem}")
+            cannot = {"name": repr(following.name), "problem": problem}
+            return BoundaryEvent(ExecutorEvent.LOST, Sentence("executor.boundary.cannot_begin", **cannot))
         return BoundaryEvent(ExecutorEvent.NEXT_SEGMENT)
 
     def _recorded(self, following: Segment | None, now: int) -> bool:

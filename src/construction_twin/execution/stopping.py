@@ -5,10 +5,10 @@ Pure. Angles in rad, m for prismatic joints; deg and mm in the sentences for peo
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.robot.description import RobotModel
 
@@ -27,13 +27,18 @@ class StoppingPath:
 
     def text(self, robot: RobotModel) -> str:
         """Return time and distance of the joints that move most, one revolute and one prismatic, for people: deg and mm."""
-        distances = []
-        for linear, scale, unit in ((False, math.degrees(1.0), "deg"), (True, 1000.0, "mm")):
+        most = []
+        for linear, unit in ((False, "rad"), (True, "m")):
             joints = [index for index, one in enumerate(robot.linear) if one is linear]
             if joints:
-                most = max(joints, key=lambda index: self.joints[index])
-                distances.append(f"{self.joints[most] * scale:.3f} {unit} of {robot.joint_names[most]}")
-        return f"{self.time:.3f} s and at most {', '.join(distances)}"
+                joint = max(joints, key=lambda index: self.joints[index])
+                most.append((Quantity(self.joints[joint], unit), robot.joint_names[joint]))
+        if len(most) == 1:
+            return Sentence("executor.path", time=self.time, distance=most[0][0], joint=most[0][1])
+        (turn, revolute), (slide, carriage) = most
+        return Sentence(
+            "executor.path_of_two", time=self.time, turn=turn, joint=revolute, slide=slide, carriage=carriage
+        )
 
 
 def distance_along(poses: Iterable[Sequence[float]]) -> StoppingPath:
@@ -67,7 +72,7 @@ class StoppingForecast:
 
     def text(self, robot: RobotModel) -> str:
         """Return one clause for the answer to `stop`."""
-        sentence = f"setpoints come to rest after {self.setpoints.text(robot)}"
+        path = self.setpoints.text(robot)
         if self.lag <= 0.0:
-            return sentence
-        return f"{sentence}; the arm, {self.lag:.3f} s behind, after {self.arm.text(robot)}"
+            return Sentence("executor.stop.forecast", path=path)
+        return Sentence("executor.stop.forecast_of_arm", path=path, lag=self.lag, arm=self.arm.text(robot))

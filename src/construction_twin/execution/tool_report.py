@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from construction_twin.core.reports import ToolReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.plan import Plan
 
 #: Why there is none without a physical arm.
-NO_ARM = "there is no physical arm (`arm:=none`), so nothing switches or reads a tool"
+NO_ARM = Sentence("executor.tool.no_arm")
 
 
 def awaited(report: ToolReport, plan: Plan) -> str:
@@ -21,15 +22,15 @@ def lacks(report: ToolReport, plan: Plan) -> str:
     if problem := awaited(report, plan) or report.unknown():
         return problem
     if not report.tool:
-        return "the gateway's configuration names no tool"
+        return Sentence("executor.tool.none")
     for segment in plan.segments:
         for switch in segment.switches:
             if switch.output not in report.outputs:
-                return f"the tool {report.tool!r} has no output {switch.output!r}"
+                return Sentence("executor.tool.no_output", tool=repr(report.tool), signal=repr(switch.output))
         confirmed = [signal for switch in segment.switches for signal in switch.confirm]
         for signal in (*segment.requires, *confirmed):
             if signal.name not in report.inputs:
-                return f"the tool {report.tool!r} has no input {signal.name!r}"
+                return Sentence("executor.tool.no_input", tool=repr(report.tool), signal=repr(signal.name))
     return ""
 
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from construction_twin.core.errors import ReviewError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.execution.engagement import Engagement
 from construction_twin.robot.executed_path import LARGEST_ENTRY, WAY_BACK_TOLERANCE, nearest_on_lines
@@ -32,43 +33,34 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
     start = trajectory.positions[0]
     entry = path.entry(start)
     if entry.distance > LARGEST_ENTRY:
-        beside = f"plan {plan.id} starts {entry.distance:.4f} rad (or m) beside the executed path, which is more than"
-        raise ReviewError(f"{beside} {LARGEST_ENTRY:g}: free the arm by hand, then call release_engagement")
+        distance = float(entry.distance)
+        raise ReviewError(Sentence("review.back.beside", plan=plan.id, distance=distance, most=LARGEST_ENTRY))
     line = np.linspace(0.0, 1.0, 2 + math.ceil(entry.distance / WAY_BACK_TOLERANCE))[:-1, None]
     back = path.points(entry.time)[::-1]
     way = np.vstack((start + line * (back[0] - start), back))
     times = np.append(np.arange(0.0, trajectory.duration, CYCLE), trajectory.duration)
     off = follow(way, trajectory.sample_many(times)[0])
     if off is not None:
-        raise ReviewError(
-            f"plan {plan.id} leaves the executed path {times[off]:.3f} s after its start; the arm is engaged, and only the way "
-            "back can be reviewed: call plan_way_back, or free the arm and call release_engagement"
-        )
+        raise ReviewError(Sentence("review.back.leaves", plan=plan.id, time=float(times[off])))
 
 
 def _check_segment(plan: Plan, engagement: Engagement) -> None:
-    where = f"in segment {engagement.segment!r} of plan {engagement.plan_id}"
-    help_ = "call plan_way_back, or free the arm by hand and call release_engagement"
+    where = {"segment": repr(engagement.segment), "left": engagement.plan_id}
     segment = plan.segments[0] if len(plan.segments) == 1 else None
     if segment is None or segment.switches or segment.scene_after != segment.scene:
-        raise ReviewError(f"the arm is engaged {where}, and plan {plan.id} is not the way back: {help_}")
+        raise ReviewError(Sentence("review.back.another", plan=plan.id, **where))
     if all(set(segment.requires) != set(signals) for signals in engagement.holding):
         found = ", ".join(f"{signal.name}={signal.value}" for signal in segment.requires) or "nothing"
-        raise ReviewError(
-            f"plan {plan.id} requires {found} of the tool, not what the arm was left with {where}: {help_}"
-        )
+        raise ReviewError(Sentence("review.back.tool", plan=plan.id, found=found, **where))
     scenes = engagement.scenes_of(segment.requires)
     if plan.scene not in scenes:
-        raise ReviewError(f"plan {plan.id} is not the way back: {scene_problem(plan.scene, scenes)}")
+        raise ReviewError(Sentence("review.back.refused", plan=plan.id, problem=scene_problem(plan.scene, scenes)))
 
 
 def scene_problem(scene: str, scenes: Sequence[str]) -> str:
     """Return why an engaged arm cannot go back in a scene, and what to do, as a clause; `scenes`: those in which it can."""
     wanted = " or ".join(each[:12] for each in scenes) or "none that is known"
-    return (
-        f"it is for scene {scene[:12]}, which does not say what hangs on the tool; the scene must become {wanted} first (the node "
-        "work makes it so), or free the arm by hand and call release_engagement"
-    )
+    return Sentence("review.back.scene", scene=scene[:12], wanted=wanted)
 
 
 def follow(way: np.ndarray, poses: np.ndarray) -> int | None:

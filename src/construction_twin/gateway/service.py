@@ -30,6 +30,7 @@ from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
 from construction_twin.gateway.log import LineLimiter
 from construction_twin.gateway.states import State
 from construction_twin.gateway.status import StatusClock
+from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import (
     Broker,
     make_client,
@@ -38,7 +39,7 @@ from construction_twin.mqtt.client import (
     unique_id,
 )
 from construction_twin.mqtt.failures import ConnectionReport
-from construction_twin.mqtt.interventions import GATEWAY, STOP, intervention_answer, parse_intervention
+from construction_twin.mqtt.interventions import STOP, parse_intervention
 from construction_twin.mqtt.messages import (
     PROTOCOL,
     VERBS,
@@ -432,7 +433,8 @@ class GatewayService:
         if done.reason:
             # the status first: a reader of the answer must not act on an older status
             beside.do("the status", self._publish_status_of_stop)
-            answer = intervention_answer(id_, account, GATEWAY, done.ok, done.reason)
+            known = {"id": id_, "account": account, "ok": done.ok, "reason": done.reason, "by": requests.GATEWAY}
+            answer = requests.STOP.payload(**known)
             beside.do("the answer", self._publish_answer, self._topics.stop_ack, answer)
         beside.do("the log", self._log, *line)
 

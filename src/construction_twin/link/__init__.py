@@ -12,19 +12,15 @@ if TYPE_CHECKING:
     from construction_twin.link.bare_supervisor import BareSupervisor as BareSupervisor
     from construction_twin.link.remote_request import IkRequest as IkRequest
     from construction_twin.link.remote_request import RemoteRequest as RemoteRequest
-    from construction_twin.link.remote_request import ik_answer as ik_answer
     from construction_twin.link.remote_request import parse_ik as parse_ik
     from construction_twin.link.remote_request import parse_plan_request as parse_plan_request
-    from construction_twin.link.remote_request import plan_answer as plan_answer
     from construction_twin.link.remote_review import PlanBoard as PlanBoard
     from construction_twin.link.remote_review import PlanView as PlanView
     from construction_twin.link.remote_review import RemoteReview as RemoteReview
     from construction_twin.link.remote_review import SegmentView as SegmentView
     from construction_twin.link.remote_review import parse_review as parse_review
-    from construction_twin.link.remote_review import review_answer as review_answer
     from construction_twin.link.remote_trajectory import TrajectoryRequest as TrajectoryRequest
     from construction_twin.link.remote_trajectory import parse_trajectory as parse_trajectory
-    from construction_twin.link.remote_trajectory import trajectory_answer as trajectory_answer
     from construction_twin.link.remote_view import PoseView as PoseView
     from construction_twin.link.remote_view import Seen as Seen
     from construction_twin.link.remote_view import Shown as Shown

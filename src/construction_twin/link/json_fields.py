@@ -1,17 +1,19 @@
-"""Fields of a JSON document from elsewhere, read strictly: each function returns what it checked, or raises a PayloadError.
+"""JSON of a request from elsewhere, read strictly into the fields of a record: what reads each key is a table (`read_fields`).
 
-Reasons: ``format`` for keys and their kinds, ``values`` for numbers. Sentences show what was found, cut to a length for a log.
-Standard library only.
+Each function returns what it checked, or raises a PayloadError: ``format`` for keys and their kinds, ``values`` for numbers.
+Sentences show what was found, cut to a length for a log. Standard library only.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.mqtt.messages import demand_live, parse_object
 
+#: Takes what stands at a key, and the key; returns what it checked.
+Reader = Callable[[Any, str], Any]
 #: Longest id, name and other short text.
 MAX_TEXT = 64
 #: No position, velocity, acceleration or time of an arm is larger, in whatever unit.
@@ -34,6 +36,11 @@ def read_document(payload: bytes, retained: bool, what: str, limit: int, advice:
     if len(payload) > limit:
         raise PayloadError("size", f"{what} of {len(payload)} bytes; at most {limit} are read{advice}")
     return parse_object(payload, "format", limit)
+
+
+def read_fields(document: Mapping[str, Any], readers: Mapping[str, Reader]) -> dict[str, Any]:
+    """Return what a document holds at the keys of `readers`, in their order; a key that is not there is left out."""
+    return {key: read(document[key], key) for key, read in readers.items() if key in document}
 
 
 def number(value: object, place: str) -> float:
@@ -60,6 +67,22 @@ def text(value: object, key: str) -> str:
             "format", f"{key} is {shown(value)}; expected a text of at most {MAX_TEXT} characters in one line"
         )
     return value
+
+
+def own_id(value: object, key: str) -> str:
+    """Return a text as `text` does, which is not empty."""
+    found = text(value, key)
+    if not found:
+        raise PayloadError("format", "the id is empty; expected a text of your own, which the answer repeats")
+    return found
+
+
+def fraction(value: object, key: str) -> float:
+    """Return a fraction of the limits, 0 for the planner's default."""
+    scale = number(value, key)
+    if not 0.0 <= scale <= 1.0:
+        raise PayloadError("values", f"{key} is {scale:g}; expected a fraction from 0 (the planner's default) to 1")
+    return scale
 
 
 def keys(document: object, what: str, needed: Sequence[str], known: Sequence[str]) -> None:

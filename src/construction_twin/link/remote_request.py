@@ -8,15 +8,25 @@ pose that is dragged is only answered, and needs none. SI: m, rad, s. What is no
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment, parse_moment
-from construction_twin.link.json_fields import keys, list_of, number, shown, text
+from construction_twin.link.json_fields import (
+    Reader,
+    fraction,
+    keys,
+    list_of,
+    number,
+    own_id,
+    read_fields,
+    shown,
+    text,
+)
 from construction_twin.link.remote_trajectory import Joints
 
 #: Longest message [bytes].
@@ -89,78 +99,33 @@ def parse_plan_request(document: Mapping[str, Any], joints: Joints) -> RemoteReq
         raise PayloadError("format", f"kind is {shown(kind)}; expected one of {', '.join(KINDS)}")
     needed, optional = KINDS[kind]
     keys(document, f"plan_request {kind}", ("id", "kind", *needed), ("id", "kind", "moment", *needed, *optional))
-    name, fields = _named(document), _fields(kind, document, joints)
-    return RemoteRequest(name, kind, parse_moment(document.get("moment")), **fields)
-
-
-def _fields(kind: str, document: Mapping[str, Any], joints: Joints) -> dict[str, Any]:
-    """Return what a request of a kind says beside its id and its moment."""
-    if kind == "joints":
-        return {"joints": _joint_values(document["joints"], "joints", joints), **_scales(document)}
-    if kind == "way_back":
-        return {}
-    if kind == "work_task":
-        return {"task": text(document.get("task", ""), "task")}
-    position, orientation = _pose(document)
-    more: dict[str, Any] = {"position": position, "orientation": orientation, **_scales(document)}
-    if kind == "pose":
-        more["configuration"] = text(document.get("configuration", ""), "configuration")
-    else:
-        more["speed"] = number(document.get("speed", 0.0), "speed")
-        if more["speed"] < 0.0:
-            raise PayloadError("values", f"speed is {more['speed']:g}; expected m/s, or 0 for as fast as possible")
-    return more
+    fields = read_fields(document, _readers(joints))
+    return RemoteRequest(kind=kind, moment=parse_moment(document.get("moment")), **fields)
 
 
 def parse_ik(document: Mapping[str, Any], joints: Joints) -> IkRequest:
     """Return the pose in a document of `read_document`; PayloadError (``format``, ``joints`` or ``values``)."""
     keys(document, "ik", _IK, (*_IK, "seed"))
-    seed = _joint_values(document["seed"], "seed", joints) if "seed" in document else ()
-    return IkRequest(_named(document), *_pose(document), seed)
+    return IkRequest(**read_fields(document, _readers(joints)))
 
 
-def plan_answer(
-    request: str, account: str, kind: str, ok: bool, reason: str,
-    plan_id: str = "", plan_hash: str = "", duration: float = 0.0, expired: bool = False,
-) -> bytes:  # fmt: skip
-    """Return the payload for `plan_request/ack`; `ok`: a plan is under review, `reason`: a sentence, `expired`: it was too old."""
-    answer = {"id": request, "account": account, "kind": kind, "ok": ok, "reason": reason}
-    plan = {"plan_id": plan_id, "plan_hash": plan_hash, "duration": duration}
-    return json.dumps(answer | plan | {"expired": expired}).encode()
+def _readers(joints: Joints) -> Mapping[str, Reader]:
+    """Return what reads each key of both kinds of request."""
+    values = partial(_joint_values, joints)
+    return {
+        "seed": values,
+        "id": own_id,
+        "joints": values,
+        "position": partial(_numbers, 3),
+        "orientation": _unit_quaternion,
+        **dict.fromkeys(_SCALES, fraction),
+        "configuration": text,
+        "speed": _speed,
+        "task": text,
+    }
 
 
-def ik_answer(
-    request: str, reach: str, joints: Mapping[str, float] | None, sentence: str, between: Sequence[str] = ()
-) -> bytes:
-    """Return the payload for `ik/ack/<account>`.
-
-    Args:
-        request: The sender's id; empty when it could not be read.
-        reach: ``free``, ``contact``, ``out`` or ``unknown``.
-        joints: Joint values by name [rad], [m]; None: there are none.
-        sentence: Why, for people.
-        between: The two bodies that touch; empty for none.
-    """
-    answer = {"id": request, "reach": reach, "joints": None if joints is None else dict(joints), "sentence": sentence}
-    return json.dumps(answer | {"between": list(between)}, allow_nan=False).encode()
-
-
-def _named(document: Mapping[str, Any]) -> str:
-    name = text(document["id"], "id")
-    if not name:
-        raise PayloadError("format", "the id is empty; expected a text of your own, which the answer repeats")
-    return name
-
-
-def _scales(document: Mapping[str, Any]) -> dict[str, float]:
-    scales = {key: number(document.get(key, 0.0), key) for key in _SCALES}
-    for key, scale in scales.items():
-        if not 0.0 <= scale <= 1.0:
-            raise PayloadError("values", f"{key} is {scale:g}; expected a fraction from 0 (the planner's default) to 1")
-    return scales
-
-
-def _joint_values(values: object, key: str, joints: Joints) -> Vector:
+def _joint_values(joints: Joints, values: object, key: str) -> Vector:
     if not isinstance(values, dict) or set(values) != set(joints.names):
         found = sorted(values) if isinstance(values, dict) else values
         raise PayloadError(
@@ -169,17 +134,22 @@ def _joint_values(values: object, key: str, joints: Joints) -> Vector:
     return tuple(number(values[name], f"{key}: {name}") for name in joints.names)
 
 
-def _pose(document: Mapping[str, Any]) -> tuple[Vector, Vector]:
-    position, orientation = (
-        _numbers(document[key], key, count) for key, count in (("position", 3), ("orientation", 4))
-    )
+def _unit_quaternion(values: object, key: str) -> Vector:
+    orientation = _numbers(4, values, key)
     norm = math.hypot(*orientation)
     if abs(norm - 1.0) > _UNIT:
         raise PayloadError("values", f"orientation is {shown(list(orientation))}; expected x y z w of length 1")
-    return position, tuple(value / norm for value in orientation)
+    return tuple(value / norm for value in orientation)
 
 
-def _numbers(values: object, key: str, count: int) -> Vector:
+def _speed(value: object, key: str) -> float:
+    speed = number(value, key)
+    if speed < 0.0:
+        raise PayloadError("values", f"speed is {speed:g}; expected m/s, or 0 for as fast as possible")
+    return speed
+
+
+def _numbers(count: int, values: object, key: str) -> Vector:
     found = list_of(values, key)
     if len(found) != count:
         raise PayloadError("values", f"{key} has {len(found)} values; expected {count}")

@@ -105,24 +105,6 @@ def recorded_reason(review: RemoteReview) -> str:
     return f"{who}: {review.reason}" if review.reason else who
 
 
-def review_answer(
-    review: RemoteReview | None, ok: bool, reason: str, account: str = "", expired: bool = False
-) -> bytes:
-    """Return the payload for `review/ack`.
-
-    Args:
-        review: None: it could not be read, its fields are empty.
-        account: Of the topic, for a review that could not be read.
-        expired: It is void because what its screen had shown is too old.
-    """
-    review = review or RemoteReview("", "", "", account, account=account)
-    answer = {"plan_id": review.plan_id, "plan_hash": review.plan_hash, "verdict": review.verdict}
-    return json.dumps(
-        answer
-        | {"reviewer": review.reviewer, "account": review.account, "ok": ok, "reason": reason, "expired": expired}
-    ).encode()
-
-
 @dataclass(frozen=True)
 class SwitchView:
     """What is shown of a switch at the end of a segment.

@@ -7,7 +7,6 @@ refused (PayloadError). Ranges, limits and the start are the planner's to check.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,14 +14,27 @@ from typing import Any
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.json_fields import LARGEST, keys, list_of, number, shown, text
+from construction_twin.link.json_fields import (
+    LARGEST,
+    fraction,
+    keys,
+    list_of,
+    number,
+    own_id,
+    read_fields,
+    shown,
+    text,
+)
 
 #: What COMPAS calls the type of compas_fab's trajectory; its values are rad and m by definition.
 COMPAS_TYPE = "compas_fab.robots/JointTrajectory"
 #: `joint_types` of COMPAS: revolute and continuous, prismatic.
 _COMPAS_LINEAR = {0: False, 1: False, 2: True}
 _FACTORS = {"angle": {"rad": 1.0, "deg": math.pi / 180.0}, "length": {"m": 1.0, "mm": 1e-3}, "time": {"s": 1.0}}
-_ENVELOPE = ("id", "source", "speed_scale", "acceleration_scale")
+_SCALES = ("speed_scale", "acceleration_scale")
+_ENVELOPE = ("id", "source", *_SCALES)
+#: What reads each key of an envelope.
+_READERS = {"id": own_id, **dict.fromkeys(_SCALES, fraction), "source": text}
 _PLAIN = (*_ENVELOPE, "units", "joint_names", "points")
 _POINT = ("positions", "velocities", "accelerations", "time_from_start")
 #: The keys of our own form, at every level.
@@ -82,10 +94,10 @@ class TrajectoryRequest:
     """
 
     id: str
-    source: str
-    speed_scale: float
-    acceleration_scale: float
     points: tuple[TrajectoryPoint, ...]
+    source: str = ""
+    speed_scale: float = 0.0
+    acceleration_scale: float = 0.0
     notes: tuple[str, ...] = ()
 
 
@@ -122,20 +134,6 @@ def parse_trajectory(document: Mapping[str, Any], joints: Joints) -> TrajectoryR
             )
         return _compas_request(document, inner, joints)
     return _plain_request(document, joints)
-
-
-def trajectory_answer(request: str, sender: str, ok: bool, reason: str, **plan: object) -> bytes:
-    """Return the payload for `trajectory/ack`.
-
-    Args:
-        request: The sender's id; empty when it could not be read.
-        sender: The account in the topic's name; empty when there is none.
-        ok: The motion is a plan under review.
-        reason: One sentence: what was planned, or why not and what to do.
-        **plan: `plan_id`, `plan_hash`, `duration` [s], `notes`; empty without a plan.
-    """
-    empty = {"plan_id": "", "plan_hash": "", "duration": 0.0, "notes": []}
-    return json.dumps({"id": request, "sender": sender, "ok": ok, "reason": reason} | empty | plan).encode()
 
 
 # -- our own form
@@ -233,7 +231,7 @@ def _compas_request(envelope: Mapping[str, Any], document: Mapping[str, Any], jo
     _check_timed(points)
     if envelope is document:
         name = text(document.get("name", ""), "name")
-        return TrajectoryRequest(request_id(document), name, 0.0, 0.0, points, tuple(notes))
+        return TrajectoryRequest(request_id(document), points, name, notes=tuple(notes))
     return _request(envelope, points, tuple(notes))
 
 
@@ -314,25 +312,11 @@ def _request(
     envelope: Mapping[str, Any], points: tuple[TrajectoryPoint, ...], notes: tuple[str, ...] = ()
 ) -> TrajectoryRequest:
     """Return the request; a scale of a motion that brings its times would have no effect, and is refused."""
-    name, source, speed_scale, acceleration_scale = _envelope(envelope)
-    for key, scale in (("speed_scale", speed_scale), ("acceleration_scale", acceleration_scale)):
-        if scale and _is_timed(points):
+    said = read_fields(envelope, _READERS)
+    for key in _SCALES:
+        if said.get(key) and _is_timed(points):
             raise PayloadError("values", f"{key} is for a motion without times; leave it out, or time_from_start")
-    return TrajectoryRequest(name, source, speed_scale, acceleration_scale, points, notes)
-
-
-def _envelope(document: Mapping[str, Any]) -> tuple[str, str, float, float]:
-    """Return id, source, speed_scale and acceleration_scale."""
-    name = text(document["id"], "id")
-    if not name:
-        raise PayloadError("format", "the id is empty; expected a text of your own, which the answer repeats")
-    scales = []
-    for key in ("speed_scale", "acceleration_scale"):
-        scale = number(document.get(key, 0.0), key)
-        if not 0.0 <= scale <= 1.0:
-            raise PayloadError("values", f"{key} is {scale:g}; expected a fraction from 0 (the planner's default) to 1")
-        scales.append(scale)
-    return name, text(document.get("source", ""), "source"), scales[0], scales[1]
+    return TrajectoryRequest(points=points, notes=notes, **said)
 
 
 def _order(names: object, joints: Joints) -> list[int]:

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from construction_twin.mqtt.fast_client import DirectClient as DirectClient
     from construction_twin.mqtt.fast_client import FastClient as FastClient
     from construction_twin.mqtt.interventions import Intervention as Intervention
-    from construction_twin.mqtt.interventions import intervention_answer as intervention_answer
     from construction_twin.mqtt.interventions import parse_intervention as parse_intervention
     from construction_twin.mqtt.joint_string import JointStringCodec as JointStringCodec
     from construction_twin.mqtt.messages import CommandProperties as CommandProperties

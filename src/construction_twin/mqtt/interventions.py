@@ -7,7 +7,6 @@ none. What is not exactly so is refused (PayloadError).
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 
 from construction_twin.core.errors import PayloadError
@@ -16,8 +15,6 @@ from construction_twin.mqtt.messages import demand_live, is_short_text, parse_ob
 
 #: What can be asked for.
 STOP, PAUSE, RESUME = "stop", "pause", "resume"
-#: Who answers: the gateway, which brakes the arm, or the executor, which brakes along the path.
-GATEWAY, EXECUTOR = "gateway", "executor"
 #: Longest message that is read [bytes].
 MAX_BYTES = 256
 
@@ -59,12 +56,3 @@ def parse_intervention(verb: str, account: str, payload: bytes, retained: bool) 
     if verb != RESUME:
         return Intervention(verb, account, id_)
     return Intervention(verb, account, id_, str(parse_moment(document.get("moment"))))
-
-
-def intervention_answer(id_: str, account: str, by: str, ok: bool, reason: str, expired: bool = False) -> bytes:
-    """Return the payload for `stop/ack` or `pause/ack`; `id_` is "" where none could be read.
-
-    `expired`: a resume that is void because what its screen had shown is too old.
-    """
-    answer = {"id": id_, "account": account, "ok": ok, "reason": reason, "by": by}
-    return json.dumps(answer | {"expired": expired}).encode()

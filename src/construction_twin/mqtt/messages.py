@@ -8,9 +8,23 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import asdict, dataclass
+from functools import partialmethod
+from typing import Any
 
 from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.core.units import NANOSECONDS
+from construction_twin.mqtt.requests import (
+    IK,
+    NAMELESS_REVIEW,
+    NAMELESS_TRAJECTORY,
+    PAUSE,
+    PLAN_REQUEST,
+    RESUME,
+    REVIEW,
+    STOP,
+    TRAJECTORY,
+    RequestKind,
+)
 
 _NUMBER = re.compile(r"[0-9]{1,19}")
 #: A ROS time, into which every stamp is turned, ends here [ns].
@@ -33,6 +47,10 @@ PROTOCOL, FIRST_PROTOCOL = 2, 1
 MAX_CONTROL_BYTES = 2048
 
 
+def _level(name: str) -> Any:
+    return property(lambda topics: topics._topic(name))
+
+
 @dataclass(frozen=True)
 class Topics:
     """Topic names of one robot, ``<prefix>/<robot>/...`` (docs/reference/mqtt.md)."""
@@ -50,127 +68,32 @@ class Topics:
     def _topic(self, name: str) -> str:
         return f"{self.prefix}/{self.robot}/{name}"
 
-    @property
-    def command(self) -> str:
-        """Joint strings to the arm."""
-        return self._topic("command")
+    def of(self, kind: RequestKind, account: str = "+") -> str:
+        """Where requests of a kind come in from one account; ``+`` for any."""
+        return self._topic(kind.topic.format(account))
 
-    @property
-    def state(self) -> str:
-        """Joint strings from the arm."""
-        return self._topic("state")
+    def ack_of(self, kind: RequestKind, account: str = "+") -> str:
+        """Where they are answered."""
+        return self._topic(kind.ack.format(account))
 
-    @property
-    def status(self) -> str:
-        """The gateway's retained status."""
-        return self._topic("status")
-
-    @property
-    def bridge_status(self) -> str:
-        """The bridge's retained status."""
-        return self._topic("bridge/status")
-
-    @property
-    def control(self) -> str:
-        """Verbs to the gateway."""
-        return self._topic("control")
-
-    @property
-    def control_ack(self) -> str:
-        """The gateway's answers to verbs."""
-        return self._topic("control/ack")
-
-    @property
-    def plan(self) -> str:
-        """The plan under review, retained."""
-        return self._topic("plan")
-
-    @property
-    def review(self) -> str:
-        """Verdicts on the plan, on a broker without accounts; see `review_by`."""
-        return self._topic("review")
-
-    @property
-    def review_ack(self) -> str:
-        """Answers to verdicts."""
-        return self._topic("review/ack")
-
-    @property
-    def trajectory(self) -> str:
-        """Motions that were planned elsewhere."""
-        return self._topic("trajectory")
-
-    @property
-    def trajectory_ack(self) -> str:
-        """Answers to them."""
-        return self._topic("trajectory/ack")
-
-    @property
-    def view(self) -> str:
-        """The state of everything, for programs that show it."""
-        return self._topic("view")
-
-    @property
-    def stop_ack(self) -> str:
-        """Answers to stops: the gateway's, and the executor's."""
-        return self._topic("stop/ack")
-
-    @property
-    def pause_ack(self) -> str:
-        """Answers to `pause` and `resume`."""
-        return self._topic("pause/ack")
-
-    def review_by(self, account: str) -> str:
-        """Verdicts of one account; ``+`` for any."""
-        return self._topic(f"review/{account}")
-
-    def stop_by(self, account: str) -> str:
-        """Stops of one account; ``+`` for any."""
-        return self._topic(f"stop/{account}")
-
-    def pause_by(self, account: str) -> str:
-        """Pauses of one account; ``+`` for any."""
-        return self._topic(f"pause/{account}")
-
-    def resume_by(self, account: str) -> str:
-        """Ends of pauses of one account; ``+`` for any."""
-        return self._topic(f"resume/{account}")
-
-    def trajectory_from(self, account: str) -> str:
-        """Motions that were planned elsewhere, from one account; ``+`` for any."""
-        return self._topic(f"trajectory/from/{account}")
-
-    @property
-    def screen(self) -> str:
-        """The status line for a foreman."""
-        return self._topic("screen")
-
-    @property
-    def scene(self) -> str:
-        """What the arm must not touch, retained."""
-        return self._topic("scene")
-
-    @property
-    def work_tasks(self) -> str:
-        """The tasks of the building model, retained."""
-        return self._topic("work/tasks")
-
-    @property
-    def plan_request_ack(self) -> str:
-        """Answers to wishes for plans."""
-        return self._topic("plan_request/ack")
-
-    def plan_request(self, account: str) -> str:
-        """Wishes for plans of one account; ``+`` for any, and then the answers' topic too."""
-        return self._topic(f"plan_request/{account}")
-
-    def ik(self, account: str) -> str:
-        """Poses that one account drags; ``+`` for any."""
-        return self._topic(f"ik/{account}")
-
-    def ik_ack(self, account: str) -> str:
-        """Joint values for them."""
-        return self._topic(f"ik/ack/{account}")
+    #: Joint strings to the arm, and from it.
+    command, state = _level("command"), _level("state")
+    #: Retained: the gateway's status, and the bridge's.
+    status, bridge_status = _level("status"), _level("bridge/status")
+    #: Verbs to the gateway, and its answers.
+    control, control_ack = _level("control"), _level("control/ack")
+    #: Retained: the plan under review, what the arm must not touch, the tasks of the building model.
+    plan, scene, work_tasks = _level("plan"), _level("scene"), _level("work/tasks")
+    #: The state of everything, for programs that show it, and the status line for a foreman.
+    view, screen = _level("view"), _level("screen")
+    #: What people and programs ask for, in no name and by one account; and the answers.
+    review, review_by, review_ack = _level(NAMELESS_REVIEW.topic), partialmethod(of, REVIEW), _level(REVIEW.ack)
+    stop_by, stop_ack = partialmethod(of, STOP), _level(STOP.ack)
+    pause_by, resume_by, pause_ack = partialmethod(of, PAUSE), partialmethod(of, RESUME), _level(PAUSE.ack)
+    plan_request, plan_request_ack = partialmethod(of, PLAN_REQUEST), _level(PLAN_REQUEST.ack)
+    ik, ik_ack = partialmethod(of, IK), partialmethod(ack_of, IK)
+    trajectory, trajectory_from = _level(NAMELESS_TRAJECTORY.topic), partialmethod(of, TRAJECTORY)
+    trajectory_ack = _level(TRAJECTORY.ack)
 
 
 @dataclass(frozen=True)

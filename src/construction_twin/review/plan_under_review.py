@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from construction_twin.core.errors import ReviewError
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.plan import Plan, content_hash
 
 APPROVED, REJECTED, REFUSED, WITHDRAWN = "approved", "rejected", "refused", "withdrawn"
@@ -48,7 +49,7 @@ class Ending:
 def prove_hash(plan: Plan) -> None:
     """Raise ReviewError when a plan's trajectory is not what its hash says. Too slow for the cycle's lock."""
     if content_hash(plan.trajectory, plan.task, plan.segments) != plan.hash:
-        raise ReviewError(f"plan {plan.id} is no longer what its hash {plan.hash} says; plan again")
+        raise ReviewError(Sentence("review.hash", plan=plan.id, hash=plan.hash))
 
 
 def _check_rests(plan: Plan) -> None:
@@ -56,11 +57,11 @@ def _check_rests(plan: Plan) -> None:
     trajectory = plan.trajectory
     for segment in plan.segments:
         row = int(trajectory.times.searchsorted(segment.end))
-        where = f"plan {plan.id} does not rest at the end of segment {segment.name!r}, {segment.end} s"
+        where = {"plan": plan.id, "segment": repr(segment.name), "time": str(segment.end)}
         if row == len(trajectory.times) or trajectory.times[row] != segment.end:
-            raise ReviewError(f"{where}, where it has no waypoint; plan again")
+            raise ReviewError(Sentence("review.no_waypoint", **where))
         if trajectory.velocities[row].any() or trajectory.accelerations[row].any():
-            raise ReviewError(f"{where}; plan again")
+            raise ReviewError(Sentence("review.no_rest", **where))
 
 
 class PlanUnderReview:
@@ -90,14 +91,12 @@ class PlanUnderReview:
         """
         trajectory = plan.trajectory
         if any(rows[end].any() for rows in (trajectory.velocities, trajectory.accelerations) for end in (0, -1)):
-            raise ReviewError(f"plan {plan.id} does not start and end at rest; plan again")
+            raise ReviewError(Sentence("review.moves", plan=plan.id))
         _check_rests(plan)
         if plan.id in self._decided or (self.plan is not None and self.plan.id == plan.id):
             return None
         if plan.created_ns < self._void_before:
-            raise ReviewError(
-                f"plan {plan.id} was asked for before the last stop, pause or reset and is void; plan again"
-            )
+            raise ReviewError(Sentence("review.void", plan=plan.id))
         replaced = self.clear()
         self.plan = plan
         return replaced
@@ -139,32 +138,27 @@ class PlanUnderReview:
     def check(self, plan_id: str, plan_hash: str, reviewer: str) -> Plan:
         """Return the named plan; raise ReviewError when a verdict on it by this reviewer cannot be taken."""
         if not reviewer.strip():
-            raise ReviewError("a verdict needs the reviewer's name")
+            raise ReviewError(Sentence("review.nameless"))
         if plan_id in self._decided:
-            raise ReviewError(
-                f"plan {plan_id} was decided already or withdrawn; an approval covers one execution, plan again"
-            )
-        if self.plan is None or self.plan.id != plan_id:
-            waiting = f"plan {self.plan.id} is" if self.plan else "no plan is"
-            raise ReviewError(f"plan {plan_id} is not under review; {waiting}")
+            raise ReviewError(Sentence("review.decided", plan=plan_id))
+        if self.plan is None:
+            raise ReviewError(Sentence("review.gone", plan=plan_id))
+        if self.plan.id != plan_id:
+            raise ReviewError(Sentence("review.another", plan=plan_id, present=self.plan.id))
         if plan_hash and plan_hash != self.plan.hash:
-            raise ReviewError(f"plan {plan_id} has hash {self.plan.hash}, not {plan_hash}; look at it again")
+            raise ReviewError(Sentence("review.other_hash", plan=plan_id, hash=self.plan.hash, seen=plan_hash))
         return self.plan
 
     def check_scene(self) -> None:
         """Raise ReviewError when the plan under review must not be executed: no scene is known, or it was made for another."""
         plan = self.plan
         if plan is None:
-            raise ReviewError("no plan is under review")
+            raise ReviewError(Sentence("review.nothing"))
         if not self.scene:
-            raise ReviewError(
-                f"plan {plan.id} cannot be approved: no scene is known yet; check that the scene node runs"
-            )
+            raise ReviewError(Sentence("review.no_scene", plan=plan.id))
         if not self.scene_alive:
-            raise ReviewError(
-                f"plan {plan.id} cannot be approved: the scene is not published any more; check that the scene node runs"
-            )
+            raise ReviewError(Sentence("review.scene_silent", plan=plan.id))
         if plan.scene != self.scene:
             raise ReviewError(
-                f"plan {plan.id} was made for scene {plan.scene[:12]}, the present one is {self.scene[:12]}; plan again"
+                Sentence("review.other_scene", plan=plan.id, scene=plan.scene[:12], present=self.scene[:12])
             )

@@ -7,7 +7,7 @@ event.
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from construction_twin.core.work_errors import LedgerError
@@ -61,15 +61,16 @@ class Book:
                 former_element={**self.former_element, entry.task: element},
             )
         former_state, memory = self.tasks[entry.task].state, _taken(self.tasks[entry.task], entry)
+        stays = memory.stays
         tasks = {**self.tasks, entry.task: memory}
         if memory.state is TaskState.READY or (memory.state in SETTLED) != (former_state in SETTLED):
             # only then somebody waits who did not, or waits no longer
             tasks = _settled(self.after, tasks)
         former = {
-            # what is said of an element now replaces what was known of it by a task that is no more
+            # what is said now of where an element is replaces what was known of it by a task that is no more
             task: memory
             for task, memory in self.former.items()
-            if not entry.element or self.former_element[task] != entry.element
+            if not entry.element or self.former_element[task] != entry.element or stays
         }
         return replace(self, tasks=tasks, former=former)
 
@@ -140,11 +141,12 @@ class Book:
         left = {task: memory for task, memory in self.former.items() if _touched(memory) and not memory.stays}
         return {self.former_element[task]: memory for task, memory in left.items()}
 
-    def doubts(self, elements: Mapping[str, str]) -> list[Entry]:
+    def doubts(self, elements: Mapping[str, str], staying: Collection[str] = ()) -> list[Entry]:
         """Return the events by which a person is asked about all that was touched for another version of the model.
 
         Args:
-            elements: GlobalId of the element that each task of the present schedule places.
+            elements: GlobalId of the element of each task of the present schedule.
+            staying: The tasks that leave it where it stands.
         """
         left, found = self.left_behind, []
         for task, memory in self.tasks.items():
@@ -155,7 +157,7 @@ class Book:
                 # what is on its way out stands; only then can it be asked about
                 times = 2 if memory.state is TaskState.RETREATING else 1
                 found += [Entry("unknown", task, element, reason=_MODEL_CHANGED)] * times
-            elif element in left and memory.state in (TaskState.WAITING, TaskState.READY):
+            elif element in left and memory.state in (TaskState.WAITING, TaskState.READY) and task not in staying:
                 pose = left[element].base_T_element
                 found.append(Entry("unknown", task, element, pose=pose, reason=f"{_MODEL_CHANGED}, and its task"))
         return found

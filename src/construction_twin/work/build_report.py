@@ -100,7 +100,8 @@ def summary(results: Sequence[TaskResult], held: int, decisions: Sequence[Decisi
     placed = [one for one in results if math.isfinite(one.deviation_mm)]
     times = [one.planning for one in results if one.plans]
     passed = [one.passed for one in results if one.passed is not None]
-    masses = [one.mass for one in results if one.state == "done" and math.isfinite(one.mass)]
+    # several tasks can be done on one element
+    masses = {one.element: one.mass for one in results if one.state == "done" and math.isfinite(one.mass)}
     built = built_order(results)
     return {
         "tasks": len(results),
@@ -110,7 +111,7 @@ def summary(results: Sequence[TaskResult], held: int, decisions: Sequence[Decisi
         "deviation_mm": {"max": _largest([one.deviation_mm for one in placed], _MM)},
         "deviation_deg": {"max": _largest([one.deviation_deg for one in placed], _DEG)},
         "within_tolerance": {"passed": sum(passed), "not_passed": len(passed) - sum(passed)},
-        "placed_kg": _decimals(sum(masses), 3),
+        "placed_kg": _decimals(sum(masses.values()), 3),
         "planning_s": {"median": _decimals(statistics.median(times), 3) if times else None},
         "order": [one.element for one in built],
         "as_scheduled": [one.element for one in results if one in built] == [one.element for one in built],

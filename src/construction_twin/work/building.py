@@ -97,8 +97,10 @@ class Task:
         robots: Names of the resources assigned to it; empty: any robot.
         start, finish: Scheduled, ISO 8601; empty: not said.
         duration: [s]
-        kind: ``makes``; ``takes_down``: removes its products and inputs; ``other``: neither (maintenance, moving).
+        kind: ``makes``: places its products, or works on them; ``takes_down``: removes its products and inputs; ``other``: neither
+            (maintenance, moving).
         completed: It was done before this work.
+        properties: Of its own property set `recipe.PROPERTY_SET`: how the arm does it, before what its elements say.
     """
 
     id: str
@@ -114,6 +116,7 @@ class Task:
     duration: float | None = None
     kind: str = "makes"
     completed: bool = False
+    properties: Mapping[str, Value] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

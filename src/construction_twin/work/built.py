@@ -79,24 +79,24 @@ class Piece:
     Attributes:
         bodies: Convex pieces ``<GlobalId>/0``, ..., in the element's frame.
         base_T_stock: None: it is in no rack.
-        stays: Its process does not move it.
     """
 
     bodies: tuple[SceneObject, ...]
     base_T_stock: Pose | None
     base_T_goal: Pose
-    stays: bool = False
 
 
-def objects_of(element: Piece, memory: TaskMemory, in_stock: bool, tip_link: str) -> tuple[SceneObject, ...] | None:
+def objects_of(
+    element: Piece, memory: TaskMemory | None, in_stock: bool, tip_link: str
+) -> tuple[SceneObject, ...] | None:
     """Return the scene's objects of one element as the ledger has it; None: what is there is left as it is.
 
     Args:
-        memory: Of its task.
+        memory: Of the task that places it; None: no task does, it stands where the model has it.
         in_stock: It has been delivered, if it was not taken.
         tip_link: What carries the tool.
     """
-    if element.stays:
+    if memory is None:
         return _at(element, element.base_T_goal)
     if memory.state is TaskState.ASKS:
         return None

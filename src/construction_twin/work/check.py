@@ -27,6 +27,7 @@ from construction_twin.work.jobs import WorkJob, WorkPlan
 from construction_twin.work.motions import TaskLimits
 from construction_twin.work.nearest_change import LONGER, longer_track, nearest_change
 from construction_twin.work.processes import process_of
+from construction_twin.work.recipe import DEFAULT
 from construction_twin.work.schedule import Job
 from construction_twin.work.site import pose_of
 from construction_twin.work.site_scene import Layout, WorkState
@@ -57,6 +58,7 @@ class CheckedTask:
         tried: Whether changes were looked for.
         remarks: What a person should know of the task or its element, as the model was read.
         path: Length 3. The tool's centre point in the base [m].
+        process: Name of its process.
     """
 
     number: int
@@ -77,6 +79,7 @@ class CheckedTask:
     tried: bool = False
     remarks: tuple[str, ...] = ()
     path: tuple[tuple[float, float, float], ...] = field(default=(), repr=False)
+    process: str = DEFAULT
 
 
 class Checker:
@@ -131,7 +134,9 @@ class Checker:
         job = self._jobs[number]
         element = self._layout.building.element(job.element)
         began = self._clock()
-        found = CheckedTask(number, job.id, job.name, job.element, element.name, element.ifc_class, False)
+        found = CheckedTask(
+            number, job.id, job.name, job.element, element.name, element.ifc_class, False, process=job.process
+        )
         if element.doubt:
             return replace(found, reason=f"its body is doubtful: {element.doubt}")
         if job.element not in self._layout.order:
@@ -184,7 +189,7 @@ class Checker:
         return scene, self._layout.job_for(self._jobs[number].element, scene, self._jobs[number].id)
 
     def _described(self, found: CheckedTask, plan: WorkPlan) -> CheckedTask:
-        acts = process_of(self._layout.process(plan.job.element)).acts
+        acts = process_of(found.process).acts
         at = next(segment for segment in plan.segments if segment.name == acts).trajectory.positions[-1]
         linear = [float(value) for value, is_linear in zip(at, self._robot.linear, strict=True) if is_linear]
         return replace(

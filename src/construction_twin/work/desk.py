@@ -22,10 +22,10 @@ from construction_twin.work.built import Deviation, Piece, deviation, objects_of
 from construction_twin.work.events import ACCEPTED, Entry
 from construction_twin.work.following import GripReading, question
 from construction_twin.work.ledger import Ledger
-from construction_twin.work.processes import process_of
 from construction_twin.work.racks import StockPlan
 from construction_twin.work.schedule import Schedule
 from construction_twin.work.site import inverse
+from construction_twin.work.task_memory import TaskMemory
 from construction_twin.work.task_states import (
     ANSWERS,
     ANSWERS_OF_STAYING,
@@ -90,7 +90,6 @@ class Prepared:
         standing: What stands where the model has it, and no task makes.
         scheduled: By id of the job.
         standing_at: Where the model has each element of those, by GlobalId.
-        processes: By id, the process of each job that has another one than `recipe.DEFAULT`.
     """
 
     model: str
@@ -107,7 +106,6 @@ class Prepared:
     standing: tuple[SceneObject, ...] = ()
     scheduled: Mapping[str, Scheduled] = field(default_factory=dict)
     standing_at: Mapping[str, Pose] = field(default_factory=dict)
-    processes: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def after(self) -> dict[str, tuple[str, ...]]:
@@ -118,13 +116,18 @@ class Prepared:
         }
 
     @property
-    def placed_by(self) -> dict[str, str]:
-        """The element that each job places."""
+    def element_of(self) -> dict[str, str]:
+        """GlobalId of each job's element."""
         return {job.id: job.element for job in self.schedule.jobs}
 
     def stays(self, job: str) -> bool:
         """Return whether the process of a job leaves its element where it stands."""
-        return job in self.processes and not process_of(self.processes[job]).moves
+        return not self.schedule.job(job).moves
+
+    @property
+    def staying(self) -> tuple[str, ...]:
+        """The jobs that leave their element where it stands."""
+        return tuple(job.id for job in self.schedule.jobs if not job.moves)
 
     @property
     def removals(self) -> dict[str, str]:
@@ -243,9 +246,25 @@ class Desk:
         element = self.prepared.schedule.job(task).element
         if element in self.prepared.unplannable:
             return f"{self.title(task)} cannot be planned: {self.prepared.unplannable[element]}; skip it when it stands"
-        if state is TaskState.READY and not self.prepared.stays(task) and element not in self._present():
+        if self.prepared.stays(task):
+            return self._not_there(task) or self._lag(task, now)
+        if state is TaskState.READY and element not in self._present():
             return f"{self._element(task).name} is not delivered yet: its slot in the rack is taken by another element"
         return self._lag(task, now)
+
+    def _not_there(self, task: str) -> str:
+        """Return why an element cannot be worked on where it is to stand; empty: it stands there."""
+        element, name = self.element_of(task), self._element(task).name
+        placing = self.prepared.schedule.placing.get(element)
+        if element in self._gone():
+            return f"{name} was taken down; skip {self.title(task)}"
+        if placing and not self.book.tasks[placing].placed:
+            state = self.book.tasks[placing].state.value
+            return (
+                f"{name} does not count as placed: {self.title(placing)} is {state}; if it stands, say where "
+                f"(`twin work measured`), else skip {self.title(task)}, too"
+            )
+        return ""
 
     def left_closed(self, grip: GripReading) -> str:
         """Return what a person does about a grip that is commanded to hold while nothing counts as held; empty: nothing.
@@ -269,7 +288,7 @@ class Desk:
         )
 
     def element_of(self, task: str) -> str:
-        """Return the GlobalId of the element that a task places."""
+        """Return the GlobalId of a task's element."""
         return self.prepared.schedule.job(task).element
 
     def goal(self, task: str) -> Pose:
@@ -378,9 +397,8 @@ class Desk:
         Raises WorkRefused.
         """
         self._named(person)
-        jobs = (job for job in self.prepared.schedule.jobs if not self.prepared.stays(job.id))
-        task = next((job.id for job in jobs if job.element == element), "")
-        if not task:
+        task = self.prepared.schedule.placing.get(element)
+        if task is None:
             raise WorkRefused(f"no task places element {element!r}; `twin work list` names them")
         state = self.book.tasks[task].state
         if state not in SETTLED:
@@ -405,20 +423,20 @@ class Desk:
 
     def wanted_scene(self) -> tuple[dict[str, SceneObject], tuple[str, ...]]:
         """Return the work's objects of the scene by name, and the elements whose objects are left as they are."""
-        book = self.book
-        gone = {element for task, element in self.prepared.removals.items() if book.tasks[task].gone}
+        gone = self._gone()
         wanted = {item.name: item for item in (*self.prepared.tool_objects, *self._standing(gone))}
         # what stands, but is no longer in the model, goes only when a person takes it out
         alone = [element for element in self.book.left_behind if element not in self.prepared.elements]
         present = self._present()
-        for job in self.prepared.schedule.jobs:
-            facts, slot = self.prepared.elements[job.element], self.prepared.stock.slots.get(job.element)
+        for element in self._elements():
+            if element in gone:
+                continue
+            facts, slot = self.prepared.elements[element], self.prepared.stock.slots.get(element)
             stock = slot.base_T_element if slot is not None else None
-            piece = Piece(facts.bodies, stock, facts.base_T_goal, self.prepared.stays(job.id))
-            memory = self.book.tasks[job.id]
-            objects = objects_of(piece, memory, job.element in present, self._tip_link)
+            piece = Piece(facts.bodies, stock, facts.base_T_goal)
+            objects = objects_of(piece, self._placing(element), element in present, self._tip_link)
             if objects is None:
-                alone.append(job.element)
+                alone.append(element)
             else:
                 wanted |= {item.name: item for item in objects}
         return wanted, tuple(alone)
@@ -438,17 +456,30 @@ class Desk:
 
     def forms(self, task: str) -> tuple[tuple[SceneObject, ...], ...]:
         """Return the objects of a task's element as the record can have them: in its stock, in the grip, at its place."""
-        facts, memory = self._element(task), self.book.tasks[task]
+        facts, memory = self._element(task), self._placing(self.element_of(task))
         slot = self.prepared.stock.slots.get(self.element_of(task))
         places = [(slot.base_T_element, "")] if slot is not None else []
-        if memory.base_T_element:
+        if memory is not None and memory.base_T_element:
             places.append((pose_of_tuple(memory.base_T_element), ""))
-        if memory.tool0_T_element:
+        if memory is not None and memory.tool0_T_element:
             places.append((pose_of_tuple(memory.tool0_T_element), self._tip_link))
         places.append((facts.base_T_goal, ""))
         return tuple(
             tuple(item.moved(product(place, item.pose), link) for item in facts.bodies) for place, link in places
         )
+
+    def _elements(self) -> list[str]:
+        """Return the elements that jobs place or work on, in their order."""
+        return list(dict.fromkeys(job.element for job in self.prepared.schedule.jobs))
+
+    def _gone(self) -> set[str]:
+        """Return what was taken down."""
+        return {element for task, element in self.prepared.removals.items() if self.book.tasks[task].gone}
+
+    def _placing(self, element: str) -> TaskMemory | None:
+        """Return what is known of where an element is: of the task that places it, or did; None: it stands as the model has it."""
+        task = self.prepared.schedule.placing.get(element)
+        return self.book.tasks[task] if task is not None else self.book.left_behind.get(element)
 
     def deviation(self, task: str) -> Deviation | None:
         """Return how far a placed element stands from the model; None: it is not placed, or where was not measured."""
@@ -467,22 +498,34 @@ class Desk:
         """
         found = []
         present, following = self._present(), self.next(now)
-        for job in self.prepared.schedule.jobs:
-            memory, facts = self.book.tasks[job.id], self.prepared.elements[job.element]
-            if memory.placed or (memory.state is TaskState.DONE and self.prepared.stays(job.id)):
-                far = self.deviation(job.id)
+        for element in self._elements():
+            facts, memory = self.prepared.elements[element], self._placing(element)
+            mine = [job.id for job in self.prepared.schedule.jobs if job.element == element]
+            states = {self.book.tasks[task].state for task in mine}
+            placed, where = False, facts.base_T_goal
+            if memory is not None and memory.placed:
+                placed = True
                 where = pose_of_tuple(memory.base_T_element) if memory.base_T_element else facts.base_T_goal
-                wrong = far is not None and (far.distance > OFF or far.angle > OFF_ANGLE)
-                found.append(Appearance(job.element, facts.name, "off" if wrong else "placed", where))
-                continue
-            word = {job.id == following: "next", memory.state is TaskState.SKIPPED: "skipped"}.get(True, "todo")
-            found.append(Appearance(job.element, facts.name, word, facts.base_T_goal))
-            if memory.in_grip:
-                found.append(Appearance(job.element, facts.name, "carried", pose_of_tuple(memory.tool0_T_element)))
-            elif job.element in present:
-                stock = self.prepared.stock.slots[job.element].base_T_element
-                found.append(Appearance(job.element, facts.name, "stock", stock))
+            if placed and self._is_off(element):
+                word = "off"
+            elif following in mine:
+                word = "next"
+            elif placed or (TaskState.DONE in states and states <= {*SETTLED}):
+                word = "placed"
+            else:
+                word = "skipped" if states == {TaskState.SKIPPED} else "todo"
+            found.append(Appearance(element, facts.name, word, where))
+            if memory is not None and memory.in_grip:
+                found.append(Appearance(element, facts.name, "carried", pose_of_tuple(memory.tool0_T_element)))
+            elif element in present:
+                stock = self.prepared.stock.slots[element].base_T_element
+                found.append(Appearance(element, facts.name, "stock", stock))
         return tuple(found)
+
+    def _is_off(self, element: str) -> bool:
+        task = self.prepared.schedule.placing.get(element)
+        far = None if task is None else self.deviation(task)
+        return far is not None and (far.distance > OFF or far.angle > OFF_ANGLE)
 
     def rows(self, now: int) -> tuple[TaskReport, ...]:
         """Return every task, in order."""
@@ -584,7 +627,7 @@ class Desk:
         other = self.prepared.stock.instead_of(self.element_of(task), self._taken())
         if not other:
             return
-        later = next(job.id for job in self.prepared.schedule.jobs if job.element == other)
+        later = self.prepared.schedule.placing[other]
         raise WorkRefused(
             f"{self.prepared.elements[other].name} counts as delivered in the slot of {self._element(task).name}: "
             f"take it out and skip {self.title(later)} first; redo that afterwards"
@@ -593,7 +636,7 @@ class Desk:
     def _taken(self) -> list[str]:
         """Return the elements that do not lie in their stock any more."""
         tasks = self.book.tasks
-        return [job.element for job in self.prepared.schedule.jobs if tasks[job.id].taken]
+        return [element for element, task in self.prepared.schedule.placing.items() if tasks[task].taken]
 
     def _element(self, task: str) -> ElementFacts:
         return self.prepared.elements[self.element_of(task)]

@@ -5,7 +5,9 @@ SI; poses in the robot's base_link unless the name says otherwise; joint vectors
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 
@@ -13,7 +15,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.segments import Signal, Switch
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.objects import Scene, SceneObject
-from construction_twin.work.building import Element
+from construction_twin.work.building import Element, Value
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,9 +29,10 @@ class WorkJob:
         bodies: The element's convex pieces, named as above, their poses in the element's frame, `link` empty.
         mass: [kg]
         base_T_stock: ``base_T_element`` in its stock; None: its process does not move it, it stands at its place.
-        base_T_goal: ``base_T_element`` at its place.
+        base_T_goal: ``base_T_element`` at its place: as designed where it is placed, as built where it stands.
         supports: Names of scene objects that the element may touch where it is put down, and of those that it lies on in the stock.
         up: Length 3. Against gravity, a unit vector: the model's z axis.
+        task_properties: Of the task's own `CTwin_RobotTask`, which come before the element's.
     """
 
     task: str
@@ -44,6 +47,7 @@ class WorkJob:
     base_T_goal: Pose
     supports: tuple[str, ...] = ()
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    task_properties: Mapping[str, Value] = field(default_factory=dict)
 
     @property
     def called(self) -> str:
@@ -51,12 +55,12 @@ class WorkJob:
         return f"element {self.element_name!r} ({self.element})" if self.element_name else f"element {self.element}"
 
 
-def bare_job(element: Element, task: str = "") -> WorkJob:
+def bare_job(element: Element, task: str = "", task_properties: Mapping[str, Value] = MappingProxyType({})) -> WorkJob:
     """Return the job of an element as far as its recipe is concerned: without bodies, where it is, and what it touches."""
     properties = {name: dict(values) for name, values in element.properties.items()}
     return WorkJob(
         task or element.id, element.id, element.name, element.ifc_class, element.type_name, properties, (), element.mass,
-        None, Pose(np.zeros(3), np.eye(3)),
+        None, Pose(np.zeros(3), np.eye(3)), task_properties=dict(task_properties),
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ changed since, a person is asked about everything that was touched.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,7 +31,7 @@ class Ledger:
         model: SHA-256 of the model's file.
         clock: Returns the time since 1970 in UTC [ns].
         cell: Path of the cell file, for the record.
-        elements: GlobalId of the element that each task places.
+        elements, staying: As of `Book.doubts`.
 
     Attributes:
         book: What all lines so far say.
@@ -48,6 +48,7 @@ class Ledger:
         clock: Callable[[], int],
         cell: str = "",
         elements: Mapping[str, str] | None = None,
+        staying: Collection[str] = (),
     ):
         self.path = Path(path)
         self._clock = clock
@@ -65,7 +66,7 @@ class Ledger:
             if self._file.mended:
                 self.add(Entry(MENDED, reason=f"{self._file.mended} bytes of a line without its end were cut off"))
             if self.book.model != model:
-                for entry in self.book.doubts(elements or {}):
+                for entry in self.book.doubts(elements or {}, staying):
                     self.add(entry)
             # last: killed before it, the next start asks again
             if (self.book.model, self.book.cell) != (model, cell):

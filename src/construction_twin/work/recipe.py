@@ -16,6 +16,8 @@ from construction_twin.work.matching import Match
 
 #: The model's own property set for this package.
 PROPERTY_SET = "CTwin_RobotTask"
+#: Its property that chooses a recipe by its name, of an element or of a task.
+RECIPE = "Recipe"
 #: The process of a recipe that names none.
 DEFAULT = "place"
 

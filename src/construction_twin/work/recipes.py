@@ -1,7 +1,8 @@
 """Which recipe an element is worked on with: those of one file, and what the building model says of an element.
 
 Read from a YAML file, see config/work/recipes.yaml; the first recipe that fits an element is used, and it names the process. The
-property set `PROPERTY_SET` of the element in the model overrides single keys.
+property set `PROPERTY_SET` of the element in the model overrides single keys, and that of the task comes before it: an element that
+is placed, then drilled has one recipe for each.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.validation import configuration_error, wrong_value
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.robot.tool import Tool
-from construction_twin.work.building import Element, Value
+from construction_twin.work.building import Element, Task, Value
 from construction_twin.work.jobs import WorkJob, bare_job
 from construction_twin.work.processes import MODULES, process_of
-from construction_twin.work.recipe import DEFAULT, PROPERTY_SET, Recipe, Strict
+from construction_twin.work.recipe import DEFAULT, PROPERTY_SET, RECIPE, Recipe, Strict
 
-#: Properties of it that are no keys of a recipe: ``Recipe`` chooses a recipe by its name, ``Delivered`` is read by racks of the
-#: kind `delivered`. The others are the process's own, `Process.overrides`.
-RECIPE, DELIVERED = "Recipe", "Delivered"
+#: Property of it that is read by racks of the kind `delivered`. But for this one and `RECIPE` they are the process's own,
+#: `Process.overrides`.
+DELIVERED = "Delivered"
 
 _TYPES: Mapping[str, tuple[type, ...]] = {
     "IfcLabel": (str,),
@@ -62,13 +63,22 @@ class Recipes:
         """
         asked = _Asked(job.element, job.ifc_class, job.element_name, job.type_name, job.properties)
         own = {name: value for name, value in job.properties.get(PROPERTY_SET, {}).items() if name != "id"}
-        name = self._named(job, own) or self._first(job, asked)
-        return name, self._overridden(job, self.recipes[name], own)
+        of_task = self._named(job, job.task_properties)
+        name = of_task or self._named(job, own) or self._first(job, asked)
+        recipe = self.recipes[name]
+        if of_task:
+            # what the element says to the process of another task is not for this one
+            mine, others = process_of(recipe.process).overrides, self._overrides()
+            own = {key: value for key, value in own.items() if key in mine or key not in others}
+        return name, self._overridden(job, recipe, {**own, **job.task_properties})
 
-    def process(self, element: Element) -> str:
-        """Return the process of an element; of one without a right recipe `DEFAULT`: why it is wrong is told when it is planned."""
+    def process(self, element: Element, task: Task | None = None) -> str:
+        """Return the process by which a task, or by default any, works on an element.
+
+        Without a right recipe it is `DEFAULT`: why it is wrong is told when it is planned.
+        """
         try:
-            return self.of(bare_job(element))[1].process
+            return self.of(bare_job(element, "", task.properties if task is not None else {}))[1].process
         except TaskPlanningError:
             return DEFAULT
 
@@ -79,6 +89,10 @@ class Recipes:
         """
         for name, recipe in self.recipes.items():
             process_of(recipe.process).check_recipe(recipe, tool, f"{self.file}/recipes/{name}")
+
+    def _overrides(self) -> set[str]:
+        """Return the properties that any recipe's process knows."""
+        return {name for recipe in self.recipes.values() for name in process_of(recipe.process).overrides}
 
     def _named(self, job: WorkJob, own: Mapping[str, Value]) -> str:
         name = own.get(RECIPE)

@@ -3,10 +3,11 @@
 In: the tasks and sequences of a `BuildingModel`. Out: jobs in an order that can be built, or one sentence with the ids of what
 makes no sense. Times are arguments, in seconds of any one clock. Plans nothing and remembers nothing.
 
-A job is one element that a task without subtasks makes. A sequence of a nesting task holds for all that it nests: with
-``START_START`` everything in the first must have started before anything in the second may. An arm cannot end a placing later than
-it is done, so what the end of a job waits for (``FINISH_FINISH``, ``START_FINISH``), its start waits for here. A task without
-product passes order and lags on and takes no time, and so does one that is completed.
+A job is one element that a task without subtasks makes or works on; one element can have several: it is placed once, and what
+works on it where it stands waits for that. A sequence of a nesting task holds for all that it nests: with ``START_START``
+everything in the first must have started before anything in the second may. An arm cannot end a placing later than it is done, so
+what the end of a job waits for (``FINISH_FINISH``, ``START_FINISH``), its start waits for here. A task without product passes
+order and lags on and takes no time, and so does one that is completed.
 
 A removal is one element that a task takes down, or that is to be taken down without a task. It is no job: people do it, and the
 element stands until one of them says that it is gone; what comes after it waits for that.
@@ -17,18 +18,22 @@ from __future__ import annotations
 import heapq
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from types import MappingProxyType
 
 from construction_twin.core.work_errors import ScheduleError
-from construction_twin.work.building import BuildingModel, Sequence, Task
+from construction_twin.work.building import BuildingModel, Element, Sequence, Task
+from construction_twin.work.processes import process_of
 from construction_twin.work.proposed_schedule import propose
+from construction_twin.work.recipe import DEFAULT, RECIPE
 from construction_twin.work.workpieces import workpieces
 
 _KINDS = {"FINISH_START": True, "FINISH_FINISH": True, "START_START": False, "START_FINISH": False}
 _LISTED = 10
+#: Takes an element and a task; returns the process by which the task works on it.
+ProcessOf = Callable[[Element, Task], str]
 
 
 @dataclass(frozen=True)
@@ -48,7 +53,7 @@ class Wait:
 
 @dataclass(frozen=True)
 class Job:
-    """One element to be placed.
+    """One element to be placed, or worked on.
 
     Attributes:
         id: The task's GlobalId; of a task that makes several elements: with ``/1``, ``/2``, ... behind it.
@@ -56,6 +61,7 @@ class Job:
             element's stands behind it: ``Panel up: stud 3``.
         robots: Who may do it, the task's own or else those of the tasks it nests in; empty: any.
         after: Empty: it may start at once.
+        process: Name of its process.
     """
 
     id: str
@@ -64,6 +70,12 @@ class Job:
     element: str
     robots: tuple[str, ...]
     after: tuple[Wait, ...]
+    process: str = DEFAULT
+
+    @property
+    def moves(self) -> bool:
+        """Whether it takes the element from its stock to its place."""
+        return process_of(self.process).moves
 
 
 @dataclass(frozen=True)
@@ -102,6 +114,7 @@ class Schedule:
         proposed: It is not the planner's but a proposal from the geometry, which a person must accept; or a part of it is.
         removals: Elements that people take down; what each waits for is in `after`.
         remarks: Notes by the id of the job or removal that they are about.
+        placing: Id of the job that places each element, of those that one does.
     """
 
     def __init__(
@@ -116,19 +129,23 @@ class Schedule:
         self.jobs, self.notes, self.unmade, self.proposed = jobs, notes, unmade, proposed
         self.removals, self.remarks = removals, dict(remarks)
         self._by_id = {job.id: job for job in (*jobs, *removals)}
+        self.placing = {job.element: job.id for job in jobs if job.moves}
 
     @classmethod
-    def of(cls, model: BuildingModel, proposed: bool = False) -> Schedule:
+    def of(
+        cls, model: BuildingModel, proposed: bool = False, process: ProcessOf = lambda element, task: DEFAULT
+    ) -> Schedule:
         """Return the schedule of a model.
 
         Args:
             proposed: Its tasks come from `proposed_schedule`.
+            process: As of `recipes.Recipes.process`; by default every task places.
 
         Raises:
-            ScheduleError: With the ids: no tasks at all, tasks that wait for or nest in each other in a circle, an element made
+            ScheduleError: With the ids: no tasks at all, tasks that wait for or nest in each other in a circle, an element placed
                 twice, a sequence or a nesting with a task that is not there.
         """
-        reading = _Reading(model)
+        reading = _Reading(model, process)
         everything = reading.jobs()
         unmade = reading.unmade(everything)
         ordered = _in_order(everything, model.tasks)
@@ -208,8 +225,8 @@ _Waits = dict[tuple[str, bool], float]
 class _Reading:
     """Tasks and sequences of one model, checked."""
 
-    def __init__(self, model: BuildingModel):
-        self._model, self._tasks = model, model.tasks
+    def __init__(self, model: BuildingModel, process: ProcessOf):
+        self._model, self._tasks, self._process_of = model, model.tasks, process
         self.notes: list[str] = []
         self.removals: set[str] = set()
         self.guessed = False
@@ -234,7 +251,9 @@ class _Reading:
                 own = self._job_id(identifier, number)
                 before = {(self._job_id(identifier, number - 1), True): 0.0} if number > 1 else after
                 found = tuple(Wait(job, finished, lag) for (job, finished), lag in before.items())
-                jobs.append(Job(own, identifier, task.name, product, () if down else self._robots(identifier), found))
+                robots = () if down else self._robots(identifier)
+                process = DEFAULT if down else self._process(identifier, product)
+                jobs.append(Job(own, identifier, task.name, product, robots, found, process))
                 if down:
                     self.removals.add(own)
         jobs = self._told_apart(jobs)
@@ -285,7 +304,15 @@ class _Reading:
         task = self._tasks[identifier]
         known = [self._model.elements[one] for one in task.products if one in self._model.elements]
         demolish = bool(known) and all(element.status == "demolish" for element in known)
-        return task.kind == "takes_down" or (task.kind == "makes" and demolish)
+        works = task.properties.get(RECIPE) is not None
+        return task.kind == "takes_down" or (task.kind == "makes" and demolish and not works)
+
+    def _process(self, identifier: str, element: str) -> str:
+        return self._process_of(self._model.elements[element], self._tasks[identifier])
+
+    def _moves(self, identifier: str, element: str) -> bool:
+        """Return whether a task places an element, in place of working on it where it stands."""
+        return process_of(self._process(identifier, element)).moves
 
     def _is_completed(self, identifier: str) -> bool:
         return any(self._tasks[at].completed for at in self._above(identifier))
@@ -364,6 +391,7 @@ class _Reading:
         """Return the elements that each task without subtasks makes, of those that make any."""
         found: dict[str, tuple[str, ...]] = {}
         maker: dict[str, str] = {}
+        works: list[tuple[str, str]] = []
         empty: list[str] = []
         for identifier, task in self._tasks.items():
             nested = self._children[identifier]
@@ -386,6 +414,9 @@ class _Reading:
                 empty.append(identifier)
                 continue
             for element in () if self._takes_down(identifier) else known:
+                if not self._moves(identifier, element):
+                    works.append((identifier, element))
+                    continue
                 if element in maker:
                     raise ScheduleError(
                         f"element {element} ({self._model.elements[element].name!r}) is made twice, by tasks "
@@ -394,6 +425,10 @@ class _Reading:
                     )
                 maker[element] = identifier
             found[identifier] = known
+        for identifier, element in works:
+            # it stands before anybody works on it, whether or not the file says so
+            if element in maker:
+                self._sequences[identifier].append(Sequence(maker[element], identifier))
         self._leave_temporary(found, maker)
         idle = [one for one in empty if not self._tasks[one].milestone and self._tasks[one].kind == "makes"]
         idle = [one for one in idle if not self._is_completed(one)]
@@ -415,7 +450,8 @@ class _Reading:
         if self._is_completed(identifier):
             self._standing |= {*known, *(part for one in known for part in self._parts(one))}
             return ()
-        there = tuple(one for one in known if elements[one].status)
+        works = tuple(one for one in known if elements[one].bodies and not self._moves(identifier, one))
+        there = tuple(one for one in known if elements[one].status and one not in works)
         if there:
             self._standing |= set(there)
             self.notes.append(
@@ -424,7 +460,9 @@ class _Reading:
             )
         found: list[str] = []
         for one in known:
-            if one not in there:
+            if one in works:
+                found.append(one)
+            elif one not in there:
                 found += self._of_assembly(identifier, one)
         return tuple(dict.fromkeys(found))
 
@@ -452,7 +490,7 @@ class _Reading:
             for name, task in self._tasks.items()
             if name != identifier
             for one in task.products
-            if one in parts
+            if one in parts and self._moves(name, one)
             for part in (one, *self._parts(one))
         }
         wanted = [one for one in workpieces(model) if one in parts - elsewhere]
@@ -612,7 +650,9 @@ def _order_notes(jobs: tuple[Job, ...], tasks: Mapping[str, Task], proposed: boo
         ]
     if not without and len({_has_zone(start) for start in starts.values()}) > 1:
         return ["Dates are not used for the order, because some starts have a time zone and others have none."]
-    free = not any(wait.job != job.id and not wait.job.startswith(f"{job.task}/") for job in jobs for wait in job.after)
+    on = {job.id: job.element for job in jobs}
+    # of the jobs of one task, and of one element, the file need not say an order
+    free = all(wait.job.startswith(f"{job.task}/") or on[wait.job] == job.element for job in jobs for wait in job.after)
     if len(starts) > 1 and without and free and not proposed:
         return [
             "The file says no order of its tasks, neither sequences nor dates: they come as they stand in the file."

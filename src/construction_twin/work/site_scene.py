@@ -17,8 +17,8 @@ from construction_twin.work.building import BuildingModel
 from construction_twin.work.contacts import Shapes, tool_objects
 from construction_twin.work.jobs import WorkJob, bare_job
 from construction_twin.work.pieces import Pieces
-from construction_twin.work.processes import process_of
 from construction_twin.work.racks import Slot, StockPlan, plan_stock
+from construction_twin.work.schedule import Job
 from construction_twin.work.site import Site, inverse
 
 #: Elements at a pose whose objects are kept.
@@ -46,10 +46,11 @@ class Layout:
         order: GlobalIds of the elements that are worked on, in the order in which they are needed.
         link: The robot's tip link, which carries the tool.
         standing: Pieces, as above, of the elements that stand where the model has them and that no task makes, see `work.standing`.
+        jobs: Who works on them; by default one for each, called as the element, by the process of the element's own recipe.
 
     Attributes:
         standing: What stands from the beginning, fixed, in the robot's base_link.
-        stays: The elements in `order` that their process does not move: they stand at their place all the time.
+        stays: The elements in `order` that no job moves: they stand at their place all the time.
 
     Raises:
         ConfigurationError, BuildingError: See `racks.plan_stock`.
@@ -63,6 +64,7 @@ class Layout:
         order: Sequence[str],
         link: str,
         standing: Mapping[str, Sequence[SceneObject]] = MappingProxyType({}),
+        jobs: Sequence[Job] = (),
     ):
         self.site, self.building, self.order = site, building, tuple(order)
         self._pieces = {element: tuple(pieces[element]) for element in order}
@@ -73,9 +75,11 @@ class Layout:
             if element not in corners:
                 name = building.element(element).name
                 raise TaskPlanningError(element, f"element {name!r} has no geometry; leave it out of the work")
-        self._processes = {element: site.recipes.process(building.element(element)) for element in order}
-        self.stays = tuple(element for element in order if not process_of(self._processes[element]).moves)
-        moved = [element for element in order if element not in self.stays]
+        own = (Job(one, "", "", one, (), (), site.recipes.process(building.element(one))) for one in order)
+        self._jobs = {job.id: job for job in jobs or own}
+        placed = {job.element for job in self._jobs.values() if job.moves}
+        self.stays = tuple(element for element in order if element not in placed)
+        moved = [element for element in order if element in placed]
         self.stock: StockPlan = plan_stock(site, building, moved, corners)
         self.standing = tuple(
             replace(item.moved(product(self.base_T_goal(element), item.pose)), fixed=True)
@@ -88,10 +92,6 @@ class Layout:
     def pieces(self, element: str) -> tuple[SceneObject, ...]:
         """Return an element's convex pieces, in its own frame."""
         return self._pieces[element]
-
-    def process(self, element: str) -> str:
-        """Return the name of an element's process."""
-        return self._processes[element]
 
     def slot(self, element: str) -> Slot | None:
         """Return where an element lies in stock; None: it stays where it stands."""
@@ -126,10 +126,12 @@ class Layout:
         Args:
             element: GlobalId.
             scene: The present one.
-            task: Id of the task; empty: the element's.
+            task: Id of the job; empty, or one that the layout does not know: its first one.
         """
-        built, slot = self.building.element(element), self.slot(element)
-        goal = self.base_T_goal(element)
+        asked = self._jobs.get(task) or next(job for job in self._jobs.values() if job.element == element)
+        built, slot = self.building.element(element), self.slot(element) if asked.moves else None
+        goal = self.base_T_goal(element) if asked.moves else self._stands(element, scene)
+        of_task = self.building.tasks.get(asked.task)
         of_work = {item.name for items in self._pieces.values() for item in items}
         of_work |= {item.name for item in self.standing}
         own = {item.name for item in self._pieces[element]}
@@ -142,13 +144,20 @@ class Layout:
         x, y, z = map(float, self._base_T_model.rotation[:, 2])
         fixed = {*self.site.file.supports, *([] if slot is None else [slot.surface])} & set(scene.names)
         return replace(
-            bare_job(built, task),
+            bare_job(built, task, {} if of_task is None else of_task.properties),
             bodies=self._pieces[element],
             base_T_stock=None if slot is None else slot.base_T_element,
             base_T_goal=goal,
             supports=tuple(sorted(beside | fixed)),
             up=(x, y, z),
         )
+
+    def _stands(self, element: str, scene: Scene) -> Pose:
+        """Return where an element stands in a scene; as designed where it does not."""
+        first = self._pieces[element][0]
+        if first.name not in scene.names or scene.get(first.name).link:
+            return self.base_T_goal(element)
+        return product(scene.get(first.name).pose, inverse(first.pose))
 
     def _standing(self, element: str, base_T_element: Pose) -> tuple[SceneObject, ...]:
         """Return an element's pieces at a pose; they are kept, because most elements stay where they are."""

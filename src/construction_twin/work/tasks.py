@@ -72,8 +72,8 @@ def prepare(
     if proposed:
         building = propose(building).applied(building)
     # one that was written into the file is a proposal, too, until a person accepts it
-    schedule = Schedule.of(building, proposed or is_proposal(building))
-    order = [job.element for job in schedule.jobs]
+    schedule = Schedule.of(building, proposed or is_proposal(building), site.recipes.process)
+    order = list(dict.fromkeys(job.element for job in schedule.jobs))
     chain = Chain(robot)
     tool = pose_of(site.tool.tool.tool0_T_tcp)
     reach = chain.reach + float(np.linalg.norm(chain.shoulder)) + float(np.linalg.norm(tool.position))
@@ -86,7 +86,7 @@ def prepare(
     stands = standing(building, sure, site, robot, Path(cache) / "bodies")
     # one element without usable body does not stop the others
     usable = [element for element in order if element in pieces]
-    layout = Layout(site, building, pieces, usable, robot.tip_link, stands.pieces)
+    layout = Layout(site, building, pieces, usable, robot.tip_link, stands.pieces, schedule.jobs)
     unplannable = {element: str(failure) for element, failure in failures.items()}
     unplannable |= {element: building.element(element).doubt for element in order if element not in sure}
     removed = [job.element for job in schedule.removals]
@@ -95,7 +95,7 @@ def prepare(
         read = building.element(element)
         elements[element] = ElementFacts(
             read.name or read.tag or element, read.ifc_class, read.type_name, pieces.get(element, ()),
-            layout.base_T_goal(element), element_triangles(read), _mass(site, read),
+            layout.base_T_goal(element), element_triangles(read), _mass(site, building, schedule, read),
         )  # fmt: skip
     notes = [
         *building.notes,
@@ -121,7 +121,7 @@ def prepare(
         digest=building.digest,
         cell=str(cell),
         schedule=schedule,
-        schedule_digest=hashlib.sha256(json.dumps([asdict(job) for job in schedule.jobs]).encode()).hexdigest(),
+        schedule_digest=schedule_digest(schedule),
         elements=elements,
         stock=layout.stock,
         tool=site.tool.tool,
@@ -130,14 +130,24 @@ def prepare(
         unplannable=unplannable,
         standing=layout.standing,
         scheduled=_scheduled(building, schedule),
-        processes=_processes(layout, schedule),
         standing_at={element: layout.base_T_goal(element) for element in stands.pieces},
     )
 
 
-def _mass(site: Site, element: Element) -> float | None:
+def schedule_digest(schedule: Schedule) -> str:
+    """Return the SHA-256 of what a person accepts; of jobs that place it is the same as before there were other processes."""
+    jobs = [
+        {key: value for key, value in asdict(job).items() if value != DEFAULT or key != "process"}
+        for job in schedule.jobs
+    ]
+    return hashlib.sha256(json.dumps(jobs).encode()).hexdigest()
+
+
+def _mass(site: Site, building: BuildingModel, schedule: Schedule, element: Element) -> float | None:
     """Return the mass that an element is planned with [kg]; None: nobody says, or its recipe is wrong, which planning tells."""
-    job = bare_job(element)
+    placing = schedule.placing.get(element.id)
+    task = building.tasks.get(schedule.job(placing).task) if placing else None
+    job = bare_job(element, "", task.properties if task is not None else {})
     try:
         name, recipe = site.recipes.of(job)
         return process_of(recipe.process).mass(job, name, recipe, site.tool.tool)
@@ -152,12 +162,6 @@ def _scheduled(building: BuildingModel, schedule: Schedule) -> dict[str, Schedul
         for job in schedule.jobs
         if (task := building.tasks.get(job.task)) is not None
     }
-
-
-def _processes(layout: Layout, schedule: Schedule) -> dict[str, str]:
-    """Return the process of each job that is worked on by another than `DEFAULT`."""
-    named = {job.id: layout.process(job.element) for job in schedule.jobs if job.element in layout.order}
-    return {job: name for job, name in named.items() if name != DEFAULT}
 
 
 def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: tuple[float, ...] = ()) -> WorkPlan:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from construction_twin.core.sentences import Quantity, Sentence, fill, has, said_in, understood
+from construction_twin.core.sentences import REASONS, Quantity, Sentence, fill, has, replaced, said_in, understood
 
 ROOT = Path(__file__).parents[3]
 SENTENCES = json.loads((ROOT / "src/construction_twin/core/sentences.json").read_text())
@@ -75,29 +75,35 @@ def test_a_sentence_is_its_text_and_knows_its_key_and_values():
     assert has("page.title") and not has("line.nothing")
 
 
-def sample(template: str, reason: str) -> dict[str, object]:
-    """Values for a template: such as its places may have, `reason` for a part that is a sentence itself."""
+def sample(template: str, part: str, reason: str) -> dict[str, object]:
+    """Values for a template: such as its places may have, for what may be a sentence `part`, and `reason` for the last of them."""
     values: dict[str, object] = {}
     for name, decimals, form in re.findall(r"\{(\w+)(?::\.?(\d?)(\w))?\}", template):
         number = round(1.23456789, int(decimals or 3))
         quantity = Quantity(math.radians(12.5) if form == "p" else number, "rad")
         values[name] = (
-            quantity if form in ("p", "q") else number if form in ("f", "g") else reason if form == "s" else "word"
+            quantity if form in ("p", "q") else number if form in ("f", "g") else part if form == "s" else "word"
         )
-    return values
+    texts = [name for name, value in values.items() if value is part]
+    return values | {name: reason for name in texts[-1:]}
 
 
-REASONS = [key for key in SENTENCES if key.startswith("reason.")]
+#: A piece of a sentence that is as long as this is nobody else's [characters].
+LONG_ENOUGH = 36
+REASON_KEYS = [key for key in SENTENCES if key.startswith(REASONS)]
 
 
-@pytest.mark.parametrize("key", REASONS)
+@pytest.mark.parametrize("key", REASON_KEYS)
 def test_a_reason_is_found_in_its_text_again(key):
     """ROS messages carry the text; no reason reads as another one."""
     inner = Sentence(
         "reason.motion.velocity", joint="joint_a1", value=Quantity(3.0, "rad/s"), limit=Quantity(2.0, "rad/s")
     )
-    for reason in ("joint_a1", inner):
-        said = Sentence(key, **sample(SENTENCES[key]["en"], reason))
+    words = re.sub(r"\{.*?\}", "", SENTENCES[key]["en"])
+    # what has no words of its own is found around another sentence only
+    parts = [("joint_a1", "joint_a2")] if any(letter.isalpha() for letter in words) else []
+    for part, reason in [*parts, (Sentence("executor.where.before"), inner)]:
+        said = Sentence(key, **sample(SENTENCES[key]["en"], part, reason))
         found = understood(str(said))
         assert found == said and found.key == key and found.values.keys() == said.values.keys()
         for name, value in said.values.items():
@@ -108,10 +114,24 @@ def test_a_reason_is_found_in_its_text_again(key):
                 assert again == value and getattr(again, "key", "") == getattr(value, "key", "")
 
 
+def test_a_part_that_has_changed_is_said_in_its_place():
+    holds, opened = Sentence("executor.gate_holds", state="HOLDING"), Sentence("executor.gate_open_again")
+    end = Sentence(
+        "executor.end.look", end=Sentence("executor.both", first=Sentence("executor.stop_asked"), second=holds)
+    )
+    changed = replaced(end, holds, opened)
+    assert changed == end.replace(holds, opened) and changed.key == end.key
+    assert changed.values["end"].values["second"].key == "executor.gate_open_again"
+    assert replaced(holds, holds, opened) is opened and replaced("a word", holds, opened) == "a word"
+
+
 @pytest.mark.parametrize(
     "text",
     [
         "",
+        # no words of its own, and nothing that is understood
+        "this; that",
+        "this: that",
         "at 2.1 s",
         # not to the letter
         "joint_a3 differs by 0.7 deg",
@@ -123,3 +143,16 @@ def test_a_reason_is_found_in_its_text_again(key):
 )
 def test_a_text_that_is_no_reason_to_the_letter_has_no_key(text):
     assert understood(text) is None
+
+
+def test_the_words_of_a_reason_stand_in_no_program():
+    """Where its key is enough: in `sentences.json` alone. Pieces that are too short to be these words are not looked at."""
+    programs = {path: re.sub(r'"\s*\n\s*f?"', "", path.read_text()) for path in (ROOT / "src").rglob("*.py")}
+    pieces = {
+        piece.strip()
+        for key in REASON_KEYS
+        for piece in re.split(r"\{.*?\}", SENTENCES[key]["en"])
+        if len(piece.strip()) >= LONG_ENOUGH
+    }
+    assert len(pieces) > 50
+    assert [(path.name, piece) for path, text in programs.items() for piece in pieces if piece in text] == []

@@ -17,10 +17,8 @@ from construction_twin.link.remote_request import (
     MAX_BYTES,
     IkRequest,
     RemoteRequest,
-    ik_answer,
     parse_ik,
     parse_plan_request,
-    plan_answer,
 )
 from construction_twin.link.remote_trajectory import Joints
 
@@ -156,17 +154,3 @@ def test_any_bytes_are_read_or_refused(payload):
         assert isinstance(read_document(payload, False, "ik", MAX_BYTES), dict)
     except PayloadError as error:
         assert error.reason == "format"
-
-
-def test_answers_name_the_request():
-    assert json.loads(plan_answer("7", "kr120-planner-ada", "pose", True, "planned", "p1", "cafe", 2.5)) == {
-        "id": "7", "account": "kr120-planner-ada", "kind": "pose", "ok": True, "reason": "planned",
-        "plan_id": "p1", "plan_hash": "cafe", "duration": 2.5, "expired": False,
-    }  # fmt: skip
-    assert json.loads(plan_answer("7", "", "pose", False, "too old", expired=True))["expired"]
-    answer = json.loads(ik_answer("3", "contact", {"joint_a1": 0.5}, "link_3 would touch wall", ("link_3", "wall")))
-    assert answer == {
-        "id": "3", "reach": "contact", "joints": {"joint_a1": 0.5}, "sentence": "link_3 would touch wall",
-        "between": ["link_3", "wall"],
-    }  # fmt: skip
-    assert json.loads(ik_answer("3", "out", None, "too far"))["joints"] is None

@@ -27,7 +27,6 @@ from construction_twin.link.remote_review import (
     RemoteReview,
     parse_review,
     recorded_reason,
-    review_answer,
     shown,
     thinned,
 )
@@ -137,18 +136,6 @@ def test_a_verdict_is_taken_only_with_every_field_a_text(document):
         assert {key: document[key] for key in REVIEW} == {key: getattr(review, key) for key in REVIEW}
 
 
-def test_the_answer_names_what_it_answers():
-    review = parse_review(payload(), False)
-    assert json.loads(review_answer(review, False, "why")) == REVIEW | {
-        "account": "",
-        "ok": False,
-        "reason": "why",
-        "expired": False,
-    }
-    unread = json.loads(review_answer(None, False, "no JSON"))
-    assert unread == dict.fromkeys(REVIEW, "") | {"account": "", "ok": False, "reason": "no JSON", "expired": False}
-
-
 # -- review/<account>
 
 ADA = "kr120-reviewer-ada"
@@ -160,8 +147,6 @@ def test_the_name_on_record_is_the_topic_s_whatever_the_message_says(claims):
     assert (review.reviewer, review.account) == (ADA, ADA)
     said = f"by MQTT, which says it is {claims!r}: fine" if claims in ("Bob", "kr120-bridge") else "by MQTT: fine"
     assert recorded_reason(review) == said
-    answer = json.loads(review_answer(review, True, "taken"))
-    assert (answer["reviewer"], answer["account"], answer["plan_id"]) == (ADA, ADA, "p1")
 
 
 def test_without_an_account_the_message_must_name_somebody():
@@ -176,11 +161,6 @@ def test_an_account_is_read_as_strictly(changes):
     with pytest.raises(PayloadError) as caught:
         parse_review(payload(**changes), False, ADA)
     assert caught.value.reason == "review"
-
-
-def test_a_verdict_of_an_account_that_could_not_be_read_is_answered_by_name():
-    answer = json.loads(review_answer(None, False, "no JSON", ADA))
-    assert (answer["account"], answer["reviewer"], answer["plan_id"]) == (ADA, ADA, "")
 
 
 # -- plan

@@ -21,7 +21,6 @@ from construction_twin.link.remote_trajectory import (
     TrajectoryRequest,
     parse_trajectory,
     request_id,
-    trajectory_answer,
 )
 
 JOINTS = Joints(("track", "joint_a1", "joint_a2"), (True, False, False))
@@ -416,12 +415,3 @@ def test_the_id_is_known_also_of_what_is_refused():
     assert request_id({"guid": "7"}) == ""
     with pytest.raises(PayloadError, match="id is"):
         request_id({"id": ["7"]})
-
-
-def test_the_answer_has_the_same_keys_with_and_without_a_plan():
-    refused = json.loads(trajectory_answer("7", "", False, "why"))
-    taken = json.loads(trajectory_answer("7", "ada", True, "ok", plan_id="p", plan_hash="h", duration=2.5, notes=["n"]))
-    assert refused == {
-        "id": "7", "sender": "", "ok": False, "reason": "why", "plan_id": "", "plan_hash": "", "duration": 0.0, "notes": [],
-    }  # fmt: skip
-    assert set(taken) == set(refused) and (taken["plan_id"], taken["duration"]) == ("p", 2.5)

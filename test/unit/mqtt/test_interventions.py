@@ -15,7 +15,6 @@ from construction_twin.mqtt.interventions import (
     RESUME,
     STOP,
     Intervention,
-    intervention_answer,
     parse_intervention,
 )
 from construction_twin.mqtt.messages import account_of
@@ -98,9 +97,3 @@ def test_a_last_level_that_no_account_can_have_is_refused(name):
     with pytest.raises(PayloadError) as caught:
         account_of(f"twin/kr120/stop/{name}")
     assert caught.value.reason == "sender" and len(str(caught.value)) < 300
-
-
-def test_an_answer_names_whom_it_answers_and_who_answers():
-    assert json.loads(intervention_answer("7", "ada", "gateway", False, "why")) == {
-        "id": "7", "account": "ada", "ok": False, "reason": "why", "by": "gateway", "expired": False,
-    }  # fmt: skip

@@ -25,7 +25,7 @@ import yaml
 from evaluation_samples import run
 from gateway_cell import following
 
-from construction_twin.broker.access import PLC, PROGRAMS, RIGHTS, ROLES
+from construction_twin.broker.access import PLC, PROGRAMS, RIGHTS, ROLES, Site, access_rules
 from construction_twin.core.state_table import cells
 from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.execution.states import TABLE, ExecutorEvent, ExecutorState
@@ -33,14 +33,14 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.states import Mode, State
 from construction_twin.link import remote_trajectory
 from construction_twin.link.bare_supervisor import NOT_CHECKED
-from construction_twin.link.remote_review import PlanView, SegmentView, review_answer
-from construction_twin.link.remote_trajectory import trajectory_answer
+from construction_twin.link.remote_review import PlanView, SegmentView
 from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import status_values
 from construction_twin.monitor.comparison import ComparisonSettings, undetected
 from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.account import Account
 from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.requests import REVIEW, TRAJECTORY
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.nodes import mqtt_bridge
 from construction_twin.ros.shared import stop_memory
@@ -194,7 +194,7 @@ def test_keys_of_plan_review_and_account_files_are_documented():
     empty = PlanView("", "", "", "", "", "", 0, 0.0, 0.0, (), (), (), (), None, {})
     segment = SegmentView("", 0.0, 0, False, {}, (), "", "", (), ())
     shown = json.loads(dataclasses.replace(empty, segments=(segment,)).to_json(2))
-    keys = {*shown, *shown["segments"][0], *json.loads(review_answer(None, True, ""))}
+    keys = {*shown, *shown["segments"][0], *REVIEW.answer}
     keys |= {field.name for field in dataclasses.fields(Account)} - {"name"}
     assert sorted(keys - code_words(BROKER)) == []
 
@@ -205,7 +205,7 @@ def test_keys_of_a_remote_trajectory_its_answer_and_the_view_are_documented():
         json.loads((ROOT / "docs/reference/view.schema.json").read_text()),
     )
     keys = {
-        *json.loads(trajectory_answer("", "", True, "")),
+        *TRAJECTORY.answer,
         *schema["properties"],
         *schema["properties"]["twin"]["properties"],
     }
@@ -222,10 +222,13 @@ def test_what_is_not_checked_with_a_bare_plc_is_documented_word_for_word():
 
 
 def topics_of(rules: str) -> set[str]:
-    """Return the topics of a template of access rules, as documents write them."""
-    text = (ROOT / f"config/mosquitto/{rules}.acl").read_text()
-    topics = re.findall(r"^topic (\w+) \$topics/(\S+)$", text, re.MULTILINE)
-    return {topic.replace("$account", "<account>") for _, topic in topics} - {"#"}
+    """Return the topics of the access rules from one template, as documents write them."""
+    people = {f"{role}s": ("ada",) for role in ROLES}
+    site = Site(hosts=("b",), robots=("r",), folder="/f", plc=True, **people)
+    template = (ROOT / f"config/mosquitto/{rules}.acl").read_text()
+    text = access_rules(site, lambda name: template if name == f"{rules}.acl" else "")
+    topics = re.findall(r"^topic \w+ twin/r/(\S+)$", text, re.MULTILINE)
+    return {re.sub(r"\br-\w+-ada$", "<account>", topic) for topic in topics} - {"#"}
 
 
 def test_rights_and_their_topics_are_documented():

@@ -17,6 +17,7 @@ from bridge_bench import Published, Refusals
 from processes import ROOT, BrokerProcess, wait_until
 from rabbit_broker import RabbitBroker, is_installed
 from site_broker import Listener, SiteBroker
+from unplugged import ask
 
 from construction_twin.core.units import CYCLE
 from construction_twin.link.states import LinkState
@@ -24,7 +25,7 @@ from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.description import read_robot_files
-from construction_twin.ros.nodes.mqtt_bridge import MqttBridge, Outputs, Settings
+from construction_twin.ros.nodes.mqtt_bridge import NODE, MqttBridge, Outputs, Settings
 from construction_twin.ros.shared.gateway_config import gateway_config
 
 ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
@@ -133,7 +134,7 @@ class Cell:
         def is_armed() -> bool:
             self.wait_for(LinkState.NEEDS_RESET)
             self.target = self.pose
-            answers.append(self.bridge.on_responsible(SimpleNamespace(responsible="Ada")))
+            answers.append(ask(NODE, self.bridge, "arm", SimpleNamespace(responsible="Ada")))
             return answers[-1].success
 
         wait_until(is_armed, 30.0, "an armed PLC")
@@ -199,7 +200,7 @@ def test_a_person_arms_the_plc_it_follows_and_stops_on_silence(cell):
     cell.start_plc()
     cell.wait_for(LinkState.NEEDS_RESET)
     assert cell.pose == HOME
-    refused = cell.bridge.on_responsible(SimpleNamespace(responsible=""))
+    refused = ask(NODE, cell.bridge, "arm", SimpleNamespace(responsible=""), cell.refusals.refuse)
     assert not refused.success and "--responsible NAME" in refused.message
     assert "Ada is responsible for what is not checked: " in cell.arm()
     cell.turn(4.0)
@@ -213,7 +214,7 @@ def test_a_person_arms_the_plc_it_follows_and_stops_on_silence(cell):
     # `turn` arms again by itself, as Ada would
     mover.join(60.0)
     assert not mover.is_alive() and cell.pose == cell.target
-    assert cell.refusals.refused == {}
+    assert cell.refusals.refused == {"ReviewError": 1}
 
 
 def test_a_plc_that_dies_or_ends_is_offline_by_its_word(cell):

@@ -125,7 +125,7 @@ def test_that_a_person_is_waited_for_outlasts_the_bridge_until_a_person_has_rese
             after.bridge.on_answer(json.dumps({"id": control.id, "ok": True, "verb": control.verb}).encode())
 
     clocks.while_waiting = answer
-    assert after.bridge.on_reset(None).success
+    assert after.ask("reset").success
     after.step()
     wait_until(lambda: kept[-1] == "", what="the end of it")
 

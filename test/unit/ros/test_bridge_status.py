@@ -212,7 +212,7 @@ def test_a_wall_clock_that_is_set_makes_no_pose_old_and_none_at_rest(clocks):
         if k == 20:
             clocks.wall += 60 * NANOSECONDS
         if k == 30:
-            assert "still changing" in bench.bridge.on_mirror(SimpleNamespace(data=True)).message
+            assert "still changing" in bench.ask("mirror", data=True).message
         bench.bridge.on_state(b"+005.730,-057.296", [], False)
     assert bench.at_rest()
     # what goes out on ROS carries ROS time
@@ -246,12 +246,12 @@ def test_mirror_mode_is_kept_where_the_next_process_finds_it(bench, monkeypatch)
     kept = {}
     monkeypatch.setattr(rospy, "set_param", kept.__setitem__)
     bench.arm_and_rest()
-    assert bench.bridge.on_mirror(SimpleNamespace(data=True)).success and kept == {MIRROR_MODE: True}
+    assert bench.ask("mirror", data=True).success and kept == {MIRROR_MODE: True}
     bench.step()
     assert bench.bridge.link is LinkState.MIRROR
     assert bench.bridge.on_halt(None).success
     wait_until(lambda: kept == {MIRROR_MODE: False}, what="what the next process finds")
-    assert not bench.bridge.on_mirror(SimpleNamespace(data=False)).success and kept == {MIRROR_MODE: False}
+    assert not bench.ask("mirror", data=False).success and kept == {MIRROR_MODE: False}
 
 
 def test_without_a_master_halt_and_mirror_are_carried_out_all_the_same(bench, monkeypatch):
@@ -260,7 +260,7 @@ def test_without_a_master_halt_and_mirror_are_carried_out_all_the_same(bench, mo
 
     monkeypatch.setattr(rospy, "set_param", refuse)
     bench.arm_and_rest()
-    answer = bench.bridge.on_mirror(SimpleNamespace(data=True))
+    answer = bench.ask("mirror", data=True)
     assert answer.success and "would not outlast this node" in answer.message
     assert bench.bridge.on_halt(None).success
 
@@ -307,7 +307,7 @@ def test_a_reset_that_fails_because_strings_are_refused_says_that(bench):
         bench.bridge.on_status(json.dumps(bench.gateway).encode())
         bench.bridge.on_state(b"+005.730,-057.29", [], False)
         bench.bridge.poll()
-    answer = bench.bridge.on_reset(None)
+    answer = bench.ask("reset")
     assert not answer.success
     assert answer.message.startswith(
         "cannot reset: the arm's pose is unknown, because its strings are refused (30 of them): 16 bytes b'+005.730,-057.29'; "
@@ -333,7 +333,7 @@ def test_a_reset_that_is_halted_meanwhile_is_answered_at_once(bench):
     bench.gateway |= {"state": "holding", "session": "", "fault": True}
     bench.step()
     at = halted_meanwhile(bench, bench.step)
-    answer = bench.bridge.on_reset(None)
+    answer = bench.ask("reset")
     assert not answer.success
     assert answer.message.startswith("not armed: halt was called meanwhile: NEEDS_RESET, ")
     assert bench.clocks.steady - at[0] <= 40_000_000
@@ -369,7 +369,7 @@ def test_a_reset_that_failed_is_withdrawn_at_the_gateway_before_it_is_answered(b
     go_on = bench.clocks.while_waiting = answering(bench)
     go_on()
     bench.commands = False
-    answer = bench.bridge.on_reset(None)
+    answer = bench.ask("reset")
     assert not answer.success and answer.message.startswith("not armed within 1 s: RESYNC, ")
     assert [control.verb for control in bench.client.controls[-2:]] == ["reset", "stop"]
     assert (bench.gateway["fault"], bench.gateway["fault_number"]) == (True, 2)
@@ -382,7 +382,7 @@ def test_a_reset_that_failed_is_withdrawn_at_the_gateway_before_it_is_answered(b
     assert len(bench.client.controls) == sent and bench.links[-1][0].reason.endswith("; call reset")
     assert {pair.key: pair.value for pair in bench.links[-1][0].gateway_counters}["fault_number"] == "2"
     # and a person who asks again, at once too, knows the stop with which it was withdrawn
-    answer = bench.bridge.on_reset(None)
+    answer = bench.ask("reset")
     assert answer.success, answer.message
 
 
@@ -399,7 +399,7 @@ def test_a_stop_that_comes_while_a_reset_waits_is_answered_at_once(bench):
         go_on()
 
     bench.clocks.while_waiting = stopped
-    answer = bench.bridge.on_reset(None)
+    answer = bench.ask("reset")
     assert answer.message.startswith(
         "not armed: NEEDS_RESET, gateway was stopped since the call (stop 2): stop: by anna"
     )
@@ -409,11 +409,11 @@ def test_a_stop_that_comes_while_a_reset_waits_is_answered_at_once(bench):
 def test_an_end_of_mirror_mode_that_arms_nothing_in_time_says_so_and_arms_nothing_later(bench):
     bench.arm_and_rest()
     go_on = bench.clocks.while_waiting = answering(bench)
-    assert bench.bridge.on_mirror(SimpleNamespace(data=True)).success
+    assert bench.ask("mirror", data=True).success
     for _ in range(20):
         go_on()
     bench.commands = False
-    answer = bench.bridge.on_mirror(SimpleNamespace(data=False))
+    answer = bench.ask("mirror", data=False)
     assert answer.success and "; not armed within 1 s: RESYNC, " in answer.message
     bench.commands = True
     for _ in range(500):
@@ -427,7 +427,7 @@ def test_two_gateways_are_named_and_the_other_one_s_words_are_counted(bench):
     bench.bridge.poll()
     link = bench.links[-1][0]
     assert link.text == "MISMATCH" and "run other and run run1" in link.reason and bench.refused == {"status": 1}
-    answer = bench.bridge.on_reset(None)
+    answer = bench.ask("reset")
     assert not answer.success and "run other and run run1" in answer.message
 
 
@@ -437,7 +437,7 @@ def test_a_person_s_arming_that_is_halted_meanwhile_is_answered_at_once(clocks):
     bench.run_bare(20)
     # no command comes, so that twin and arm do not meet
     at = halted_meanwhile(bench, lambda: bench.run_bare(commands=False))
-    answer = bench.bridge.on_responsible(SimpleNamespace(responsible="Ada"))
+    answer = bench.ask("arm", responsible="Ada")
     assert not answer.success
     assert answer.message.startswith("not armed: halt was called meanwhile: NEEDS_RESET, ")
     assert bench.clocks.steady - at[0] <= 40_000_000
@@ -448,11 +448,11 @@ def test_a_bare_plc_is_armed_by_name_and_sent_strings_alone(clocks):
     bench.connect()
     bench.run_bare(20)
     assert bench.bridge.link is LinkState.NEEDS_RESET
-    refused = bench.bridge.on_responsible(SimpleNamespace(responsible=" "))
+    refused = bench.ask("arm", responsible=" ")
     assert not refused.success and "--responsible NAME" in refused.message
-    assert not bench.bridge.on_reset(None).success and bench.client.streamed == []
+    assert not bench.ask("reset").success and bench.client.streamed == []
     bench.clocks.while_waiting = bench.run_bare
-    answer = bench.bridge.on_responsible(SimpleNamespace(responsible="Ada"))
+    answer = bench.ask("arm", responsible="Ada")
     assert answer.success and "Ada is responsible for what is not checked: configuration, " in answer.message
     bench.run_bare(1)
     link = bench.links[-1][0]
@@ -479,7 +479,7 @@ def test_a_bare_plc_whose_poses_do_not_meet_the_twin_is_not_armed_later(clocks):
     bench.connect()
     bench.run_bare(20)
     bench.clocks.while_waiting = lambda: bench.run_bare(commands=False)
-    answer = bench.bridge.on_responsible(SimpleNamespace(responsible="Ada"))
+    answer = bench.ask("arm", responsible="Ada")
     assert not answer.success and answer.message.startswith("not armed within 1 s: RESYNC")
     bench.run_bare(50)
     assert bench.bridge.link is LinkState.NEEDS_RESET and bench.client.streamed == []
@@ -497,7 +497,7 @@ def test_a_bare_plc_that_is_armed_in_the_last_moment_is_not_said_to_be_unarmed(c
     bench = waiting_for_a_name(clocks)
     end = clocks.steady + round(0.95 * NANOSECONDS)
     clocks.while_waiting = lambda: bench.run_bare(30, True) if clocks.steady >= end else bench.run_bare(commands=False)
-    answer = bench.bridge.on_responsible(SimpleNamespace(responsible="Ada"))
+    answer = bench.ask("arm", responsible="Ada")
     assert answer.success is (bench.bridge.link is LinkState.ARMED), answer.message
     bench.run_bare(50)
     assert answer.success is (bench.bridge.link is LinkState.ARMED) is bool(bench.client.streamed)
@@ -510,10 +510,10 @@ def test_a_second_person_s_refused_call_does_not_withdraw_the_first_one_s(clocks
     def wait() -> None:
         bench.run_bare()
         if not refusals:
-            refusals.append(bench.bridge.on_responsible(SimpleNamespace(responsible="Grace")))
+            refusals.append(bench.ask("arm", responsible="Grace"))
 
     clocks.while_waiting = wait
-    answer = bench.bridge.on_responsible(SimpleNamespace(responsible="Ada"))
+    answer = bench.ask("arm", responsible="Ada")
     assert not refusals[0].success and "Ada is responsible already" in refusals[0].message
     assert answer.success and "Ada is responsible for" in answer.message and bench.bridge.link is LinkState.ARMED
 
@@ -527,10 +527,10 @@ def test_a_person_whose_arming_was_halted_is_not_told_of_the_next_one_s_and_does
         if not answers:
             bench.bridge.on_halt(None)
             answers.append(None)
-            answers[0] = bench.bridge.on_responsible(SimpleNamespace(responsible="Grace"))
+            answers[0] = bench.ask("arm", responsible="Grace")
 
     clocks.while_waiting = wait
-    answer = bench.bridge.on_responsible(SimpleNamespace(responsible="Ada"))
+    answer = bench.ask("arm", responsible="Ada")
     assert answers[0].success and "Grace is responsible for" in answers[0].message
     assert not answer.success and "Grace is responsible for" in answer.message
     assert bench.bridge.link is LinkState.ARMED
@@ -580,7 +580,7 @@ def test_a_word_on_status_is_believed_once_the_gateway_is_silent(bench):
 
 def test_without_a_bare_plc_nobody_is_responsible(bench):
     bench.arm()
-    answer = bench.bridge.on_responsible(SimpleNamespace(responsible="Ada"))
+    answer = bench.ask("arm", responsible="Ada")
     assert not answer.success and "armed by itself" in answer.message
     link = bench.links[-1][0]
     assert (link.gateway_kind, link.responsible, list(link.not_checked)) == ("rsi", "", [])

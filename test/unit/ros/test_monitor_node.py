@@ -13,6 +13,7 @@ from construction_twin.srv import ConfigureGateRequest
 from executor_bench import ROBOT
 from processes import wait_until
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from unplugged import ask
 
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
@@ -73,6 +74,11 @@ class World:
             self.parameters.get(PARAMETER, ""),
         )
 
+    def change(self, node, settings: str, operator: str = "Ada"):
+        """Ask for other settings."""
+        request = ConfigureGateRequest(settings=settings, operator=operator)
+        return ask(module.NODE, node, "configure_gate", request, lambda *said: self.refused.append(said))
+
     def topic(self, name: str):
         """Return a publisher."""
         return SimpleNamespace(publish=lambda *message: self.said.append((name, message[-1])))
@@ -130,27 +136,23 @@ def test_settings_of_this_test_are_all_there_are():
 
 
 class TestSettings:
-    def change(self, node, settings: str, operator: str = "Ada"):
-        """Ask for other settings."""
-        return node.on_configure(ConfigureGateRequest(settings=settings, operator=operator))
-
     def test_change_at_rest_and_are_recorded(self, world):
         node = opened(world)
         world.said.clear()
-        answer = self.change(node, "{agree_time: 0.2, thresholds: {joint_a3: 0.02}}")
+        answer = world.change(node, "{agree_time: 0.2, thresholds: {joint_a3: 0.02}}")
         assert answer.success and "agree_time 0.1 -> 0.2" in answer.message
         (change,) = [change for name, change in world.said if name == "transitions"]
         assert (change.event, change.target) == (SyncEvent.CONFIGURED, SyncState.IN_SYNC)
         assert change.reason.startswith("Ada changed thresholds {} -> {'joint_a3': 0.02}") and change.at == world.wall
         assert world.gate.settings.agree_time == 0.2 and not world.planned.is_set()
         # what was changed before stays changed
-        assert self.change(node, "{policy: stop}").success
+        assert world.change(node, "{policy: stop}").success
         assert (world.gate.settings.agree_time, world.gate.settings.policy) == (0.2, "stop")
 
     def test_that_are_the_same_are_no_transition(self, world):
         node = opened(world)
         world.said.clear()
-        assert self.change(node, "{policy: replan}").message == "nothing to change" and world.said == []
+        assert world.change(node, "{policy: replan}").message == "nothing to change" and world.said == []
 
     @pytest.mark.parametrize(
         "settings, operator, problem",
@@ -173,7 +175,7 @@ class TestSettings:
         node = opened(world)
         before = world.gate.settings
         world.said.clear()
-        answer = self.change(node, settings, operator)
+        answer = world.change(node, settings, operator)
         assert not answer.success and problem in answer.message and answer.message.endswith("nothing was changed")
         assert world.gate.settings is before and world.said == []
         assert world.refused == [("configure_gate", answer.message)]
@@ -182,20 +184,20 @@ class TestSettings:
     def test_do_not_change_while_a_plan_is_being_executed(self, world, state):
         node = opened(world)
         node.on_execution(Execution(state=getattr(Execution, state), text=state, plan_id="p"))
-        answer = self.change(node, "{threshold: 0.5}")
+        answer = world.change(node, "{threshold: 0.5}")
         assert not answer.success and f"plan p is {state}" in answer.message
         node.on_execution(Execution(state=Execution.IDLE, text="IDLE", plan_id="p"))
-        assert self.change(node, "{threshold: 0.5}").success
+        assert world.change(node, "{threshold: 0.5}").success
 
     def test_are_not_even_read_unless_a_named_person_asks_at_rest(self, world, monkeypatch):
         node = opened(world)
         monkeypatch.setattr(Behaviour, "changed", lambda *_: pytest.fail("read the settings"))
-        assert "operator" in self.change(node, "{policy: stop}", "").message
+        assert "operator" in world.change(node, "{policy: stop}", "").message
         node.on_execution(Execution(state=Execution.PLAYING, text="PLAYING", plan_id="p"))
-        assert "plan p" in self.change(node, "{policy: stop}").message
+        assert "plan p" in world.change(node, "{policy: stop}").message
         node.on_execution(Execution(state=Execution.IDLE, text="IDLE", plan_id="p"))
         node.on_link(Link(session="s1", state=Link.MIRROR))
-        assert "the arm leads" in self.change(node, "{policy: stop}").message
+        assert "the arm leads" in world.change(node, "{policy: stop}").message
 
 
 def test_a_plan_without_points_is_refused_with_a_sentence(world):

@@ -23,6 +23,8 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ClosestView, ViewWriter
 from construction_twin.mqtt.client import Broker
+from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.requests import IK, PLAN_REQUEST, RequestKind
 from construction_twin.ros.nodes import mqtt_planner
 from construction_twin.ros.nodes.mqtt_planner import (
     REPEAT_WINDOW,
@@ -33,7 +35,8 @@ from construction_twin.ros.nodes.mqtt_planner import (
     Settings,
     source_of,
 )
-from construction_twin.ros.shared.endpoint import REPEATED, Endpoint, Incoming, Outcome, Outlets
+from construction_twin.ros.shared.endpoint import REPEATED, Endpoint, Incoming, Outlets
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.ros.transport.joint_stream import to_time
 from construction_twin.ros.transport.latest_pose import StampedPose
@@ -377,18 +380,19 @@ class Desk:
 
     def __init__(self):
         self.heard: list = []
-        self.plan_requests, self.ik = self._endpoint("plan_request", 1), self._endpoint("ik", 0)
+        self.plan_requests, self.ik = self._endpoint(PLAN_REQUEST), self._endpoint(IK)
 
-    def _endpoint(self, name: str, qos: int) -> Endpoint:
+    def _endpoint(self, kind: RequestKind) -> Endpoint:
+        name = kind.name
+
         def read(incoming: Incoming):
             self.heard.append((name, incoming.account, incoming.payload, incoming.retained))
             raise PayloadError(REPEATED, "nothing is to be done")
 
         outlets = Outlets(lambda *_: None, lambda *_: None)
         return Endpoint(
-            name, f"twin/kr120/{name}/+", lambda account: account, read, lambda asked: Outcome(True, ""),
-            lambda *_: b"", RequestCounts(name), outlets, qos=qos,
-        )  # fmt: skip
+            kind, Topics("twin", "kr120"), read, lambda asked: Outcome(True, ""), RequestCounts(name), outlets
+        )
 
     def closest(self):
         return ClosestView(0.5, ("link_3", "wall"), (1.0, 2.0, 3.0), 0.25)

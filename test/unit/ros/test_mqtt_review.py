@@ -140,10 +140,24 @@ def test_on_a_site_a_verdict_in_no_name_is_refused_and_told_where_it_belongs(mon
     assert site.made.refused == {"sender": 1}
 
 
-def test_a_verdict_that_cannot_be_read_is_answered_to_the_account(bench):
-    bench.deliver("review/kr120-reviewer-ada", b"{}")
+@pytest.mark.parametrize("account", ["", "kr120-reviewer-ada"])
+def test_a_verdict_that_cannot_be_read_is_answered_to_the_account(bench, account):
+    bench.deliver(f"review/{account}" if account else "review", b"{}")
     answer = json.loads(bench.client.published[-1][1])
-    assert (answer["ok"], answer["account"]) == (False, "kr120-reviewer-ada")
+    assert answer.pop("reason")
+    assert answer == {
+        "plan_id": "", "plan_hash": "", "verdict": "", "reviewer": account, "account": account, "ok": False, "expired": False,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("account, reviewer", [("", "Ann"), ("kr120-reviewer-ada", "kr120-reviewer-ada")])
+def test_the_answer_names_what_it_answers(bench, account, reviewer):
+    verdict = {"plan_id": "p1", "plan_hash": "cafe", "verdict": "approved", "reviewer": "Ann"}
+    bench.deliver(f"review/{account}" if account else "review", json.dumps(verdict | {"moment": MOMENT}).encode())
+    bench.node.approvals.run()
+    assert json.loads(bench.client.published[-1][1]) == verdict | {
+        "reviewer": reviewer, "account": account, "ok": True, "reason": "approved", "expired": False,
+    }  # fmt: skip
 
 
 def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_verdict_is(bench):

@@ -263,11 +263,11 @@ def test_a_plan_that_fails_because_the_other_arm_may_be_anywhere_says_so():
 
     answer = handler.answer(blocked, None)
     assert not answer.success
-    assert answer.sentence.startswith(
+    assert answer.message.startswith(
         "the start is in collision; plans keep clear of the whole reach of b, because where b is"
     )
     beside.unknown = ""
-    assert handler.answer(blocked, None).sentence == "the start is in collision"
+    assert handler.answer(blocked, None).message == "the start is in collision"
 
 
 def test_moveit_is_told_of_the_other_arm_where_it_stands_without_a_plan_and_is_known(bench):

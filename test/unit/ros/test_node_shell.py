@@ -12,16 +12,17 @@ import rospy
 from chain_samples import ROBOT
 from construction_twin.msg import Feedback
 from std_msgs.msg import String
-from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
+from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger, TriggerRequest
 from unplugged import Unplugged
 
-from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.errors import ConfigurationError, PoseUnknownError
 from construction_twin.ros import nodes
 from construction_twin.ros.commands.node_files import NODE_FILES
 from construction_twin.ros.shared import node_shell as module
 from construction_twin.ros.shared import ports
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import (
     Every,
     Interface,
@@ -106,8 +107,15 @@ class Node:
     def on_pose(self, stamp: int, q: tuple) -> None:
         self.heard.append((stamp, q))
 
-    def on_ask(self, _request: TriggerRequest) -> TriggerResponse:
-        return TriggerResponse(True, "yes")
+    def on_ask(self, _request: TriggerRequest) -> str:
+        if self.heard == ["no"]:
+            raise PoseUnknownError("pose", 2.0, 1.0)
+        return "yes"
+
+    def on_set(self, request: SetBoolRequest) -> Outcome:
+        if not request.data:
+            raise ConfigurationError("data", request.data, "true")
+        return Outcome(True, "set", expired=True, fields={"plan_id": "a field that the answer has not"})
 
 
 INTERFACE = Interface(
@@ -122,7 +130,10 @@ INTERFACE = Interface(
         Subscription("often", String, Node.on_word, queue_size=2, when=lambda settings: settings.rate > 5.0),
         PoseSubscription("pose", Node.on_pose),
     ),
-    serves=(Served("ask", Trigger, Node.on_ask),),
+    serves=(
+        Served("ask", Trigger, Node.on_ask),
+        Served("set", SetBool, Node.on_set, reason="setting", refused=lambda node, request: {"message": f"{request.data}: no"}),
+    ),
     every=(Every(lambda settings: 1.0 / settings.rate, lambda node, ports: node.heard.append(ports.connections("word"))),),
 )  # fmt: skip
 
@@ -135,6 +146,7 @@ def test_what_is_published_is_there_before_the_node_what_it_hears_after_it_and_r
     found = unplugged(monkeypatch)
     assert found.opened == [
         ("publishes", "said"), ("reads", "twin/joint_states"), ("hears", "word"), ("hears", "pose"), ("serves", "ask"),
+        ("serves", "set"),
     ]  # fmt: skip
     assert [message.data for message in found.published["said"]] == ["first"]
 
@@ -153,6 +165,25 @@ def test_what_comes_in_goes_directly_to_the_node(monkeypatch):
     found.timers[0](None)
     assert found.node.heard == ["hello", (5, (0.0,)), 1]
     assert found.services["ask"](TriggerRequest()).message == "yes"
+
+
+def test_a_typed_error_of_a_handler_becomes_an_answer_and_is_counted_and_written(monkeypatch):
+    found = unplugged(monkeypatch)
+    found.callbacks["word"](String("no"))
+    refused = found.services["ask"](TriggerRequest())
+    assert not refused.success and "pose" in refused.message
+    assert found.refused == [("PoseUnknownError", refused.message)]
+    assert found.services["set"](SetBoolRequest(True)) == SetBoolResponse(True, "set")
+    # counted as what the service says, with the fields that it adds to a refusal
+    assert found.services["set"](SetBoolRequest(False)) == SetBoolResponse(False, "False: no")
+    assert [reason for reason, _ in found.refused] == ["PoseUnknownError", "setting"]
+
+
+def test_what_is_no_typed_error_is_nobody_s_answer(monkeypatch):
+    found = unplugged(monkeypatch)
+    with pytest.raises(AttributeError):
+        found.services["set"](None)
+    assert found.refused == []
 
 
 def test_a_topic_is_opened_as_it_is_declared(monkeypatch):

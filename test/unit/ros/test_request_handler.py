@@ -53,8 +53,8 @@ def test_what_no_check_foresaw_is_answered_too(error, while_reading):
         raise error
 
     answer = cell.handler.answer_read(fail, REQUEST) if while_reading else cell.handler.answer(fail, REQUEST)
-    assert answer.success is False and type(error).__name__ in answer.sentence
-    assert cell.outcomes == [(False, answer.sentence)] and cell.refused == {type(error).__name__: 1}
+    assert answer.success is False and type(error).__name__ in answer.message
+    assert cell.outcomes == [(False, answer.message)] and cell.refused == {type(error).__name__: 1}
     assert cell.handler.answer(cell.plan, REQUEST).success  # and the lock is free
     assert cell.outcomes[1:] == [(True, "made")]
 
@@ -63,8 +63,8 @@ def test_an_answer_says_why_times_were_replaced():
     cell = Cell()
     points = from_points(ROBOT, ROBOT.joint_names, [HOME, np.add(HOME, 0.1)], times=[0.0, 0.2])
     answer = cell.handler.answer(lambda asked: cell.pipeline.through(points, HOME, asked, retime=True), REQUEST)
-    assert answer.success and "has an acceleration of" in answer.retimed and answer.duration > 0.2
-    assert cell.handler.answer(cell.plan, REQUEST).retimed == ""
+    assert answer.success and "has an acceleration of" in answer.fields["retimed"] and answer.fields["duration"] > 0.2
+    assert cell.handler.answer(cell.plan, REQUEST).fields["retimed"] == ""
 
 
 def test_reading_holds_nobody_up():
@@ -84,7 +84,7 @@ def test_reading_holds_nobody_up():
 def test_without_the_scene_s_publisher_nothing_is_planned_until_a_scene_comes():
     cell = Cell(publishers=0)
     answer = cell.handler.answer(cell.plan, REQUEST)
-    assert not answer.success and "the scene node is not running" in answer.sentence
+    assert not answer.success and "the scene node is not running" in answer.message
     cell.publishers = 1
     assert not cell.handler.answer(cell.plan, REQUEST).success
     cell.pipeline.set_scene(EMPTY)

@@ -422,7 +422,7 @@ class TestTool:
         bench.carrying()
         bench.execution(Execution.IDLE, CARRY, plan_id=bench.plan.id, outcome="held")
         bench.run()
-        bench.node.on_decide(answered("in_grip"))
+        bench.call("work/decide", answered("in_grip"))
         bench.run()
         assert bench.row.state == "carried"
         bench.tool(False)
@@ -433,7 +433,7 @@ class TestTool:
         bench.carrying()
         bench.execution(Execution.IDLE, CARRY, plan_id=bench.plan.id, outcome="held")
         bench.run()
-        bench.node.on_decide(answered("in_grip"))
+        bench.call("work/decide", answered("in_grip"))
         bench.publishers["tool"] = 0
         bench.tool(False)
         bench.run()
@@ -446,7 +446,7 @@ class TestTool:
         bench.execution(Execution.IDLE, GRIP, plan_id=bench.plan.id, outcome="tool", reason="was not confirmed")
         bench.run()
         assert bench.row.state == "asks"
-        said = bench.node.on_decide(answered(answer))
+        said = bench.call("work/decide", answered(answer))
         assert said.success and "the tool is commanded to grip (vacuum)" in said.message
         bench.run()
         for read in (False, True):
@@ -464,7 +464,7 @@ class TestTool:
         bench.carrying()
         bench.execution(Execution.IDLE, CARRY, plan_id=bench.plan.id, outcome="held")
         bench.run()
-        said = bench.node.on_decide(answered("in_grip"))
+        said = bench.call("work/decide", answered("in_grip"))
         assert said.success and "commanded" not in said.message
         assert bench.ask().success
 
@@ -508,9 +508,9 @@ def test_tasks_that_wait_for_each_other_are_one_sentence_and_the_node_lives(benc
 
 def test_a_person_says_by_the_service_what_is_gone(bench):
     bench.ready()
-    answer = bench.node.on_decide(WorkDecideRequest(TASK, "removed", "", "eva", ""))
+    answer = bench.call("work/decide", WorkDecideRequest(TASK, "removed", "", "eva", ""))
     assert not answer.success and "takes nothing down" in answer.message
     assert (
         "skip, redo, answer, removed or accept"
-        in bench.node.on_decide(WorkDecideRequest(TASK, "x", "", "eva", "")).message
+        in bench.call("work/decide", WorkDecideRequest(TASK, "x", "", "eva", "")).message
     )

@@ -14,6 +14,7 @@ import work_bench
 import yaml
 from construction_twin.msg import Execution
 from ifc_models import IfcModel
+from touch_process import TOP, recipes_file
 from work_bench import Bench
 from work_samples import (
     BRICK,
@@ -55,33 +56,14 @@ from construction_twin.work.motions import TaskLimits
 from construction_twin.work.nearest_change import nearest_change
 from construction_twin.work.racks import StockPlan
 from construction_twin.work.recipes import read_recipes
-from construction_twin.work.schedule import Job
+from construction_twin.work.schedule import Job, Schedule
 from construction_twin.work.site import pose_of
 from construction_twin.work.task_memory import NotNow, TaskMemory
 from construction_twin.work.task_states import TaskState
 
 HOME = np.array(robot().home)
 PLANNER = yaml.safe_load((ROOT / "config/planner.yaml").read_text())
-TOP = (0.05, 0.0, 0.071)
-TOUCH = {
-    "process": "touch", "match": {"elements": ["brick0"]}, "speed": 0.2, "free_speed_scale": 0.5, "points": [TOP], "gap": 0.04,
-}  # fmt: skip
-
-
-def recipes_file(folder, **changes):
-    """Return a file with a recipe that touches, before those that place."""
-    document = yaml.safe_load(RECIPES.read_text())
-    document["recipes"] = {"probe": {**yaml.safe_load(json.dumps(TOUCH)), **changes}, **document["recipes"]}
-    (folder / "recipes.yaml").write_text(yaml.safe_dump(document, sort_keys=False))
-    return folder / "recipes.yaml"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def known_process():
-    """The second process is known in this module only: other tests compare what is known with the documents."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(processes.MODULES, touch_process.NAME, "touch_process")
-        yield
+known_process = pytest.fixture(touch_process.known, scope="module", autouse=True)
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +83,8 @@ def plan(work):
 
 
 def test_a_recipe_names_the_process_and_a_file_of_before_places(work):
-    assert [work.process(one) for one in work.order] == ["touch", "place", "place"]
+    processes_of = [work.site.recipes.process(work.building.element(one)) for one in work.order]
+    assert processes_of == ["touch", "place", "place"]
     assert {recipe.process for recipe in read_recipes(RECIPES).recipes.values()} == {"place"}
 
 
@@ -207,7 +190,7 @@ def test_what_would_help_is_looked_for_where_the_arm_does_not_reach(tmp_path, aw
 
 def test_the_check_before_the_work_plans_it_too(work):
     settings = PlannerSettings(**{name: PLANNER[name] for name in PlannerSettings.model_fields})
-    jobs = [Job("T1", "T1", "Probe brick", "brick0", (), ())]
+    jobs = [Job("T1", "T1", "Probe brick", "brick0", (), (), "touch")]
     checker = Checker(robot(), pairs(), settings, work, jobs, lambda: 0.0, np.random.default_rng(0))
     found = checker.check(0)
     assert found.possible and found.grip == "point 50 0 71 mm" and found.track is not None and found.path
@@ -225,7 +208,9 @@ def test_the_works_child_process_reads_a_model_with_it_and_plans_it(tmp_path, wo
         self_collision=str(ROOT / "config/kr120_track_self_collision.yaml"), planner={**PLANNER, "seed": 1}, cache=str(tmp_path),
     )  # fmt: skip
     task, element_id = asked[0].GlobalId, bricks[0].GlobalId
-    assert made.processes == {task: "touch"} and list(made.stock.slots) == [bricks[1].GlobalId]
+    assert [job.process for job in made.schedule.jobs] == ["touch", "place"] and list(made.stock.slots) == [
+        bricks[1].GlobalId
+    ]
     desk = Desk(made, Ledger(tmp_path / "l", made.after, made.digest, lambda: 1), "kr120", robot().tip_link)
     wanted, alone = desk.wanted_scene()
     assert not alone and f"{element_id}/0" in wanted and not wanted[f"{element_id}/0"].link
@@ -241,7 +226,8 @@ def test_the_works_child_process_reads_a_model_with_it_and_plans_it(tmp_path, wo
 def prepared() -> Prepared:
     """Return the bench's model, whose one element is touched where it stands."""
     made = work_bench.prepared()
-    return replace(made, stock=StockPlan({}), processes={work_bench.TASK: "touch"})
+    touched = replace(made.schedule.job(work_bench.TASK), process="touch")
+    return replace(made, stock=StockPlan({}), schedule=Schedule((touched,), (), ()))
 
 
 def segments(scene):

@@ -337,7 +337,7 @@ def test_a_changed_model_leaves_everything_where_it_is_until_a_person_has_answer
     scene = scene_of(one, Scene())
     one.ledger.close()
     ready = prepared()
-    ledger = Ledger(tmp_path / "ledger", ready.after, "b" * 64, clock, "/cell.yaml", ready.placed_by)
+    ledger = Ledger(tmp_path / "ledger", ready.after, "b" * 64, clock, "/cell.yaml", ready.element_of)
     again = Desk(ready, ledger, "kr120", "tool0")
     assert again.in_doubt and again.next(clock()) == "" and "asks first" in again.obstacle("T2", clock())
     assert "another version of the model" in again.rows(clock())[0].question
@@ -353,7 +353,7 @@ def test_what_stands_and_is_no_longer_in_the_model_is_not_tidied_away(tmp_path, 
     for event in ("offered", "begun", "gripping", "gripped", "releasing", "released", "finished"):
         former.add(Entry(event, "T9", "E9", pose=pose_tuple(at(1.0))))
     former.close()
-    ledger = Ledger(tmp_path / "ledger", ready.after, ready.digest, clock, "/cell.yaml", ready.placed_by)
+    ledger = Ledger(tmp_path / "ledger", ready.after, ready.digest, clock, "/cell.yaml", ready.element_of)
     one = Desk(ready, ledger, "kr120", "tool0")
     scene = Scene((SceneObject("E9/0", "sphere", (1.0,)), SceneObject("old/0", "sphere", (1.0,))))
     assert {"E9/0", "E1/0"} <= set(scene_of(one, scene).names) and "old/0" not in scene_of(one, scene).names
@@ -451,7 +451,7 @@ def test_that_it_is_gone_is_remembered_whatever_model_comes_and_can_be_taken_bac
     one = with_removal(tmp_path, clock)
     one.removed("D1", "eva", "")
     one.ledger.close()
-    again = Ledger(tmp_path / "ledger", one.prepared.after, "b" * 64, clock, "", one.prepared.placed_by)
+    again = Ledger(tmp_path / "ledger", one.prepared.after, "b" * 64, clock, "", one.prepared.element_of)
     other = Desk(one.prepared, again, "kr120", "tool0")
     assert "W1/0" not in other.wanted_scene()[0] and again.book.in_state(TaskState.ASKS) == ()
     assert "standing again" in other.redo("D1", "eva", "wrong wall")

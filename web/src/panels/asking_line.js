@@ -7,7 +7,7 @@ export function showAsking(element, asking, account, texts) {
     setText(element, "");
     return;
   }
-  const values = {account: account || "-", reason: asking.reason};
+  const values = {account: account || "-", reason: texts.reason(asking.reason)};
   if (asking.state === "done" && typeof asking.answer.duration === "number") values.duration = asking.answer.duration.toFixed(1);
   setText(element, texts(`plan.answer.${asking.state}`, values));
 }

@@ -46,7 +46,7 @@ export function make(parent, store, connection, texts, {now, every, time = brows
     const said = press.answers.filter(({ok}) => ok || found === "refused");
     const reasons = said.map(({by, reason}) => {
       const who = texts.has(`stop.by.${by}`) ? texts(`stop.by.${by}`) : by;
-      return reason ? texts("stop.said", {who, reason}) : who;
+      return reason ? texts("stop.said", {who, reason: texts.reason(reason)}) : who;
     }).join("; ");
     const verb = found === "none" ? "" : texts(`stop.${press.verb}`);
     setText(result, found === "none" ? "" : texts("stop.at", {time: at, what: texts(`stop.result.${found}`, {verb, reasons})}));

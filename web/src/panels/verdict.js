@@ -211,7 +211,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     notice.className = `verdict-notice ${GOOD.includes(said.kind) ? "is-good" : said.kind === "cancelled" ? "" : "is-bad"}`;
     const key = ["cancelled", "failed"].includes(said.kind) ? `verdict.${said.kind}.${said.why ?? said.reason}` : `verdict.${said.kind}`;
     setText(notice, texts(texts.has(key) ? key : "verdict.failed.broker", {
-      verdict: what(said.verdict), account: said.account || texts("verdict.somebody"), reason: said.reason ?? "",
+      verdict: what(said.verdict), account: said.account || texts("verdict.somebody"), reason: texts.reason(said.reason ?? ""),
     }));
   };
 

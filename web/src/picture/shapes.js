@@ -9,6 +9,7 @@ import {LineGeometry} from "three/addons/lines/LineGeometry.js";
 import {LineMaterial} from "three/addons/lines/LineMaterial.js";
 import * as colours from "./colours.js";
 import {fetchOwn, loadMesh} from "./robot_model.js";
+import {stateOfElement} from "../work/task_list.js";
 
 /** Free what a group holds on the graphics card. */
 export function dispose(object) {
@@ -97,11 +98,11 @@ export async function loadBuilding(url) {
   return {group, elements, hash: asset.extras?.model_hash ?? ""};
 }
 
-/** Colour the elements of a building by the states of the tasks that place them. */
+/** Colour the elements of a building by the states of their tasks. */
 export function colourBuilding(building, tasks, picked) {
-  const states = new Map((tasks?.tasks ?? []).map((task) => [task.element, task.state]));
   for (const [element, {material}] of building.elements) {
-    const [colour, opacity] = element === picked ? colours.PICKED : colours.BY_TASK[states.get(element)] ?? colours.NO_TASK;
+    const state = tasks ? stateOfElement(tasks, element) : undefined;
+    const [colour, opacity] = element === picked ? colours.PICKED : colours.BY_TASK[state] ?? colours.NO_TASK;
     material.color.set(colour);
     material.opacity = opacity;
     material.transparent = opacity < 1;

@@ -44,6 +44,14 @@ export function taskOfElement(work, element) {
   return tasks.find((task) => group(task.state) !== "done" && group(task.state) !== "skipped") ?? tasks.at(-1) ?? null;
 }
 
+// The state by which an element is coloured: that of this task, but what was placed stands, whatever task on it still waits or was
+// skipped; undefined when it has none.
+export function stateOfElement(work, element) {
+  const state = taskOfElement(work, element)?.state;
+  const stands = work.tasks.some((task) => task.element === element && task.state === "done");
+  return stands && (state === "waiting" || state === "skipped") ? "done" : state;
+}
+
 // Names of the tasks that must be over before this one, and are not.
 export function waitsFor(work, task) {
   const byId = new Map(work.tasks.map((one) => [one.id, one]));

@@ -118,7 +118,7 @@ def _work(options: argparse.Namespace, robot: RobotModel) -> _Work:
                 datetime.now().replace(microsecond=0), "From the geometry; not accepted yet.",
             )  # fmt: skip
         building = proposal.applied(building)
-    schedule = Schedule.of(building, proposed)
+    schedule = Schedule.of(building, proposed, site.recipes.process)
     proposed = schedule.proposed
     model_T_base = site.model_T_base(building)
     base = site.base(building).id if site.file.base_element else ""
@@ -142,7 +142,7 @@ def _pieces(work: _Work, folder: Path) -> tuple[dict[str, tuple[SceneObject, ...
     # needs the packages of `check_extras`
     from construction_twin.work.element_bodies import element_shapes
 
-    elements = [work.building.element(job.element) for job in work.jobs]
+    elements = map(work.building.element, dict.fromkeys(job.element for job in work.jobs))
     sure = [element for element in elements if element.bodies and not element.doubt]
     shapes, failures = element_shapes(sure, folder)
     notes = [str(failure) for failure in failures.values()]

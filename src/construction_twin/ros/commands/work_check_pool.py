@@ -86,8 +86,9 @@ class Setup:
 
     def layout(self, robot: RobotModel) -> Layout:
         """Return where everything is; raises as `checker`."""
-        order = [job.element for job in self.jobs if job.element in self.pieces]
-        return Layout(read_site(self.cell), self.building, self.pieces, order, robot.tip_link, self.standing)
+        order = [element for element in dict.fromkeys(job.element for job in self.jobs) if element in self.pieces]
+        site = read_site(self.cell)
+        return Layout(site, self.building, self.pieces, order, robot.tip_link, self.standing, self.jobs)
 
     def checker(self) -> Checker:
         """Return a checker.

@@ -16,7 +16,7 @@ from typing import Annotated, Literal, NamedTuple, TypeVar
 
 import pydantic
 import rospy
-from std_srvs.srv import Trigger, TriggerResponse
+from std_srvs.srv import Trigger
 
 from construction_twin.core.beside import Beside
 from construction_twin.core.errors import (
@@ -29,6 +29,7 @@ from construction_twin.core.errors import (
 )
 from construction_twin.core.freshness import LIFETIME, Moment, is_newer, parse_moment, staleness
 from construction_twin.core.reports import ExecutionReport, ToolReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
@@ -62,9 +63,9 @@ from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg, tool_report_from_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.endpoint import Outcome
 from construction_twin.ros.shared.engagement_file import ENDED, EngagementFile
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import NodeSettings, ros_home
 from construction_twin.ros.shared.ports import (
     Every,
@@ -85,19 +86,14 @@ from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.srv import (
     ReleaseEngagement,
     ReleaseEngagementRequest,
-    ReleaseEngagementResponse,
     ResumeFromScreen,
     ResumeFromScreenRequest,
-    ResumeFromScreenResponse,
     ReviewFromScreen,
     ReviewFromScreenRequest,
-    ReviewFromScreenResponse,
     ReviewPlan,
     ReviewPlanRequest,
-    ReviewPlanResponse,
     StopPlan,
     StopPlanRequest,
-    StopPlanResponse,
 )
 
 #: The gate counts as closed this long after the monitor's last word; it speaks at `sync_rate` [ns].
@@ -248,7 +244,7 @@ class ExecutorNode:
                 if now - self._sync_at > SYNC_TIMEOUT:
                     self._executor.on_sync(SyncState.STALE, False)
                 if stalled:
-                    self._executor.stall(f"this process was not run for {stalled / 1e9:.3f} s")
+                    self._executor.stall(Sentence("executor.stalled", seconds=stalled / 1e9))
                 self._executor.limit_rate(self._limit.update(now), self._limit.reason)
                 setpoint = self._executor.step(stamp, now)
             if setpoint is not None:
@@ -309,32 +305,29 @@ class ExecutorNode:
         with self._lock:
             keeper = self._executor.engagement
             way_back = keeper.present if keeper.engaged else None
-        problem = ""
+        problem = None
         if way_back is not None:
             # outside of the lock: it takes many cycles' time
             try:
                 check_way_back(plan, way_back)
             except ReviewError as error:
-                problem = str(error)
+                problem = error
         now, asked = now_ns(), message.header.stamp.to_nsec()
         # on a clock that was set back the start lies further back, too: else every plan was older until the clock has caught up
         started = min(self._started, now - (time.monotonic_ns() - self._started_steady))
         with self._lock:
             try:
                 if asked < started:
-                    raise ReviewError(f"plan {plan.id} is older than this executor; plan again")
+                    raise ReviewError(Sentence("executor.plan_older", plan=plan.id))
                 ahead = asked - now
                 if ahead > AHEAD:
-                    raise ReviewError(
-                        f"plan {plan.id} was asked for {ahead / NANOSECONDS:.1f} s from now, expected before now: the clock was "
-                        "set back since, or the planner runs on a PC with another clock; plan again"
-                    )
-                if problem:
-                    raise ReviewError(problem)
+                    raise ReviewError(Sentence("executor.plan_ahead", plan=plan.id, ahead=ahead / NANOSECONDS))
+                if problem is not None:
+                    raise problem
                 self._executor.offer(plan, way_back)
             except ReviewError as error:
                 # displays that show it as waiting take it away
-                self._executor.tell_withdrawn(plan, str(error))
+                self._executor.tell_withdrawn(plan, error.sentence)
                 self._diagnostics.refuse("plan", str(error))
 
     def on_tool(self, message: ToolState) -> None:
@@ -352,9 +345,10 @@ class ExecutorNode:
         with self._lock:
             if message.session and message.session != self._session:
                 if self._session is not None:
-                    self._executor.restart("new command session", self._asked_until())
+                    self._executor.restart(Sentence("reason.gate.new_session"), self._asked_until())
                 self._session = message.session
-            self._executor.on_link(message.state == Link.ARMED, f"{message.text}: {message.reason}")
+            reason = Sentence("executor.link", state=message.text, reason=message.reason)
+            self._executor.on_link(message.state == Link.ARMED, reason)
         before, now = self._log.responsibility, None
         if message.responsible:
             now = Responsibility(message.responsible, message.session, tuple(message.not_checked))
@@ -366,27 +360,22 @@ class ExecutorNode:
 
     # A stop, a pause, a rejection: first the act, under the lock; then, beside it, what tells of it (docs/architecture.md).
 
-    def on_review(self, request: ReviewPlanRequest) -> ReviewPlanResponse:
+    def on_review(self, request: ReviewPlanRequest) -> Outcome:
         """Approve or reject a plan in a person's name; the call's own age counts."""
-        outcome = self._review(request, None)
-        return ReviewPlanResponse(outcome.ok, outcome.sentence)
+        return self._review(request, None)
 
-    def on_screen_review(self, request: ReviewFromScreenRequest) -> ReviewFromScreenResponse:
+    def on_screen_review(self, request: ReviewFromScreenRequest) -> Outcome:
         """Approve or reject a plan in a person's name; an approval's age is that of what its screen had shown."""
         try:
             seen = parse_moment(request.moment) if request.approve else None
         except PayloadError as error:
-            outcome = self._refused("review", error)
-        else:
-            outcome = self._review(request, seen)
-        return ReviewFromScreenResponse(outcome.ok, outcome.sentence, outcome.expired)
+            return self._refused("review", error)
+        return self._review(request, seen)
 
     def _review(self, request: ReviewPlanRequest | ReviewFromScreenRequest, seen: Moment | None) -> Outcome:
         try:
             if request.reviewer.strip() in (AUTO_APPROVE, EXECUTOR):
-                raise ReviewError(
-                    f"{request.reviewer!r} is what the executor calls itself; expected the name of a person"
-                )
+                raise ReviewError(Sentence("review.own_name", name=repr(request.reviewer)))
             if not request.approve:
                 with self._lock:
                     self._note_act()
@@ -403,7 +392,7 @@ class ExecutorNode:
             self._beside.do("the record", self._log.defer, taken.verdict)
         return Outcome(True, taken.sentence)
 
-    def on_stop(self, _request) -> TriggerResponse:
+    def on_stop(self, _request) -> Outcome:
         """Brake on the path and drop the plan."""
         with self._lock:
             self._note_act()
@@ -413,26 +402,27 @@ class ExecutorNode:
         # it brakes already; the forecast takes some cycles' time, and must not hold up a setpoint
         if braking is not None:
             forecast = self._beside.do("the forecast of a stop", self._forecast, braking)
-            sentence = f"{sentence}; {forecast or 'how far it goes on is not known'}"
+            forecast = forecast or Sentence("executor.stop.no_forecast")
+            sentence = Sentence("executor.both", first=sentence, second=forecast)
         self._say(rospy.logwarn, "stop: %s", sentence)
-        return TriggerResponse(True, sentence)
+        return Outcome(True, sentence)
 
     def _forecast(self, braking: StopForecaster) -> str:
         return braking.forecast(lambda: time.sleep(PAUSE)).text(self._robot)
 
-    def on_stop_plan(self, request: StopPlanRequest) -> StopPlanResponse:
+    def on_stop_plan(self, request: StopPlanRequest) -> Outcome:
         """Brake one plan on its path; what waits is left alone."""
         caller = self._beside.do("the name of a caller", caller_of, request)
 
         def stop() -> str:
             with self._lock:
                 self._note_act()
-                sentence = self._executor.stop_plan(request.plan_id, f"stop requested by {caller or 'a client'}")
+                asked = Sentence("executor.stop_asked_by", client=caller or "a client")
+                sentence = self._executor.stop_plan(request.plan_id, asked)
                 self._note_rest()
             return sentence
 
-        outcome = self._carry_out("stop_plan", stop, rospy.logwarn)
-        return StopPlanResponse(outcome.ok, outcome.sentence)
+        return self._carry_out("stop_plan", stop, rospy.logwarn)
 
     def _carry_out(self, request: str, act: Callable[[], str], write: Callable[..., None] | None = None) -> Outcome:
         """Carry out a person's request: the one place where a refusal becomes an answer, a count and a line in the log."""
@@ -465,18 +455,17 @@ class ExecutorNode:
         """Have a line written after the answer."""
         self._beside.do("the log", self._said.add, write, *words)
 
-    def on_release(self, request: ReleaseEngagementRequest) -> ReleaseEngagementResponse:
+    def on_release(self, request: ReleaseEngagementRequest) -> Outcome:
         """Take a person's word that the arm was freed; recorded before it counts."""
 
         def release() -> str:
             return self._release(request.person.strip(), request.reason.strip())
 
-        outcome = self._carry_out("release_engagement", release, rospy.logwarn)
-        return ReleaseEngagementResponse(outcome.ok, outcome.sentence)
+        return self._carry_out("release_engagement", release, rospy.logwarn)
 
     def _release(self, person: str, reason: str) -> str:
         if not person or not reason:
-            raise ExecutionError("a release needs the name of a person, and how the arm was freed")
+            raise ExecutionError(Sentence("executor.release.nameless"))
         with self._lock:
             left = self._executor.check_release()
         release = Release(person, reason, left.plan_id, left.task, left.segment)
@@ -484,24 +473,23 @@ class ExecutorNode:
         self._log.append(release)
         try:
             if problem := staleness(asked, present()):
-                raise ExecutionError(f"the release is {problem}")
+                raise ExecutionError(Sentence("executor.void.release", problem=problem))
             with self._lock:
                 self._executor.release(left)
         except ExecutionError as error:
             # something happened while it was written down: the record is corrected
             self._log.append(replace(release, refused=str(error)))
             raise
-        return f"the arm, left in segment {left.segment!r} of plan {left.plan_id}, was freed by {person}: {reason}"
+        where = {"segment": repr(left.segment), "plan": left.plan_id}
+        return Sentence("executor.release.done", **where, person=person, reason=reason)
 
-    def on_pause(self, _request) -> TriggerResponse:
+    def on_pause(self, _request) -> Outcome:
         """Brake on the path and keep the plan."""
-        outcome = self._carry_out("pause", self._pause)
-        return TriggerResponse(outcome.ok, outcome.sentence)
+        return self._carry_out("pause", self._pause)
 
-    def on_resume(self, _request) -> TriggerResponse:
+    def on_resume(self, _request) -> Outcome:
         """Go on after a pause."""
-        outcome = self._carry_out("resume", self._resume)
-        return TriggerResponse(outcome.ok, outcome.sentence)
+        return self._carry_out("resume", self._resume)
 
     def _pause(self) -> str:
         with self._lock:
@@ -517,7 +505,7 @@ class ExecutorNode:
     def _asked_until(self) -> int:
         return self._readings.asked_until(now_ns(), time.monotonic_ns())
 
-    def on_screen_resume(self, request: ResumeFromScreenRequest) -> ResumeFromScreenResponse:
+    def on_screen_resume(self, request: ResumeFromScreenRequest) -> Outcome:
         """Go on after a pause, unless what the person's screen had shown is too old, or older than a pause or stop."""
 
         def resume() -> str:
@@ -525,15 +513,12 @@ class ExecutorNode:
             with self._lock:
                 now = present()
                 if problem := staleness(seen, now):
-                    raise ExpiredError(f"the resume is {problem}")
+                    raise ExpiredError(Sentence("executor.void.resume", problem=problem))
                 if not is_newer(seen, self._rested):
-                    raise ExpiredError(
-                        "the resume is void: the arm was paused or stopped since; look again, and then ask anew"
-                    )
+                    raise ExpiredError(Sentence("executor.void.resume_since"))
                 return self._executor.resume(LIFETIME - (now.at - seen.at))
 
-        outcome = self._carry_out("resume", resume)
-        return ResumeFromScreenResponse(outcome.ok, outcome.sentence, outcome.expired)
+        return self._carry_out("resume", resume)
 
     # -- in the background
 
@@ -743,7 +728,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> ExecutorNode:
     executor = Executor(robot)
     executor.neighbour = ConflictVerdicts(settings.neighbour)
     if settings.arm != "none":
-        executor.on_link(False, "no report of the link yet")
+        executor.on_link(False, Sentence("executor.no_link"))
     else:
         executor.on_tool(ToolReport(reason=NO_ARM), time.monotonic_ns())
     log = ReviewLog(ros_home() / Path(settings.review_file).expanduser(), time.time_ns)

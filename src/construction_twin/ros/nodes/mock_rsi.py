@@ -13,9 +13,9 @@ from queue import SimpleQueue
 
 import rospy
 from std_msgs.msg import String
-from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
+from std_srvs.srv import Trigger, TriggerRequest
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.errors import ConfigurationError, RequestRefused
 from construction_twin.core.units import to_wire
 from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.network import MockRsi
@@ -23,9 +23,10 @@ from construction_twin.mock.program import MockSettings, axis_angles, build_cont
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import Interface, Ports, PosePublication, Publication, Served
 from construction_twin.ros.transport.joint_stream import now_ns
-from construction_twin.srv import InjectFault, InjectFaultRequest, InjectFaultResponse
+from construction_twin.srv import InjectFault, InjectFaultRequest
 
 #: Between two reports on `~status` [s].
 _STATUS_PERIOD = 0.5
@@ -155,16 +156,16 @@ class MockRsiNode:
             return Report(WARN, f"{running}, replies are refused: {refused}", values)
         return Report(OK, running, values)
 
-    def on_restart(self, _request: TriggerRequest) -> TriggerResponse:
+    def on_restart(self, _request: TriggerRequest) -> str:
         """Start a new RSI session where the arm stands."""
 
         def restart() -> str:
             self._controller.restart()
             return f"a new {self._controller.words.protocol} session starts where the arm stands"
 
-        return TriggerResponse(*self._ask(restart))
+        return self._ask(restart)
 
-    def on_inject(self, request: InjectFaultRequest) -> InjectFaultResponse:
+    def on_inject(self, request: InjectFaultRequest) -> Outcome:
         """Switch a fault on or off."""
         faults = self._mock.faults
 
@@ -172,8 +173,11 @@ class MockRsiNode:
             fault = self._fault(request)
             return faults.inject(fault) if request.on else faults.end(fault)
 
-        success, message = self._ask(inject)
-        return InjectFaultResponse(success, message, faults.active)
+        return Outcome(True, self._ask(inject), fields=self.active_faults(request))
+
+    def active_faults(self, _request: InjectFaultRequest) -> dict[str, object]:
+        """Return what every answer about faults tells: which are on now."""
+        return {"active": self._mock.faults.active}
 
     def _fault(self, request: InjectFaultRequest) -> Fault:
         """Return the request in the controller's axes."""
@@ -188,16 +192,14 @@ class MockRsiNode:
             values = axis_angles(self._robot, values)
         return Fault(request.fault, axis.name if axis else "", values, request.direction, request.duration)
 
-    def _ask(self, action: Callable[[], str]) -> tuple[bool, str]:
-        """Have the loop do something that says what it did."""
+    def _ask(self, action: Callable[[], str]) -> str:
+        """Have the loop do something that says what it did; RequestRefused when it does not get to it."""
         try:
             done = self._mock.request(action)
-        except ConstructionTwinError as error:
-            return False, str(error)
-        except TimeoutError:
-            return False, "the controller's loop did not answer within 1 s"
+        except TimeoutError as error:
+            raise RequestRefused("the controller's loop did not answer within 1 s") from error
         rospy.loginfo(done)
-        return True, done
+        return done
 
 
 INTERFACE = Interface(
@@ -205,7 +207,7 @@ INTERFACE = Interface(
     publishes=(PosePublication("~joint_states"), Publication("~status", String, queue_size=5, latch=True)),
     serves=(
         Served("~restart", Trigger, MockRsiNode.on_restart),
-        Served("~inject", InjectFault, MockRsiNode.on_inject),
+        Served("~inject", InjectFault, MockRsiNode.on_inject, refused=MockRsiNode.active_faults),
     ),
 )
 NODE = NodeShell("mock_rsi", MockSettings, MockRsiNode, INTERFACE, build_controller)

@@ -16,10 +16,10 @@ from typing import Literal
 import pydantic
 import rospy
 from diagnostic_msgs.msg import KeyValue
-from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
+from std_srvs.srv import SetBool, Trigger
 
 from construction_twin.core.beside import Beside
-from construction_twin.core.errors import PayloadError, ReviewError
+from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import ToolReport
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.gateway.config import GatewayConfig
@@ -52,6 +52,7 @@ from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, 
 from construction_twin.ros.shared.gateway_config import config_from_parameters
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import (
     Interface,
     Ports,
@@ -65,7 +66,7 @@ from construction_twin.ros.shared.stop_memory import StopMemory
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.ros.transport.subscriber import caller_of
-from construction_twin.srv import TakeResponsibility, TakeResponsibilityResponse
+from construction_twin.srv import TakeResponsibility
 
 #: Period at which the link is polled [s].
 POLL = 0.02
@@ -418,43 +419,35 @@ class MqttBridge:
 
     # -- services
 
-    def on_reset(self, _request) -> TriggerResponse:
+    def on_reset(self, _request) -> Outcome:
         """Start over from the arm's pose."""
         return self._begin_session(self._supervisor.request_reset)
 
-    def on_arm(self, _request) -> TriggerResponse:
+    def on_arm(self, _request) -> Outcome:
         """Begin a session where nothing needs to move for it."""
         return self._begin_session(self._supervisor.request_arm)
 
-    def on_responsible(self, request) -> TakeResponsibilityResponse:
+    def on_responsible(self, request) -> Outcome:
         """Arm a bare PLC in a person's name; when that does not succeed in time it is not tried any longer."""
         supervisor = self._supervisor
-        try:
-            with self._lock:
-                supervisor.take_responsibility(request.responsible, time.monotonic_ns())
-                session, halts = supervisor.session, supervisor.halts
-        except ReviewError as error:
-            return TakeResponsibilityResponse(False, str(error))
+        with self._lock:
+            supervisor.take_responsibility(request.responsible, time.monotonic_ns())
+            session, halts = supervisor.session, supervisor.halts
 
         def withdraw(because: str) -> None:
             # meanwhile a person may have halted, and another one begun
             if supervisor.session == session and supervisor.state is LinkState.RESYNC:
                 supervisor.withdraw_responsibility(because)
 
-        return TakeResponsibilityResponse(
-            *self._wait_for_arming(halts, lambda: supervisor.session == session, withdraw)
-        )
+        return Outcome(*self._wait_for_arming(halts, lambda: supervisor.session == session, withdraw))
 
-    def _begin_session(self, request: Callable[[int], None]) -> TriggerResponse:
-        try:
-            with self._lock:
-                before, halts = self._supervisor.session, self._supervisor.halts
-                request(time.monotonic_ns())
-                number = self._supervisor.requests
-        except ReviewError as error:
-            return TriggerResponse(False, str(error))
+    def _begin_session(self, request: Callable[[int], None]) -> Outcome:
+        with self._lock:
+            before, halts = self._supervisor.session, self._supervisor.halts
+            request(time.monotonic_ns())
+            number = self._supervisor.requests
         armed, sentence = self._wait_for_request(number, halts, before)
-        return TriggerResponse(armed, f"armed, {sentence}" if armed else sentence)
+        return Outcome(armed, f"armed, {sentence}" if armed else sentence)
 
     def _wait_for_request(self, number: int, halts: int, before: str) -> tuple[bool, str]:
         """Wait as `_wait_for_arming` for the session that a person asked for; what fails is withdrawn, also at the gateway."""
@@ -500,7 +493,7 @@ class MqttBridge:
                     return False, sentence
             time.sleep(POLL)
 
-    def on_halt(self, _request) -> TriggerResponse:
+    def on_halt(self, _request) -> Outcome:
         """Stop executor and gateway: the gateway brakes the arm within its limits, and the executor drops its plan."""
         with self._lock:
             session, mirrored = self._supervisor.session, self._supervisor.mirrors
@@ -513,19 +506,19 @@ class MqttBridge:
             remember = partial(self._beside.do, "what outlasts this node", self._remember_mirror)
             threading.Thread(target=remember, daemon=True).start()
         if not tells:
-            return TriggerResponse(True, HALTED_PLC)
+            return Outcome(True, HALTED_PLC)
         if not sent:
-            return TriggerResponse(
+            return Outcome(
                 False,
                 "the stop could not be sent to the gateway, which brakes by itself, because no more commands come; the cause is on "
                 "/diagnostics; call reset to go on",
             )
         if not self._client.is_connected():
-            return TriggerResponse(
+            return Outcome(
                 False,
                 "no connection to the broker: the gateway brakes by itself, because no more commands come; call reset to go on",
             )
-        return TriggerResponse(True, "stop sent to the gateway, plan dropped; call reset to go on")
+        return Outcome(True, "stop sent to the gateway, plan dropped; call reset to go on")
 
     def _send_stop(self, session: str) -> bool:
         control = Control(uuid.uuid4().hex, session, "stop")
@@ -534,21 +527,18 @@ class MqttBridge:
         self._beside.do("the log", self._said.add, rospy.loginfo, "%s, session %s", control.verb, control.session)
         return sent
 
-    def on_mirror(self, request) -> SetBoolResponse:
+    def on_mirror(self, request) -> str:
         """Begin or end mirror mode."""
-        try:
-            with self._lock:
-                supervisor, now = self._supervisor, time.monotonic_ns()
-                before, halts, requests = supervisor.session, supervisor.halts, supervisor.requests
-                sentence = supervisor.begin_mirror(now) if request.data else supervisor.end_mirror(now)
-                number = supervisor.requests
-        except ReviewError as error:
-            return SetBoolResponse(False, str(error))
+        with self._lock:
+            supervisor, now = self._supervisor, time.monotonic_ns()
+            before, halts, requests = supervisor.session, supervisor.halts, supervisor.requests
+            sentence = supervisor.begin_mirror(now) if request.data else supervisor.end_mirror(now)
+            number = supervisor.requests
         sentence += self._remember_mirror()
         if number != requests:
             armed, why = self._wait_for_request(number, halts, before)
             sentence += "" if armed else f"; {why}"
-        return SetBoolResponse(True, sentence)
+        return sentence
 
     def _remember_mirror(self) -> str:
         """Keep the mode beyond this process; return what is to be added to the answer when the master does not take it."""

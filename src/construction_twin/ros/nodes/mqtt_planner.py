@@ -24,18 +24,12 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.json_fields import read_document
-from construction_twin.link.remote_trajectory import (
-    Joints,
-    TrajectoryRequest,
-    parse_trajectory,
-    request_id,
-    trajectory_answer,
-)
+from construction_twin.link.remote_trajectory import Joints, TrajectoryRequest, parse_trajectory
 from construction_twin.link.remote_view import PlanProgress, PoseView, Seen, Shown, ViewWriter
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
+from construction_twin.mqtt.requests import NAMELESS_TRAJECTORY, TRAJECTORY, RequestKind
 from construction_twin.msg import Execution, Link, Plan, Review, Sync, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
@@ -43,9 +37,10 @@ from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.console_feed import ConsoleFeed, deployment_of
 from construction_twin.ros.shared.console_requests import ConsoleRequests, PlanServices, RobotContext
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outcome, Outlets
+from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.ports import (
     Interface,
@@ -164,14 +159,13 @@ class MqttPlanner:
         self._connection = report_of(broker)
         self.outlets = Outlets(self._publish_answer, lambda reason, sentence: self.refuse(reason, sentence))
         self._line = RequestLine(WAITING, REPEAT_WINDOW, SENDER_PAUSE, lambda: time.monotonic())
-        topics = (self._topics.trajectory, self._topics.trajectory_from("+")) if settings.trajectories else ()
-        self._motions = tuple(self._motion_endpoint(topic) for topic in topics)
+        kinds = (NAMELESS_TRAJECTORY, TRAJECTORY) if settings.trajectories else ()
+        self._motions = tuple(map(self._motion_endpoint, kinds))
         self._diagnostics = diagnostics
 
-    def _motion_endpoint(self, topic: str) -> Endpoint[_Motion]:
+    def _motion_endpoint(self, kind: RequestKind) -> Endpoint[_Motion]:
         return Endpoint(
-            "trajectory", topic, lambda _account: self._topics.trajectory_ack, self._read_motion, self._carry_out,
-            _motion_answer, self._counts, self.outlets,
+            kind, self._topics, self._read_motion, self._carry_out, self._counts, self.outlets,
             lambda motion: f"trajectory {motion.asked.id!r} from {motion.sender or 'an unknown sender'}",
             lambda _motion: self._line,
         )  # fmt: skip
@@ -275,9 +269,7 @@ class MqttPlanner:
 
     def _read_motion(self, incoming: Incoming) -> _Motion:
         advice = " (max_trajectory_bytes); use fewer points"
-        limit = self._settings.max_trajectory_bytes
-        document = read_document(incoming.payload, incoming.retained, "trajectory", limit, advice)
-        incoming.echo["id"] = request_id(document)
+        document = incoming.read_document("trajectory", self._settings.max_trajectory_bytes, advice)
         return _Motion(parse_trajectory(document, self._joints), incoming.account)
 
     def _carry_out(self, motion: _Motion) -> Outcome:
@@ -397,11 +389,6 @@ class MqttPlanner:
             else "no trajectories are taken (trajectories: false)"
         )
         return Report(OK, taken, values)
-
-
-def _motion_answer(incoming: Incoming, _motion: _Motion | None, outcome: Outcome) -> bytes:
-    name = incoming.echo.get("id", "")
-    return trajectory_answer(name, incoming.account, outcome.ok, outcome.sentence, **outcome.fields)
 
 
 def source_of(says: str, sender: str, proven: bool) -> str:

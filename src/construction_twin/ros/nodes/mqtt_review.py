@@ -27,20 +27,21 @@ from construction_twin.link.remote_review import (
     SwitchView,
     parse_review,
     recorded_reason,
-    review_answer,
 )
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
+from construction_twin.mqtt.requests import NAMELESS_REVIEW, REVIEW, RequestKind
 from construction_twin.msg import Link, Plan, PlanCaller, Review
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.segments import segments_content
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outcome, Outlets
+from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import Interface, Ports, Subscription
 from construction_twin.ros.shared.remote_interventions import EXECUTOR, remote_interventions
 from construction_twin.ros.shared.request_counts import RequestCounts
@@ -119,18 +120,18 @@ class MqttReview:
         self.approvals, self.rejections = RequestLine(WAITING), RequestLine(WAITING)
         self.interventions = remote_interventions(topics, interventions, self._pressed, self.outlets)
         self.endpoints: tuple[Endpoint, ...] = (
-            self._verdict_endpoint(topics.review),
-            self._verdict_endpoint(topics.review_by("+")),
+            self._verdict_endpoint(NAMELESS_REVIEW),
+            self._verdict_endpoint(REVIEW),
             *self.interventions.endpoints,
         )
         self._diagnostics = diagnostics
 
-    def _verdict_endpoint(self, topic: str) -> Endpoint[RemoteReview]:
+    def _verdict_endpoint(self, kind: RequestKind) -> Endpoint[RemoteReview]:
         # where the broker knows accounts, one in no name is refused where it arrives
-        nameless = topic == self._topics.review and bool(self._settings.account)
+        nameless = kind is NAMELESS_REVIEW and bool(self._settings.account)
         return Endpoint(
-            "review", topic, lambda _account: self._topics.review_ack, _read_verdict,
-            _refuse_nameless if nameless else self._call_executor, _verdict_answer, self._verdicts, self.outlets, _describe,
+            kind, self._topics, _read_verdict, _refuse_nameless if nameless else self._call_executor,
+            self._verdicts, self.outlets, _describe,
             None if nameless else lambda review: self.approvals if review.approves else self.rejections,
         )  # fmt: skip
 
@@ -297,15 +298,13 @@ def _run_line(line: RequestLine) -> None:
 
 
 def _read_verdict(incoming: Incoming) -> RemoteReview:
-    return parse_review(incoming.payload, incoming.retained, incoming.account)
+    review = parse_review(incoming.payload, incoming.retained, incoming.account)
+    incoming.echo |= {name: getattr(review, name) for name in ("plan_id", "plan_hash", "verdict", "reviewer")}
+    return review
 
 
 def _refuse_nameless(review: RemoteReview) -> Outcome:
     raise PayloadError("sender", _NAMELESS)
-
-
-def _verdict_answer(incoming: Incoming, review: RemoteReview | None, outcome: Outcome) -> bytes:
-    return review_answer(review, outcome.ok, outcome.sentence, incoming.account, outcome.expired)
 
 
 def _describe(review: RemoteReview) -> str:

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import pydantic
 import rospy
 
-from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.errors import ConfigurationError, RequestRefused
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.reports import SyncReport
 from construction_twin.core.sentences import Sentence
@@ -47,7 +47,6 @@ from construction_twin.ros.transport.publisher import Sink
 from construction_twin.srv import (
     ConfigureGate,
     ConfigureGateRequest,
-    ConfigureGateResponse,
     PlanToJoints,
     PlanToJointsResponse,
 )
@@ -181,7 +180,7 @@ class PcaMonitorNode:
                 self._session = message.session
             self._note_changes()
 
-    def on_configure(self, request: ConfigureGateRequest) -> ConfigureGateResponse:
+    def on_configure(self, request: ConfigureGateRequest) -> str:
         """Change settings of the gate, at rest only."""
         now = time.monotonic_ns()
         try:
@@ -202,11 +201,9 @@ class PcaMonitorNode:
                     self._behaviour = behaviour
                     self._note_changes()
         except ConfigurationError as error:
-            sentence = f"{error}; nothing was changed"
-            self._diagnostics.refuse("configure_gate", sentence)
-            return ConfigureGateResponse(False, sentence)
+            raise RequestRefused(f"{error}; nothing was changed") from error
         self._publish(now)
-        return ConfigureGateResponse(True, f"changed {difference}" if difference else "nothing to change")
+        return f"changed {difference}" if difference else "nothing to change"
 
     # -- the re-plan
 
@@ -386,7 +383,7 @@ INTERFACE = Interface(
         Subscription("execution", Execution, PcaMonitorNode.on_execution, queue_size=5),
         Subscription("link", Link, PcaMonitorNode.on_link, queue_size=5),
     ),
-    serves=(Served("configure_gate", ConfigureGate, PcaMonitorNode.on_configure),),
+    serves=(Served("configure_gate", ConfigureGate, PcaMonitorNode.on_configure, reason="configure_gate"),),
     every=(Every(lambda settings: 1 / settings.sync_rate, lambda node, _ports: node.watch()),),
 )
 NODE = NodeShell(

@@ -12,7 +12,7 @@ import numpy as np
 import pydantic
 import rospy
 from geometry_msgs.msg import PoseStamped
-from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
+from std_srvs.srv import Trigger, TriggerRequest
 from trajectory_msgs.msg import JointTrajectory
 
 from construction_twin.core.motion_errors import EngagedError, PlanningError, SceneError
@@ -47,6 +47,7 @@ from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.frame_listener import FRAMES
 from construction_twin.ros.shared.frames import listen_to_frames
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, Publication, Served, Subscription
 from construction_twin.ros.shared.request_handler import OccupiedSpace, RequestHandler
 from construction_twin.ros.transport.joint_stream import now_ns
@@ -58,22 +59,16 @@ from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.srv import (
     PlanCartesian,
     PlanCartesianRequest,
-    PlanCartesianResponse,
     PlanFromCsv,
     PlanFromCsvRequest,
-    PlanFromCsvResponse,
     PlanToJoints,
     PlanToJointsRequest,
-    PlanToJointsResponse,
     PlanToPose,
     PlanToPoseRequest,
-    PlanToPoseResponse,
     PlanTrajectory,
     PlanTrajectoryRequest,
-    PlanTrajectoryResponse,
     PlanWork,
     PlanWorkRequest,
-    PlanWorkResponse,
 )
 
 
@@ -171,7 +166,7 @@ class PlannerNode:
 
     # -- requests
 
-    def on_plan_to_joints(self, request: PlanToJointsRequest) -> PlanToJointsResponse:
+    def on_plan_to_joints(self, request: PlanToJointsRequest) -> Outcome:
         """Plan to joint positions."""
         arrived = now_ns()
 
@@ -180,45 +175,41 @@ class PlannerNode:
                 check_asked(asked, arrived)
             return self._pipeline.to_joints(request.start or self._present_pose(), request.goal, asked)
 
-        return PlanToJointsResponse(*self._requests.answer(plan, self._request(request)).fields)
+        return self._requests.answer(plan, self._request(request))
 
-    def on_plan_to_pose(self, request: PlanToPoseRequest) -> PlanToPoseResponse:
+    def on_plan_to_pose(self, request: PlanToPoseRequest) -> Outcome:
         """Plan to a pose of the tool."""
 
         def plan(asked: PlanRequest) -> Plan:
             goal = self._goal_in_base(request.goal)
             return self._pipeline.to_pose(self._present_pose(), goal, asked, request.configuration)
 
-        return PlanToPoseResponse(*self._requests.answer(plan, self._request(request)).fields)
+        return self._requests.answer(plan, self._request(request))
 
-    def on_plan_cartesian(self, request: PlanCartesianRequest) -> PlanCartesianResponse:
+    def on_plan_cartesian(self, request: PlanCartesianRequest) -> Outcome:
         """Plan along a path of the tool."""
 
         def plan(asked: PlanRequest) -> Plan:
             path = tool_waypoints(request.waypoints, self._frames.in_base(request.frame_id, rospy.Time(0)))
             return self._pipeline.along(self._present_pose(), path, request.speed or None, asked)
 
-        answer = self._requests.answer(plan, self._request(request))
-        success, message, *plan_fields = answer.fields
-        return PlanCartesianResponse(success, message, answer.fraction, *plan_fields)
+        return self._requests.answer(plan, self._request(request))
 
-    def on_plan_from_csv(self, request: PlanFromCsvRequest) -> PlanFromCsvResponse:
+    def on_plan_from_csv(self, request: PlanFromCsvRequest) -> Outcome:
         """Plan through the waypoints of a file."""
 
         def read() -> Callable[[PlanRequest], Plan]:
             waypoints = read_waypoints(request.path, self._robot, request.columns)
             return lambda asked: self._pipeline.through(waypoints, self._present_pose(), asked)
 
-        return PlanFromCsvResponse(*self._requests.answer_read(read, self._request(request, request.path)).fields)
+        return self._requests.answer_read(read, self._request(request, request.path))
 
-    def on_plan_trajectory(self, request: PlanTrajectoryRequest) -> PlanTrajectoryResponse:
+    def on_plan_trajectory(self, request: PlanTrajectoryRequest) -> Outcome:
         """Plan a motion from elsewhere."""
         asked = self._request(request, f"plan_trajectory from {caller_of(request)}")
-        read = self._through(request.trajectory, request.retime)
-        answer = self._requests.answer_read(read, asked)
-        return PlanTrajectoryResponse(*answer.fields, answer.retimed)
+        return self._requests.answer_read(self._through(request.trajectory, request.retime), asked)
 
-    def on_plan_work(self, request: PlanWorkRequest) -> PlanWorkResponse:
+    def on_plan_work(self, request: PlanWorkRequest) -> Outcome:
         """Plan the segments of a task as one."""
         changes: list[SceneChange] = []
 
@@ -228,9 +219,9 @@ class PlannerNode:
             return lambda asked: self._pipeline.work(request.task, segments, self._present_pose(), asked)
 
         asked = PlanRequest(str(uuid.uuid4()), now_ns(), request.source or f"task {request.task}")
-        return PlanWorkResponse(*self._requests.answer_read(read, asked, changes).fields)
+        return self._requests.answer_read(read, asked, changes)
 
-    def on_plan_way_back(self, _request: TriggerRequest) -> TriggerResponse:
+    def on_plan_way_back(self, _request: TriggerRequest) -> Outcome:
         """Plan the way back out of an engaged segment."""
         left = self._engagement
 
@@ -252,8 +243,7 @@ class PlannerNode:
 
         source = f"way back out of {left.segment!r}: {left.reason}" if left is not None else "way back"
         asked = PlanRequest(str(uuid.uuid4()), now_ns(), source)
-        answer = self._requests.answer_read(read, asked, back=True)
-        return TriggerResponse(answer.success, answer.sentence)
+        return self._requests.answer_read(read, asked, back=True)
 
     def on_trajectory(self, msg: JointTrajectory) -> None:
         """Plan a motion from elsewhere; what becomes of it stands in `plan_outcome`."""

@@ -6,7 +6,6 @@ import threading
 import time
 
 import pydantic
-import rospy
 from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
@@ -34,7 +33,7 @@ from construction_twin.ros.shared.ports import (
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.srv import PreviewPlan, PreviewPlanRequest, PreviewPlanResponse
+from construction_twin.srv import PreviewPlan, PreviewPlanRequest
 from construction_twin.views.preview import TEXT_SIZE, PlanPicture, Preview, ToldWork, picture
 from construction_twin.views.sync_picture import headline_height
 from construction_twin.views.work_picture import MOST_BODIES, WorkPath, WorkStates, work_states
@@ -137,17 +136,12 @@ class PreviewNode:
 
     # -- the ghost
 
-    def on_preview(self, request: PreviewPlanRequest) -> PreviewPlanResponse:
+    def on_preview(self, request: PreviewPlanRequest) -> str:
         """Play the plan under review with the ghost."""
-        try:
-            with self._news:
-                if request.speed > 0.0:
-                    self._news.wait_for(lambda: self._preview.under_review is not None, PLAN_TIMEOUT)
-                sentence = self._preview.play(request.speed, request.loop, time.monotonic())
-        except ConstructionTwinError as error:
-            rospy.logwarn("preview refused: %s", error)
-            return PreviewPlanResponse(False, str(error))
-        return PreviewPlanResponse(True, sentence)
+        with self._news:
+            if request.speed > 0.0:
+                self._news.wait_for(lambda: self._preview.under_review is not None, PLAN_TIMEOUT)
+            return self._preview.play(request.speed, request.loop, time.monotonic())
 
     def move_ghost(self) -> None:
         """Publish where the ghost is now."""

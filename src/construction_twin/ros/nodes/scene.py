@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import threading
 from collections.abc import Callable
@@ -10,10 +11,10 @@ from typing import Annotated
 import pydantic
 import rosgraph
 import rospy
-from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
+from std_srvs.srv import Trigger, TriggerRequest
 from visualization_msgs.msg import MarkerArray
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, PoseUnknownError
+from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
@@ -24,6 +25,7 @@ from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.frame_listener import FRAMES
 from construction_twin.ros.shared.frames import listen_to_frames
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.planning_scene import PLANNING_SCENE, PlanningScenePublisher
 from construction_twin.ros.shared.ports import Every, Interface, NewestPose, Ports, Publication, Served
@@ -38,19 +40,14 @@ from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.srv import (
     AddObject,
     AddObjectRequest,
-    AddObjectResponse,
     AttachObject,
     AttachObjectRequest,
-    AttachObjectResponse,
     DetachObject,
     DetachObjectRequest,
-    DetachObjectResponse,
     EditScene,
     EditSceneRequest,
-    EditSceneResponse,
     RemoveObject,
     RemoveObjectRequest,
-    RemoveObjectResponse,
 )
 
 #: Oldest pose of the twin that counts as its present one; longest wait for it and for a transform [s].
@@ -108,27 +105,27 @@ class SceneNode:
         """Return the state for `/diagnostics`."""
         return self._state
 
-    def on_add(self, request: AddObjectRequest) -> AddObjectResponse:
+    def on_add(self, request: AddObjectRequest) -> Outcome:
         """Put an object in."""
-        return self._edit(lambda: self._add(request), AddObjectResponse)
+        return self._edit(lambda: self._add(request))
 
-    def on_remove(self, request: RemoveObjectRequest) -> RemoveObjectResponse:
+    def on_remove(self, request: RemoveObjectRequest) -> Outcome:
         """Take an object out."""
 
         def remove() -> tuple[Scene, str]:
             return self._world.scene.remove(request.name), f"removed {request.name!r}"
 
-        return self._edit(remove, RemoveObjectResponse)
+        return self._edit(remove)
 
-    def on_attach(self, request: AttachObjectRequest) -> AttachObjectResponse:
+    def on_attach(self, request: AttachObjectRequest) -> Outcome:
         """Let a link carry an object."""
-        return self._edit(lambda: self._attach(request), AttachObjectResponse)
+        return self._edit(lambda: self._attach(request))
 
-    def on_detach(self, request: DetachObjectRequest) -> DetachObjectResponse:
+    def on_detach(self, request: DetachObjectRequest) -> Outcome:
         """Put down what a link carries."""
-        return self._edit(lambda: self._detach(request.name), DetachObjectResponse)
+        return self._edit(lambda: self._detach(request.name))
 
-    def on_clear(self, _request: TriggerRequest) -> TriggerResponse:
+    def on_clear(self, _request: TriggerRequest) -> Outcome:
         """Take out all that is not fixed."""
 
         def clear() -> tuple[Scene, str]:
@@ -136,16 +133,16 @@ class SceneNode:
             gone = [name for name in self._world.scene.names if name not in cleared.names]
             return cleared, f"removed {', '.join(gone) or 'nothing'}; fixed objects stay"
 
-        return self._edit(clear, lambda success, message, **_: TriggerResponse(success, message))
+        return self._edit(clear)
 
-    def on_edit(self, request: EditSceneRequest) -> EditSceneResponse:
+    def on_edit(self, request: EditSceneRequest) -> Outcome:
         """Change several objects at once, from the scene that is named."""
 
         def change() -> tuple[Scene, str]:
             wanted = SceneChange(tuple(map(object_from_msg, request.put)), tuple(request.remove))
             return wanted.between(self._world.scene, request.before, request.after), str(wanted)
 
-        return self._edit(change, EditSceneResponse)
+        return self._edit(change)
 
     def _add(self, request) -> tuple[Scene, str]:
         item = object_from_msg(request.object)
@@ -173,18 +170,18 @@ class SceneNode:
         pose = self._world.object_pose(self._twin.pose(_PATIENCE, _PATIENCE), name)
         return self._world.scene.detach(name, pose), f"put down {name!r}"
 
-    def _edit(self, change: Callable[[], tuple[Scene, str]], response: Callable):
-        """Change the scene as a whole or not at all; the one place where a failure becomes an answer."""
+    def present_hash(self, _request) -> dict[str, object]:
+        """Return what every answer about the scene tells: which one is the present one."""
+        return {"hash": self._world.scene.hash}
+
+    def _edit(self, change: Callable[[], tuple[Scene, str]]) -> Outcome:
+        """Change the scene as a whole or not at all."""
         with self._busy:
-            try:
-                scene, sentence = change()
-                world = self._world.with_scene(scene)
-                # kept before anybody hears of it: a node that is started anew must not forget what others plan with
-                self._file.save(scene)
-                self._world = world
-            except ConstructionTwinError as error:
-                self._diagnostics.refuse(type(error).__name__, str(error))
-                return response(success=False, message=str(error), hash=self._world.scene.hash)
+            scene, sentence = change()
+            world = self._world.with_scene(scene)
+            # kept before anybody hears of it: a node that is started anew must not forget what others plan with
+            self._file.save(scene)
+            self._world = world
             self._edits += 1
             lasting = self._new_lasting_contacts()
             self._find_contacts()
@@ -193,7 +190,7 @@ class SceneNode:
                 sentence += f"; in contact (padding included) at the present pose: {self._contact_text()}"
             sentence = "; ".join([sentence, *lasting])
             rospy.loginfo("scene %s: %s", scene.hash[:12], sentence)
-            return response(success=True, message=sentence, hash=scene.hash)
+            return Outcome(True, sentence, fields={"hash": scene.hash})
 
     def _new_lasting_contacts(self) -> list[str]:
         """Look for contacts that no motion of the arm ends; return what there is to say about those that are new."""
@@ -266,6 +263,7 @@ def _scene_file(start: Scene) -> SceneFile:
     return SceneFile(ros_home() / f"{name}_edits.json", run, start)
 
 
+_edit = functools.partial(Served, refused=SceneNode.present_hash)
 INTERFACE = Interface(
     report=SceneNode.report,
     publishes=(
@@ -276,12 +274,12 @@ INTERFACE = Interface(
     reads=(NewestPose("twin/joint_states"),),
     listeners=FRAMES,
     serves=(
-        Served("add_object", AddObject, SceneNode.on_add),
-        Served("remove_object", RemoveObject, SceneNode.on_remove),
-        Served("attach_object", AttachObject, SceneNode.on_attach),
-        Served("detach_object", DetachObject, SceneNode.on_detach),
-        Served("clear_scene", Trigger, SceneNode.on_clear),
-        Served("edit_scene", EditScene, SceneNode.on_edit),
+        _edit("add_object", AddObject, SceneNode.on_add),
+        _edit("remove_object", RemoveObject, SceneNode.on_remove),
+        _edit("attach_object", AttachObject, SceneNode.on_attach),
+        _edit("detach_object", DetachObject, SceneNode.on_detach),
+        _edit("clear_scene", Trigger, SceneNode.on_clear),
+        _edit("edit_scene", EditScene, SceneNode.on_edit),
     ),
     every=(Every(lambda settings: 1.0 / settings.check_rate, lambda node, _ports: node.check()),),
 )

@@ -41,6 +41,7 @@ from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagno
 from construction_twin.ros.shared.frame_listener import FRAMES
 from construction_twin.ros.shared.frames import listen_to_frames
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.ports import (
     Interface,
@@ -63,13 +64,10 @@ from construction_twin.srv import (
     PlanWorkRequest,
     WorkDecide,
     WorkDecideRequest,
-    WorkDecideResponse,
     WorkMeasured,
     WorkMeasuredRequest,
-    WorkMeasuredResponse,
     WorkPlanTask,
     WorkPlanTaskRequest,
-    WorkPlanTaskResponse,
 )
 from construction_twin.views.work_markers import DrawnElement, work_picture
 from construction_twin.work.built import change, pose_tuple
@@ -78,6 +76,7 @@ from construction_twin.work.events import Entry
 from construction_twin.work.glb import ShownElement, glb
 from construction_twin.work.jobs import WorkPlan
 from construction_twin.work.ledger import Ledger
+from construction_twin.work.recipe import DEFAULT
 from construction_twin.work.shared_desk import SharedDesk
 from construction_twin.work.task_states import TaskState
 from construction_twin.work.worker import Worker, WorkerError
@@ -140,6 +139,15 @@ class Outputs:
     edit_scene: Call
     plan_work: Call
     plan_way_back: Call
+
+
+#: What is told of a measured element that was refused.
+NOT_MEASURED = {"deviation_mm": math.nan, "deviation_deg": math.nan}
+
+
+def _planned(sentence: str, task: str, plan_id: str, plan_hash: str, duration: float) -> Outcome:
+    fields = {"task": task, "plan_id": plan_id, "plan_hash": plan_hash, "duration": duration}
+    return Outcome(True, sentence, fields=fields)
 
 
 class WorkNode:
@@ -253,8 +261,9 @@ class WorkNode:
             return
         path = ledger_path(ros_home() / settings.folder, self._robot.name, prepared.model)
         ledger = Ledger(
-            path, prepared.after, prepared.digest, time.time_ns, str(Path(prepared.cell).resolve()), prepared.placed_by
-        )
+            path, prepared.after, prepared.digest, time.time_ns, str(Path(prepared.cell).resolve()), prepared.element_of,
+            prepared.staying,
+        )  # fmt: skip
         desk = Desk(prepared, ledger, self._robot.name, self._robot.tip_link)
         rospy.loginfo(
             "%s: %d tasks, %d lines in %s; read in %.1f s",
@@ -297,23 +306,17 @@ class WorkNode:
 
     # -- services
 
-    def on_plan_task(self, request: WorkPlanTaskRequest) -> WorkPlanTaskResponse:
+    def on_plan_task(self, request: WorkPlanTaskRequest) -> Outcome:
         """Have a task planned, or while the arm is engaged the way back."""
         if not self._planning.acquire(timeout=self._settings.service_timeout):
-            return WorkPlanTaskResponse(
-                False, "a task is being planned already; wait for it", request.task, "", "", 0.0
-            )
+            raise WorkRefused("a task is being planned already; wait for it")
         try:
             return self._plan_task(request.task)
-        except ConstructionTwinError as error:
-            self._diagnostics.count(type(error).__name__, str(error))
-            rospy.logwarn("no plan for task %r: %s", request.task, error)
-            return WorkPlanTaskResponse(False, str(error), request.task, "", "", 0.0)
         finally:
             self._planning.release()
             self.heard.announce()
 
-    def _plan_task(self, asked: str) -> WorkPlanTaskResponse:
+    def _plan_task(self, asked: str) -> Outcome:
         heard = self.heard
         if problem := self._left_closed():
             raise WorkRefused(problem)
@@ -368,18 +371,27 @@ class WorkNode:
                 raise WorkRefused(obstacle)
             return task, desk
 
-    def _offer(self, task: str, plan: WorkPlan, desk: Desk) -> WorkPlanTaskResponse:
+    def _offer(self, task: str, plan: WorkPlan, desk: Desk) -> Outcome:
         """Have the planner check a plan and put it under review; the ledger knows of it before."""
         offer, element = uuid.uuid4().hex[:12], desk.element_of(task)
         title = desk.title(task)
         held = () if plan.tool0_T_element is None else pose_tuple(plan.tool0_T_element)
-        process = desk.prepared.processes.get(task, "")
+        process = desk.prepared.schedule.job(task).process
         with self._shared.lock:
             self._allowed(task)
-            entry = Entry("offered", task, element, offer=offer, grip=plan.method, pose=held, process=process)
+            entry = Entry(
+                "offered",
+                task,
+                element,
+                offer=offer,
+                grip=plan.method,
+                pose=held,
+                process="" if process == DEFAULT else process,
+            )
             desk.ledger.add(entry)
         segments = [work_segment_to_msg(segment) for segment in plan.segments]
-        request = PlanWorkRequest(task=task, source=f"{title} by {plan.method}, offer {offer}", segments=segments)
+        how = plan.method if process == DEFAULT else f"{process}, {plan.method}"
+        request = PlanWorkRequest(task=task, source=f"{title} by {how}, offer {offer}", segments=segments)
         problem, answer = self._outputs.plan_work(request)
         with self._shared.lock:
             memory = desk.book.tasks[task]
@@ -395,9 +407,9 @@ class WorkNode:
             if memory.state is TaskState.PLANNED and not memory.plan:
                 desk.ledger.add(Entry("planned", task, element, plan=answer.plan_id, offer=offer))
         sentence = f"{title}: plan {answer.plan_id} of {answer.duration:.1f} s with {plan.method} waits for approval"
-        return WorkPlanTaskResponse(True, sentence, task, answer.plan_id, answer.plan_hash, answer.duration)
+        return _planned(sentence, task, answer.plan_id, answer.plan_hash, answer.duration)
 
-    def _plan_way_back(self, asked: str) -> WorkPlanTaskResponse:
+    def _plan_way_back(self, asked: str) -> Outcome:
         heard = self.heard
         before = heard.plan.id if heard.plan is not None else ""
         problem, answer = self._outputs.plan_way_back(TriggerRequest())
@@ -408,21 +420,17 @@ class WorkNode:
         if plan is None or plan.id == before:
             raise WorkRefused("the way back was planned, but is not published")
         sentence = f"the arm is engaged: the way back comes first; {answer.message}"
-        return WorkPlanTaskResponse(True, sentence, asked, plan.id, plan.hash, plan.duration)
+        return _planned(sentence, asked, plan.id, plan.hash, plan.duration)
 
-    def on_decide(self, request: WorkDecideRequest) -> WorkDecideResponse:
+    def on_decide(self, request: WorkDecideRequest) -> str:
         """Take what a person decides of a task or the schedule."""
-        try:
-            with self._shared.lock:
-                sentence = self._decided(self._shared.opened(), request)
-                problem = self._left_closed() if request.decision == "answer" else ""
-                sentence += f"; {problem}" if problem else ""
-        except ConstructionTwinError as error:
-            self._diagnostics.count(type(error).__name__, str(error))
-            return WorkDecideResponse(False, str(error))
+        with self._shared.lock:
+            sentence = self._decided(self._shared.opened(), request)
+            problem = self._left_closed() if request.decision == "answer" else ""
+            sentence += f"; {problem}" if problem else ""
         rospy.loginfo("%s (%s)", sentence, request.person)
         self.heard.announce()
-        return WorkDecideResponse(True, sentence)
+        return sentence
 
     @staticmethod
     def _decided(desk: Desk, request: WorkDecideRequest) -> str:
@@ -438,19 +446,15 @@ class WorkNode:
             return desk.removed(request.task, request.person, request.reason)
         raise WorkRefused(f"decision {request.decision!r}; expected skip, redo, answer, removed or accept_schedule")
 
-    def on_measured(self, request: WorkMeasuredRequest) -> WorkMeasuredResponse:
+    def on_measured(self, request: WorkMeasuredRequest) -> Outcome:
         """Take where a person has measured an element."""
-        try:
-            pose = self._pose_in_base(request)
-            with self._shared.lock:
-                found = self._shared.opened().measured(request.element, pose, request.person, request.reason)
-        except ConstructionTwinError as error:
-            self._diagnostics.count(type(error).__name__, str(error))
-            return WorkMeasuredResponse(False, str(error), math.nan, math.nan)
+        pose = self._pose_in_base(request)
+        with self._shared.lock:
+            found = self._shared.opened().measured(request.element, pose, request.person, request.reason)
         self.heard.announce()
         distance, angle = found.distance * 1e3, math.degrees(found.angle)
         sentence = f"{request.element} is {distance:.2f} mm and {angle:.3f} deg from where the model has it"
-        return WorkMeasuredResponse(True, sentence, distance, angle)
+        return Outcome(True, sentence, fields={"deviation_mm": distance, "deviation_deg": angle})
 
     def _pose_in_base(self, request: WorkMeasuredRequest) -> Pose:
         pose = pose_from_msg(request.pose.pose)
@@ -613,9 +617,9 @@ INTERFACE = Interface(
     ),
     listeners=FRAMES,
     serves=(
-        Served("work/plan", WorkPlanTask, WorkNode.on_plan_task),
+        Served("work/plan", WorkPlanTask, WorkNode.on_plan_task, refused=lambda _, request: {"task": request.task}),
         Served("work/decide", WorkDecide, WorkNode.on_decide),
-        Served("work/measured", WorkMeasured, WorkNode.on_measured),
+        Served("work/measured", WorkMeasured, WorkNode.on_measured, refused=lambda *_: NOT_MEASURED),
     ),
 )
 NODE = NodeShell("work", Settings, start, INTERFACE)

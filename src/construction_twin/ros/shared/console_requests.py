@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import rospy
 from geometry_msgs.msg import Point, PoseStamped, Quaternion
@@ -20,23 +19,17 @@ from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.core.freshness import Moment, staleness
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.rate_limit import RollingWindow, SenderLimits
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.json_fields import read_document
-from construction_twin.link.remote_request import (
-    MAX_BYTES,
-    IkRequest,
-    RemoteRequest,
-    ik_answer,
-    parse_ik,
-    parse_plan_request,
-    plan_answer,
-)
-from construction_twin.link.remote_trajectory import Joints, request_id
+from construction_twin.link.remote_request import MAX_BYTES, IkRequest, RemoteRequest, parse_ik, parse_plan_request
+from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ClosestView
 from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.requests import IK, PLAN_REQUEST
 from construction_twin.msg import CartesianWaypoint
 from construction_twin.robot.frames import quaternion_to_rotation
-from construction_twin.ros.shared.endpoint import FLOOD, TOO_OLD, Endpoint, Incoming, Outcome, Outlets
+from construction_twin.ros.shared.endpoint import FLOOD, TOO_OLD, Endpoint, Incoming, Outlets
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.pose_judge import PoseJudge
 from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.ros.shared.request_line import NewestLine, RequestLine
@@ -126,13 +119,18 @@ class ConsoleRequests:
         self._closest: tuple[ClosestView, float] | None = None
         self._problem = ""
         self.plan_requests: Endpoint[_PlanAsked] = Endpoint(
-            "plan_request", topics.plan_request("+"), lambda _account: topics.plan_request_ack,
-            self._read_plan_request, self._carry_out, _plan_answer, self._plans, outlets, _describe, lambda _asked: line,
-        )  # fmt: skip
+            PLAN_REQUEST,
+            topics,
+            self._read_plan_request,
+            self._carry_out,
+            self._plans,
+            outlets,
+            _describe,
+            lambda _: line,
+        )
         self.ik: Endpoint[IkRequest] = Endpoint(
-            "ik", topics.ik("+"), lambda account: topics.ik_ack(account) if account else "",
-            self._read_pose, self._solve, _pose_answer, self._poses, outlets, line=lambda _asked: self.poses, qos=0,
-        )  # fmt: skip
+            IK, topics, self._read_pose, self._solve, self._poses, outlets, line=lambda _: self.poses
+        )
 
     @property
     def counts(self) -> dict[str, int]:
@@ -142,9 +140,7 @@ class ConsoleRequests:
     # -- plan requests
 
     def _read_plan_request(self, incoming: Incoming) -> _PlanAsked:
-        document = read_document(incoming.payload, incoming.retained, "plan_request", MAX_BYTES)
-        incoming.echo["id"] = request_id(document)
-        asked = parse_plan_request(document, self._joints)
+        asked = parse_plan_request(incoming.read_document("plan_request", MAX_BYTES), self._joints)
         incoming.echo["kind"] = asked.kind
         self._demand_fresh(asked)
         return _PlanAsked(asked, incoming.account, now_ns())
@@ -157,7 +153,7 @@ class ConsoleRequests:
     def _demand_fresh(self, asked: RemoteRequest) -> None:
         """Refuse a plan request (PayloadError) that is too old to be begun."""
         if problem := staleness(asked.moment, self._around.clock()):
-            raise PayloadError(TOO_OLD, f"the request is {problem}")
+            raise PayloadError(TOO_OLD, Sentence("executor.void.request", problem=problem))
 
     def _make(self, asked: RemoteRequest, account: str, arrived: int) -> Outcome:
         """Have a plan made by the service of its kind."""
@@ -193,9 +189,7 @@ class ConsoleRequests:
     def _read_pose(self, incoming: Incoming) -> IkRequest:
         if not self._rate.take(incoming.account, round(time.monotonic() * NANOSECONDS)):
             raise PayloadError(FLOOD, f"more than {IK_RATE} poses in a second from {incoming.account}")
-        document = read_document(incoming.payload, incoming.retained, "ik", MAX_BYTES)
-        incoming.echo["id"] = request_id(document)
-        return parse_ik(document, self._joints)
+        return parse_ik(incoming.read_document("ik", MAX_BYTES), self._joints)
 
     def _solve(self, asked: IkRequest) -> Outcome:
         seed = asked.seed or tuple(self._around.twin())
@@ -245,19 +239,8 @@ class ConsoleRequests:
                 self.look_around()
 
 
-def _plan_answer(incoming: Incoming, _request: _PlanAsked | None, outcome: Outcome) -> bytes:
-    name, kind = incoming.echo.get("id", ""), incoming.echo.get("kind", "")
-    plan: dict[str, Any] = dict(outcome.fields)
-    return plan_answer(name, incoming.account, kind, outcome.ok, outcome.sentence, expired=outcome.expired, **plan)
-
-
 def _describe(request: _PlanAsked) -> str:
     return f"plan_request {request.asked.id!r} ({request.asked.kind}) from {request.account}"
-
-
-def _pose_answer(incoming: Incoming, _asked: IkRequest | None, outcome: Outcome) -> bytes:
-    found: dict[str, Any] = {"reach": "unknown", "joints": None, **outcome.fields}
-    return ik_answer(incoming.echo.get("id", ""), sentence=outcome.sentence, **found)
 
 
 def _pose_msg(asked: RemoteRequest) -> PoseMsg:

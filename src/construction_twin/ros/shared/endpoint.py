@@ -1,14 +1,14 @@
 """A request by MQTT, from its message to its answer: one `Endpoint` for each kind.
 
-An endpoint is what differs: how a message is read (a pure function of `link` or `mqtt`), where it waits (`request_line`), what
-carries it out, and how its answer looks. What all have in common is here. A message that cannot be read is refused and counted,
-and answered at a pace. What was asked for is carried out first and answered next; counts and log lines come after that, and
-hold up nothing (`deferred_log`). Of a safety act none of them can fail it either (`core.beside`).
+An endpoint is what differs: its kind (`mqtt.requests`: topics, answer), how a message is read (a pure function of `link` or
+`mqtt`), where it waits (`request_line`), and what carries it out. What all have in common is here. A message that cannot be read is
+refused and counted, and answered at a pace. What was asked for is carried out first and answered next; counts and log lines come
+after that, and hold up nothing (`deferred_log`). Of a safety act none of them can fail it either (`core.beside`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Generic, TypeVar
@@ -18,8 +18,12 @@ from paho.mqtt.client import MQTTMessage
 
 from construction_twin.core.beside import Beside
 from construction_twin.core.errors import PayloadError, ServiceSilentError
-from construction_twin.mqtt.messages import account_of
+from construction_twin.link.json_fields import read_document
+from construction_twin.link.remote_trajectory import request_id
+from construction_twin.mqtt.messages import Topics, account_of
+from construction_twin.mqtt.requests import RequestKind
 from construction_twin.ros.shared.deferred_log import DeferredLog
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.ros.shared.request_line import Line, Request
 
@@ -46,23 +50,11 @@ class Incoming:
     retained: bool
     echo: dict[str, str] = field(default_factory=dict)
 
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of a request.
-
-    Attributes:
-        sentence: For people.
-        expired: It is void, because what its screen had shown is too old.
-        fields: Further fields of the answer.
-        counted: As what it is counted; "": as done or not.
-    """
-
-    ok: bool
-    sentence: str
-    expired: bool = False
-    fields: Mapping[str, object] = field(default_factory=dict)
-    counted: str = ""
+    def read_document(self, what: str, limit: int, advice: str = "") -> dict[str, Any]:
+        """Return the JSON object of a request whose answer repeats its id; PayloadError, and arguments, as of `json_fields`."""
+        document = read_document(self.payload, self.retained, what, limit, advice)
+        self.echo["id"] = request_id(document)
+        return document
 
 
 class Outlets:
@@ -103,33 +95,25 @@ class Endpoint(Generic[Asked]):
     """One kind of request by MQTT.
 
     Args:
-        kind: For the digest of a message that may come twice.
-        topic: With ``+`` in place of the account, or the whole topic of a request that names none.
-        ack: Takes the account; returns the topic of the answer, "" where nobody could read one.
         read: Returns what is asked for, or raises PayloadError.
         carry_out: Does it. May raise PayloadError, which is refused and counted then, and ServiceSilentError.
-        answer: Takes the message, what was asked for (None: it could not be read) and the outcome; returns the payload.
         describe: Returns in a few words who asks for what, for the log; None: there is no line of it.
         line: Takes what is asked for; returns where that waits. None: it is carried out where it arrives, and waits for nothing.
-        qos: Of answers and subscription.
     """
 
     def __init__(
         self,
-        kind: str,
-        topic: str,
-        ack: Callable[[str], str],
+        kind: RequestKind,
+        topics: Topics,
         read: Callable[[Incoming], Asked],
         carry_out: Callable[[Asked], Outcome],
-        answer: Callable[[Incoming, Asked | None, Outcome], bytes],
         counts: RequestCounts,
         outlets: Outlets,
         describe: Callable[[Asked], str] | None = None,
         line: Callable[[Asked], Line] | None = None,
-        qos: int = 1,
     ):
-        self.kind, self.topic, self.qos = kind, topic, qos
-        self._ack, self._read, self._act, self._answer = ack, read, carry_out, answer
+        self.topic, self.qos = topics.of(kind), kind.qos
+        self._kind, self._topics, self._read, self._act = kind, topics, read, carry_out
         self._counts, self._outlets, self._describe, self._line = counts, outlets, describe, line
 
     def on_message(self, message: MQTTMessage) -> None:
@@ -158,29 +142,30 @@ class Endpoint(Generic[Asked]):
             return
         self._line(asked).take(
             Request(
-                self.kind,
+                self._kind.name,
                 incoming.account,
                 incoming.payload,
                 partial(self._act_and_answer, incoming, asked),
-                partial(self._refuse, incoming, asked),
+                partial(self._refuse, incoming),
                 partial(self._repeat, incoming),
             )
         )
 
     def _refuse_unread(self, incoming: Incoming, error: PayloadError) -> None:
         if error.reason not in UNANSWERED and self._counts.is_due(incoming.account):
-            self._send(incoming, None, Outcome(False, str(error), error.reason == TOO_OLD))
+            self._send(incoming, Outcome(False, str(error), error.reason == TOO_OLD))
         self._count_refusal(error.reason, str(error))
 
-    def _refuse(self, incoming: Incoming, asked: Asked, reason: str, sentence: str) -> None:
-        self._send(incoming, asked, Outcome(False, sentence))
-        self._count_refusal(reason, f"{self.kind}: {sentence}")
+    def _refuse(self, incoming: Incoming, reason: str, sentence: str) -> None:
+        self._send(incoming, Outcome(False, sentence))
+        self._count_refusal(reason, f"{self._kind.name}: {sentence}")
 
     def _repeat(self, incoming: Incoming, answer: bytes) -> None:
         if answer:
             self._publish(incoming, answer)
         self._count_refusal(
-            REPEATED, f"{self.kind} {incoming.echo.get('id', '')!r} came again soon after its answer, or before it"
+            REPEATED,
+            f"{self._kind.name} {incoming.echo.get('id', '')!r} came again soon after its answer, or before it",
         )
 
     def _act_and_answer(self, incoming: Incoming, asked: Asked) -> bytes:
@@ -194,22 +179,29 @@ class Endpoint(Generic[Asked]):
             refused, outcome = error, Outcome(False, str(error), error.reason == TOO_OLD)
         answer = b""
         if refused is None or refused.reason not in UNANSWERED:
-            answer = self._send(incoming, asked, outcome)
-            self._counts.add(outcome.ok, outcome.counted)
+            answer = self._send(incoming, outcome)
+            self._counts.add(outcome.success, outcome.counted)
         if refused is not None:
             self._count_refusal(refused.reason, str(refused))
         if self._describe is not None:
-            self._outlets.tell("the log", self._say, self._describe, asked, outcome.sentence)
+            self._outlets.tell("the log", self._say, self._describe, asked, outcome.message)
         return answer
 
-    def _send(self, incoming: Incoming, asked: Asked | None, outcome: Outcome) -> bytes:
-        answer = self._outlets.tell("the answer", self._answer, incoming, asked, outcome) or b""
+    def _send(self, incoming: Incoming, outcome: Outcome) -> bytes:
+        answer = self._outlets.tell("the answer", self._payload, incoming, outcome) or b""
         if answer:
             self._publish(incoming, answer)
         return answer
 
+    def _payload(self, incoming: Incoming, outcome: Outcome) -> bytes:
+        known = dict.fromkeys(("account", "sender", "reviewer"), incoming.account)
+        said = dict.fromkeys(("reason", "sentence"), outcome.message)
+        done = {"ok": outcome.success, "expired": outcome.expired}
+        return self._kind.payload(**{**known, **said, **done, **incoming.echo, **outcome.fields})
+
     def _publish(self, incoming: Incoming, answer: bytes) -> None:
-        if topic := self._ack(incoming.account):
+        if self._kind.is_answered_to(incoming.account):
+            topic = self._topics.ack_of(self._kind, incoming.account)
             self._outlets.tell("the answer", self._outlets.publish, topic, answer, self.qos)
 
     def _count_refusal(self, reason: str, sentence: str) -> None:

@@ -7,8 +7,9 @@ in afterwards goes directly to the method.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from types import MethodType
 from typing import Any
@@ -16,9 +17,11 @@ from typing import Any
 import rospy
 from sensor_msgs.msg import JointState
 
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import Service
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher, JointSubscriber
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import Publisher, Sink
@@ -141,17 +144,35 @@ class NewestPose:
     when: When = always
 
 
+def _nothing(_node: Any, _request: Any) -> Mapping[str, object]:
+    return {}
+
+
 @dataclass(frozen=True)
 class Served:
-    """A service.
+    """A service: its answer has `success`, `message` and what else its kind has.
 
     Attributes:
-        handler: Takes node and request; returns the response, and turns typed errors into one.
+        handler: Takes node and request; returns what became of it, or only the sentence where it was done. A typed error that it
+            raises is a refusal.
+        reason: As what a refusal is counted; "": as its type.
+        refused: Takes node and request; returns further fields of a refusal.
     """
 
     name: str
     kind: type
-    handler: Callable[[Any, Any], object]
+    handler: Callable[[Any, Any], Outcome | str]
+    reason: str = ""
+    refused: Callable[[Any, Any], Mapping[str, object]] = _nothing
+
+    def answer(self, node: Any, refuse: Refuse, request: Any) -> Any:
+        """Return the response: the one place where a refusal becomes an answer, is counted, and written to the log later."""
+        try:
+            done = self.handler(node, request)
+        except ConstructionTwinError as error:
+            refuse(self.reason or type(error).__name__, str(error))
+            done = Outcome(False, str(error), fields=self.refused(node, request))
+        return (Outcome(True, done) if isinstance(done, str) else done).response(self.kind)
 
 
 @dataclass(frozen=True)
@@ -226,7 +247,7 @@ class Ports:
                 if isinstance(opened, Subscriber):
                     self._subscribers[each.topic] = opened
         for served in self._interface.serves:
-            Service(served.name, served.kind, MethodType(served.handler, node))
+            Service(served.name, served.kind, partial(served.answer, node, self.diagnostics.refuse))
         for timer in self._interface.every:
             rospy.Timer(rospy.Duration(timer.period(self._settings)), self._doing(timer.act))
 

@@ -14,17 +14,12 @@ from functools import partial
 import rospy
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.mqtt import interventions
-from construction_twin.mqtt.interventions import (
-    PAUSE,
-    RESUME,
-    STOP,
-    Intervention,
-    intervention_answer,
-    parse_intervention,
-)
+from construction_twin.mqtt import requests
+from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP, Intervention, parse_intervention
 from construction_twin.mqtt.messages import Topics
-from construction_twin.ros.shared.endpoint import REPEATED, Endpoint, Incoming, Outcome, Outlets
+from construction_twin.mqtt.requests import RequestKind
+from construction_twin.ros.shared.endpoint import REPEATED, Endpoint, Incoming, Outlets
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.ros.shared.request_line import RequestLine
 from construction_twin.ros.transport.persistent_service import call, call_twice
@@ -73,15 +68,11 @@ def remote_interventions(
         answer = call_twice(services[wanted.verb], EXECUTOR)
         return Outcome(answer.success, answer.message)
 
-    def endpoint(verb: str, topic: str, ack: str, act: Callable[[Intervention], Outcome]) -> Endpoint[Intervention]:
-        read, line = partial(_read, verb), lines[verb]
-        return Endpoint(verb, topic, lambda _: ack, read, act, _answer, counts, outlets, _describe, lambda _: line)
+    def endpoint(kind: RequestKind, act: Callable[[Intervention], Outcome]) -> Endpoint[Intervention]:
+        read, line = partial(_read, kind.name), lines[kind.name]
+        return Endpoint(kind, topics, read, act, counts, outlets, _describe, lambda _: line)
 
-    endpoints = (
-        endpoint(STOP, topics.stop_by("+"), topics.stop_ack, brake),
-        endpoint(PAUSE, topics.pause_by("+"), topics.pause_ack, brake),
-        endpoint(RESUME, topics.resume_by("+"), topics.pause_ack, resume),
-    )
+    endpoints = endpoint(requests.STOP, brake), endpoint(requests.PAUSE, brake), endpoint(requests.RESUME, resume)
     return RemoteInterventions(endpoints, lines)
 
 
@@ -89,13 +80,6 @@ def _read(verb: str, incoming: Incoming) -> Intervention:
     wanted = parse_intervention(verb, incoming.account, incoming.payload, incoming.retained)
     incoming.echo["id"] = wanted.id
     return wanted
-
-
-def _answer(incoming: Incoming, wanted: Intervention | None, outcome: Outcome) -> bytes:
-    id_ = incoming.echo.get("id", "")
-    return intervention_answer(
-        id_, incoming.account, interventions.EXECUTOR, outcome.ok, outcome.sentence, outcome.expired
-    )
 
 
 def _describe(wanted: Intervention) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import rospy
 
@@ -16,33 +15,9 @@ from construction_twin.planning.planner import PlanRequest
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.shared.arm_listener import OtherArm
 from construction_twin.ros.shared.diagnostics import NodeDiagnostics
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.scene_change import SceneChange
-
-
-@dataclass(frozen=True)
-class Answer:
-    """The answer to a request.
-
-    Attributes:
-        plan_id, plan_hash: Empty without a plan.
-        duration: Of the plan [s].
-        fraction: Fraction of a tool path that can be followed.
-        retimed: Why the times that were asked for were replaced; empty: they were kept.
-    """
-
-    success: bool
-    sentence: str
-    plan_id: str = ""
-    plan_hash: str = ""
-    duration: float = 0.0
-    fraction: float = 0.0
-    retimed: str = ""
-
-    @property
-    def fields(self) -> tuple[bool, str, str, str, float]:
-        """The fields that all services answer with, in their order."""
-        return self.success, self.sentence, self.plan_id, self.plan_hash, self.duration
 
 
 class OccupiedSpace:
@@ -115,7 +90,7 @@ class RequestHandler:
         """Whether a plan is being made."""
         return self._busy.locked()
 
-    def answer(self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest) -> Answer:
+    def answer(self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest) -> Outcome:
         """Make and publish a plan; see `answer_read`."""
         return self.answer_read(lambda: make_plan, asked)
 
@@ -125,7 +100,7 @@ class RequestHandler:
         asked: PlanRequest,
         changes: Sequence[SceneChange] = (),
         back: bool = False,
-    ) -> Answer:
+    ) -> Outcome:
         """Read what a request refers to, then make and publish a plan. Every failure becomes an answer here.
 
         Args:
@@ -149,7 +124,7 @@ class RequestHandler:
 
     def _make(
         self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest, changes: Sequence[SceneChange]
-    ) -> Answer:
+    ) -> Outcome:
         if self._space is not None:
             self._space.forget()
         self._demand_scene()
@@ -168,13 +143,14 @@ class RequestHandler:
             self._pipeline.forget_scene(seen)
         self._pipeline.wait_for_scene(self._scene_timeout)
 
-    def _published(self, plan: Plan, asked: PlanRequest, changes: Sequence[SceneChange]) -> Answer:
+    def _published(self, plan: Plan, asked: PlanRequest, changes: Sequence[SceneChange]) -> Outcome:
         sentence = self._publish(plan, changes)
         self._publish_outcome(True, asked, sentence, plan.id)
-        return Answer(True, sentence, plan.id, plan.hash, plan.trajectory.duration, 1.0, plan.retimed)
+        found = {"plan_id": plan.id, "plan_hash": plan.hash, "duration": plan.trajectory.duration}
+        return Outcome(True, sentence, fields={**found, "fraction": 1.0, "retimed": plan.retimed})
 
-    def _failed(self, error: Exception, asked: PlanRequest, sentence: str) -> Answer:
+    def _failed(self, error: Exception, asked: PlanRequest, sentence: str) -> Outcome:
         self._diagnostics.count(type(error).__name__, sentence)
         self._publish_outcome(False, asked, sentence, "")
         fraction = error.fraction if isinstance(error, CartesianPathError) else 0.0
-        return Answer(False, sentence, fraction=fraction)
+        return Outcome(False, sentence, fields={"fraction": fraction})

@@ -22,7 +22,7 @@ from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import BuildingModel, Element
 
 #: Of the form below and of what the reader understands: another number, and what is in a cache is read anew.
-VERSION = 4
+VERSION = 5
 #: Largest file [bytes].
 MOST_BYTES = 1 << 30
 _KINDS = {"text": np.uint8, "numbers": np.float64, "indices": np.int32}

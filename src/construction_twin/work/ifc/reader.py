@@ -133,7 +133,7 @@ def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: 
     elements, ids = _elements(file, found, progress)
     parents = {element.assembly for element in elements.values()}
     workpieces = [element.id for element in elements.values() if is_workpiece(element, element.id in parents)]
-    tasks, sequences = read_tasks(file, name, ids, workpieces, found.units.time, notes)
+    tasks, sequences = read_tasks(file, name, ids, workpieces, found.units, notes)
     note_unread(file, name, elements, notes)
     project = file.by_type("IfcProject")[0]
     with Where(name, project):

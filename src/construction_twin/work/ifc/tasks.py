@@ -19,6 +19,9 @@ import isodate
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import Sequence, Task
 from construction_twin.work.ifc.notes import Notes, Where, label
+from construction_twin.work.ifc.properties import read_properties
+from construction_twin.work.ifc.units import Units
+from construction_twin.work.recipe import PROPERTY_SET, RECIPE
 
 _CALENDAR = (
     "Calendars are not read: lags and durations count around the clock, holidays and nights included, of tasks of one"
@@ -72,7 +75,7 @@ def read_tasks(
     name: str,
     ids: dict[int, str],
     workpieces: Collection[str],
-    time_unit: float | None,
+    units: Units,
     notes: Notes,
 ) -> tuple[dict[str, Task], tuple[Sequence, ...]]:
     """Read tasks and sequences.
@@ -81,7 +84,7 @@ def read_tasks(
         name: For messages.
         ids: Id of the element's record, by the entity's id.
         workpieces: Ids of elements that are workpieces by default.
-        time_unit: Seconds per unit of time, for IFC2x3's times that are numbers; None: the project has none.
+        units: The project's.
 
     Raises BuildingError.
     """
@@ -99,12 +102,12 @@ def read_tasks(
             about = entity.Name or task_ids[entity.id()]
             notes.add(f"{_CALENDAR} ({calendar})", about, task_ids[entity.id()])
         with Where(name, entity):
-            task = _task(entity, name, task_ids, assigned, ids, set(workpieces), time_unit, notes)
+            task = _task(entity, name, task_ids, assigned, ids, set(workpieces), units, notes)
             tasks[task.id] = _as_recorded(task, recorded, notes)
     sequences = []
     for relation in file.by_type("IfcRelSequence"):
         with Where(name, relation):
-            sequence = _sequence(relation, task_ids, time_unit, tasks, notes)
+            sequence = _sequence(relation, task_ids, units.time, tasks, notes)
         if sequence is not None:
             sequences.append(sequence)
     return tasks, tuple(sequences)
@@ -255,7 +258,7 @@ def _task(
     assigned: _Assigned,
     ids: dict[int, str],
     workpieces: set[str],
-    time_unit: float | None,
+    units: Units,
     notes: Notes,
 ) -> Task:
     task_id = task_ids[entity.id()]
@@ -263,11 +266,15 @@ def _task(
     products = _elements(assigned.products[entity.id()], ids, shown, task_id, notes)
     inputs = _elements(assigned.inputs[entity.id()], ids, shown, task_id, notes)
     cancelled = _is_cancelled(entity, assigned)
-    kind = _kind(entity, assigned, task_id, shown, notes) if not cancelled else "other"
+    properties = read_properties(entity, task_id, units, notes).get(PROPERTY_SET, {})
+    by_recipe = properties.get(RECIPE) is not None
+    kind = _kind(entity, assigned, task_id, shown, by_recipe, notes) if not cancelled else "other"
     if cancelled:
         sentence = "Tasks that the file says are cancelled: not done, nothing waits for them but what comes before"
         notes.add(sentence, shown, task_id)
-    if not products and inputs and kind == "makes" and (made := [each for each in inputs if each in workpieces]):
+    if by_recipe and not products and kind == "makes":
+        products, inputs = inputs, []
+    elif not products and inputs and kind == "makes" and (made := [each for each in inputs if each in workpieces]):
         notes.add(
             "Tasks whose workpieces are assigned as inputs only (IfcRelAssignsToProcess); taken as what they make",
             shown,
@@ -277,7 +284,7 @@ def _task(
     if kind == "makes" and products:
         _doubt_names(entity, assigned, task_id, shown, notes)
     parent = assigned.parents.get(entity.id())
-    start, finish, duration = _times(entity, assigned.times.get(entity.id()), time_unit, shown, task_id, notes)
+    start, finish, duration = _times(entity, assigned.times.get(entity.id()), units.time, shown, task_id, notes)
     return Task(
         id=task_id,
         name=entity.Name or "",
@@ -292,11 +299,17 @@ def _task(
         duration=duration,
         kind=kind,
         completed=not cancelled and _completed(entity, assigned, task_id, shown, notes),
+        properties=properties,
     )
 
 
-def _kind(entity: ifcopenshell.entity_instance, assigned: _Assigned, task_id: str, shown: str, notes: Notes) -> str:
-    """Return ``makes``, ``takes_down`` or ``other``: of the task, else of its type, else of what it nests in."""
+def _kind(
+    entity: ifcopenshell.entity_instance, assigned: _Assigned, task_id: str, shown: str, by_recipe: bool, notes: Notes
+) -> str:
+    """Return ``makes``, ``takes_down`` or ``other``: of the task, else of its type, else of what it nests in.
+
+    A task that names its recipe (`by_recipe`) is the arm's, whatever else its kind says than that it takes down.
+    """
     said = ""
     for each in _above(entity, assigned):
         said = _said_kind(each)
@@ -308,6 +321,8 @@ def _kind(entity: ifcopenshell.entity_instance, assigned: _Assigned, task_id: st
             f"Tasks of the kind {said}{of}: the arm takes nothing down, a person says when it is gone", shown, task_id
         )
         return "takes_down"
+    if by_recipe:
+        return "makes"
     if said and said not in _MAKES:
         notes.add(f"Tasks of the kind {said}{of}, which places nothing; kept for the order", shown, task_id)
         return "other"

@@ -1,0 +1,85 @@
+"""What people and programs may ask for by MQTT, each kind stated once: topics, right, answer. Standard library only.
+
+The nodes' endpoints (`ros/shared/endpoint.py`), the topics' names (`messages.Topics`), a site's access rules (`broker/access.py`)
+and all answers are made from these.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+#: Who answers: the gateway, which brakes the arm, or the executor, which brakes along the path.
+GATEWAY, EXECUTOR = "gateway", "executor"
+#: Every field of an answer, with what it holds while no more is known. Durations are in s, joints by name in rad and m.
+UNKNOWN: Mapping[str, object] = {
+    "id": "",
+    "account": "",
+    "sender": "",
+    "kind": "",
+    "ok": False,
+    "reason": "",
+    "sentence": "",
+    "by": EXECUTOR,
+    "expired": False,
+    "plan_id": "",
+    "plan_hash": "",
+    "verdict": "",
+    "reviewer": "",
+    "duration": 0.0,
+    "notes": (),
+    "reach": "unknown",
+    "joints": None,
+    "between": (),
+}
+
+
+@dataclass(frozen=True)
+class RequestKind:
+    """A kind of request.
+
+    Attributes:
+        right: What an account needs to publish it; "": no account of a site may.
+        topic, ack: Where it comes in and is answered, below ``<prefix>/<robot>/``; ``{}`` is the account.
+        answer: Its fields, in their order.
+        qos: Of request and answer.
+    """
+
+    name: str
+    right: str
+    topic: str
+    ack: str
+    answer: tuple[str, ...]
+    qos: int = 1
+
+    def is_answered_to(self, account: str) -> bool:
+        """Return whether somebody hears the answer; where each account has a topic of its own, "" has none."""
+        return bool(account) or "{}" not in self.ack
+
+    def payload(self, /, **known: object) -> bytes:
+        """Return an answer: of what is known its fields, the others as in `UNKNOWN`."""
+        return json.dumps({key: known.get(key, UNKNOWN[key]) for key in self.answer}, allow_nan=False).encode()
+
+
+_VERDICT = ("plan_id", "plan_hash", "verdict", "reviewer", "account", "ok", "reason", "expired")
+_PRESSED = ("id", "account", "ok", "reason", "by", "expired")
+_PLANNED = ("id", "account", "kind", "ok", "reason", "plan_id", "plan_hash", "duration", "expired")
+_REACHED = ("id", "reach", "joints", "sentence", "between")
+_CHECKED = ("id", "sender", "ok", "reason", "plan_id", "plan_hash", "duration", "notes")
+
+#: A verdict in no name, on a broker without accounts.
+NAMELESS_REVIEW = RequestKind("review", "", "review", "review/ack", _VERDICT)
+REVIEW = RequestKind("review", "review", "review/{}", "review/ack", _VERDICT)
+STOP = RequestKind("stop", "stop", "stop/{}", "stop/ack", _PRESSED)
+PAUSE = RequestKind("pause", "pause", "pause/{}", "pause/ack", _PRESSED)
+RESUME = RequestKind("resume", "pause", "resume/{}", "pause/ack", _PRESSED)
+PLAN_REQUEST = RequestKind("plan_request", "plan_request", "plan_request/{}", "plan_request/ack", _PLANNED)
+IK = RequestKind("ik", "plan_request", "ik/{}", "ik/ack/{}", _REACHED, qos=0)
+#: A motion in no name; the account of the topic below is shown to the reviewer.
+NAMELESS_TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory", "trajectory/ack", _CHECKED)
+TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory/from/{}", "trajectory/ack", _CHECKED)
+#: In the order of the broker's rules.
+REQUESTS = (
+    NAMELESS_REVIEW, REVIEW, STOP, PAUSE, RESUME, PLAN_REQUEST, IK, NAMELESS_TRAJECTORY, TRAJECTORY,
+)  # fmt: skip

@@ -1,0 +1,33 @@
+"""What became of a request, by service or by MQTT: one record for every handler."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a request; its names are those of the services' answers.
+
+    Attributes:
+        message: For people.
+        expired: It is void, because what its screen had shown is too old.
+        fields: Further fields of the answer.
+        counted: As what it is counted; "": as done or not.
+    """
+
+    success: bool
+    message: str
+    expired: bool = False
+    fields: Mapping[str, object] = field(default_factory=dict)
+    counted: str = ""
+
+    def response(self, kind: Any) -> Any:
+        """Return the response of a kind of service; what it has no field for is left out."""
+        made = kind._response_class(success=self.success, message=self.message)
+        for name, value in {"expired": self.expired, **self.fields}.items():
+            if hasattr(made, name):
+                setattr(made, name, value)
+        return made
