@@ -34,7 +34,7 @@ class RemotePlanner:
         self.views: list[dict] = []
         broker = Broker("localhost", port, "3.1.1", account=load_account(account))
         self.client = make_client(broker, unique_id(topics.robot, "elsewhere"), "unused")
-        self.client.on_connect = lambda client, *_: client.subscribe([(topics.trajectory_ack, 0), (topics.view, 0)])
+        self.client.on_connect = lambda client, *_: client.subscribe([(topics.trajectory_ack, 1), (topics.view, 0)])
         self.client.on_message = self._on_message
         self.client.connect_async(broker.host, broker.port, broker.keepalive)
         self.client.loop_start()
@@ -46,7 +46,8 @@ class RemotePlanner:
     def send(self, document: dict, retain: bool = False) -> dict:
         """Send a motion; return the answer to it."""
         count = len(self.answers)
-        self.client.publish(self.topic, json.dumps(document), retain=retain)
+        # with QoS 0 a broken connection may lose it, or its answer
+        self.client.publish(self.topic, json.dumps(document), qos=1, retain=retain)
         wait(lambda: len(self.answers) > count, "an answer on trajectory/ack")
         return self.answers[count]
 

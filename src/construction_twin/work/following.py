@@ -32,8 +32,6 @@ class Followed:
     """
 
     id: str
-    task: str
-    source: str
     grips: int
     releases: int
     works: int = -1
@@ -111,12 +109,11 @@ class SegmentEnd:
     engaged: bool = False
 
 
-def followed(plan_id: str, memory: TaskMemory, source: str, ends: Sequence[SegmentEnd], tool: Tool) -> Followed:
+def followed(plan_id: str, memory: TaskMemory, ends: Sequence[SegmentEnd], tool: Tool) -> Followed:
     """Return a plan of a task as it is followed: where it grips the element, and where it lets go of it.
 
     Args:
         memory: Of the plan's task.
-        source: Of the plan.
         ends: Of its segments.
     """
     grips, releases = -1, -1
@@ -128,16 +125,16 @@ def followed(plan_id: str, memory: TaskMemory, source: str, ends: Sequence[Segme
             if lets_go and releases < 0 and (grips >= 0 or memory.in_grip):
                 releases = number
     works = next((number for number, end in enumerate(ends) if end.engaged), -1)
-    return Followed(plan_id, memory.task, source, grips, releases, works)
+    return Followed(plan_id, grips, releases, works)
 
 
 def followed_unseen(plan_id: str, memory: TaskMemory, outcome: str) -> Followed:
     """Return a plan of a task that is not known any more, by its outcome: nothing tells of its segments, only of its end."""
     if memory.stays:
-        return Followed(plan_id, memory.task, "", -1, -1)
+        return Followed(plan_id, -1, -1)
     if outcome == FINISHED:
-        return Followed(plan_id, memory.task, "", -1 if memory.in_grip else 0, 0)
-    return Followed(plan_id, memory.task, "", -2, -2)
+        return Followed(plan_id, -1 if memory.in_grip else 0, 0)
+    return Followed(plan_id, -2, -2)
 
 
 def grip_of(tool: Tool, outputs: Mapping[str, bool], inputs: Mapping[str, bool]) -> GripReading:

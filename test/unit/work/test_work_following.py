@@ -30,9 +30,9 @@ from construction_twin.work.task_states import PLANNABLE, SETTLED, TaskState
 
 HELD_AS = (0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0)
 STANDS = (1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 1.0)
-PLAN = Followed("p1", "stud", "work, offer o1", grips=1, releases=3)
+PLAN = Followed("p1", grips=1, releases=3)
 #: As the work node follows it when the topic `plan` has another one by now.
-UNKNOWN_PLAN = Followed("p1", "stud", "", grips=-2, releases=-2)
+UNKNOWN_PLAN = Followed("p1", grips=-2, releases=-2)
 OPEN, CLOSED, UNKNOWN = GripReading(True, False), GripReading(True, True), GripReading(False, False)
 
 
@@ -224,7 +224,7 @@ def test_an_element_that_is_in_the_grip_is_carried_on(tmp_path):
     node.add(Entry("answered", "stud", "E", answer="in_grip", person="eva"))
     assert node.memory.state is TaskState.CARRIED
     node.add(Entry("offered", "stud", "E", offer="o2"))
-    carried = Followed("p2", "stud", "work, offer o2", grips=-1, releases=1)
+    carried = Followed("p2", grips=-1, releases=1)
     for report in (
         Report("p2", True, "", 0),
         Report("p2", True, "", 1, True),
@@ -314,15 +314,15 @@ MOTION = SegmentEnd((), False)
     ],
 )
 def test_where_a_plan_grips_and_lets_go(ends, in_grip, found):
-    plan = followed("p1", TaskMemory("stud", in_grip=in_grip), "source", ends, work_samples.tool().tool)
-    assert plan == Followed("p1", "stud", "source", *found)
+    plan = followed("p1", TaskMemory("stud", in_grip=in_grip), ends, work_samples.tool().tool)
+    assert plan == Followed("p1", *found)
 
 
 def test_of_a_plan_that_is_not_known_any_more_only_a_finish_tells_that_it_let_go():
     held, empty = TaskMemory("stud", in_grip=True), TaskMemory("stud")
-    assert followed_unseen("p1", held, FINISHED) == Followed("p1", "stud", "", -1, 0)
-    assert followed_unseen("p1", empty, FINISHED) == Followed("p1", "stud", "", 0, 0)
-    assert followed_unseen("p1", held, "stopped") == Followed("p1", "stud", "", -2, -2)
+    assert followed_unseen("p1", held, FINISHED) == Followed("p1", -1, 0)
+    assert followed_unseen("p1", empty, FINISHED) == Followed("p1", 0, 0)
+    assert followed_unseen("p1", held, "stopped") == Followed("p1", -2, -2)
 
 
 @pytest.mark.parametrize(

@@ -131,7 +131,7 @@ class WorkFollower:
         if plan.task != task or not (plan.id == memory.plan or (memory.offer and memory.offer in plan.source)):
             return None
         ends = tuple(map(end_from_msg, plan.segments))
-        return following.followed(plan.id, memory, plan.source, ends, desk.prepared.tool)
+        return following.followed(plan.id, memory, ends, desk.prepared.tool)
 
     def _as_built(self, task: str, followed: Followed, report: following.Report) -> tuple[tuple[float, ...], str]:
         """Return where the element stands if let go now: by the arm's own pose at the boundary, else by the plan's; and which."""
