@@ -14,8 +14,8 @@ import rospy
 from rosgraph_msgs.msg import Log
 from twin_client import wait
 
-#: A stream's messages are played in turn for this long [s], which leaves every subscriber time to connect.
-DURATION = 1.0
+#: The messages of all streams are played for this long [s], which leaves every subscriber time to connect to each.
+DURATION = 4.0
 #: Their distance [s].
 PERIOD = 0.05
 
