@@ -212,7 +212,7 @@ def test_a_tool_beside_a_neighbour_needs_the_recipes_word(tmp_path):
     with pytest.raises(TaskPlanningError, match="tool/cups would touch b"):
         planner().plan(job, HOME, scene)
     plan = planner().plan(replace(job, properties={"CTwin_RobotTask": {"Beside": "cups"}}), HOME, scene)
-    cups = parts(plan)["set down"].scene.get("tool/cups")
+    cups = scenes(plan)["set down"].get("tool/cups")
     assert {"b0/0", "b2/0"} & set(cups.touch) and "floor" not in cups.touch
     assert scenes(plan)["carry"].get("tool/cups").touch == ("link_6",)
 
