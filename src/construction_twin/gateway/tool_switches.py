@@ -19,6 +19,7 @@ from enum import Enum
 from construction_twin.controller.port import Layout
 from construction_twin.controller.tool import ENABLE, GatewayTool, ToolReading
 from construction_twin.core import state_table
+from construction_twin.core.reports import SwitchState
 from construction_twin.core.units import NANOSECONDS
 
 #: A switch further ahead of the playout than this is refused [s]: it would be one for a motion that nobody sees yet.
@@ -35,16 +36,6 @@ LONGEST_DIFFERENCE = 0.1
 ROUND_TRIP = 5
 #: Inputs that chatter are told no more often than this [s].
 SHORTEST_PAUSE = 0.05
-
-
-class SwitchState(Enum):
-    """States of a switch; the words are those of `status`."""
-
-    ASKED = "asked"  # not judged yet: never told
-    ARMED = "armed"  # acknowledged; fires when the playout passes its stamp
-    FIRED = "fired"  # the output was changed
-    VOID = "void"  # did not fire, and will not any more
-    REFUSED = "refused"
 
 
 class SwitchEvent(Enum):
@@ -73,8 +64,8 @@ rows = state_table.Rows(SwitchState, SwitchEvent, SwitchGuard, SwitchAction)
 
 #: Every change of a switch. What no row names changes nothing: fired, void and refused are final.
 SWITCH_TABLE = (
-    *rows(SwitchState.ASKED, SwitchEvent.ACCEPTED, SwitchState.ARMED),
-    *rows(SwitchState.ASKED, SwitchEvent.DECLINED, SwitchState.REFUSED),
+    *rows(SwitchState.PENDING, SwitchEvent.ACCEPTED, SwitchState.ARMED),
+    *rows(SwitchState.PENDING, SwitchEvent.DECLINED, SwitchState.REFUSED),
     *rows(SwitchState.ARMED, SwitchEvent.PASSED, SwitchState.FIRED, SwitchAction.SWITCH),
     *rows(SwitchState.ARMED, SwitchEvent.VOIDED, SwitchState.VOID),
 )
@@ -92,7 +83,7 @@ class ToolSwitch:
     def __init__(self, id: str, output: str, value: bool, stamp: int, fire: Callable[[ToolSwitch], None]):
         self.id, self.output, self.value, self.stamp = id, output, value, stamp
         fires = {SwitchAction.SWITCH: lambda row, occasion: fire(self)}
-        self._machine = state_table.Machine(_ROWS, SwitchState.ASKED, "", {}, fires)
+        self._machine = state_table.Machine(_ROWS, SwitchState.PENDING, "", {}, fires)
 
     def on(self, event: SwitchEvent, reason: str) -> None:
         """Take an event; in one that is final it changes nothing."""
@@ -105,7 +96,7 @@ class ToolSwitch:
             "output": self.output,
             "value": self.value,
             "stamp": self.stamp,
-            "state": self._machine.state.value,
+            "state": self._machine.state.word,
             "reason": self._machine.reason,
         }
 

@@ -18,14 +18,8 @@ from construction_twin.mqtt.messages import Control
 
 #: Most outputs and inputs of a tool, and the longest text of a status.
 _MOST, _LONGEST = 16, 300
-
-
-_WORDS = {
-    "armed": SwitchState.ARMED,
-    "fired": SwitchState.FIRED,
-    "void": SwitchState.VOID,
-    "refused": SwitchState.REFUSED,
-}
+#: States that a status may give a switch, by their words.
+_REPORTED = {state.word: state for state in SwitchState if state is not SwitchState.PENDING}
 
 
 class ToolLink:
@@ -163,12 +157,12 @@ def tool_report(status: dict) -> ToolReport:
     told = {}
     for switch in switches:
         word = switch.get("state") if isinstance(switch, dict) else None
-        if not isinstance(word, str) or word not in _WORDS:
+        if not isinstance(word, str) or word not in _REPORTED:
             raise _unreadable("tool.switches")
         id = _text("tool.switches", switch.get("id"))
         if id in told:
             raise _unreadable("tool.switches")
-        told[id] = SwitchReport(_WORDS[word], _text("tool.switches", switch.get("reason")))
+        told[id] = SwitchReport(_REPORTED[word], _text("tool.switches", switch.get("reason")))
     return ToolReport(
         tool["known"],
         _text("tool.name", tool.get("name")),

@@ -22,7 +22,8 @@ from construction_twin.planning.recheck import recheck
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.way_back import WAY_BACK, way_back
 from construction_twin.planning.waypoints import Waypoints, plan_waypoints, retime_waypoints
-from construction_twin.planning.work_plan import AskedSegment, plan_work
+from construction_twin.planning.work_plan import plan_work
+from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.executed_path import ExecutedPath
 from construction_twin.robot.plan import Plan
@@ -176,7 +177,7 @@ class PlanningPipeline:
 
         return self._in_scene(checked)
 
-    def work(self, task: str, segments: Sequence[AskedSegment], present: JointValues, request: PlanRequest) -> Plan:
+    def work(self, task: str, segments: Sequence[WorkSegment], present: JointValues, request: PlanRequest) -> Plan:
         """Join the segments of a task to a work plan and check each in its scene; see `work_plan.plan_work`."""
         bounds = self._settings.bounds
         return self._in_scene(
@@ -196,7 +197,7 @@ class PlanningPipeline:
 
         def make(world: CollisionWorld) -> Plan:
             motion = way_back(path, present, self._robot)
-            segment = AskedSegment(WAY_BACK, motion, True, requires)
+            segment = WorkSegment(WAY_BACK, motion, True, requires)
             bounds = self._settings.bounds
             return plan_work(task, [segment], present, request, world, bounds, self._clock, WAY_BACK)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,9 +21,10 @@ from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.recheck import check_limits, recheck
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.waypoints import AT_REST, START_TOLERANCE_M, START_TOLERANCE_RAD
+from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import LimitUsage, Plan, PlanReport
-from construction_twin.robot.segments import Segment, Signal, Switch
+from construction_twin.robot.segments import Segment, Signal
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.same_space import fills_same_space
@@ -41,28 +41,9 @@ LONGEST_TIMEOUT = 600.0
 CARRIED_DISTANCE, CARRIED_ANGLE = 2e-3, float(np.radians(0.2))
 
 
-@dataclass(frozen=True, eq=False)
-class AskedSegment:
-    """One part of a work plan as it is asked for.
-
-    Attributes:
-        name: For people and records.
-        trajectory: From rest to rest; begins where the one before ends.
-        switches: As in `robot.segments.Segment`.
-        change: Of the scene, after the switches.
-    """
-
-    name: str
-    trajectory: Trajectory
-    engaged: bool = False
-    requires: tuple[Signal, ...] = ()
-    switches: tuple[Switch, ...] = ()
-    change: SceneChange = SceneChange()
-
-
 def plan_work(
     task: str,
-    asked: Sequence[AskedSegment],
+    segments: Sequence[WorkSegment],
     present: JointValues,
     request: PlanRequest,
     world: CollisionWorld,
@@ -90,14 +71,14 @@ def plan_work(
         PlanningError: If there is no task, or no segment.
     """
     began = clock()
-    _check_counts(task, asked, bounds)
+    _check_counts(task, segments, bounds)
     robot = world.robot
-    parts = _parts(asked, present, robot)
+    parts = _parts(segments, present, robot)
     trajectory, ends = joined(parts)
     joining = clock() - began
-    reports, segments = [], []
+    reports, checked = [], []
     first_scene = world.scene.hash
-    for number, (item, part, end) in enumerate(zip(asked, parts, ends)):
+    for number, (item, part, end) in enumerate(zip(segments, parts, ends)):
         with in_segment(number, item.name):
             before = world
             reports.append(recheck(part, robot, before, clock))
@@ -105,13 +86,13 @@ def plan_work(
             if world is not before:
                 _check_end(part, world)
                 _check_carried(part, before, world)
-        segments.append(
+        checked.append(
             Segment(
                 item.name, end, item.engaged, item.requires, item.switches, before.scene.hash, world.scene.hash
             )
         )  # fmt: skip
     report = _merged(reports, ends, check_limits(trajectory, robot))
-    return request.plan(planner, joining, trajectory, report, first_scene, task, tuple(segments))
+    return request.plan(planner, joining, trajectory, report, first_scene, task, tuple(checked))
 
 
 @contextmanager
@@ -128,21 +109,21 @@ def in_segment(number: int, name: str) -> Iterator[None]:
 # -- what is asked for
 
 
-def _check_counts(task: str, asked: Sequence[AskedSegment], bounds: PlanBounds) -> None:
+def _check_counts(task: str, segments: Sequence[WorkSegment], bounds: PlanBounds) -> None:
     """Check everything that costs nothing, sizes first."""
     if not task.strip():
         raise PlanningError("a work plan is asked for without a task; say which task it carries out")
     _check_name("the task", task)
-    if not 0 < len(asked) <= MOST_SEGMENTS:
-        raise PlanningError(f"a work plan of {len(asked)} segments is asked for; expected 1 to {MOST_SEGMENTS}")
-    duration = sum(item.trajectory.duration for item in asked)
-    bounds.check(duration, sum(len(item.trajectory.times) for item in asked))
-    for number, item in enumerate(asked):
+    if not 0 < len(segments) <= MOST_SEGMENTS:
+        raise PlanningError(f"a work plan of {len(segments)} segments is asked for; expected 1 to {MOST_SEGMENTS}")
+    duration = sum(item.trajectory.duration for item in segments)
+    bounds.check(duration, sum(len(item.trajectory.times) for item in segments))
+    for number, item in enumerate(segments):
         with in_segment(number, item.name):
             _check_segment(item)
 
 
-def _check_segment(item: AskedSegment) -> None:
+def _check_segment(item: WorkSegment) -> None:
     _check_name("the segment", item.name)
     counts = {
         "required signals": (len(item.requires), MOST_SIGNALS),
@@ -197,11 +178,11 @@ def _check_once(what: str, names: Sequence[str]) -> None:
 # -- one trajectory
 
 
-def _parts(asked: Sequence[AskedSegment], present: JointValues, robot: RobotModel) -> list[Trajectory]:
+def _parts(segments: Sequence[WorkSegment], present: JointValues, robot: RobotModel) -> list[Trajectory]:
     """Return the segments' trajectories, each beginning exactly where the one before ends."""
     parts: list[Trajectory] = []
     begin = np.array(present, dtype=float)
-    for number, item in enumerate(asked):
+    for number, item in enumerate(segments):
         with in_segment(number, item.name):
             robot.check_range(begin)
             parts.append(_from_rest_to_rest(item.trajectory, begin, robot, at_present=number == 0))

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.robot.segments import Segment
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 
@@ -30,19 +31,6 @@ class Left:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
-    """What a segment of a work plan changes in the scene.
-
-    Attributes:
-        before, after: Hashes of the scenes.
-    """
-
-    before: str
-    after: str
-    change: SceneChange
-
-
-@dataclass(frozen=True, eq=False)
 class Due:
     """What is to be done about the scene: a change, or a sentence that says why none is known; neither: the scene is right.
 
@@ -58,7 +46,8 @@ class Due:
 def due(
     left: Left,
     scene: Scene,
-    steps: Sequence[Step],
+    segments: Sequence[Segment],
+    changes: Sequence[SceneChange],
     earlier: Iterable[Scene] = (),
     element: str = "",
     forms: Iterable[Sequence[SceneObject]] = (),
@@ -67,21 +56,22 @@ def due(
 
     Args:
         scene: The present one.
-        steps: Of the plan that ended inside; empty: it is not known any more.
+        segments: Of the plan that ended inside; empty: it is not known any more.
+        changes: What each of them does to the scene.
         earlier: Those seen before, the newest first.
         element: GlobalId of the element that the task places; empty: not known.
         forms: Its objects as the ledger can have them: in its stock, in the grip, at its place.
     """
     if scene.hash in left.scenes:
         return Due()
-    changes = [step.change for step in steps if step.after in left.scenes]
-    mine = {name for step in steps for name in (*step.change.remove, *(item.name for item in step.change.put))}
+    leading = [change for segment, change in zip(segments, changes) if segment.scene_after in left.scenes]
+    mine = {name for change in changes for name in (*change.remove, *(item.name for item in change.put))}
     alternatives = [tuple(form) for form in forms]
     for base in (scene, *earlier):
-        wanted = _wanted(base, left.scenes, changes, element, alternatives)
+        wanted = _wanted(base, left.scenes, leading, element, alternatives)
         if wanted is not None:
             return _lead(left, scene, wanted, mine)
-    known = "" if steps else f"plan {left.plan} is not known any more, and "
+    known = "" if segments else f"plan {left.plan} is not known any more, and "
     return Due(
         sentence=f"{_where(left)}; {known}no change of the work's objects makes the present scene {scene.hash[:12]} the one in "
         f"which it may go back ({' or '.join(each[:12] for each in left.scenes) or 'none is known'}): look at what hangs on the "
@@ -89,9 +79,9 @@ def due(
     )
 
 
-def confirmed(left: Left, step: Step) -> bool:
+def confirmed(left: Left, segment: Segment) -> bool:
     """Return whether the engagement says that what a segment switches at its end has happened, so that its change is due."""
-    return step.after != step.before and set(left.scenes) == {step.after}
+    return segment.scene_after != segment.scene and set(left.scenes) == {segment.scene_after}
 
 
 def _wanted(

@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from construction_twin.robot.segments import Switch
+from construction_twin.robot.segments import Segment
 from construction_twin.robot.tool import Tool
+from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work.events import Entry
 from construction_twin.work.task_memory import TaskMemory
 from construction_twin.work.task_states import UNDER_WAY, TaskEvent, TaskState
@@ -95,36 +96,24 @@ class OfferOutcome:
     outcome: str = ""
 
 
-@dataclass(frozen=True)
-class SegmentEnd:
-    """What a segment's end does to the grip.
-
-    Attributes:
-        carries: The scene then has an object that a link carries and that was put there.
-        engaged: The segment is.
-    """
-
-    switches: tuple[Switch, ...]
-    carries: bool
-    engaged: bool = False
-
-
-def followed(plan_id: str, memory: TaskMemory, ends: Sequence[SegmentEnd], tool: Tool) -> Followed:
+def followed(
+    plan_id: str, memory: TaskMemory, segments: Sequence[Segment], changes: Sequence[SceneChange], tool: Tool
+) -> Followed:
     """Return a plan of a task as it is followed: where it grips the element, and where it lets go of it.
 
     Args:
         memory: Of the plan's task.
-        ends: Of its segments.
+        changes: What each of its segments does to the scene.
     """
     grips, releases = -1, -1
-    for number, end in enumerate(ends):
-        for switch in end.switches:
-            if tool.grip.set.get(switch.output) == switch.value and end.carries:
+    for number, (segment, change) in enumerate(zip(segments, changes)):
+        for switch in segment.switches:
+            if tool.grip.set.get(switch.output) == switch.value and change.carries:
                 grips = number
             lets_go = tool.release.set.get(switch.output) == switch.value
             if lets_go and releases < 0 and (grips >= 0 or memory.in_grip):
                 releases = number
-    works = next((number for number, end in enumerate(ends) if end.engaged), -1)
+    works = next((number for number, segment in enumerate(segments) if segment.engaged), -1)
     return Followed(plan_id, grips, releases, works)
 
 

@@ -12,6 +12,7 @@ from mock_cell import HOME
 from tool_cell import LAYOUT, TOOL, ToolCell, switched_off_on_stop
 
 from construction_twin.controller.tool import ToolOutput, ToolReading
+from construction_twin.core.reports import SwitchState
 from construction_twin.core.state_table import cells
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.gateway import State
@@ -23,7 +24,6 @@ from construction_twin.gateway.tool_switches import (
     SWITCH_TABLE,
     SwitchAction,
     SwitchEvent,
-    SwitchState,
     ToolSwitches,
 )
 from construction_twin.mock.faults import Fault, FaultBoard
@@ -298,8 +298,8 @@ def test_the_table_has_words_and_every_final_state_has_no_way_out():
     assert len(cells(SWITCH_TABLE)) == len(set(SWITCH_TABLE))
     assert {row.event for row in SWITCH_TABLE} == set(SwitchEvent)
     assert {row.action for row in SWITCH_TABLE} == set(SwitchAction)
-    assert {row.state for row in SWITCH_TABLE} == {SwitchState.ASKED, SwitchState.ARMED}
-    assert {row.target for row in SWITCH_TABLE} == set(SwitchState) - {SwitchState.ASKED}
+    assert {row.state for row in SWITCH_TABLE} == {SwitchState.PENDING, SwitchState.ARMED}
+    assert {row.target for row in SWITCH_TABLE} == set(SwitchState) - {SwitchState.PENDING}
 
 
 # -- nothing opens before the outputs are known

@@ -11,7 +11,7 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.link.tool_link import ToolLink, tool_report
 
-ARMED, FIRED, VOID, REFUSED = SwitchState
+_, ARMED, FIRED, VOID, REFUSED = SwitchState
 
 
 def link():
@@ -179,6 +179,7 @@ def test_a_real_status_is_read_and_a_gateway_without_a_tool_has_no_hands():
             for change in (
                 {"known": 1}, {"outputs": {"vacuum": 1}}, {"name": 3}, {"inputs": []}, {"switches": [{}]}, {"switches": [5]},
                 {"switches": [{"id": "a", "state": "armed", "reason": ""}] * 2},
+                *({"switches": [{"id": "a", "state": word, "reason": ""}]} for word in ("pending", "asked", "ARMED")),
                 {"switches": [{"id": 5, "state": "armed", "reason": ""}]}, {"switches": [{}] * 17}, {"reason": None},
                 {"outputs": {str(n): True for n in range(17)}}, {"switches": [{"id": "a", "state": ["armed"], "reason": ""}]},
             )

@@ -18,7 +18,8 @@ from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.recheck import recheck
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.way_back import PACE, way_back
-from construction_twin.planning.work_plan import AskedSegment, joined
+from construction_twin.planning.work_plan import joined
+from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.executed_path import LARGEST_ENTRY, WAY_BACK_TOLERANCE, ExecutedPath, nearest_on_lines
 from construction_twin.robot.segments import Signal
 from construction_twin.robot.trajectory import Trajectory
@@ -155,6 +156,6 @@ def test_the_executor_takes_no_short_cut_for_the_way_back():
     held = (Signal("held", True),)
     engagement = Engagement("p0", "task-1", "carry", ExecutedPath(PATH, PATH.duration), (held,), (EMPTY,), "stopped")
     made = pipeline(Scene(padding=0.01))
-    short = AskedSegment("way back", time_path(np.array([PATH.positions[-1], HOME]), ROBOT), True, held)
+    short = WorkSegment("way back", time_path(np.array([PATH.positions[-1], HOME]), ROBOT), True, held)
     with pytest.raises(ReviewError, match="leaves the executed path"):
         check_way_back(made.work("task-1", [short], PATH.positions[-1], REQUEST), engagement)

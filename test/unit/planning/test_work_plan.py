@@ -31,7 +31,8 @@ from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.waypoint_file import format_plan, parse_waypoints
 from construction_twin.planning.waypoints import START_TOLERANCE_RAD
-from construction_twin.planning.work_plan import AskedSegment, plan_work
+from construction_twin.planning.work_plan import plan_work
+from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.plan import Plan, content_hash
 from construction_twin.robot.segments import Signal, Switch
 from construction_twin.robot.trajectory import Trajectory
@@ -51,17 +52,17 @@ def motion(begin, end, speed: float = 0.5) -> Trajectory:
     return time_path(np.array([begin, end]), ROBOT, speed_scale=speed)
 
 
-def task_of(*poses) -> list[AskedSegment]:
+def task_of(*poses) -> list[WorkSegment]:
     """Three segments: to the block, carry it (it hangs on the tool then), leave without it."""
     first, second, third, fourth = poses or (HOME, RIGHT, LEFT, HOME)
     return [
-        AskedSegment("fetch", motion(first, second), True, switches=(CLOSE,), change=SceneChange((HELD,))),
-        AskedSegment("carry", motion(second, third), True, (GRIPPED,), (OPEN,), SceneChange((), ("block",))),
-        AskedSegment("leave", motion(third, fourth)),
+        WorkSegment("fetch", motion(first, second), True, switches=(CLOSE,), change=SceneChange((HELD,))),
+        WorkSegment("carry", motion(second, third), True, (GRIPPED,), (OPEN,), SceneChange((), ("block",))),
+        WorkSegment("leave", motion(third, fourth)),
     ]
 
 
-def asked_with(number: int, **changes) -> list[AskedSegment]:
+def asked_with(number: int, **changes) -> list[WorkSegment]:
     asked = task_of()
     asked[number] = dataclasses.replace(asked[number], **changes)
     return asked
@@ -194,7 +195,7 @@ def test_what_is_carried_is_part_of_the_arm():
     carried = SceneObject("block", "box", (0.1, 0.1, 0.5), (0.0, 0.0, 0.3), link="tool0")
     beam = standing(carried, RIGHT)
     cell = world(beam, post)
-    alone = [AskedSegment("go", motion(HOME, RIGHT)), AskedSegment("pass", motion(RIGHT, LEFT))]
+    alone = [WorkSegment("go", motion(HOME, RIGHT)), WorkSegment("pass", motion(RIGHT, LEFT))]
     assert planned(alone, cell).segments[1].name == "pass"
     loaded = [dataclasses.replace(alone[0], change=SceneChange((carried,))), alone[1]]
     with pytest.raises(SegmentError, match="segment 1 .*block touches post") as caught:
@@ -367,7 +368,7 @@ def test_however_segments_are_joined_every_sample_is_inside_the_limits_and_the_p
     poses = [np.array(HOME) + np.array(turn) for turn in turns]
     poses = [np.array(HOME), *(pose + 0.05 for pose in poses)]
     asked = [
-        AskedSegment(str(number), motion(*pair, speed))
+        WorkSegment(str(number), motion(*pair, speed))
         for number, pair in enumerate(zip(poses, poses[1:]))
         if np.abs(pair[1] - pair[0]).max() > 1e-4
     ]

@@ -35,8 +35,8 @@ from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ClosestView, PoseView, Seen, ViewWriter
 from construction_twin.link.tool_link import tool_report
 from construction_twin.mqtt.client import Broker
-from construction_twin.robot.segments import segments_content
-from construction_twin.ros.messages.convert import segment_from_msg, segment_to_msg, trajectory_from_msg
+from construction_twin.robot.segments import Segment, segments_content
+from construction_twin.ros.messages.convert import segment_to_msg, trajectory_from_msg
 from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.tool import tool_report_from_msg, tool_report_to_msg
 from construction_twin.ros.messages.work_convert import report_from_msg
@@ -299,7 +299,7 @@ def followed(wide: Wide) -> str:
 def hash_of(message: Plan) -> str:
     """Return the hash of a work plan, when it can have one."""
     trajectory = trajectory_from_msg(message.trajectory)
-    segments = tuple(map(segment_from_msg, message.segments))
+    segments = tuple(from_msg(Segment, segment) for segment in message.segments)
     content = segments_content(trajectory.content_hash(), message.task, segments)
     return hashlib.sha256(content.encode()).hexdigest()
 
@@ -313,7 +313,7 @@ KINDS: dict[str, Callable[[Wide], str]] = {
     "tool": tool_message,
     "screen": screen,
     "followed": followed,
-    "segment": lambda wide: raw(segment_to_msg(segment_from_msg(wide.segment()))),
+    "segment": lambda wide: raw(segment_to_msg(from_msg(Segment, wide.segment()))),
     "tasks": lambda wide: dumped(from_msg(WorkReport, wide.tasks())).decode(),
     "scene": lambda wide: dumped(scene_view(wide.scene(), "kr120/base_link")).decode(),
 }

@@ -39,7 +39,7 @@ from construction_twin.core.work_errors import LedgerError, TaskPlanningError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
-from construction_twin.planning.work_plan import AskedSegment, plan_work
+from construction_twin.planning.work_plan import plan_work
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, product
@@ -138,7 +138,8 @@ def test_what_is_not_moved_has_no_slot_and_stands_at_its_place_from_the_beginnin
 def test_it_is_planned_as_every_task_and_changes_no_scene(plan, work):
     assert [part.name for part in plan.segments] == ["to point", "touch", "back", "home"]
     assert [part.engaged for part in plan.segments] == [False, True, True, False]
-    assert all(not part.put and part.scene_after.hash == work.scene().hash for part in plan.segments)
+    assert all(part.change == SceneChange() for part in plan.segments)
+    assert {scene.hash for scene in plan.scenes} == {work.scene().hash}
     assert plan.method == "point 50 0 71 mm" and plan.tool0_T_element is None and plan.clearance > 0.02
 
 
@@ -150,14 +151,8 @@ def test_the_tool_comes_to_the_point_but_for_the_gap(plan, work):
 
 
 def test_whoever_checks_it_for_review_takes_it(plan, work):
-    asked = [
-        AskedSegment(
-            part.name, part.trajectory, part.engaged, part.requires, part.switches, SceneChange(part.put, part.remove)
-        )
-        for part in plan.segments
-    ]
     world = CollisionWorld(robot(), work.scene(), pairs())
-    checked = plan_work("T1", asked, HOME, PlanRequest("test", 0), world, PlanBounds(), lambda: 0.0)
+    checked = plan_work("T1", plan.segments, HOME, PlanRequest("test", 0), world, PlanBounds(), lambda: 0.0)
     assert [part.scene_after for part in checked.segments] == [work.scene().hash] * 4
 
 
@@ -230,10 +225,10 @@ def prepared() -> Prepared:
     return replace(made, stock=StockPlan({}), schedule=Schedule((touched,), (), ()))
 
 
-def segments(scene):
+def segments():
     """Return what the worker plans: to the point, touch (engaged), back."""
-    fetch, grip, _, leave = work_bench.segments(scene)
-    same = {"switches": (), "put": (), "scene": scene, "scene_after": scene}
+    fetch, grip, _, leave = work_bench.segments()
+    same = {"switches": (), "change": SceneChange()}
     back = replace(leave, name="back", trajectory=work_bench.reach(work_bench.AT_STOCK, work_bench.HOME, 1.0, 9))
     return tuple(
         replace(part, **same)
@@ -250,8 +245,8 @@ def bench(monkeypatch, tmp_path) -> Bench:
 
 def begin(one: Bench) -> None:
     """Start the node of a bench with this model."""
-    plan = lambda *_, scene, **__: SimpleNamespace(  # noqa: E731
-        method="point 0 0 0 mm", segments=segments(scene), tool0_T_element=None
+    plan = lambda *_, **__: SimpleNamespace(  # noqa: E731
+        method="point 0 0 0 mm", segments=segments(), tool0_T_element=None
     )
     one.start(SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=plan))
 

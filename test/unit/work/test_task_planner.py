@@ -14,7 +14,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.limit_usage import cycle_times
 from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
-from construction_twin.planning.work_plan import AskedSegment, plan_work
+from construction_twin.planning.work_plan import plan_work
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
@@ -45,6 +45,10 @@ def plans(work) -> list[WorkPlan]:
 
 def parts(plan):
     return {segment.name: segment for segment in plan.segments}
+
+
+def scenes(plan):
+    return {segment.name: scene for segment, scene in zip(plan.segments, plan.scenes)}
 
 
 def test_a_task_has_six_parts_that_join_at_rest_on_whole_cycles(plans):
@@ -85,10 +89,10 @@ def test_each_scene_follows_from_the_one_before_as_the_scene_node_changes_it(pla
     placed = {}
     for plan, brick in zip(plans, work.order):
         scene = work.scene(WorkState(placed))
-        for segment in plan.segments:
-            assert segment.scene.hash == scene.hash
-            scene = SceneChange(segment.put, segment.remove).apply(scene)
-            assert segment.scene_after.hash == scene.hash
+        assert plan.scenes[0].hash == scene.hash
+        for segment, after in zip(plan.segments, plan.scenes[1:], strict=True):
+            scene = segment.change.apply(scene)
+            assert after.hash == scene.hash
         placed[brick] = work.base_T_goal(brick)
         assert scene.hash == work.scene(WorkState(placed)).hash
 
@@ -97,8 +101,8 @@ def test_only_what_has_to_touch_may_touch(plans):
     bare = {item.name: item.touch for item in tool_objects(tool(), robot().tip_link)}
     for plan in plans:
         own = {item.name for item in plan.job.bodies}
-        for segment in plan.segments:
-            for item in segment.scene.objects:
+        for segment, scene in zip(plan.segments, plan.scenes):
+            for item in scene.objects:
                 extra = set(item.touch) - set(bare.get(item.name, ()))
                 if item.name == "tool/cups":
                     assert extra == (own if segment.name in ("approach", "retreat") else set())
@@ -111,8 +115,8 @@ def test_only_what_has_to_touch_may_touch(plans):
 
 def test_what_may_touch_does_not_go_into_each_other(plans):
     for plan in plans:
-        for segment in plan.segments:
-            world = CollisionWorld(robot(), segment.scene, pairs())
+        for segment, scene in zip(plan.segments, plan.scenes):
+            world = CollisionWorld(robot(), scene, pairs())
             qs = segment.trajectory.sample_many(cycle_times(segment.trajectory))[0]
             assert world.all_free(qs) is None
             found = deepest(world, qs)
@@ -125,9 +129,8 @@ def test_what_may_touch_does_not_go_into_each_other(plans):
 
 def test_the_element_arrives_where_it_is_to_stand(plans):
     for plan in plans:
-        found = parts(plan)
-        q = found["set down"].trajectory.positions[-1]
-        world = CollisionWorld(robot(), found["set down"].scene, pairs())
+        q = parts(plan)["set down"].trajectory.positions[-1]
+        world = CollisionWorld(robot(), scenes(plan)["set down"], pairs())
         (body,) = plan.job.bodies
         there = world.object_pose(q, body.name)
         goal = product(plan.job.base_T_goal, body.pose)
@@ -149,16 +152,15 @@ def test_the_arm_goes_on_to_an_end_that_is_asked_for(work):
     plan = planner().plan(work.job_for("brick0", scene), HOME, scene, end=HOME)
     last = plan.segments[-1]
     assert last.name == "home" and np.array_equal(last.trajectory.positions[-1], HOME)
-    assert last.scene.hash == last.scene_after.hash and not last.put
+    assert plan.scenes[-2].hash == plan.scenes[-1].hash and last.change == SceneChange()
 
 
 def test_a_task_goes_on_with_the_element_in_the_grip(work, plans):
-    lift = parts(plans[0])["lift"]
-    there, q = lift.scene_after, lift.trajectory.positions[-1]
+    there, q = scenes(plans[0])["carry"], parts(plans[0])["lift"].trajectory.positions[-1]
     rest = planner().plan(plans[0].job, q, there, held=plans[0].tool0_T_element)
     assert [segment.name for segment in rest.segments] == ["carry", "set down", "retreat"]
-    assert rest.segments[0].scene.hash == there.hash
-    assert rest.segments[-1].scene_after.hash == plans[0].segments[-1].scene_after.hash
+    assert rest.scenes[0].hash == there.hash
+    assert rest.scenes[-1].hash == plans[0].scenes[-1].hash
 
 
 def with_object(scene: Scene, name: str, size, position) -> Scene:
@@ -210,9 +212,9 @@ def test_a_tool_beside_a_neighbour_needs_the_recipes_word(tmp_path):
     with pytest.raises(TaskPlanningError, match="tool/cups would touch b"):
         planner().plan(job, HOME, scene)
     plan = planner().plan(replace(job, properties={"CTwin_RobotTask": {"Beside": "cups"}}), HOME, scene)
-    cups = parts(plan)["set down"].scene.get("tool/cups")
+    cups = scenes(plan)["set down"].get("tool/cups")
     assert {"b0/0", "b2/0"} & set(cups.touch) and "floor" not in cups.touch
-    assert parts(plan)["carry"].scene.get("tool/cups").touch == ("link_6",)
+    assert scenes(plan)["carry"].get("tool/cups").touch == ("link_6",)
 
 
 def test_a_symmetric_element_may_be_turned_and_stands_as_designed(work, plans):
@@ -222,17 +224,11 @@ def test_a_symmetric_element_may_be_turned_and_stands_as_designed(work, plans):
     scene = work.scene()
     plan = planner(turned).plan(work.job_for("brick0", scene), HOME, scene)
     assert "element turned 180 deg" in plan.method
-    assert plan.segments[-1].scene_after.hash == plans[0].segments[-1].scene_after.hash
+    assert plan.scenes[-1].hash == plans[0].scenes[-1].hash
     # and whoever checks it for review takes it, though the element's frame counts as turned from the grip on
-    asked = [
-        AskedSegment(
-            part.name, part.trajectory, part.engaged, part.requires, part.switches, SceneChange(part.put, part.remove)
-        )
-        for part in plan.segments
-    ]
     world = CollisionWorld(robot(), scene, pairs())
-    checked = plan_work("brick0", asked, HOME, PlanRequest("test", 0), world, PlanBounds(), lambda: 0.0)
-    assert [part.scene_after for part in checked.segments] == [part.scene_after.hash for part in plan.segments]
+    checked = plan_work("brick0", plan.segments, HOME, PlanRequest("test", 0), world, PlanBounds(), lambda: 0.0)
+    assert [part.scene_after for part in checked.segments] == [scene.hash for scene in plan.scenes[1:]]
 
 
 def test_out_of_reach_is_told_with_the_part(work):

@@ -26,6 +26,7 @@ from construction_twin.core.work_errors import ScheduleError, TaskPlanningError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.scene.objects import Scene, product
+from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work import tasks
 from construction_twin.work.build_report import TaskResult, summary
 from construction_twin.work.building import Sequence, Task
@@ -399,11 +400,11 @@ def test_the_mass_of_an_element_counts_once():
 def test_the_node_has_both_planned_and_follows_them_one_after_the_other(monkeypatch, tmp_path):
     bench = Bench(monkeypatch, tmp_path)
 
-    def plan(*_, task: str, scene: Scene, **__) -> SimpleNamespace:
-        parts = work_bench.segments(scene)
+    def plan(*_, task: str, **__) -> SimpleNamespace:
+        parts = work_bench.segments()
         if task == PLACE:
             return SimpleNamespace(method="top", segments=parts, tool0_T_element=work_bench.HELD)
-        same = {"switches": (), "put": (), "scene": scene, "scene_after": scene}
+        same = {"switches": (), "change": SceneChange()}
         there = work_bench.reach(work_bench.HOME, work_bench.AT_GOAL, 1.0, 9)
         touch = replace(parts[CARRY], name="touch", trajectory=there, **same)
         return SimpleNamespace(method="point", segments=(touch, replace(parts[LEAVE], **same)), tool0_T_element=None)

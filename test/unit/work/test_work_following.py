@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
 import pytest
 import work_samples
 
-from construction_twin.robot.segments import Switch
+from construction_twin.robot.segments import Segment, Switch
+from construction_twin.scene.objects import SceneObject
+from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work.events import Entry
 from construction_twin.work.following import (
     FINISHED,
@@ -16,7 +19,6 @@ from construction_twin.work.following import (
     GripReading,
     OfferOutcome,
     Report,
-    SegmentEnd,
     after_restart,
     follow,
     followed,
@@ -294,8 +296,12 @@ def test_what_the_tool_did_before_a_stop_is_written_when_the_engagement_says_so(
     node.ledger.close()
 
 
-CLOSE, OPEN_IT = (SegmentEnd((Switch("vacuum", value, (), 1.0),), value) for value in (True, False))
-MOTION = SegmentEnd((), False)
+HELD = SceneChange((SceneObject("E1/0", "box", (0.1, 0.1, 0.1), link="tool0"),))
+MOTION = (Segment("carry", 1.0, False, (), (), "a", "a"), SceneChange())
+CLOSE, OPEN_IT = (
+    (replace(MOTION[0], switches=(Switch("vacuum", value, (), 1.0),)), change)
+    for value, change in ((True, HELD), (False, SceneChange()))
+)
 
 
 @pytest.mark.parametrize(
@@ -309,12 +315,12 @@ MOTION = SegmentEnd((), False)
         # let go is where it is let go first
         ((CLOSE, OPEN_IT, OPEN_IT), False, (0, 1)),
         # a grip that carries nothing takes no element
-        ((SegmentEnd(CLOSE.switches, False), OPEN_IT), False, (-1, -1)),
+        (((CLOSE[0], SceneChange()), OPEN_IT), False, (-1, -1)),
         ((MOTION, MOTION), True, (-1, -1)),
     ],
 )
 def test_where_a_plan_grips_and_lets_go(ends, in_grip, found):
-    plan = followed("p1", TaskMemory("stud", in_grip=in_grip), ends, work_samples.tool().tool)
+    plan = followed("p1", TaskMemory("stud", in_grip=in_grip), *zip(*ends), work_samples.tool().tool)
     assert plan == Followed("p1", *found)
 
 

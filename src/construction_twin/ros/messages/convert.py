@@ -22,10 +22,12 @@ from construction_twin.msg import Segment as SegmentMsg
 from construction_twin.msg import Signal as SignalMsg
 from construction_twin.msg import ToolSwitch
 from construction_twin.msg import WorkSegment as WorkSegmentMsg
+from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.frames import quaternion_to_rotation
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.segments import Segment, Signal, Switch
 from construction_twin.robot.trajectory import Trajectory
+from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.scene_convert import object_from_msg, object_to_msg
 from construction_twin.scene.scene_change import SceneChange
 
@@ -115,36 +117,52 @@ def plan_from_msg(msg: PlanMsg) -> Plan:
         trajectory=trajectory_from_msg(msg.trajectory),
         report=_report_from_msg(msg),
         task=msg.task,
-        segments=tuple(map(segment_from_msg, msg.segments)),
+        segments=tuple(from_msg(Segment, segment) for segment in msg.segments),
     )
 
 
 def segment_to_msg(segment: Segment, change: SceneChange = SceneChange()) -> SegmentMsg:
-    """Return the message; `change` is what makes of its scene the one after it."""
-    return SegmentMsg(
+    """Return the message; `change` is what makes of its scene the one after it.
+
+    Back, `records.from_msg` gives the segment and `change_from_msg` the change.
+    """
+    msg = to_msg(segment, SegmentMsg)
+    _add_change(msg, change)
+    return msg
+
+
+def work_segment_to_msg(segment: WorkSegment) -> WorkSegmentMsg:
+    """Return the message."""
+    msg = WorkSegmentMsg(
         name=segment.name,
-        end=segment.end,
+        trajectory=trajectory_to_msg(segment.trajectory),
         engaged=segment.engaged,
-        requires=list(map(signal_to_msg, segment.requires)),
-        switches=list(map(switch_to_msg, segment.switches)),
-        scene=segment.scene,
-        scene_after=segment.scene_after,
-        put=list(map(object_to_msg, change.put)),
-        remove=list(change.remove),
+        requires=[to_msg(signal, SignalMsg) for signal in segment.requires],
+        switches=[to_msg(switch, ToolSwitch) for switch in segment.switches],
+    )
+    _add_change(msg, segment.change)
+    return msg
+
+
+def work_segment_from_msg(msg: WorkSegmentMsg) -> WorkSegment:
+    """Return the segment.
+
+    Raises:
+        TrajectoryError: If it is not a trajectory with velocities and accelerations.
+        SceneError: If an object does not describe one.
+    """
+    return WorkSegment(
+        msg.name,
+        trajectory_from_msg(msg.trajectory),
+        msg.engaged,
+        tuple(from_msg(Signal, signal) for signal in msg.requires),
+        tuple(from_msg(Switch, switch) for switch in msg.switches),
+        change_from_msg(msg),
     )
 
 
-def segment_from_msg(msg: SegmentMsg) -> Segment:
-    """Return the segment, without its change of the scene (`change_from_msg`)."""
-    return Segment(
-        name=msg.name,
-        end=msg.end,
-        engaged=msg.engaged,
-        requires=tuple(map(signal_from_msg, msg.requires)),
-        switches=tuple(map(switch_from_msg, msg.switches)),
-        scene=msg.scene,
-        scene_after=msg.scene_after,
-    )
+def _add_change(msg: SegmentMsg | WorkSegmentMsg, change: SceneChange) -> None:
+    msg.put, msg.remove = list(map(object_to_msg, change.put)), list(change.remove)
 
 
 def change_from_msg(msg: SegmentMsg | WorkSegmentMsg) -> SceneChange:
@@ -154,27 +172,6 @@ def change_from_msg(msg: SegmentMsg | WorkSegmentMsg) -> SceneChange:
         SceneError: If an object does not describe one.
     """
     return SceneChange(tuple(map(object_from_msg, msg.put)), tuple(msg.remove))
-
-
-def switch_to_msg(switch: Switch) -> ToolSwitch:
-    """Return the message."""
-    confirm = list(map(signal_to_msg, switch.confirm))
-    return ToolSwitch(output=switch.output, value=switch.value, confirm=confirm, timeout=switch.timeout)
-
-
-def switch_from_msg(msg: ToolSwitch) -> Switch:
-    """Return the switch."""
-    return Switch(msg.output, msg.value, tuple(map(signal_from_msg, msg.confirm)), msg.timeout)
-
-
-def signal_to_msg(signal: Signal) -> SignalMsg:
-    """Return the message."""
-    return SignalMsg(name=signal.name, value=signal.value)
-
-
-def signal_from_msg(msg: SignalMsg) -> Signal:
-    """Return the signal."""
-    return Signal(msg.name, msg.value)
 
 
 def _report_from_msg(msg: PlanMsg) -> PlanReport:

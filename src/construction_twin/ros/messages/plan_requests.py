@@ -16,15 +16,10 @@ from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoint_file import parse_waypoints
 from construction_twin.planning.waypoints import Waypoints, from_points
-from construction_twin.planning.work_plan import AskedSegment, in_segment
+from construction_twin.planning.work_plan import in_segment
+from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.messages.convert import (
-    change_from_msg,
-    pose_from_msg,
-    signal_from_msg,
-    switch_from_msg,
-    trajectory_from_msg,
-)
+from construction_twin.ros.messages.convert import pose_from_msg, work_segment_from_msg
 from construction_twin.scene.objects import product
 
 #: Largest CSV file [bytes]: 20000 waypoints with velocities, 15 columns of 20 characters, are 6 MiB.
@@ -81,27 +76,18 @@ def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint
     return path
 
 
-def asked_segments(segments: Iterable) -> list[AskedSegment]:
+def work_segments(messages: Iterable) -> list[WorkSegment]:
     """Return the segments of a work plan that is asked for.
 
     Raises:
         SegmentError: If one is not a trajectory with velocities and accelerations, or its objects do not make sense; names the
             segment.
     """
-    asked = []
-    for number, msg in enumerate(segments):
+    segments = []
+    for number, msg in enumerate(messages):
         with in_segment(number, msg.name):
-            asked.append(
-                AskedSegment(
-                    msg.name,
-                    trajectory_from_msg(msg.trajectory),
-                    msg.engaged,
-                    tuple(map(signal_from_msg, msg.requires)),
-                    tuple(map(switch_from_msg, msg.switches)),
-                    change_from_msg(msg),
-                )
-            )
-    return asked
+            segments.append(work_segment_from_msg(msg))
+    return segments
 
 
 def read_waypoints(path: str, robot: RobotModel, columns: str = "") -> Waypoints:

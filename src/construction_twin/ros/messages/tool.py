@@ -9,8 +9,9 @@ from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.engagement import Engagement
 from construction_twin.msg import Engagement as EngagementMsg
-from construction_twin.msg import ToolCommand, ToolState
-from construction_twin.ros.messages.convert import signal_to_msg, trajectory_to_msg
+from construction_twin.msg import Signal, ToolCommand, ToolState
+from construction_twin.ros.messages.convert import trajectory_to_msg
+from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.transport.joint_stream import to_time
 
 
@@ -83,6 +84,6 @@ def engagement_to_msg(engagement: Engagement | None, tool: ToolReport) -> Engage
         reason=engagement.reason,
         trajectory=trajectory_to_msg(engagement.path.trajectory),
         end=engagement.path.end,
-        requires=[signal_to_msg(signal) for signal in requires],
+        requires=[to_msg(signal, Signal) for signal in requires],
         scenes=list(engagement.scenes_of(requires)),
     )

@@ -27,20 +27,17 @@ from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.executed_path import ExecutedPath
 from construction_twin.robot.plan import Plan
-from construction_twin.ros.messages.convert import (
-    plan_to_msg,
-    pose_from_msg,
-    signal_from_msg,
-    trajectory_from_msg,
-)
+from construction_twin.robot.segments import Signal
+from construction_twin.ros.messages.convert import plan_to_msg, pose_from_msg, trajectory_from_msg
 from construction_twin.ros.messages.plan_requests import (
-    asked_segments,
     check_asked,
     plan_request,
     read_waypoints,
     tool_waypoints,
     trajectory_waypoints,
+    work_segments,
 )
+from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.arm_listener import listen_to_other_arm, neighbour_settings
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
@@ -214,7 +211,7 @@ class PlannerNode:
         changes: list[SceneChange] = []
 
         def read() -> Callable[[PlanRequest], Plan]:
-            segments = asked_segments(request.segments)
+            segments = work_segments(request.segments)
             changes.extend(segment.change for segment in segments)
             return lambda asked: self._pipeline.work(request.task, segments, self._present_pose(), asked)
 
@@ -231,7 +228,7 @@ class PlannerNode:
                     "the arm was not left inside an engaged segment: there is no way back, any motion can be planned"
                 )
             path = ExecutedPath(trajectory_from_msg(left.trajectory), left.end)
-            requires = tuple(map(signal_from_msg, left.requires))
+            requires = tuple(from_msg(Signal, signal) for signal in left.requires)
 
             def plan(asked: PlanRequest) -> Plan:
                 made = self._pipeline.way_back(left.task, path, requires, self._present_pose(), asked)

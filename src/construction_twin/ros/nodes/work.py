@@ -32,10 +32,9 @@ from construction_twin.core.reports import WorkReport
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.msg import Engagement, Execution, Plan, Review, Scene, ToolState, WorkTasks
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.messages.convert import pose_from_msg, pose_from_transform_msg
+from construction_twin.ros.messages.convert import pose_from_msg, pose_from_transform_msg, work_segment_to_msg
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import tf_frame
-from construction_twin.ros.messages.work_convert import work_segment_to_msg
 from construction_twin.ros.messages.work_marker_convert import work_marker_array
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.frame_listener import FRAMES
@@ -411,14 +410,15 @@ class WorkNode:
 
     def _plan_way_back(self, asked: str) -> Outcome:
         heard = self.heard
-        before = heard.plan.id if heard.plan is not None else ""
+        before = heard.plan.message.id if heard.plan is not None else ""
         problem, answer = self._outputs.plan_way_back(TriggerRequest())
         if answer is None or not answer.success:
             raise WorkRefused(f"the arm is engaged, only the way back can be planned: {problem or answer.message}")
-        heard.wait_for(lambda: heard.plan is not None and heard.plan.id != before, SCENE_TIME)
-        plan = heard.plan
-        if plan is None or plan.id == before:
+        heard.wait_for(lambda: heard.plan is not None and heard.plan.message.id != before, SCENE_TIME)
+        known = heard.plan
+        if known is None or known.message.id == before:
             raise WorkRefused("the way back was planned, but is not published")
+        plan = known.message
         sentence = f"the arm is engaged: the way back comes first; {answer.message}"
         return _planned(sentence, asked, plan.id, plan.hash, plan.duration)
 

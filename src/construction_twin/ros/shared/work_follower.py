@@ -12,9 +12,8 @@ import rospy
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.msg import Engagement, Execution
-from construction_twin.msg import Plan as PlanMsg
 from construction_twin.ros.messages.convert import trajectory_from_msg
-from construction_twin.ros.messages.work_convert import end_from_msg, is_playing, left_from_msg, report_from_msg
+from construction_twin.ros.messages.work_convert import is_playing, left_from_msg, report_from_msg
 from construction_twin.ros.shared.work_listener import KnownPlan, WorkListener
 from construction_twin.work import engaged_scene, following
 from construction_twin.work.built import as_built, pose_of_tuple, pose_tuple
@@ -81,20 +80,19 @@ class WorkFollower:
 
     def _follow_left(self, task: str, left: Engagement, known: KnownPlan, report: Execution) -> None:
         """Write how the task's plan ended inside an engaged segment: what the tool has done by then is done."""
-        plan = known.message
-        followed = self._followed(task, plan)
+        followed = self._followed(task, known)
         if followed is None:
             return
-        numbers = [number for number, segment in enumerate(plan.segments) if segment.name == left.segment]
-        mine = report.plan_id == plan.id
+        numbers = [number for number, segment in enumerate(known.segments) if segment.name == left.segment]
+        mine = report.plan_id == known.message.id
         # after a restart of the executor only the segment's name is known
         number = report.segment if mine else numbers[0] if len(numbers) == 1 else -1
-        confirmed = 0 <= number < len(plan.segments) and engaged_scene.confirmed(
-            left_from_msg(left), known.steps[number]
+        confirmed = 0 <= number < len(known.segments) and engaged_scene.confirmed(
+            left_from_msg(left), known.segments[number]
         )
         outcome = (report.outcome if mine else "") or "stopped"
         said = following.Report(
-            plan=plan.id,
+            plan=known.message.id,
             playing=False,
             outcome=outcome,
             segment=number,
@@ -124,14 +122,13 @@ class WorkFollower:
         desk = self._shared.desk
         return desk.book.tasks[desk.book.busy] if desk is not None and desk.book.busy else None
 
-    def _followed(self, task: str, plan: PlanMsg) -> Followed | None:
+    def _followed(self, task: str, known: KnownPlan) -> Followed | None:
         """Return a plan of a task as it is followed; None when it is another's."""
-        desk = self._shared.opened()
+        desk, plan = self._shared.opened(), known.message
         memory = desk.book.tasks[task]
         if plan.task != task or not (plan.id == memory.plan or (memory.offer and memory.offer in plan.source)):
             return None
-        ends = tuple(map(end_from_msg, plan.segments))
-        return following.followed(plan.id, memory, ends, desk.prepared.tool)
+        return following.followed(plan.id, memory, known.segments, known.changes, desk.prepared.tool)
 
     def _as_built(self, task: str, followed: Followed, report: following.Report) -> tuple[tuple[float, ...], str]:
         """Return where the element stands if let go now: by the arm's own pose at the boundary, else by the plan's; and which."""
@@ -151,9 +148,9 @@ class WorkFollower:
     def _planned_pose(self, followed: Followed) -> tuple[float, ...] | None:
         """Return where the arm was to let go [rad], [m]; None when the plan is not known any more."""
         known = self._heard.work_plan(followed.id)
-        if known is None or not 0 <= followed.releases < len(known.message.segments):
+        if known is None or not 0 <= followed.releases < len(known.segments):
             return None
-        end = known.message.segments[followed.releases].end
+        end = known.segments[followed.releases].end
         return tuple(trajectory_from_msg(known.message.trajectory).sample(end)[0])
 
     # -- a task that nobody reports
@@ -196,7 +193,7 @@ class WorkFollower:
     def _planned_end(self, task: str, plan_id: str) -> tuple[tuple[float, ...], str]:
         """Return where the element was to be let go by a plan that has been carried out; empty when it is not known any more."""
         plan = self._heard.plan
-        followed = self._followed(task, plan) if plan is not None and plan.id == plan_id else None
+        followed = self._followed(task, plan) if plan is not None and plan.message.id == plan_id else None
         return ((), "") if followed is None else self._as_built(task, followed, following.Report(plan_id, False, ""))
 
     # -- what others say

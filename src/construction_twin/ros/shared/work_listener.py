@@ -13,11 +13,14 @@ from construction_twin.core.motion_errors import SceneError
 from construction_twin.msg import Engagement, Execution, Plan, Review, ToolState
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.review.record import read_fate
+from construction_twin.robot.segments import Segment
 from construction_twin.robot.tool import Tool
+from construction_twin.ros.messages.convert import change_from_msg
+from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.messages.work_convert import is_playing, step_from_msg
+from construction_twin.ros.messages.work_convert import is_playing
 from construction_twin.scene.objects import Scene
-from construction_twin.work.engaged_scene import Step
+from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work.following import GripReading, OfferOutcome, grip_of
 
 #: Verdicts that are remembered.
@@ -28,14 +31,16 @@ _KEPT_PLANS, _KEPT_SCENES = 4, 12
 
 @dataclass(frozen=True, eq=False)
 class KnownPlan:
-    """A work plan that was published.
+    """A plan that was published.
 
     Attributes:
-        steps: What its segments change in the scene.
+        segments: Of a work plan.
+        changes: What each of them does to the scene.
     """
 
     message: Plan
-    steps: tuple[Step, ...]
+    segments: tuple[Segment, ...]
+    changes: tuple[SceneChange, ...]
 
 
 class WorkListener:
@@ -65,7 +70,7 @@ class WorkListener:
         self._heard = threading.Condition()
         self._news: queue.SimpleQueue[None] = queue.SimpleQueue()
         self.execution: Execution | None = None
-        self.plan: Plan | None = None
+        self.plan: KnownPlan | None = None
         self.engagement: Engagement | None = None
         self.scene: Scene | None = None
         self.tool: ToolState | None = None
@@ -90,16 +95,18 @@ class WorkListener:
     def on_plan(self, message: Plan) -> None:
         """Take a plan; one whose segments cannot be read is refused."""
         try:
-            steps = tuple(map(step_from_msg, message.segments))
+            changes = tuple(map(change_from_msg, message.segments))
         except SceneError as error:
             self._refuse("plan", str(error))
             return
+        segments = tuple(from_msg(Segment, segment) for segment in message.segments)
+        plan = KnownPlan(message, segments, changes)
 
         def hear() -> None:
-            self.plan, self._plan_offered = message, True
+            self.plan, self._plan_offered = plan, True
             # a way back changes nothing, and may be planned again and again
-            if any(step.before != step.after for step in steps):
-                _keep(self._work_plans, message.id, KnownPlan(message, steps), _KEPT_PLANS)
+            if any(segment.scene != segment.scene_after for segment in segments):
+                _keep(self._work_plans, message.id, plan, _KEPT_PLANS)
 
         self._hear(hear)
 
@@ -218,7 +225,8 @@ class WorkListener:
             plan_id: Empty: the plan is known by the offer alone.
             offer: Part of the plan's source; empty: its id must fit.
         """
-        plan = self.plan
+        known = self.plan
+        plan = known.message if known is not None else None
         if plan is not None and (plan.id == plan_id or (offer and offer in plan.source)):
             if plan.id not in self._verdicts and self._publishers("plan"):
                 return OfferOutcome(plan.id, True, False)
@@ -235,7 +243,7 @@ class WorkListener:
             self._plan_offered = False
         # an executor that is still there has the plan, whatever became of the planner
         gone = not self._plan_offered and not self._publishers("execution")
-        if not (gone and self.plan is not None and self.plan.id == plan_id):
+        if not (gone and self.plan is not None and self.plan.message.id == plan_id):
             return False
         self.plan = None
         return True

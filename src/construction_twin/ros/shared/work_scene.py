@@ -52,9 +52,10 @@ class WorkScene:
 
     def change_as_planned(self, report: Execution | None) -> None:
         """Change the scene as planned, when a report, which has been followed, says that the executor waits for it."""
-        desk, plan, scene = self._shared.desk, self._heard.plan, self._heard.scene
-        if desk is None or report is None or plan is None or scene is None:
+        desk, known, scene = self._shared.desk, self._heard.plan, self._heard.scene
+        if desk is None or report is None or known is None or scene is None:
             return
+        plan = known.message
         if not report.wants_scene or report.plan_id != plan.id or not 0 <= report.segment < len(plan.segments):
             return
         segment = plan.segments[report.segment]
@@ -106,13 +107,15 @@ class WorkScene:
             if memory is not None and memory.plan == left.plan_id and memory.state in UNDER_WAY:
                 return f"{desk.title(left.task)}: how its plan ended is not written yet; ask again"
             known = self._heard.work_plan(left.plan_id)
-            steps = known.steps if known is not None else ()
-            about = (left.plan_id, tuple(left.scenes), scene.hash, bool(steps), memory.state if memory else None)
+            segments, changes = (known.segments, known.changes) if known is not None else ((), ())
+            about = (left.plan_id, tuple(left.scenes), scene.hash, bool(segments), memory.state if memory else None)
             if about == self._blocked_in:
                 return self.blocked
             element = desk.element_of(left.task) if memory is not None else ""
             forms = desk.forms(left.task) if memory is not None else ()
-            found = engaged_scene.due(left_from_msg(left), scene, steps, self._heard.scenes(), element, forms)
+            found = engaged_scene.due(
+                left_from_msg(left), scene, segments, changes, self._heard.scenes(), element, forms
+            )
         if found.change is None:
             self.blocked, self._blocked_in = found.sentence, about
             self._refuse("engagement", found.sentence)

@@ -19,7 +19,7 @@ from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.objects import Scene, product
 from construction_twin.work.contacts import FALL
 from construction_twin.work.jobs import WorkPlan
-from construction_twin.work.motions import Failed, Free, Part, Search
+from construction_twin.work.motions import Failed, Free, PlanBuilder, Search
 from construction_twin.work.pieces import Pieces
 from construction_twin.work.place.grips import Grip, find_grips
 from construction_twin.work.place.phases import Scenes, Ways, direction, scenes, ways
@@ -296,7 +296,7 @@ class _OneWay:
             except Failed as failed:
                 furthest = _further(furthest, failed)
                 continue
-            return self._planned(self._carried(carry, goal, search.scene), goal)
+            return self._carried(PlanBuilder(search, search.scene), carry, goal)
         assert furthest is not None
         raise furthest
 
@@ -370,36 +370,23 @@ class _OneWay:
         grip, release = search.tool.tool.grip, search.tool.tool.release
         # a sensor that is stuck, or a scrap on the cups, is found before anything is gripped
         held, empty = grip.signals(), release.signals()
-        parts = [
-            Part(TO_STOCK, fetch.trajectory, False, empty, (), there.fetch, there.approach, fetch.clearance),
-            Part(APPROACH, stock.approach, True, empty, grip.switches(), there.approach, there.lift),
-            Part(LIFT, stock.lift, True, held, (), there.lift, there.carry),
-            *self._carried(carry, goal, there.carry),
-        ]
-        return self._planned(parts, goal)
+        made = PlanBuilder(search, there.fetch)
+        made.add(TO_STOCK, fetch.trajectory, False, empty, (), there.approach, fetch.clearance)
+        made.add(APPROACH, stock.approach, True, empty, grip.switches(), there.lift)
+        made.add(LIFT, stock.lift, True, held, (), there.carry)
+        return self._carried(made, carry, goal)
 
-    def _carried(self, carry: Free, goal: _Goal, scene: Scene) -> list[Part]:
-        """Return the parts with the element in the grip, which begin in a scene, and the retreat."""
-        there, tool = self.scenes, self.search.tool.tool
+    def _carried(self, made: PlanBuilder, carry: Free, goal: _Goal) -> WorkPlan:
+        """Return the plan that goes on with the element in the grip, up to its end."""
+        search, there, tool = self.search, self.scenes, self.search.tool.tool
         held, empty = tool.grip.signals(), tool.release.signals()
-        engaged = self._recipe.carry_engaged
-        return [
-            Part(CARRY, carry.trajectory, engaged, held, (), scene, there.set_down, carry.clearance),
-            Part(SET_DOWN, goal.set_down, True, held, tool.release.switches(), there.set_down, there.retreat),
-            Part(RETREAT, goal.retreat, True, empty, (), there.retreat, there.done),
-        ]
-
-    def _planned(self, parts: list[Part], goal: _Goal) -> WorkPlan:
-        search, done = self.search, self.scenes.done
+        made.add(CARRY, carry.trajectory, self._recipe.carry_engaged, held, (), there.set_down, carry.clearance)
+        made.add(SET_DOWN, goal.set_down, True, held, tool.release.switches(), there.retreat)
+        made.add(RETREAT, goal.retreat, True, empty, (), there.done)
         if search.end is not None:
-            home = self._free(END, goal.retreat.positions[-1], search.end, self._recipe.free_speed_scale, done)
-            empty = search.tool.tool.release.signals()
-            parts = [*parts, Part(END, home.trajectory, False, empty, (), done, done, home.clearance)]
-        planning_time = search.clock() - search.began
-        segments = tuple(part.segment() for part in parts)
-        return WorkPlan(
-            search.job, self.grip.name, segments, planning_time, search.clearance(parts), self.at.tool0_T_element
-        )
+            home = self._free(END, goal.retreat.positions[-1], search.end, self._recipe.free_speed_scale, there.done)
+            made.add(END, home.trajectory, False, empty, (), there.done, home.clearance)
+        return made.plan(self.grip.name, self.at.tool0_T_element)
 
     @property
     def _recipe(self) -> PlaceRecipe:
