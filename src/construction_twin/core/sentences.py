@@ -19,7 +19,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +78,12 @@ class Sentence(str):
             "key": self.key,
             "values": {name: said_in(value) or document(value) for name, value in self.values.items()},
         }
+
+
+def both(*sentences: str) -> str:
+    """Return sentences one after the other; those that are empty are left out."""
+    said = [sentence for sentence in sentences if sentence]
+    return reduce(lambda first, second: Sentence("executor.both", first=first, second=second), said) if said else ""
 
 
 def replaced(text: str, part: str, other: str) -> str:

@@ -462,7 +462,7 @@ class LinkSupervisor:
 
     @property
     def _gateway_sentence(self) -> Sentence:
-        sentence = Sentence("link.gateway_in", state=self.inputs.gateway, reason=self.inputs.gateway_reason)
+        sentence = Sentence("gateway.in_state", state=self.inputs.gateway, reason=self.inputs.gateway_reason)
         return self._with_remedy(sentence) if self.inputs.gateway_failed else sentence
 
     def _tell_stop(self, row: Row, at: Occasion) -> str:

@@ -57,10 +57,10 @@ class ToolLink:
             obstacle: Why nothing can be sent now; "" for nothing.
         """
         if id in self._switches or id in self._by_control.values():
-            self._refused = Sentence("link.tool.again", id=repr(id))
+            self._refused = Sentence("gateway.tool.again", id=repr(id))
             return None
         if obstacle:
-            self._tell(id, SwitchState.REFUSED, Sentence("link.tool.not_now", obstacle=obstacle))
+            self._tell(id, SwitchState.REFUSED, Sentence("gateway.tool.refused", why=obstacle))
             return None
         control = Control(
             self._new_id(), session, "switch", {"id": id, "output": output, "value": value, "stamp": stamp}

@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 from construction_twin.core.beside import Beside
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import ToolReport
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
@@ -488,7 +488,7 @@ class MqttBridge:
                 if late:
                     why, refused = supervisor.sentence, supervisor.inputs.why_no_pose(time.monotonic_ns())
                     if refused and refused not in why:
-                        why = Sentence("executor.both", first=why, second=refused)
+                        why = both(why, refused)
                     sentence = Sentence("link.not_armed.late", timeout=timeout, why=why)
                     give_up(sentence)
                     return False, sentence
@@ -534,7 +534,7 @@ class MqttBridge:
         if number != requests:
             armed, why = self._wait_for_request(number, halts, before)
             if not armed:
-                sentence = Sentence("executor.both", first=sentence, second=why)
+                sentence = both(sentence, why)
         return sentence
 
     def _remember_mirror(self) -> str:
@@ -589,9 +589,7 @@ class MqttBridge:
         if state is LinkState.GATEWAY_OFFLINE:
             return reason
         status = self._supervisor.status
-        for more in filter(None, (controller_sentence(status), clock_sentence(status))):
-            reason = Sentence("executor.both", first=reason, second=more)
-        return reason
+        return both(reason, controller_sentence(status), clock_sentence(status))
 
     def _link_message(self, state: LinkState, reason: str, session: str, status: dict, values: dict[str, str]) -> Link:
         # a copy: other threads go on counting
