@@ -1,6 +1,6 @@
 """Exceptions of kinematics, scene and planning: a branch of the tree in `errors`, kept apart because the gateway needs none of it.
 
-Messages say what, where, the value, what was expected and what to do.
+Each message is the sentence of a key, with the error's data as its values: what, where, the value, what was expected, what to do.
 """
 
 from __future__ import annotations
