@@ -139,8 +139,8 @@ def understood(text: str) -> Sentence | None:
         The sentence whose text this is, character by character; None: no reason of `sentences.json` reads so. What has no words of
         its own, as ``{first:s}; {second:s}``, is found around another one only.
     """
-    for key, pattern, names, has_words in _patterns():
-        found = pattern.fullmatch(text)
+    for key, longest, pattern, names, has_words in _patterns():
+        found = pattern.fullmatch(text) if longest in text else None
         if found is not None:
             try:
                 values = {name: _read(form, part) for (name, form), part in zip(names, found.groups())}
@@ -165,17 +165,18 @@ def _read(form: str | None, part: str) -> Value:
 
 #: What places with other values than one word may hold.
 _READ = {"s": "(.+?)", "p": r"(\S+ \S+?)", "q": r"(\S+ \S+?)"}
-_Pattern = tuple[str, re.Pattern[str], list[tuple[str, str | None]], bool]
+_Pattern = tuple[str, str, re.Pattern[str], list[tuple[str, str | None]], bool]
 
 
 @lru_cache(maxsize=1)
 def _patterns() -> list[_Pattern]:
-    """Return key, pattern, places, and whether there are other words, of each reason; the one with the most of its own first."""
+    """Return of each reason key, longest piece of its own words, pattern, places, and whether it has words; most words first."""
     reasons = {key: words for key, words in _ENGLISH.items() if key.startswith(REASONS)}
     own = {key: _PLACE.sub("", words) for key, words in reasons.items()}
     return [
         (
             key,
+            max(re.split(r"\{.*?\}", reasons[key]), key=len),
             re.compile("".join(_pieces(reasons[key])), re.DOTALL),
             _names(reasons[key]),
             any(letter.isalpha() for letter in own[key]),
