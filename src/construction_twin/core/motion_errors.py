@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.sentences import Quantity, Sentence, both
+from construction_twin.core.sentences import Quantity, Sentence, Value, both
 
 
 class KinematicsError(ConstructionTwinError):
@@ -266,7 +266,12 @@ class CartesianPathError(PlanningError):
     ):
         self.reason, self.cause = reason, cause
         self.fraction, self.distance, self.waypoint = fraction, distance, waypoint
-        values = {"distance": Quantity(distance, "m"), "waypoint": waypoint, "fraction": fraction, "what": what}
+        values: dict[str, Value] = {
+            "distance": Quantity(distance, "m"),
+            "waypoint": waypoint,
+            "fraction": fraction,
+            "what": what,
+        }
         super().__init__(Sentence("motion.path", **values))
 
 

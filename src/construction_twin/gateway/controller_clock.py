@@ -14,7 +14,7 @@ from statistics import median
 
 from construction_twin.controller.port import Make
 from construction_twin.controller.telegram import STAMP_NS, stamp_step
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, Value
 
 #: A session is measured for this long before it is first judged [ms of it, at the expected cycle].
 FIRST = 400
@@ -214,7 +214,7 @@ class ControllerClock:
             setting = self._words.cycle.format(self._modes[cycle])
             found = Sentence("gateway.clock.cycle", step=step, stamp=stamp, expected=cycle, setting=setting)
             return Sentence("gateway.clock.cycle_or", cycle=found, step=step) if step in self._modes else found
-        values = {"rate": rate, "stamp": stamp, "step": step, "expected": cycle}
+        values: dict[str, Value] = {"rate": rate, "stamp": stamp, "step": step, "expected": cycle}
         if not rate:
             return Sentence("gateway.clock.rate", **values)
         return Sentence("gateway.clock.rate_every", **values, every=step / rate)

@@ -9,7 +9,7 @@ from collections import Counter
 
 from construction_twin.controller.telegram import STAMP_NS, Telegram, stamp_step
 from construction_twin.core.limits import distance_off
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, Value
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 
@@ -88,7 +88,7 @@ class ControllerSession:
         elif elapsed != self._cycle:
             sign = self._rules.restarted(telegram, self.origin, correction, moving)
             if sign:
-                values = {"sign": sign, "jump": self.jump_ms, "protocol": self._words.protocol}
+                values: dict[str, Value] = {"sign": sign, "jump": self.jump_ms, "protocol": self._words.protocol}
                 self.began = Sentence("gateway.began.again", **values)
                 elapsed = None
             self._counters["sessions_by_restart" if sign else "ipoc_steps_irregular"] += 1

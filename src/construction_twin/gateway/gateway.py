@@ -19,7 +19,7 @@ from construction_twin.core.beside import Beside
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
 from construction_twin.core.rate_limit import SenderLimits, TokenBucket
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, Value
 from construction_twin.core.state_table import Machine
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
@@ -396,7 +396,12 @@ class Gateway:
     def _begin_session(self, telegram: Telegram) -> None:
         controller, words = self._controller, self._words
         controller.begin(telegram)
-        began = {"protocol": words.protocol, "stamp": words.stamp, "value": telegram.stamp, "why": controller.began}
+        began: dict[str, Value] = {
+            "protocol": words.protocol,
+            "stamp": words.stamp,
+            "value": telegram.stamp,
+            "why": controller.began,
+        }
         self._began = self._noted(Sentence("gateway.session_began", **began))
         self._machine.on(Event.SESSION_BEGAN, Occasion(self._began))
         if self._machine.state is State.MEASURING:

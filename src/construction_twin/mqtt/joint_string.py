@@ -13,7 +13,7 @@ import re
 from collections.abc import Sequence
 
 from construction_twin.core.errors import ConfigurationError, PayloadError
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, Value
 from construction_twin.core.units import degrees, radians
 
 #: Digits before the point: of degrees, the paper's; of mm, for tracks of up to 100 m to either side.
@@ -153,8 +153,8 @@ class JointStringCodec:
                 "decimals", Sentence("link.payload.string.decimals", found=found, decimals=self.decimals)
             )
         if len(payload) != self.length:
-            values = {"bytes": len(payload), "found": repr(shown), "count": self.length}
+            values: dict[str, Value] = {"bytes": len(payload), "found": repr(shown), "count": self.length}
             return PayloadError("length", Sentence("link.payload.string.length", **values))
         digits = " or ".join(map(str, sorted(set(self._digits))))
-        shape = {"count": self.joints, "digits": digits, "decimals": self.decimals}
+        shape: dict[str, Value] = {"count": self.joints, "digits": digits, "decimals": self.decimals}
         return PayloadError("format", Sentence("link.payload.string.format", found=repr(shown), **shape))

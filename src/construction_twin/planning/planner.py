@@ -244,8 +244,8 @@ class Planner:
         joints = len(self._robot.joint_names)
         if q.shape != (joints,):
             names = ", ".join(self._robot.joint_names)
-            values = {"what": name, "found": q.size, "count": joints, "names": names}
-            raise PlanningError(Sentence("motion.values", **values))
+            counts = {"found": q.size, "count": joints}
+            raise PlanningError(Sentence("motion.values", what=name, **counts, names=names))
         self._robot.check_range(q)
         return q
 
@@ -326,8 +326,8 @@ class Planner:
                 return _Timed(trajectory, recheck(trajectory, self._robot, world, self._clock))
             except CollisionError as error:
                 if request.waypoints is not None and len(path) > 2:
-                    values = {"count": request.waypoints, "problem": error.sentence}
-                    raise PlanningError(Sentence("motion.leaves_path", **values)) from error
+                    found = Sentence("motion.leaves_path", count=request.waypoints, problem=error.sentence)
+                    raise PlanningError(found) from error
                 path = with_midpoints(path)
         return None
 

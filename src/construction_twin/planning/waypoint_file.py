@@ -75,8 +75,14 @@ def parse_waypoints(text: str, robot: RobotModel, columns: str = "") -> Waypoint
         _check_columns("columns", None, names, robot)
     else:
         if numbers_alone:
-            values = {"line": first_line, "count": len(cells), "expected": _expected(robot), "time": _TIME}
-            raise WaypointsError(Sentence("motion.file.numbers_alone", **values), first_line)
+            found = Sentence(
+                "motion.file.numbers_alone",
+                line=first_line,
+                count=len(cells),
+                expected=_expected(robot),
+                time=_TIME,
+            )
+            raise WaypointsError(found, first_line)
         names = cells
         _check_columns(Sentence("motion.file.place", line=first_line), first_line, names, robot)
         lines = lines[1:]

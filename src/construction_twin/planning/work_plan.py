@@ -16,7 +16,7 @@ import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.motion_errors import CollisionError, PlanningError, SegmentError, TrajectoryError
-from construction_twin.core.sentences import Quantity, Sentence
+from construction_twin.core.sentences import Quantity, Sentence, Value
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.planning.limit_usage import SAME_POINT
 from construction_twin.planning.planner import PlanRequest
@@ -164,7 +164,7 @@ def _check_segment(item: AskedSegment) -> None:
         _check_name("an output", switch.output)
         _check_signals(f"what confirms {switch.output}", switch.confirm)
         if not 0.0 < switch.timeout <= LONGEST_TIMEOUT:
-            values = {"output": switch.output, "found": str(switch.timeout), "most": LONGEST_TIMEOUT}
+            values: dict[str, Value] = {"output": switch.output, "found": str(switch.timeout), "most": LONGEST_TIMEOUT}
             raise PlanningError(Sentence("motion.work.timeout", **values))
         if set(switch.confirm) <= set(item.requires):
             raise PlanningError(Sentence("motion.work.confirmed_before", output=switch.output))
@@ -172,7 +172,7 @@ def _check_segment(item: AskedSegment) -> None:
 
 def _check_name(what: str, name: str) -> None:
     if not name.strip() or len(name) > LONGEST_NAME or not name.isprintable():
-        values = {"what": what, "found": repr(name[:LONGEST_NAME]), "longest": LONGEST_NAME}
+        values: dict[str, Value] = {"what": what, "found": repr(name[:LONGEST_NAME]), "longest": LONGEST_NAME}
         raise PlanningError(Sentence("motion.work.name", **values))
 
 
@@ -238,7 +238,7 @@ def _check_begin(missing: np.ndarray, robot: RobotModel, at_present: bool) -> No
         return
     joint = int(np.argmax(np.abs(missing) / tolerance))
     unit = "m" if robot.linear[joint] else "rad"
-    found = {"found": Quantity(float(abs(missing[joint])), unit), "joint": robot.joint_names[joint]}
+    found: dict[str, Value] = {"found": Quantity(float(abs(missing[joint])), unit), "joint": robot.joint_names[joint]}
     if at_present:
         within = Quantity(float(tolerance[joint]), unit)
         raise TrajectoryError(Sentence("motion.work.away", **found, tolerance=within))

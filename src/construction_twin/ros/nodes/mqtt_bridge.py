@@ -488,7 +488,7 @@ class MqttBridge:
                 if late:
                     why, refused = supervisor.sentence, supervisor.inputs.why_no_pose(time.monotonic_ns())
                     if refused and refused not in why:
-                        why = both(why, refused)
+                        why = Sentence("executor.both", first=why, second=refused)
                     sentence = Sentence("link.not_armed.late", timeout=timeout, why=why)
                     give_up(sentence)
                     return False, sentence
