@@ -712,7 +712,7 @@ class Gateway:
     def _obstacle_of_switch(self, session: str) -> str:
         """Return why nothing may be switched now; "" for nothing."""
         if self.state is not State.FOLLOWING:
-            return Sentence("gateway.tool.no_stream", gateway=self._sentence)
+            return Sentence("gateway.tool.no_stream", state=self.state.value, reason=self.reason)
         if session != self.session:
             return Sentence("gateway.tool.other_session", session=session, present=self.session)
         if self.mode is Mode.COMMISSIONING:
