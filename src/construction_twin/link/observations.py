@@ -244,9 +244,9 @@ class LinkObservations:
         if self.status.get("hash") != self._hash:
             return LinkEvent.MISMATCHED, Sentence("link.hash")
         if not self.status.get("run"):
-            return LinkEvent.MISMATCHED, Sentence("link.nameless", what="run")
+            return LinkEvent.MISMATCHED, Sentence("link.no_run")
         if self.fault_number is None:
-            return LinkEvent.MISMATCHED, Sentence("link.nameless", what="fault_number")
+            return LinkEvent.MISMATCHED, Sentence("link.no_fault_number")
         if self.gateway in NO_SESSION or (self.gateway in ONLY_POSES and not mirrors):
             return LinkEvent.CONTROLLER_LOST, Sentence("link.no_session", reason=self.gateway_reason)
         return None
