@@ -184,7 +184,7 @@ class SessionRules(Protocol):
 
     Attributes:
         follows: Whether corrections are relative to the programmed position, and so move with it.
-        drifted: Ends a sentence on how far an axis is off where it was programmed.
+        drifted: Key of the sentence on how far an axis is off where it was programmed; its value is ``distance``.
     """
 
     follows: bool

@@ -19,7 +19,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ _ENGLISH: dict[str, str] = {
     key: words["en"] for key, words in json.loads(Path(__file__).with_name("sentences.json").read_bytes()).items()
 }
 #: Beginnings of the keys of what nodes give as reasons and answers: `understood` finds these.
-REASONS = ("reason.", "executor.", "review.", "link.", "gateway.")
+REASONS = ("reason.", "executor.", "review.", "link.", "gateway.", "motion.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +78,12 @@ class Sentence(str):
             "key": self.key,
             "values": {name: said_in(value) or document(value) for name, value in self.values.items()},
         }
+
+
+def both(*sentences: str) -> str:
+    """Return sentences one after the other; those that are empty are left out."""
+    said = [sentence for sentence in sentences if sentence]
+    return reduce(lambda first, second: Sentence("executor.both", first=first, second=second), said) if said else ""
 
 
 def replaced(text: str, part: str, other: str) -> str:
@@ -133,8 +139,8 @@ def understood(text: str) -> Sentence | None:
         The sentence whose text this is, character by character; None: no reason of `sentences.json` reads so. What has no words of
         its own, as ``{first:s}; {second:s}``, is found around another one only.
     """
-    for key, pattern, names, has_words in _patterns():
-        found = pattern.fullmatch(text)
+    for key, longest, pattern, names, has_words in _patterns():
+        found = pattern.fullmatch(text) if longest in text else None
         if found is not None:
             try:
                 values = {name: _read(form, part) for (name, form), part in zip(names, found.groups())}
@@ -159,17 +165,18 @@ def _read(form: str | None, part: str) -> Value:
 
 #: What places with other values than one word may hold.
 _READ = {"s": "(.+?)", "p": r"(\S+ \S+?)", "q": r"(\S+ \S+?)"}
-_Pattern = tuple[str, re.Pattern[str], list[tuple[str, str | None]], bool]
+_Pattern = tuple[str, str, re.Pattern[str], list[tuple[str, str | None]], bool]
 
 
 @lru_cache(maxsize=1)
 def _patterns() -> list[_Pattern]:
-    """Return key, pattern, places, and whether there are other words, of each reason; the one with the most of its own first."""
+    """Return of each reason key, longest piece of its own words, pattern, places, and whether it has words; most words first."""
     reasons = {key: words for key, words in _ENGLISH.items() if key.startswith(REASONS)}
     own = {key: _PLACE.sub("", words) for key, words in reasons.items()}
     return [
         (
             key,
+            max(re.split(r"\{.*?\}", reasons[key]), key=len),
             re.compile("".join(_pieces(reasons[key])), re.DOTALL),
             _names(reasons[key]),
             any(letter.isalpha() for letter in own[key]),

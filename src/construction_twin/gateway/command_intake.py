@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.limits import MotionCheck, outside_tolerance
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_stream import Command, CommandStream
 from construction_twin.gateway.config import GatewayConfig
@@ -18,11 +19,12 @@ class StreamBroken(Exception):
 
     Attributes:
         event: ``STREAM_SILENT``, ``SPEED_IGNORED`` or ``REPLIES_LOST``: what the gateway brakes for.
+        reason: Why, in one sentence.
     """
 
-    def __init__(self, event: Event, reason: str):
+    def __init__(self, event: Event, reason: Sentence):
         super().__init__(reason)
-        self.event = event
+        self.event, self.reason = event, reason
 
 
 class CommandIntake:
@@ -49,7 +51,7 @@ class CommandIntake:
         if isinstance(properties, PayloadError):
             raise properties
         if self._config.properties and properties is None:
-            raise PayloadError("properties", "command without session, seq and stamp")
+            raise PayloadError("properties", Sentence("gateway.command.properties"))
         return self._stream.read(payload, properties, now)
 
     def start(self, held: tuple[float, ...], stamp: int, q: tuple[float, ...]) -> None:
@@ -83,20 +85,15 @@ class CommandIntake:
         hole = player.hole(stamp)
         if hole:
             # too long to guess what the motion was in between
-            raise StreamBroken(Event.STREAM_SILENT, f"{hole:.3f} s of the stream are missing")
+            raise StreamBroken(Event.STREAM_SILENT, Sentence("gateway.stream.hole", seconds=hole))
         behind = player.backlog
         if behind > self._config.speed_limit_backlog:
+            backlog = {"behind": behind, "most": self._config.speed_limit_backlog}
             if player.stood:
-                raise StreamBroken(
-                    Event.REPLIES_LOST,
-                    f"the arm is {behind:.3f} s behind its stream, at most {self._config.speed_limit_backlog:g} s are put off: it "
-                    f"has stood {player.stood} times because telegrams or replies did not arrive in time",
-                )
-            raise StreamBroken(
-                Event.SPEED_IGNORED,
-                f"the sender does not obey the speed limit of {player.fraction:g}: it is {behind:.3f} s ahead of the arm, "
-                f"at most {self._config.speed_limit_backlog:g} s are put off",
-            )
+                found = Sentence("gateway.stream.replies", count=player.stood, **backlog)
+                raise StreamBroken(Event.REPLIES_LOST, found)
+            found = Sentence("gateway.stream.speed", fraction=player.fraction, **backlog)
+            raise StreamBroken(Event.SPEED_IGNORED, found)
         self._check.accept(stamp, q)
 
     def push(self, stamp: int, q: tuple[float, ...], waited: int) -> None:

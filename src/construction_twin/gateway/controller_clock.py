@@ -14,6 +14,7 @@ from statistics import median
 
 from construction_twin.controller.port import Make
 from construction_twin.controller.telegram import STAMP_NS, stamp_step
+from construction_twin.core.sentences import Sentence, Value
 
 #: A session is measured for this long before it is first judged [ms of it, at the expected cycle].
 FIRST = 400
@@ -204,21 +205,16 @@ class ControllerClock:
 
     @staticmethod
     def _off_sentence(off: float) -> str:
-        word, harm, stop = ("fast", "faster", "silence") if off > 0.0 else ("slow", "slower", "lead")
-        ends = f", and a long motion ends in a stop ({stop}): it cannot be followed" if abs(off) > FOLLOWED else ""
-        return (
-            f"the controller's clock is {100.0 * abs(off):.2f} % {word} against this PC's: the arm is as much {harm} than planned"
-            f"{ends}; right clocks agree within 0.02 %, so one of them is simulated, virtual, or being set"
-        )
+        too, word = "too_" if abs(off) > FOLLOWED else "", "fast" if off > 0.0 else "slow"
+        return Sentence(f"gateway.clock.{too}{word}", percent=100.0 * abs(off))
 
     def _sentence(self, step: float, rate: float) -> str:
         cycle, stamp = self._cycle, self._words.stamp
         if step != cycle and abs(rate - 1.0) <= FAR_OFF:
-            other = f"; or set the gateway's cycle to {step:g} (rsi_cycle:={step:g})" if step in self._modes else ""
-            found = f"the controller's cycle is {step:g} ms ({stamp} steps of {step:g})"
-            return f"{found}; expected {cycle} ms: {self._words.cycle.format(self._modes[cycle])}{other}"
-        every = f", a telegram every {step / rate:.1f} ms" if rate else ""
-        return (
-            f"the controller's clock runs {rate:.2f} times as fast as real time ({stamp} steps of {step:g}{every}); expected "
-            f"{stamp} to count milliseconds, {cycle} per telegram: what sends is no controller in real time"
-        )
+            setting = self._words.cycle.format(self._modes[cycle])
+            found = Sentence("gateway.clock.cycle", step=step, stamp=stamp, expected=cycle, setting=setting)
+            return Sentence("gateway.clock.cycle_or", cycle=found, step=step) if step in self._modes else found
+        values: dict[str, Value] = {"rate": rate, "stamp": stamp, "step": step, "expected": cycle}
+        if not rate:
+            return Sentence("gateway.clock.rate", **values)
+        return Sentence("gateway.clock.rate_every", **values, every=step / rate)

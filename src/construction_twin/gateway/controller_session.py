@@ -9,6 +9,7 @@ from collections import Counter
 
 from construction_twin.controller.telegram import STAMP_NS, Telegram, stamp_step
 from construction_twin.core.limits import distance_off
+from construction_twin.core.sentences import Sentence, Value
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 
@@ -87,7 +88,8 @@ class ControllerSession:
         elif elapsed != self._cycle:
             sign = self._rules.restarted(telegram, self.origin, correction, moving)
             if sign:
-                self.began = f"{sign}, {self.jump_ms} ms on: {self._words.protocol} was switched on anew"
+                values: dict[str, Value] = {"sign": sign, "jump": self.jump_ms, "protocol": self._words.protocol}
+                self.began = Sentence("gateway.began.again", **values)
                 elapsed = None
             self._counters["sessions_by_restart" if sign else "ipoc_steps_irregular"] += 1
         self.stamp, self._source, self.heard_at = telegram.stamp, source, now
@@ -161,7 +163,7 @@ class ControllerSession:
     def drift(self, setpoint: tuple[float, ...]) -> str:
         """Return in one sentence how far a programmed position [rad] is off the origin; "" within the start tolerance."""
         distance = self.distance_off(setpoint, self.origin)
-        return distance and f"{distance} {self._rules.drifted}"
+        return distance and Sentence(self._rules.drifted, distance=distance)
 
     def distance_off(self, q: tuple[float, ...], reference: tuple[float, ...], tolerances: float = 1.0) -> str:
         """Return how far the first axis is off that is further than so many start tolerances, for people; "" when none is."""
@@ -180,10 +182,10 @@ class ControllerSession:
 
     def _elapsed(self, stamp: int, source: object) -> int | None:
         if not self.alive:
-            self.began = "the first telegram after silence"
+            self.began = Sentence("gateway.began.first")
             return None
         if source != self._source:
-            self.began = "telegrams come from another source"
+            self.began = Sentence("gateway.began.source")
             self._counters["sessions_by_source"] += 1
             return None
         step = stamp_step(self.stamp, stamp, self._timeout_ms)
@@ -191,7 +193,7 @@ class ControllerSession:
         if elapsed != self._cycle:
             self.jump_ms = step
             if not 0 < elapsed <= self._timeout:
-                self.began = f"{self._words.stamp} jumped by {self.jump_ms} ms"
+                self.began = Sentence("gateway.began.jump", stamp=self._words.stamp, jump=self.jump_ms)
                 self._counters["sessions_by_ipoc_jump"] += 1
                 return None
         return elapsed

@@ -11,6 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 from construction_twin.controller.port import Said
 from construction_twin.controller.telegram import Telegram
@@ -18,6 +19,7 @@ from construction_twin.core.beside import Beside
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
 from construction_twin.core.rate_limit import SenderLimits, TokenBucket
+from construction_twin.core.sentences import Sentence, Value
 from construction_twin.core.state_table import Machine
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
@@ -29,7 +31,7 @@ from construction_twin.gateway.part_steps import PartSteps
 from construction_twin.gateway.player import Player
 from construction_twin.gateway.refusals import Refusals
 from construction_twin.gateway.speed_limit import SpeedLimit
-from construction_twin.gateway.states import CAUSES, ROWS, Action, Event, Guard, Mode, Occasion, Row, State, note
+from construction_twin.gateway.states import CAUSES, ROWS, Action, Event, Guard, Mode, Occasion, Row, State, noted
 from construction_twin.gateway.status import StateReport, Status
 from construction_twin.gateway.stop_report import StopReport
 from construction_twin.gateway.tool_switches import ToolSwitches, stamp_of
@@ -54,7 +56,7 @@ UNREAD_QUIET = 10.0
 #: Messages on `stop/<account>` are answered with this time between them [ns], and so many at once.
 STOP_PERIOD, STOPS_AT_ONCE = NANOSECONDS // 10, 10
 #: Why no switch is armed, and armed ones are void.
-_SPEED_0 = "the speed limit is 0"
+_SPEED_0 = Sentence("gateway.speed.zero")
 #: Figures in a sentence about the clock that are measured.
 _MEASURED = re.compile(r"\d+\.\d+")
 
@@ -72,6 +74,18 @@ class Answer:
     reason: str
 
 
+@lru_cache(maxsize=len(State))
+def _is(state: State) -> Sentence:
+    # every command of a stream that goes on after a stop is refused with it
+    return Sentence("gateway.is", state=state.value)
+
+
+@lru_cache(maxsize=4)
+def _not_answered(protocol: str, reason: str) -> Sentence:
+    # the same with every telegram
+    return Sentence("gateway.not_answered", protocol=protocol, reason=reason)
+
+
 class Gateway:
     """One robot's gateway between the command stream and the RSI session.
 
@@ -87,7 +101,6 @@ class Gateway:
         self.run = run
         self.mode = Mode.of(config, commissioning)
         self._words = config.make.words
-        self._note = note(self.mode, self._words)
         self._absolute = config.make.absolute
         # a reply carries the correction as it is
         self._plain = self.mode is Mode.NORMAL and not self._absolute
@@ -142,7 +155,7 @@ class Gateway:
         self._machine = Machine(
             ROWS,
             State.NO_CONTROLLER,
-            "no telegram yet",
+            Sentence("gateway.no_telegram_yet"),
             {
                 Guard.ANSWERS: lambda occasion: "read-only" if self.mode is Mode.READ_ONLY else "",
                 Guard.READS_ONLY: lambda occasion: "" if self.mode is Mode.READ_ONLY else "answered",
@@ -163,7 +176,7 @@ class Gateway:
                 Action.RESET: self._on_reset,
                 Action.LAST_RESORT: self._on_fault,
             },
-            name="gateway",
+            refusal="gateway.in_state",
         )
 
     @property
@@ -175,6 +188,13 @@ class Gateway:
     def reason(self) -> str:
         """Why, in one sentence."""
         return self._machine.reason
+
+    @property
+    def _sentence(self) -> Sentence:
+        return Sentence("gateway.in_state", state=self.state.value, reason=self.reason)
+
+    def _noted(self, sentence: Sentence) -> str:
+        return noted(sentence, self.mode, self._words)
 
     @property
     def session(self) -> str:
@@ -211,12 +231,8 @@ class Gateway:
         state = machine.state
         if self.tool is not None:
             missed = elapsed > self._cycle or controller.counts_missed(telegram)
-            unanswered = (
-                f"this {self._words.protocol} session is not answered: {machine.reason}"
-                if state is State.JOINED
-                else ""
-            )
-            self.tool.hear(unanswered, missed)
+            unanswered = state is State.JOINED
+            self.tool.hear(_not_answered(self._words.protocol, machine.reason) if unanswered else "", missed)
         if state is State.JOINED or state is State.READ_ONLY or state is State.FAILED:
             self.counters["telegrams_unanswered"] += 1
             if state is not State.JOINED and telegram.measured is not None:
@@ -298,9 +314,9 @@ class Gateway:
         if self._measures and self.clock.measure_rate():
             self._machine.changed = True
         if self._controller.is_silent(now):
-            said = self._said.sentence
-            last = f"; the last one said: {said}" if said else ""
-            self._machine.on(Event.CONTROLLER_SILENT, Occasion(f"no telegram for {self.config.timeout:g} s{last}"))
+            said, silent = self._said.sentence, {"seconds": self.config.timeout}
+            why = Sentence("gateway.silent_said", **silent, said=said) if said else Sentence("gateway.silent", **silent)
+            self._machine.on(Event.CONTROLLER_SILENT, Occasion(why))
         state = self._machine.state
         if state is State.MEASURING or state is State.OTHER_CYCLE:
             self._judge_clock()
@@ -328,7 +344,7 @@ class Gateway:
             return
         self._unread_count, self._unread_since = refusals.unread, now
         last = refusals.last_unread
-        self._machine.add(f"datagrams refused: {refusals.unread}, the last one for {last.reason}: {last.why}")
+        self._machine.add(Sentence("gateway.unread", count=refusals.unread, reason=last.reason, why=last.why))
         if last.reason != self._unread_told:
             self._machine.changed = True
         self._unread_told, self._unread_told_at = last.reason, now
@@ -380,13 +396,17 @@ class Gateway:
     def _begin_session(self, telegram: Telegram) -> None:
         controller, words = self._controller, self._words
         controller.begin(telegram)
-        self._began = (
-            f"{words.protocol} session began at {words.stamp} {telegram.stamp}: {controller.began}{self._note}"
-        )
+        began: dict[str, Value] = {
+            "protocol": words.protocol,
+            "stamp": words.stamp,
+            "value": telegram.stamp,
+            "why": controller.began,
+        }
+        self._began = self._noted(Sentence("gateway.session_began", **began))
         self._machine.on(Event.SESSION_BEGAN, Occasion(self._began))
         if self._machine.state is State.MEASURING:
             if self._measures:
-                self._machine.add("measuring the controller's cycle")
+                self._machine.add(Sentence("gateway.measuring"))
             else:
                 self._machine.on(Event.CYCLE_FITS, Occasion(self._began))
 
@@ -466,7 +486,7 @@ class Gateway:
             overdue = self._player.overdue
             if overdue > self._silence:
                 self._player.give_up(self.session, self._controller.heard_at)
-                why = f"no command for {overdue / NANOSECONDS:.3f} s beyond the newest one"
+                why = Sentence("gateway.no_command", seconds=overdue / NANOSECONDS)
                 self._brake(Event.STREAM_SILENT, why)
             return position
         if machine.state is State.BRAKING:
@@ -478,7 +498,8 @@ class Gateway:
         return follower.position
 
     def _brake(self, event: Event, reason: str, account: str = "", ending: bool = False) -> None:
-        self._machine.on(event, Occasion(f"{CAUSES[event]}: {reason}", account=account, ending=ending))
+        why = Sentence(f"gateway.brake.{CAUSES[event]}", reason=reason)
+        self._machine.on(event, Occasion(why, account=account, ending=ending))
 
     def _on_brake(self, row: Row, occasion: Occasion) -> None:
         cause, state, follower = CAUSES[row.event], row.state, self._player.follower
@@ -531,9 +552,9 @@ class Gateway:
             self.refusals.message(refusal.reason, refusal)
             if self._machine.state is State.FOLLOWING:
                 self.refusals.stopped()
-            self._brake(Event.COMMAND_REFUSED, str(refusal))
+            self._brake(Event.COMMAND_REFUSED, refusal.sentence)
         except StreamBroken as broken:
-            self._brake(broken.event, str(broken))
+            self._brake(broken.event, broken.reason)
 
     def _note_stranger(self, session: str | None, now: int) -> None:
         if session is not None and self.session and not self._owners.knows(session):
@@ -546,7 +567,7 @@ class Gateway:
     ) -> tuple[int, tuple[float, ...]]:
         state = self._machine.state
         if state is not State.FOLLOWING and state is not State.ARMED:
-            raise PayloadError("not_armed", f"gateway is {state.value}")
+            raise PayloadError("not_armed", _is(state))
         stamp, q, lost = self._stream.read(payload, properties, now)
         if lost and state is State.FOLLOWING:
             self.counters["commands_lost"] += lost
@@ -556,7 +577,9 @@ class Gateway:
         waited = now - self._controller.heard_at
         machine = self._machine
         if machine.state is State.ARMED:
-            machine.on(Event.STREAM_BEGAN, Occasion(f"stream of session {self.session} began", stamp=stamp, q=q))
+            machine.on(
+                Event.STREAM_BEGAN, Occasion(Sentence("gateway.stream_began", session=self.session), stamp=stamp, q=q)
+            )
             self._player.learn_from_stall(self.session if self.config.properties else None, now)
         else:
             self._stream.go_on(stamp, q, waited)
@@ -583,10 +606,10 @@ class Gateway:
             "switch": lambda switch: self._switch(switch, now),
         }
         if control.verb not in verbs:
-            return self._refuse("verb", f"unknown verb {control.verb!r}")
+            return self._refuse("verb", Sentence("gateway.verb", verb=repr(control.verb)))
         if control.verb != "stop" and self._owners.is_repeated(control):
-            why = f"message {control.id!r} of session {control.session!r} was answered before"
-            return self._refuse("repeated", why)
+            names = {"id": repr(control.id), "session": repr(control.session)}
+            return self._refuse("repeated", Sentence("gateway.answered", **names))
         answer = verbs[control.verb](control)
         return answer if answer.ok else self._refuse(control.verb, answer.reason)
 
@@ -603,13 +626,13 @@ class Gateway:
         fraction = float(control.value)  # type: ignore[arg-type]  # `refusal` has found a number
         # a lower limit counts even with an old number: its source may count anew, and a recording of it can only slow the arm
         if self.speed.is_repeated(control) and fraction >= self.speed.given:
-            why = f"speed limit {control.id} of session {control.session!r}, or a later one, came before"
+            why = Sentence("gateway.speed.again", id=control.id, session=repr(control.session))
             self._refuse("repeated", why)
             return Answer(False, "")
         if self.speed.give(fraction, control.session, now):
             self._machine.changed = True
         self._poll_speed_limit(now)
-        return Answer(True, f"speed at most {fraction:g} of the limits")
+        return Answer(True, Sentence("gateway.speed.taken", fraction=fraction))
 
     def _poll_speed_limit(self, now: int) -> None:
         if self.speed.poll(now):
@@ -628,11 +651,11 @@ class Gateway:
             if refusal:
                 self._owners.refuse(control.session)
                 return Answer(False, refusal)
-            return Answer(True, "already armed for this session")
+            return Answer(True, Sentence("gateway.arm.already"))
         refusal = another or self._refusal_of_session(control.session)
-        why = f"armed for session {control.session}{self._note}"
+        why = self._noted(Sentence("gateway.arm.armed_for", session=control.session))
         refusal = refusal or self._machine.on(Event.ARM, Occasion(why, session=control.session))
-        return Answer(False, refusal) if refusal else Answer(True, f"armed{self._note}")
+        return Answer(False, refusal) if refusal else Answer(True, self._noted(Sentence("gateway.arm.armed")))
 
     def _refusal_of_value(self, value: object) -> str:
         """Return in one sentence why the value of an `arm` does not mean this configuration and run; "" when it does."""
@@ -640,18 +663,18 @@ class Gateway:
             return refusal
         named = value if isinstance(value, dict) else {"hash": value}
         if named.get("hash") != self.config.hash:
-            return f"configuration hash {named.get('hash')!r} is not the gateway's {self.config.hash}"
+            return Sentence("gateway.arm.hash", found=repr(named.get("hash")), present=self.config.hash)
         if set(named) != {"hash", "run", "protocol"}:
-            return "arm must name hash, run and protocol of the gateway's status, and nothing else"
+            return Sentence("gateway.arm.names")
         if named["run"] != self.run:
-            return f"run {named['run']!r} is not the gateway's present one: it was started again, or a recording is being replayed"
+            return Sentence("gateway.arm.run", run=repr(named["run"]))
         return ""
 
     def _refusal_of_session(self, session: str) -> str:
         if not is_session(session):
-            return f"session {session!r} cannot be armed; expected 1 to 64 letters, digits, - and _"
+            return Sentence("gateway.arm.session", session=repr(session))
         if self.fault and self.state is not State.FAILED:
-            return "stopped since the last reset; reset first"
+            return Sentence("gateway.arm.stopped")
         return ""
 
     def _refusal_of_arm(self, occasion: Occasion) -> str:
@@ -662,12 +685,9 @@ class Gateway:
         measured, follower = self._controller.measured, self._player.follower
         distance = measured and follower and self._controller.distance_off(measured, follower.position, DISPLACED)
         if distance:
-            return (
-                f"{distance} off the pose that the gateway holds: the controller moved the arm, or it is still moving; "
-                "reset, and if that does not help start the controller's program again"
-            )
+            return Sentence("gateway.arm.displaced", distance=distance)
         if self._owners.knows(occasion.session):
-            return f"session {occasion.session} has had its turn; begin another"
+            return Sentence("gateway.arm.had_its_turn", session=occasion.session)
         return ""
 
     def _on_armed(self, row: Row, occasion: Occasion) -> None:
@@ -676,36 +696,39 @@ class Gateway:
         self.refusals.forgive()
 
     def _refusal_of_second_session(self, occasion: Occasion) -> str:
-        return "" if occasion.session == self.session else f"armed for session {self.session}; stop and reset first"
+        return "" if occasion.session == self.session else Sentence("gateway.arm.other", session=self.session)
 
     def _refusal_without_origin(self, occasion: Occasion) -> str:
-        return f"gateway is {self.state.value}: {self.reason}" if self._player.follower is None else ""
+        return self._sentence if self._player.follower is None else ""
 
     def _switch(self, control: Control, now: int) -> Answer:
         if self.tool is None:
-            return Answer(False, "tool: the configuration has none: no switch is possible")
+            return Answer(False, Sentence("gateway.tool.none"))
         stamp, waited = stamp_of(control.value), now - self._controller.heard_at
         lead = None if stamp is None else self._player.lead(stamp) - waited / NANOSECONDS
         refusal = self.tool.arm(control.value, lead, self._obstacle_of_switch(control.session))
-        return Answer(not refusal, refusal or "armed")
+        return Answer(not refusal, refusal or Sentence("gateway.arm.armed"))
 
     def _obstacle_of_switch(self, session: str) -> str:
         """Return why nothing may be switched now; "" for nothing."""
         if self.state is not State.FOLLOWING:
-            return f"no stream is followed, the gateway is {self.state.value}: {self.reason}"
+            return Sentence("gateway.tool.no_stream", state=self.state.value, reason=self.reason)
         if session != self.session:
-            return f"session {session} does not command, session {self.session} does"
+            return Sentence("gateway.tool.other_session", session=session, present=self.session)
         if self.mode is Mode.COMMISSIONING:
-            return "commissioning mode: nothing is switched, as nothing moves"
+            return Sentence("gateway.tool.commissioning")
         return "" if self.speed.given else _SPEED_0
 
     def _void(self, control: Control) -> Answer:
-        count = self.tool.void("asked for by " + (control.session or "somebody without a session")) if self.tool else 0
-        return Answer(True, f"{count} armed switch{'es are' if count != 1 else ' is'} void")
+        session = control.session
+        why = Sentence("gateway.asked.by", session=session) if session else Sentence("gateway.asked.void")
+        count = self.tool.void(why) if self.tool else 0
+        return Answer(True, Sentence(f"gateway.void.{'one' if count == 1 else 'many'}", count=count))
 
     def _stop(self, control: Control) -> Answer:
-        self.stop(f"asked for {f'by {control.session}' if control.session else 'without a session'}")
-        return Answer(True, f"gateway is {self.state.value}")
+        session = control.session
+        self.stop(Sentence("gateway.asked.by", session=session) if session else Sentence("gateway.asked.nobody"))
+        return Answer(True, _is(self.state))
 
     def stop(self, reason: str, account: str = "", ending: bool = False) -> None:
         """Brake, whatever the state, and stay stopped until a `reset`: also a stop of an arm at rest must not be forgotten."""
@@ -723,20 +746,21 @@ class Gateway:
             # it changes nothing now, and yet a reset that is under way does not know of it
             self.fault_number += 1
             return Answer(True, "")
-        self.stop(f"asked for by account {stop.account}", stop.account)
-        return Answer(True, f"gateway is {self.state.value}")
+        self.stop(Sentence("gateway.asked.account", account=stop.account), stop.account)
+        return Answer(True, _is(self.state))
 
     def refuse_stop(self, account: str, error: PayloadError, now: int) -> Answer:
         """Count a message on `stop/<account>` that is no stop; the answer has no reason where none is due."""
         self.refusals.message(error.reason, error)
-        return Answer(False, str(error) if self._stop_pace.take(account, now) else "")
+        return Answer(False, error.sentence if self._stop_pace.take(account, now) else "")
 
     def _end(self, control: Control) -> Answer:
         if not self.config.layout.stop:
             return Answer(False, self._words.no_stop)
         if self._player.follower is None or self.state is State.FAILED:
-            return Answer(False, f"gateway is {self.state.value}: {self.reason}")
-        self.end(f"end asked for {f'by {control.session}' if control.session else 'without a session'}")
+            return Answer(False, self._sentence)
+        session = control.session
+        self.end(Sentence("gateway.asked.end_by", session=session) if session else Sentence("gateway.asked.end"))
         return Answer(True, self._words.ends)
 
     def end(self, reason: str, program: bool = False) -> None:
@@ -754,9 +778,10 @@ class Gateway:
         return self._ending and self.state in (State.HOLDING, State.MEASURING, State.OTHER_CYCLE)
 
     def _reset(self, control: Control) -> Answer:
-        occasion = Occasion(f"reset{self._note}", session=control.session, value=control.value)
+        done = Sentence("gateway.reset.done")
+        occasion = Occasion(self._noted(done), session=control.session, value=control.value)
         refusal = self._machine.on(Event.RESET, occasion)
-        return Answer(False, refusal) if refusal else Answer(True, "reset")
+        return Answer(False, refusal) if refusal else Answer(True, done)
 
     def _refusal_of_reset(self, occasion: Occasion) -> str:
         follower = self._player.follower
@@ -764,29 +789,29 @@ class Gateway:
             return self._refusal_without_origin(occasion)
         if refusal := self._refusal_of_number(occasion.value):
             return refusal
-        return "" if follower.at_rest else "the arm is still moving; stop it first"
+        return "" if follower.at_rest else Sentence("gateway.reset.moves")
 
     def _refusal_of_number(self, value: object) -> str:
         """Return in one sentence why the value of a `reset` does not mean the newest stop of this run; "" when it does."""
         if refusal := other_protocol(PROTOCOL, protocol_of(value)):
             return refusal
         if not isinstance(value, dict) or set(value) != {"run", "fault_number", "protocol"}:
-            return "reset must name run, fault_number and protocol of the gateway's status, and nothing else"
+            return Sentence("gateway.reset.names")
         run, number = value["run"], value["fault_number"]
         if run != self.run:
-            return f"run {run!r} is not the gateway's present one: it was started again since the reset was asked for"
+            return Sentence("gateway.reset.run", run=repr(run))
         if type(number) is not int or number != self.fault_number:
-            return f"reset names fault_number {number!r}, the last stop is number {self.fault_number}: look at it, and reset again"
+            return Sentence("gateway.reset.number", found=repr(number), number=self.fault_number)
         return ""
 
     def _refusal_of_owner_reset(self, occasion: Occasion) -> str:
         if occasion.session != self.session:
             # also the owner's own next session asks too early sometimes: no intruder yet
-            return f"session {self.session} commands; stop it, or wait until its stream has ended"
+            return Sentence("gateway.reset.owner", session=self.session)
         return self._refusal_of_reset(occasion)
 
     def _on_reset(self, row: Row, occasion: Occasion) -> None:
-        self._disarm("reset")
+        self._disarm(Sentence("gateway.reset.done"))
         self.fault = self._ending = False
         self.refusals.forgive()
         if self.mode is Mode.COMMISSIONING or not any(self.correction):

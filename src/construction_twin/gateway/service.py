@@ -23,6 +23,7 @@ from construction_twin.core.errors import (
     PayloadError,
 )
 from construction_twin.core.histogram import Histogram
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.udp import receive
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway
@@ -62,6 +63,10 @@ _LAST_STOP = 0.1
 _LONGEST_FAILURE = 300
 
 _Result = TypeVar("_Result")
+
+
+#: Until the failure's own sentence is made: nothing is looked up while it is taken note of.
+_FAILED = Sentence("gateway.has_failed")
 
 
 class GatewayService:
@@ -132,7 +137,7 @@ class GatewayService:
         try:
             while self._running:
                 self._turn()
-            self.guarded(self.gateway.end, "the gateway is ending", True)
+            self.guarded(self.gateway.end, Sentence("gateway.ending"), True)
             self._last_resort.ending = self.gateway.config.layout.stop
             deadline = time.monotonic() + _LONGEST_BRAKING
             while self._braking and time.monotonic() < deadline:
@@ -185,7 +190,7 @@ class GatewayService:
             self.gateway.counters["failures"] += 1
             return
         self._last_resort.take_over()
-        self.failure = "the gateway has failed"
+        self.failure = _FAILED
         self.gateway.counters["failures"] += 1
         # told after the next reply: the controller waits neither for a sentence nor for a log line
         self._cause = error
@@ -199,9 +204,7 @@ class GatewayService:
             frame = frame.tb_next
         where = f" in {frame.tb_frame.f_code.co_name}" if frame is not None else ""
         what = f"{type(error).__name__}{where}: {error}"[:_LONGEST_FAILURE]
-        self.failure = (
-            f"{what}; the gateway has failed: it brakes, holds and takes no command; see its log, start it again"
-        )
+        self.failure = Sentence("gateway.failed", what=what)
         # a thread of its own, because a traceback is formatted from source files, and a disk may take longer than a cycle
         threading.Thread(
             target=log.critical, args=("%s", self.failure), kwargs={"exc_info": error}, daemon=True
@@ -297,12 +300,10 @@ class GatewayService:
             self._log(logging.WARNING if wrong else logging.INFO, kind, gateway.reason)
         if self._said[3] != before[3]:
             level = logging.WARNING if self._said[3] else logging.INFO
-            self._log(level, "controller's clock", gateway.clock.off_sentence or "nothing is wrong with it any more")
+            self._log(level, "controller's clock", gateway.clock.off_sentence or Sentence("gateway.clock.right"))
         if self._said[2] and not before[2]:
             fraction = gateway.speed.given
-            self._log(
-                logging.WARNING, "speed limit", f"its source is silent; {fraction:g} of the limits until it speaks"
-            )
+            self._log(logging.WARNING, "speed limit", Sentence("gateway.speed.silent", fraction=fraction))
 
     def _log(self, level: int, kind: str, text: str) -> None:
         note = self._lines.note(kind, time.monotonic_ns())
@@ -381,7 +382,7 @@ class GatewayService:
         self.gateway.on_command(payload, properties, time.monotonic_ns())
 
     def _refuse_retained(self, name: str) -> None:
-        self.gateway.refusals.message("retained", f"a message on {name} with the retain flag: its age is unknown")
+        self.gateway.refusals.message("retained", Sentence("gateway.retained", name=name))
 
     def _on_control(self, client, userdata, message: paho.MQTTMessage) -> None:
         if message.retain:
@@ -461,7 +462,7 @@ class GatewayService:
             return None
         status = document() | {"connection": self._number}
         if final:
-            status |= {"state": "offline", "reason": "gateway stopped"}
+            status |= {"state": "offline", "reason": Sentence("gateway.stopped")}
         return self._mqtt.client.publish(self._topics.status, json.dumps(status), qos=1, retain=True)
 
     def _document(self) -> dict:

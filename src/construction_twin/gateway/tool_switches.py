@@ -20,6 +20,7 @@ from construction_twin.controller.port import Layout
 from construction_twin.controller.tool import ENABLE, GatewayTool, ToolReading
 from construction_twin.core import state_table
 from construction_twin.core.reports import SwitchState
+from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.units import NANOSECONDS
 
 #: A switch further ahead of the playout than this is refused [s]: it would be one for a motion that nobody sees yet.
@@ -36,6 +37,8 @@ LONGEST_DIFFERENCE = 0.1
 ROUND_TRIP = 5
 #: Inputs that chatter are told no more often than this [s].
 SHORTEST_PAUSE = 0.05
+
+_NOT_TOLD, _FIRED = Sentence("gateway.tool.not_told"), Sentence("gateway.tool.fired")
 
 
 class SwitchEvent(Enum):
@@ -126,7 +129,7 @@ class ToolSwitches:
         self._changed = False
         self._telegrams = self._reported_at = 0
         self._latest: ToolReading | None = None
-        self._begin("no telegram yet")
+        self._begin(Sentence("gateway.no_telegram_yet"))
 
     def _begin(self, why: str) -> None:
         self._reading: ToolReading | None = None
@@ -152,12 +155,13 @@ class ToolSwitches:
         """Which outputs read back as something else than commanded, in one sentence; "" for none, or not for long."""
         if self._differs <= self._longest_difference or self._reading is None:
             return ""
-        words = ("off", "on")
         pairs = zip(self._names, self._reading.outputs, self._commanded)
-        found = [
-            f"{name} reads back {words[read]}, commanded {words[told]}" for name, read, told in pairs if read != told
+        differ = [
+            Sentence(f"gateway.tool.reads_{'on' if read else 'off'}", name=name)
+            for name, read, told in pairs
+            if read != told
         ]
-        return f"{'; '.join(found)}, for more than {LONGEST_DIFFERENCE:g} s"
+        return Sentence("gateway.tool.differs", found=both(*differ), seconds=LONGEST_DIFFERENCE)
 
     def note(self, reading: ToolReading | None) -> None:
         """Take what the newest telegram tells; None when it cannot be read."""
@@ -165,8 +169,8 @@ class ToolSwitches:
 
     def begin_session(self) -> None:
         """Forget what was read back: another RSI session has begun."""
-        self.void("another RSI session began")
-        self._begin("nothing read back yet in this RSI session")
+        self.void(Sentence("gateway.tool.new_session"))
+        self._begin(Sentence("gateway.tool.nothing_read"))
         self._news = True
 
     def end_session(self, why: str) -> None:
@@ -185,12 +189,12 @@ class ToolSwitches:
         """
         self._telegrams += 1
         reading = self._latest
-        why = obstacle or ("" if reading is not None else "telegrams do not tell Out and In, each channel as 0 or 1")
+        why = obstacle or ("" if reading is not None else _NOT_TOLD)
         if why != self._unknown:
             self._unknown, self._news = why, True
             if why:
                 self._counters["tool_read_back_lost"] += 1
-                self.void(f"the outputs are not read back: {why}")
+                self.void(Sentence("gateway.tool.not_read", why=why))
         if reading is not None and reading is not self._reading:
             self._compare(reading)
         if self._enabled:
@@ -226,9 +230,7 @@ class ToolSwitches:
             self._command(
                 tuple(value and name not in dropped for name, value in zip(self._names, self._commanded)),
             )
-            self._dropped = (
-                f"{', '.join(dropped)} went off with a missed reply, and stays off until it is switched on anew"
-            )
+            self._dropped = Sentence("gateway.tool.dropped", names=", ".join(dropped))
             self._counters["tool_outputs_dropped"] += len(dropped)
             self.void(self._dropped)
             self._news = True
@@ -244,7 +246,7 @@ class ToolSwitches:
     def play(self, stamp: int) -> None:
         """Fire what is due: the playout plays the setpoint of `stamp` [ns] in this reply."""
         while self._armed and self._armed[0].stamp <= stamp:
-            self._armed.pop(0).on(SwitchEvent.PASSED, "fired")
+            self._armed.pop(0).on(SwitchEvent.PASSED, _FIRED)
 
     def _fire(self, switch: ToolSwitch) -> None:
         self._enabled = True
@@ -286,41 +288,36 @@ class ToolSwitches:
         """
         switch = _switch_of(value, self._fire)
         if switch is None:
-            return (
-                f"tool: a switch must have a new id (1 to {LONGEST_TEXT} printable characters), output, value (true or false) "
-                "and stamp (whole number of ns), and nothing else"
-            )
+            return Sentence("gateway.tool.form", longest=LONGEST_TEXT)
         if switch.id in self._used:
-            return f"tool: switch {switch.id!r} was asked for before"
+            return Sentence("gateway.tool.again", id=repr(switch.id))
         self._used.append(switch.id)
         self._reported.append(switch)
         why = obstacle or self._refusal(switch, lead)
         self._news = True
         if why:
-            refusal = f"tool: {why}"
+            refusal = Sentence("gateway.tool.refused", why=why)
             switch.on(SwitchEvent.DECLINED, refusal)
             return refusal
-        switch.on(SwitchEvent.ACCEPTED, f"fires with the setpoint of {switch.stamp}")
+        switch.on(SwitchEvent.ACCEPTED, Sentence("gateway.tool.waits", stamp=switch.stamp))
         self._armed.append(switch)
         self._armed.sort(key=lambda waiting: waiting.stamp)
         return ""
 
     def _refusal(self, switch: ToolSwitch, lead: float | None) -> str:
         if self._unknown:
-            return f"the outputs are not known: {self._unknown}"
+            return Sentence("gateway.tool.unknown", why=self._unknown)
         if self.difference:
-            return (
-                f"{self.difference}; switch it back where it was switched, or end the RSI program and start it anew: a new "
-                "session takes the outputs as they read"
-            )
+            return Sentence("gateway.tool.switch_back", difference=self.difference)
         if switch.output not in self._names:
-            return f"{self.tool.name} has no output {switch.output!r}; it has {', '.join(self._names)}"
+            names = {"output": repr(switch.output), "names": ", ".join(self._names)}
+            return Sentence("gateway.tool.no_output", tool=self.tool.name, **names)
         if lead is None or lead <= 0.0:
-            return f"the playout has passed the stamp {switch.stamp} already, by {-(lead or 0.0):.3f} s"
+            return Sentence("gateway.tool.late", stamp=switch.stamp, seconds=-(lead or 0.0))
         if lead > MOST_AHEAD:
-            return f"the stamp lies {lead:.3f} s ahead of the playout; at most {MOST_AHEAD:g} s"
+            return Sentence("gateway.tool.early", seconds=lead, most=MOST_AHEAD)
         if len(self._armed) >= MOST_TOLD:
-            return f"{MOST_TOLD} switches wait already"
+            return Sentence("gateway.tool.full", count=MOST_TOLD)
         return ""
 
     def void(self, why: str) -> int:

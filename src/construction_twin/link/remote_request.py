@@ -16,6 +16,7 @@ from typing import Any
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment, parse_moment
+from construction_twin.core.sentences import Sentence
 from construction_twin.link.json_fields import (
     Reader,
     fraction,
@@ -96,7 +97,7 @@ def parse_plan_request(document: Mapping[str, Any], joints: Joints) -> RemoteReq
     """Return the wish in a document of `read_document`; PayloadError (``format``, ``joints``, ``values`` or ``moment``)."""
     kind = document.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
-        raise PayloadError("format", f"kind is {shown(kind)}; expected one of {', '.join(KINDS)}")
+        raise PayloadError("format", Sentence("link.payload.kind", found=shown(kind), known=", ".join(KINDS)))
     needed, optional = KINDS[kind]
     keys(document, f"plan_request {kind}", ("id", "kind", *needed), ("id", "kind", "moment", *needed, *optional))
     fields = read_fields(document, _readers(joints))
@@ -128,9 +129,8 @@ def _readers(joints: Joints) -> Mapping[str, Reader]:
 def _joint_values(joints: Joints, values: object, key: str) -> Vector:
     if not isinstance(values, dict) or set(values) != set(joints.names):
         found = sorted(values) if isinstance(values, dict) else values
-        raise PayloadError(
-            "joints", f"{key} names {shown(found)}; expected an object with each of {', '.join(joints.names)} once"
-        )
+        names = ", ".join(joints.names)
+        raise PayloadError("joints", Sentence("link.payload.joints", key=key, found=shown(found), joints=names))
     return tuple(number(values[name], f"{key}: {name}") for name in joints.names)
 
 
@@ -138,19 +138,19 @@ def _unit_quaternion(values: object, key: str) -> Vector:
     orientation = _numbers(4, values, key)
     norm = math.hypot(*orientation)
     if abs(norm - 1.0) > _UNIT:
-        raise PayloadError("values", f"orientation is {shown(list(orientation))}; expected x y z w of length 1")
+        raise PayloadError("values", Sentence("link.payload.orientation", found=shown(list(orientation))))
     return tuple(value / norm for value in orientation)
 
 
 def _speed(value: object, key: str) -> float:
     speed = number(value, key)
     if speed < 0.0:
-        raise PayloadError("values", f"speed is {speed:g}; expected m/s, or 0 for as fast as possible")
+        raise PayloadError("values", Sentence("link.payload.speed", found=speed))
     return speed
 
 
 def _numbers(count: int, values: object, key: str) -> Vector:
     found = list_of(values, key)
     if len(found) != count:
-        raise PayloadError("values", f"{key} has {len(found)} values; expected {count}")
+        raise PayloadError("values", Sentence("link.payload.count", key=key, found=len(found), count=count))
     return tuple(number(value, key) for value in found)

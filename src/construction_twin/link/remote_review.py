@@ -14,7 +14,8 @@ from dataclasses import dataclass, field, replace
 from construction_twin.core import records
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import parse_moment
-from construction_twin.mqtt.messages import demand_live, parse_object
+from construction_twin.core.sentences import Sentence
+from construction_twin.mqtt.messages import demand_live, parse_object, shown_keys
 
 #: Longest review that is read [bytes].
 MAX_REVIEW_BYTES = 2048
@@ -77,20 +78,16 @@ def parse_review(payload: bytes, retained: bool, account: str = "") -> RemoteRev
     document = parse_object(payload, "review", MAX_REVIEW_BYTES)
     needed = _KEYS[:-1] if account else _KEYS
     if not set(needed) <= set(document) <= {*_KEYS, "reason", "moment"}:
-        raise PayloadError(
-            "review",
-            f"review with keys {[key[:32] for key in sorted(document)[:8]]}; expected {', '.join(needed)}, moment and reason",
-        )
+        found = Sentence("link.payload.review_keys", found=shown_keys(document), needed=", ".join(needed))
+        raise PayloadError("review", found)
     for key, value in document.items():
         if not isinstance(value, str) or len(value) > _MAX_TEXT[key] or not value.isprintable():
-            raise PayloadError(
-                "review", f"review whose {key} is not a text of at most {_MAX_TEXT[key]} characters in one line"
-            )
+            raise PayloadError("review", Sentence("link.payload.review_text", key=key, longest=_MAX_TEXT[key]))
     for key in ("plan_id", "plan_hash", "reviewer"):
         if key in document and not document[key].strip():
-            raise PayloadError("review", f"review without {key}: say which plan was looked at, and by whom")
+            raise PayloadError("review", Sentence("link.payload.review_without", key=key))
     if document["verdict"] not in ("approved", "rejected"):
-        raise PayloadError("review", f"review with verdict {document['verdict']!r}; expected approved or rejected")
+        raise PayloadError("review", Sentence("link.payload.review_verdict", found=repr(document["verdict"])))
     if document["verdict"] == "approved":
         parse_moment(document.get("moment"))
     if not account:

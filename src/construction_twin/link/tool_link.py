@@ -13,6 +13,7 @@ from dataclasses import replace
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.tool_switches import MOST_TOLD
 from construction_twin.mqtt.messages import Control
 
@@ -34,7 +35,7 @@ class ToolLink:
         self._switches: OrderedDict[str, SwitchReport] = OrderedDict()
         self._by_control: OrderedDict[str, str] = OrderedDict()
         self._run = self._session = ""
-        self._status = ToolReport(reason="no status of the gateway yet")
+        self._status = ToolReport(reason=Sentence("link.tool.no_status"))
         self._refused = ""
         #: Switches for which a gate that closed has sent `void`.
         self._voided: frozenset[str] = frozenset()
@@ -50,10 +51,10 @@ class ToolLink:
             obstacle: Why nothing can be sent now; "" for nothing.
         """
         if id in self._switches or id in self._by_control.values():
-            self._refused = f"tool: switch {id!r} was asked for before"
+            self._refused = Sentence("gateway.tool.again", id=repr(id))
             return None
         if obstacle:
-            self._tell(id, SwitchState.REFUSED, f"tool: {obstacle}")
+            self._tell(id, SwitchState.REFUSED, Sentence("gateway.tool.refused", why=obstacle))
             return None
         control = Control(
             self._new_id(), session, "switch", {"id": id, "output": output, "value": value, "stamp": stamp}
@@ -98,7 +99,7 @@ class ToolLink:
         run = str(status.get("run", ""))
         if run and run != self._run:
             if self._run:
-                self._lose("the gateway was started again: whether it fired is not known")
+                self._lose(Sentence("link.tool.restarted"))
             self._run = run
         session = status.get("session")
         if isinstance(session, str) and session and session != self._session:
@@ -147,7 +148,7 @@ def tool_report(status: dict) -> ToolReport:
         PayloadError: ``status``, when it is not as the interface says.
     """
     if "tool" not in status:
-        return ToolReport(reason="the gateway's configuration has no tool: a robot without hands")
+        return ToolReport(reason=Sentence("link.tool.none"))
     tool = status["tool"]
     switches = tool.get("switches", []) if isinstance(tool, dict) else None
     if not isinstance(tool, dict) or not isinstance(switches, list) or len(switches) > MOST_TOLD:
@@ -188,4 +189,4 @@ def _text(name: str, value: object) -> str:
 
 
 def _unreadable(name: str) -> PayloadError:
-    return PayloadError("status", f"status message whose {name} is not what the interface says")
+    return PayloadError("status", Sentence("link.status.not_as_agreed", name=name))

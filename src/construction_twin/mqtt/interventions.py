@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import parse_moment
-from construction_twin.mqtt.messages import demand_live, is_short_text, parse_object
+from construction_twin.core.sentences import Sentence
+from construction_twin.mqtt.messages import demand_live, is_short_text, parse_object, shown_keys
 
 #: What can be asked for.
 STOP, PAUSE, RESUME = "stop", "pause", "resume"
@@ -48,11 +49,8 @@ def parse_intervention(verb: str, account: str, payload: bytes, retained: bool) 
     document = parse_object(payload, verb, MAX_BYTES)
     id_ = document.get("id", "")
     if not set(document) <= {"id", "moment"} or not is_short_text(id_) or not id_.strip():
-        expected = "id, a text of 1 to 64 characters, " + ("and moment" if verb == RESUME else "alone")
-        raise PayloadError(
-            verb,
-            f"{verb} with keys {[key[:32] for key in sorted(document)[:8]]}; expected {expected}",
-        )
+        key = "link.payload.resume" if verb == RESUME else "link.payload.intervention"
+        raise PayloadError(verb, Sentence(key, verb=verb, found=shown_keys(document)))
     if verb != RESUME:
         return Intervention(verb, account, id_)
     return Intervention(verb, account, id_, str(parse_moment(document.get("moment"))))

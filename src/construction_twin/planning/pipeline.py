@@ -173,7 +173,7 @@ class PlanningPipeline:
                 if not retime:
                     raise
                 plan = self._checked(retimed, f"waypoints, timed anew ({error})", request, world)
-                return replace(plan, retimed=str(error))
+                return replace(plan, retimed=error.sentence)
 
         return self._in_scene(checked)
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from construction_twin.controller.last_resort import BareProtocol, LastResort
 from construction_twin.controller.port import ControllerSide, FileForm, Make, MockSetup, Reader, Setup, Told, Words
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 from construction_twin.rsi.ethernet_xml import (
     check_axes,
@@ -144,9 +145,9 @@ MAKE = Make(
     words=Words(
         protocol="RSI",
         stamp="IPOC",
-        read_only="read-only: the Ethernet XML has ONLYSEND TRUE",
-        no_stop="the Ethernet XML declares no Stop element: end the program on the pendant",
-        ends="RSI_MOVECORR ends as soon as the arm is at rest",
+        read_only=Sentence("gateway.rsi.read_only"),
+        no_stop=Sentence("gateway.rsi.no_stop"),
+        ends=Sentence("gateway.rsi.ends"),
         ended="RSI_MOVECORR ended",
         cycle="RSI_ON(..., {})",
         cycles=f"RSI_ON with {' or '.join(CYCLES.values())}",

@@ -124,7 +124,7 @@ _REPEATED = tuple(
     for pattern in (
         r"^not connected to the broker( yet)?(: )?",
         r"^broker \S+:\d+:? ",
-        r"^no gateway answers on the broker; start rsi_gateway on the cell PC$",
+        f"^{re.escape(Sentence('link.no_gateway'))}$",
         r"^gateway has no RSI session( to command)?: ",
         r"^gateway was stopped and is ",
         r"; (restart rsi_gateway, then )?call reset$",

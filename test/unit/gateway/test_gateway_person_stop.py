@@ -8,6 +8,7 @@ import pytest
 from gateway_cell import CONFIG, Cell, following
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE, format_allowance
 from construction_twin.gateway.gateway import STOP_PERIOD, STOPS_AT_ONCE, State
 from construction_twin.mqtt.interventions import STOP, Intervention
@@ -22,7 +23,7 @@ def test_an_arm_in_motion_brakes_inside_the_limits_and_stays_stopped_until_a_res
     cell = following()
     positions = [cell.measured]
     answer = press(cell)
-    assert (answer.ok, answer.reason) == (True, "gateway is braking")
+    assert (answer.ok, answer.reason) == (True, Sentence("gateway.is", state="braking"))
     while cell.state is State.BRAKING:
         cell.cycle()
         positions.append(cell.measured)
@@ -38,7 +39,9 @@ def test_it_says_who_it_was():
     cell = following()
     press(cell)
     status = cell.gateway.status()
-    assert status["reason"] == "stop: asked for by account arm-stopper-bob"
+    assert status["reason"] == Sentence(
+        "gateway.brake.stop", reason=Sentence("gateway.asked.account", account="arm-stopper-bob")
+    )
     assert (status["stop"]["cause"], status["stop"]["by"]) == ("stop", "arm-stopper-bob")
     assert (status["fault"], status["session"], status["counters"]["stops_stop"]) == (True, "", 1)
 
@@ -78,7 +81,7 @@ def test_without_a_session_and_at_rest_it_is_not_forgotten_either(prepare):
 def test_a_failed_gateway_answers_that_it_has_failed():
     cell = following()
     cell.gateway.fail("broken")
-    assert (press(cell).ok, press(cell, "arm-reviewer-ada").reason) == (True, "gateway is failed")
+    assert (press(cell).ok, press(cell, "arm-reviewer-ada").reason) == (True, Sentence("gateway.is", state="failed"))
 
 
 def test_pressing_on_costs_a_count_and_no_answer():

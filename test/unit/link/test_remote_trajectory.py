@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.sentences import Sentence
 from construction_twin.link.json_fields import read_document
 from construction_twin.link.remote_trajectory import (
     COMPAS_TYPE,
     LARGEST,
-    ZEROS,
     Joints,
     TrajectoryPoint,
     TrajectoryRequest,
@@ -240,12 +240,12 @@ def test_what_compas_fab_writes_is_read():
 
 def test_zeros_that_compas_fab_fills_in_count_as_not_given_and_the_sender_is_told():
     request = read(compas(point={"velocities": [0.0] * 3}))
-    assert request.notes == (ZEROS.format("velocities"), ZEROS.format("accelerations"))
+    assert request.notes == tuple(Sentence("link.payload.zeros", what=what) for what in ("velocities", "accelerations"))
     assert all(point.velocities == point.accelerations == () for point in request.points)
     untimed = [compas_point([2.0, 0.5, 1.0]), compas_point([2.5, 1.5, -1.0])]
     assert read(compas({"points": untimed})).notes == (), "it is timed here, without them"
     # a single one that is not zero makes all of them said
-    assert read(compas()).notes == (ZEROS.format("accelerations"),)
+    assert read(compas()).notes == (Sentence("link.payload.zeros", what="accelerations"),)
 
 
 def test_an_envelope_gives_a_compas_trajectory_an_id_of_its_own():

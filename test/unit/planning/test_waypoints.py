@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from limit_use import limit_use
 
 from construction_twin.core.motion_errors import WaypointsError, WaypointTimesError
+from construction_twin.core.sentences import Sentence
 from construction_twin.planning.limit_usage import sampled_usage
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.waypoints import START_TOLERANCE_RAD, from_points, plan_waypoints, retime_waypoints
@@ -219,7 +220,7 @@ def test_a_single_point_that_cannot_be_reached_so_is_refused(values, message):
 
 
 def test_no_point_is_no_motion():
-    assert str(refused([])) == "0 waypoints; a motion needs at least one, its goal"
+    assert str(refused([])) == Sentence("motion.points.none")
 
 
 def without_jerk_limit(robot: RobotModel, goal: np.ndarray, period: float = 0.1):

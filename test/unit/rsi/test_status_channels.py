@@ -13,6 +13,7 @@ from mock_cell import Cell as MockCell
 from processes import ROOT
 
 from construction_twin.core.errors import ConfigurationError, EthernetXmlError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import TelegramInbox
@@ -135,7 +136,7 @@ def test_what_speaks_against_a_motion_is_a_sentence(status, sentence):
 def test_unknown_numbers_are_shown_as_numbers():
     assert ControllerStatus(7, 9, 50.0).report() == {
         "mode": "number 7", "program": "number 9", "override_percent": 50.0,
-        "sentence": "the override is 50 %: the controller's own motions are slower by that, corrections are not",
+        "sentence": Sentence('gateway.rsi.override', percent=50.0),
     }  # fmt: skip
     assert ControllerStatus().report() == {}
 

@@ -21,6 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 from construction_twin.core.beside import Beside
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import ToolReport
+from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
@@ -72,11 +73,6 @@ from construction_twin.srv import TakeResponsibility
 POLL = 0.02
 #: So long a failed request waits for the gateway's word that nothing of it is in force [s].
 WITHDRAWAL = 1.0
-#: What `halt` answers with a bare PLC, which takes no control message.
-HALTED_PLC = (
-    "no more strings are sent to the PLC, and the plan is dropped: a PLC that is lawful brakes on silence; a person arms "
-    "again, by name"
-)
 #: Parameter in the robot's namespace: whether the arm leads. A node that is started again goes on with it.
 MIRROR_MODE = "mirror_mode"
 #: The same: why a person is waited for, a sentence; empty: nobody is. The launch file clears it.
@@ -270,7 +266,7 @@ class MqttBridge:
     def on_tool_command(self, message: ToolCommand) -> None:
         """Take a switch, or the wish that none of those that are armed fires."""
         if message.verb not in (ToolCommand.ARM, ToolCommand.VOID):
-            self._diagnostics.refuse("tool_command", f"tool_command with verb {message.verb}; expected ARM or VOID")
+            self._diagnostics.refuse("tool_command", Sentence("link.tool.verb", verb=message.verb))
             return
         with self._lock:
             supervisor, control = self._supervisor, None
@@ -279,9 +275,10 @@ class MqttBridge:
                 control = self._tool.void(session) if supervisor.sends_control else None
             else:
                 armed = supervisor.state is LinkState.ARMED and supervisor.sends_control
-                obstacle = "" if armed else f"the link is {supervisor.state.name}: {supervisor.reason}"
+                obstacle = "" if armed else self._link_sentence
                 if armed and (not message.plan_id or message.plan_id != self._played):
-                    obstacle = f"switch of plan {message.plan_id!r}, but the executor plays {self._played!r}"
+                    plans = {"plan": repr(message.plan_id), "present": repr(self._played)}
+                    obstacle = Sentence("link.tool.other_plan", **plans)
                 stamp = message.stamp.to_nsec()
                 control = self._tool.switch(message.id, message.output, bool(message.value), stamp, session, obstacle)
         if control is not None:
@@ -320,11 +317,15 @@ class MqttBridge:
     def _tool_obstacle(self) -> str:
         """Return why the gateway's last word on the tool is not one on the present; "" when it is."""
         if not self._supervisor.sends_control:
-            return "a bare PLC has no tool here: no switch is possible"
+            return Sentence("link.tool.plc")
         state = self._supervisor.state
         if state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.MISMATCH):
-            return f"the link is {state.name}: {self._supervisor.reason}"
+            return self._link_sentence
         return ""
+
+    @property
+    def _link_sentence(self) -> Sentence:
+        return Sentence("link.is_in", state=self._supervisor.state.name, reason=self._supervisor.reason)
 
     def _publish_control(self, control: Control) -> bool:
         self._client.publish(self._topics.control, control.to_json(), qos=1)
@@ -358,7 +359,7 @@ class MqttBridge:
         received, now = now_ns(), time.monotonic_ns()
         try:
             if retained:
-                raise PayloadError("retained", "retained state: its age is unknown")
+                raise PayloadError("retained", Sentence("link.payload.retained_state"))
             q = self._codec.decode(payload)
             # where the link carries properties, a pose without them is not the gateway's
             properties = self._read_beside(pairs) if pairs or self._properties else None
@@ -409,9 +410,8 @@ class MqttBridge:
             self._diagnostics.refuse(error.reason, str(error))
             return
         if answer.get("verb") == "speed_limit" and not answer.get("ok"):
-            self._diagnostics.refuse(
-                "speed_limit", f"gateway refused the speed limit: {str(answer.get('reason'))[:200]}"
-            )
+            reason = str(answer.get("reason"))[:200]
+            self._diagnostics.refuse("speed_limit", Sentence("link.speed_limit_refused", reason=reason))
         with self._lock:
             self._supervisor.on_answer(answer, time.monotonic_ns())
             self._tool.on_answer(answer)
@@ -447,7 +447,7 @@ class MqttBridge:
             request(time.monotonic_ns())
             number = self._supervisor.requests
         armed, sentence = self._wait_for_request(number, halts, before)
-        return Outcome(armed, f"armed, {sentence}" if armed else sentence)
+        return Outcome(armed, Sentence("link.armed", reason=sentence) if armed else sentence)
 
     def _wait_for_request(self, number: int, halts: int, before: str) -> tuple[bool, str]:
         """Wait as `_wait_for_arming` for the session that a person asked for; what fails is withdrawn, also at the gateway."""
@@ -480,15 +480,16 @@ class MqttBridge:
                 if supervisor.state is LinkState.ARMED and is_asked_for() and not supervisor.inputs.fault:
                     return True, supervisor.reason
                 if supervisor.halts != halts:
-                    return False, f"not armed: halt was called meanwhile: {supervisor.state.name}, {supervisor.reason}"
+                    return False, Sentence("link.not_armed.halted", why=supervisor.sentence)
                 if supervisor.state is LinkState.NEEDS_RESET and is_asked_for():
-                    sentence = f"not armed: NEEDS_RESET, {supervisor.reason}"
+                    sentence = Sentence("link.not_armed.ended", why=supervisor.sentence)
                     give_up(sentence)
                     return False, sentence
                 if late:
-                    reason, refused = supervisor.reason, supervisor.inputs.why_no_pose(time.monotonic_ns())
-                    because = f"{reason}; {refused}" if refused and refused not in reason else reason
-                    sentence = f"not armed within {timeout:g} s: {supervisor.state.name}, {because}"
+                    why, refused = supervisor.sentence, supervisor.inputs.why_no_pose(time.monotonic_ns())
+                    if refused and refused not in why:
+                        why = Sentence("executor.both", first=why, second=refused)
+                    sentence = Sentence("link.not_armed.late", timeout=timeout, why=why)
                     give_up(sentence)
                     return False, sentence
             time.sleep(POLL)
@@ -499,26 +500,19 @@ class MqttBridge:
             session, mirrored = self._supervisor.session, self._supervisor.mirrors
             tells = self._supervisor.sends_control
             # the link is not armed from here on: the executor drops its plan, no command is sent, and the gateway brakes on silence
-            self._supervisor.halt("stopped at the gateway on request; call reset" if tells else HALTED_PLC)
+            self._supervisor.halt(Sentence("link.halt.asked" if tells else "link.halt.plc"))
         sent = tells and self._beside.do("the stop for the gateway", self._send_stop, session)
         if mirrored:
             # in a thread of its own: a master that hangs must not hold up the answer
             remember = partial(self._beside.do, "what outlasts this node", self._remember_mirror)
             threading.Thread(target=remember, daemon=True).start()
         if not tells:
-            return Outcome(True, HALTED_PLC)
+            return Outcome(True, Sentence("link.halt.plc"))
         if not sent:
-            return Outcome(
-                False,
-                "the stop could not be sent to the gateway, which brakes by itself, because no more commands come; the cause is on "
-                "/diagnostics; call reset to go on",
-            )
+            return Outcome(False, Sentence("link.halt.unsent"))
         if not self._client.is_connected():
-            return Outcome(
-                False,
-                "no connection to the broker: the gateway brakes by itself, because no more commands come; call reset to go on",
-            )
-        return Outcome(True, "stop sent to the gateway, plan dropped; call reset to go on")
+            return Outcome(False, Sentence("link.halt.no_broker"))
+        return Outcome(True, Sentence("link.halt.sent"))
 
     def _send_stop(self, session: str) -> bool:
         control = Control(uuid.uuid4().hex, session, "stop")
@@ -534,21 +528,24 @@ class MqttBridge:
             before, halts, requests = supervisor.session, supervisor.halts, supervisor.requests
             sentence = supervisor.begin_mirror(now) if request.data else supervisor.end_mirror(now)
             number = supervisor.requests
-        sentence += self._remember_mirror()
+        problem = self._remember_mirror()
+        if problem:
+            sentence = Sentence("link.mirror.not_kept", sentence=sentence, problem=problem)
         if number != requests:
             armed, why = self._wait_for_request(number, halts, before)
-            sentence += "" if armed else f"; {why}"
+            if not armed:
+                sentence = both(sentence, why)
         return sentence
 
     def _remember_mirror(self) -> str:
-        """Keep the mode beyond this process; return what is to be added to the answer when the master does not take it."""
+        """Keep the mode beyond this process; return why the master does not take it, "" when it does."""
         try:
             # one after the other, and each what is the case then: several threads write
             with self._mirror_lock:
                 rospy.set_param(MIRROR_MODE, self._supervisor.mirrors)
         except (OSError, rospy.ROSException, xmlrpc.client.Error, http.client.HTTPException) as error:
             rospy.logwarn("mirror mode would not outlast this node: %s was not written (%s)", MIRROR_MODE, error)
-            return f"; it would not outlast this node, because the master did not take it ({error})"
+            return str(error) or type(error).__name__
         return ""
 
     # -- reports
@@ -587,12 +584,12 @@ class MqttBridge:
         reason, why = self._supervisor.reason, self._connection.sentence
         state = self._supervisor.state
         if state is LinkState.DISCONNECTED:
-            return f"{reason}: {why}" if why else reason
+            return Sentence("executor.link", state=reason, reason=why) if why else reason
         # a status of a gateway that is gone says nothing of now
         if state is LinkState.GATEWAY_OFFLINE:
             return reason
         status = self._supervisor.status
-        return "; ".join(part for part in (reason, controller_sentence(status), clock_sentence(status)) if part)
+        return both(reason, controller_sentence(status), clock_sentence(status))
 
     def _link_message(self, state: LinkState, reason: str, session: str, status: dict, values: dict[str, str]) -> Link:
         # a copy: other threads go on counting

@@ -268,8 +268,8 @@ class MqttPlanner:
         self._connection.lost(reason_code)
 
     def _read_motion(self, incoming: Incoming) -> _Motion:
-        advice = " (max_trajectory_bytes); use fewer points"
-        document = incoming.read_document("trajectory", self._settings.max_trajectory_bytes, advice)
+        limit = self._settings.max_trajectory_bytes
+        document = incoming.read_document("trajectory", limit, "max_trajectory_bytes")
         return _Motion(parse_trajectory(document, self._joints), incoming.account)
 
     def _carry_out(self, motion: _Motion) -> Outcome:

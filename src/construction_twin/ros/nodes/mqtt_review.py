@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.motion_errors import PlanningError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_review import (
     PlanBoard,
@@ -51,11 +52,6 @@ from construction_twin.srv import ResumeFromScreen, ReviewFromScreen
 
 #: Verdicts that may wait while one is carried out; a tablet sends one at a time.
 WAITING = 8
-#: Why a verdict on `review` is refused where the broker knows accounts.
-_NAMELESS = (
-    "a verdict on review names nobody: on a broker with accounts publish it on review/<account>; if the broker refuses that, its "
-    "rules are old: run make_site again"
-)
 #: Period at which the node compares what the broker holds with what it should hold [s].
 CHECK_PERIOD = 1.0
 #: Between two writings of the log [s].
@@ -304,7 +300,7 @@ def _read_verdict(incoming: Incoming) -> RemoteReview:
 
 
 def _refuse_nameless(review: RemoteReview) -> Outcome:
-    raise PayloadError("sender", _NAMELESS)
+    raise PayloadError("sender", Sentence("link.payload.nameless"))
 
 
 def _describe(review: RemoteReview) -> str:

@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger, TriggerRequest
 from trajectory_msgs.msg import JointTrajectory
 
 from construction_twin.core.motion_errors import EngagedError, PlanningError, SceneError
+from construction_twin.core.sentences import Sentence
 from construction_twin.execution.way_back import scene_problem
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
@@ -224,16 +225,16 @@ class PlannerNode:
 
         def read() -> Callable[[PlanRequest], Plan]:
             if left is None:
-                raise PlanningError(
-                    "the arm was not left inside an engaged segment: there is no way back, any motion can be planned"
-                )
+                raise PlanningError(Sentence("motion.no_way_back"))
             path = ExecutedPath(trajectory_from_msg(left.trajectory), left.end)
             requires = tuple(from_msg(Signal, signal) for signal in left.requires)
 
             def plan(asked: PlanRequest) -> Plan:
                 made = self._pipeline.way_back(left.task, path, requires, self._present_pose(), asked)
                 if made.scene not in left.scenes:
-                    raise PlanningError(f"there is no way back now: {scene_problem(made.scene, left.scenes)}")
+                    raise PlanningError(
+                        Sentence("motion.no_way_back_now", problem=scene_problem(made.scene, left.scenes))
+                    )
                 return made
 
             return plan

@@ -113,7 +113,7 @@ class ConsoleRequests:
         self._poses = RequestCounts("ik", "solved", "not solved")
         self.poses = NewestLine(
             IK_ACCOUNTS,
-            f"{IK_ACCOUNTS} accounts drag poses already; try again",
+            Sentence("link.payload.accounts", count=IK_ACCOUNTS),
             lambda: self._poses.add(False, "overtaken"),
         )
         self._closest: tuple[ClosestView, float] | None = None
@@ -175,7 +175,7 @@ class ConsoleRequests:
             return self._call(services.way_back)
         # the node `work` makes the scene right before it has the way back planned
         if not self._around.has_work():
-            return Outcome(False, "no building model is worked on here; start bringup with work_model and work_cell")
+            return Outcome(False, Sentence("link.no_work"))
         return self._call(services.work_task, task=asked.task)
 
     @staticmethod
@@ -188,17 +188,17 @@ class ConsoleRequests:
 
     def _read_pose(self, incoming: Incoming) -> IkRequest:
         if not self._rate.take(incoming.account, round(time.monotonic() * NANOSECONDS)):
-            raise PayloadError(FLOOD, f"more than {IK_RATE} poses in a second from {incoming.account}")
+            raise PayloadError(FLOOD, Sentence("link.payload.too_many_poses", rate=IK_RATE, account=incoming.account))
         return parse_ik(incoming.read_document("ik", MAX_BYTES), self._joints)
 
     def _solve(self, asked: IkRequest) -> Outcome:
         seed = asked.seed or tuple(self._around.twin())
         if not seed:
-            return Outcome(False, "the twin's pose is not known, and no seed was given")
+            return Outcome(False, Sentence("link.no_seed"))
         try:
             verdict = self._judge.judge(asked.position, quaternion_to_rotation(asked.orientation), seed)
         except (ConfigurationError, SceneError) as error:
-            raise PayloadError("ik", str(error)) from error
+            raise PayloadError("ik", error.sentence) from error
         joints = None if verdict.q is None else dict(zip(self._joints.names, map(float, verdict.q)))
         found = {"reach": verdict.reach.value, "joints": joints, "between": verdict.between}
         return Outcome(joints is not None, verdict.sentence, fields=found, counted=verdict.reach.value)

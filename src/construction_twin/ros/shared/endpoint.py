@@ -50,9 +50,9 @@ class Incoming:
     retained: bool
     echo: dict[str, str] = field(default_factory=dict)
 
-    def read_document(self, what: str, limit: int, advice: str = "") -> dict[str, Any]:
+    def read_document(self, what: str, limit: int, parameter: str = "") -> dict[str, Any]:
         """Return the JSON object of a request whose answer repeats its id; PayloadError, and arguments, as of `json_fields`."""
-        document = read_document(self.payload, self.retained, what, limit, advice)
+        document = read_document(self.payload, self.retained, what, limit, parameter)
         self.echo["id"] = request_id(document)
         return document
 

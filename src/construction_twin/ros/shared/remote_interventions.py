@@ -14,6 +14,7 @@ from functools import partial
 import rospy
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.sentences import Sentence
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP, Intervention, parse_intervention
 from construction_twin.mqtt.messages import Topics
@@ -58,7 +59,8 @@ def remote_interventions(
     def resume(wanted: Intervention) -> Outcome:
         if wanted in known:
             # it must not start again what was paused since
-            raise PayloadError(REPEATED, f"{wanted.verb} {wanted.id!r} of account {wanted.account} came before")
+            names = {"verb": wanted.verb, "id": repr(wanted.id), "account": wanted.account}
+            raise PayloadError(REPEATED, Sentence("link.payload.again", **names))
         known.append(wanted)
         # it asks the master first; when a pause overtakes it, its moment is older than that pause, and it is void
         answer = call(services[RESUME], EXECUTOR, moment=wanted.moment)
