@@ -21,8 +21,7 @@ from construction_twin.core.motion_errors import KinematicsError
 from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
-from construction_twin.link.json_fields import read_document
-from construction_twin.link.remote_request import MAX_BYTES, parse_ik, parse_plan_request
+from construction_twin.link.goal_request import MAX_BYTES, parse_ik, parse_plan_request
 from construction_twin.link.remote_review import PlanView, parse_review
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
@@ -35,6 +34,7 @@ from construction_twin.link.remote_view import (
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.interventions import parse_intervention
+from construction_twin.mqtt.json_fields import read_document
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import EXECUTOR, GATEWAY, RequestKind
 from construction_twin.robot.description import RobotModel, read_robot_files

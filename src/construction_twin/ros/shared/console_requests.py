@@ -21,7 +21,7 @@ from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.rate_limit import RollingWindow, SenderLimits
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.remote_request import MAX_BYTES, IkRequest, RemoteRequest, parse_ik, parse_plan_request
+from construction_twin.link.goal_request import MAX_BYTES, GoalRequest, IkRequest, parse_ik, parse_plan_request
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ClosestView
 from construction_twin.mqtt.messages import Topics
@@ -77,7 +77,7 @@ class RobotContext:
 class _PlanAsked:
     """A plan request, who asked (for the reviewer), and when it arrived [ns of ROS time]."""
 
-    asked: RemoteRequest
+    asked: GoalRequest
     account: str
     arrived: int
 
@@ -150,12 +150,12 @@ class ConsoleRequests:
         self._demand_fresh(request.asked)
         return self._make(request.asked, request.account, request.arrived)
 
-    def _demand_fresh(self, asked: RemoteRequest) -> None:
+    def _demand_fresh(self, asked: GoalRequest) -> None:
         """Refuse a plan request (PayloadError) that is too old to be begun."""
         if problem := staleness(asked.moment, self._around.clock()):
             raise PayloadError(TOO_OLD, Sentence("executor.void.request", problem=problem))
 
-    def _make(self, asked: RemoteRequest, account: str, arrived: int) -> Outcome:
+    def _make(self, asked: GoalRequest, account: str, arrived: int) -> Outcome:
         """Have a plan made by the service of its kind."""
         services, scales = (
             self._services,
@@ -243,5 +243,5 @@ def _describe(request: _PlanAsked) -> str:
     return f"plan_request {request.asked.id!r} ({request.asked.kind}) from {request.account}"
 
 
-def _pose_msg(asked: RemoteRequest) -> PoseMsg:
+def _pose_msg(asked: GoalRequest) -> PoseMsg:
     return PoseMsg(Point(*asked.position), Quaternion(*asked.orientation))

@@ -18,8 +18,8 @@ from paho.mqtt.client import MQTTMessage
 
 from construction_twin.core.beside import Beside
 from construction_twin.core.errors import PayloadError, ServiceSilentError
-from construction_twin.link.json_fields import read_document
 from construction_twin.link.remote_trajectory import request_id
+from construction_twin.mqtt.json_fields import read_document
 from construction_twin.mqtt.messages import Topics, account_of
 from construction_twin.mqtt.requests import RequestKind
 from construction_twin.ros.shared.deferred_log import DeferredLog

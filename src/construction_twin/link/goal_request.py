@@ -16,7 +16,8 @@ from typing import Any
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment, parse_moment
-from construction_twin.link.json_fields import (
+from construction_twin.link.remote_trajectory import Joints
+from construction_twin.mqtt.json_fields import (
     Reader,
     fraction,
     keys,
@@ -27,7 +28,6 @@ from construction_twin.link.json_fields import (
     shown,
     text,
 )
-from construction_twin.link.remote_trajectory import Joints
 
 #: Longest message [bytes].
 MAX_BYTES = 4096
@@ -49,7 +49,7 @@ Vector = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class RemoteRequest:
+class GoalRequest:
     """A wish for a plan.
 
     Attributes:
@@ -82,7 +82,7 @@ class IkRequest:
     """A pose for which joint values are wanted while it is dragged.
 
     Attributes:
-        position, orientation: As in `RemoteRequest`.
+        position, orientation: As in `GoalRequest`.
         seed: Joint values to be near to [rad], [m], in the robot's order; empty: the twin's present ones.
     """
 
@@ -92,7 +92,7 @@ class IkRequest:
     seed: Vector = ()
 
 
-def parse_plan_request(document: Mapping[str, Any], joints: Joints) -> RemoteRequest:
+def parse_plan_request(document: Mapping[str, Any], joints: Joints) -> GoalRequest:
     """Return the wish in a document of `read_document`; PayloadError (``format``, ``joints``, ``values`` or ``moment``)."""
     kind = document.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
@@ -100,7 +100,7 @@ def parse_plan_request(document: Mapping[str, Any], joints: Joints) -> RemoteReq
     needed, optional = KINDS[kind]
     keys(document, f"plan_request {kind}", ("id", "kind", *needed), ("id", "kind", "moment", *needed, *optional))
     fields = read_fields(document, _readers(joints))
-    return RemoteRequest(kind=kind, moment=parse_moment(document.get("moment")), **fields)
+    return GoalRequest(kind=kind, moment=parse_moment(document.get("moment")), **fields)
 
 
 def parse_ik(document: Mapping[str, Any], joints: Joints) -> IkRequest:
