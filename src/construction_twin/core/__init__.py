@@ -75,6 +75,7 @@ if TYPE_CHECKING:
     from construction_twin.core.motion_errors import UnreachableOrientationError as UnreachableOrientationError
     from construction_twin.core.motion_errors import WaypointsError as WaypointsError
     from construction_twin.core.motion_errors import WaypointTimesError as WaypointTimesError
+    from construction_twin.core.rate_limit import Pace as Pace
     from construction_twin.core.rate_limit import RollingWindow as RollingWindow
     from construction_twin.core.rate_limit import SenderLimits as SenderLimits
     from construction_twin.core.rate_limit import TokenBucket as TokenBucket

@@ -17,7 +17,6 @@ from construction_twin.controller.telegram import Telegram
 from construction_twin.core.beside import Beside
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
-from construction_twin.core.rate_limit import SenderLimits, TokenBucket
 from construction_twin.core.state_table import Machine
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
@@ -44,6 +43,7 @@ from construction_twin.mqtt.messages import (
     other_protocol,
     protocol_of,
 )
+from construction_twin.mqtt.requests import answer_limits
 
 #: States in which nothing is commanded, and the held pose follows what a program of the controller does.
 HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
@@ -51,8 +51,6 @@ HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
 DISPLACED = 2.0
 #: What could not be read is told until nothing more of it has come for this long [s].
 UNREAD_QUIET = 10.0
-#: Messages on `stop/<account>` are answered with this time between them [ns], and so many at once.
-STOP_PERIOD, STOPS_AT_ONCE = NANOSECONDS // 10, 10
 #: Why no switch is armed, and armed ones are void.
 _SPEED_0 = "the speed limit is 0"
 #: Figures in a sentence about the clock that are measured.
@@ -123,7 +121,7 @@ class Gateway:
         self._unread_count = self._unread_since = 0
         self._controller = ControllerSession(config, self.counters)
         self._owners = Ownership()
-        self._stop_pace = SenderLimits(lambda: TokenBucket(NANOSECONDS // STOP_PERIOD, STOPS_AT_ONCE))
+        self._stop_pace = answer_limits()
         self._player = Player(config, self.counters)
         self._stream = CommandIntake(config, self.codec, self._player)
         #: How fast the arm may move, as the source of `speed_limit` asks.

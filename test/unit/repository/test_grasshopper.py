@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -142,7 +143,8 @@ def cell(tmp_path_factory):
         patch.setattr(rospy, "wait_for_service", lambda *_: None)
         patch.setattr(rospy, "loginfo", lambda *_: None)
         # the session sends one motion after the other
-        patch.setattr(mqtt_planner, "SENDER_PAUSE", 1e-6)
+        for name in ("NAMELESS_TRAJECTORY", "TRAJECTORY"):
+            patch.setattr(mqtt_planner, name, replace(getattr(mqtt_planner, name), pace=None))
         cell = Cell(tmp_path_factory.mktemp("cell"))
         yield cell
         cell.close()

@@ -25,11 +25,11 @@ from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.requests import IK
 from construction_twin.robot.plan import Clearance
-from construction_twin.ros.shared import console_requests
+from construction_twin.ros.shared import console_requests, endpoint
 from construction_twin.ros.shared.console_requests import (
     IK_ACCOUNTS,
-    IK_RATE,
     ConsoleRequests,
     PlanServices,
     RobotContext,
@@ -94,7 +94,7 @@ class Bench:
             Service("plan_way_back", TriggerRequest, TriggerResponse(True, "the way back waits")),
             Service("work/plan", WorkPlanTaskRequest, WorkPlanTaskResponse(**PLAN, task="t")),
         )
-        self.line = RequestLine(4, 5.0, 1.0, lambda: self.steady)
+        self.line = RequestLine(4, 5.0, lambda: self.steady)
         around = RobotContext(lambda: self.twin, lambda: self.work, lambda: self.engaged, self.moment)
         self.desk = ConsoleRequests(
             Topics("twin", "kr120"), JOINTS, self.line, self.services, self.judge, around,
@@ -139,7 +139,8 @@ def bench(monkeypatch):
     made = Bench()
     monkeypatch.setattr(rospy, "wait_for_service", lambda *_: None)
     monkeypatch.setattr(rospy, "loginfo", lambda *_: None)
-    monkeypatch.setattr(console_requests, "time", SimpleNamespace(monotonic=lambda: made.steady))
+    for module in (console_requests, endpoint):
+        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: made.steady))
     monkeypatch.setattr(console_requests, "now_ns", lambda: made.wall)
     return made
 
@@ -285,7 +286,7 @@ def test_no_account_has_more_poses_taken_than_its_rate(bench):
         bench.drag(id=str(number))
         bench.desk.poses.run()
         bench.steady += 0.01
-    assert len(bench.published) == IK_RATE and bench.refused == ["ik_rate"] * (100 - IK_RATE)
+    assert len(bench.published) == IK.pace.most == 15 and bench.refused == ["ik_rate"] * 85
 
 
 def test_no_more_accounts_wait_than_are_solved_at_once(bench):

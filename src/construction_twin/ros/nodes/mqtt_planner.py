@@ -69,8 +69,6 @@ from construction_twin.srv import (
 WAITING = 4
 #: For so long after its answer the same bytes are the same message, sent twice by QoS 1 or by a sender that was run again [s].
 REPEAT_WINDOW = 5.0
-#: Shortest time between two motions of one sender [s]: nobody alone holds up the others.
-SENDER_PAUSE = 1.0
 #: What `sync` and `link` repeat by themselves counts as lost after so long [s].
 SYNC_AGE, LINK_AGE = 0.5, 3.0
 
@@ -158,7 +156,7 @@ class MqttPlanner:
         self._poses = Poses(None, None)
         self._connection = report_of(broker)
         self.outlets = Outlets(self._publish_answer, lambda reason, sentence: self.refuse(reason, sentence))
-        self._line = RequestLine(WAITING, REPEAT_WINDOW, SENDER_PAUSE, lambda: time.monotonic())
+        self._line = RequestLine(WAITING, REPEAT_WINDOW, lambda: time.monotonic())
         kinds = (NAMELESS_TRAJECTORY, TRAJECTORY) if settings.trajectories else ()
         self._motions = tuple(map(self._motion_endpoint, kinds))
         self._diagnostics = diagnostics

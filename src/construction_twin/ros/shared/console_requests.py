@@ -18,9 +18,7 @@ from geometry_msgs.msg import Pose as PoseMsg
 from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.core.freshness import Moment, staleness
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.rate_limit import RollingWindow, SenderLimits
 from construction_twin.core.sentences import Sentence
-from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.goal_request import MAX_BYTES, GoalRequest, IkRequest, parse_ik, parse_plan_request
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ClosestView
@@ -28,7 +26,7 @@ from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import IK, PLAN_REQUEST
 from construction_twin.msg import CartesianWaypoint
 from construction_twin.robot.frames import quaternion_to_rotation
-from construction_twin.ros.shared.endpoint import FLOOD, TOO_OLD, Endpoint, Incoming, Outlets
+from construction_twin.ros.shared.endpoint import TOO_OLD, Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.pose_judge import PoseJudge
 from construction_twin.ros.shared.request_counts import RequestCounts
@@ -37,8 +35,6 @@ from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.persistent_service import call
 
-#: Poses of one account that are taken in any second.
-IK_RATE = 15
 #: Accounts whose poses wait at once; each has one at most.
 IK_ACCOUNTS = 16
 #: How often the closest two bodies are looked for [s].
@@ -108,7 +104,6 @@ class ConsoleRequests:
         self._joints = joints
         self._services, self._judge, self._around = services, judge, around
         self._refuse, self._source_of = outlets.refuse, source_of
-        self._rate = SenderLimits(lambda: RollingWindow(IK_RATE))
         self._plans = RequestCounts("plan_requests", "under review", "no plan")
         self._poses = RequestCounts("ik", "solved", "not solved")
         self.poses = NewestLine(
@@ -187,8 +182,6 @@ class ConsoleRequests:
     # -- IK requests
 
     def _read_pose(self, incoming: Incoming) -> IkRequest:
-        if not self._rate.take(incoming.account, round(time.monotonic() * NANOSECONDS)):
-            raise PayloadError(FLOOD, f"more than {IK_RATE} poses in a second from {incoming.account}")
         return parse_ik(incoming.read_document("ik", MAX_BYTES), self._joints)
 
     def _solve(self, asked: IkRequest) -> Outcome:

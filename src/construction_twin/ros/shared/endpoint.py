@@ -8,6 +8,7 @@ after that, and hold up nothing (`deferred_log`). Of a safety act none of them c
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -18,6 +19,7 @@ from paho.mqtt.client import MQTTMessage
 
 from construction_twin.core.beside import Beside
 from construction_twin.core.errors import PayloadError, ServiceSilentError
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import request_id
 from construction_twin.mqtt.json_fields import read_document
 from construction_twin.mqtt.messages import Topics, account_of
@@ -27,10 +29,8 @@ from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.ros.shared.request_line import Line, Request
 
-#: Reasons of a PayloadError: what its screen had shown is too old; it came before, and was answered then; it is one of too many.
-TOO_OLD, REPEATED, FLOOD = "too_old", "repeated", "ik_rate"
-#: What is refused for these is not answered: that would be as much again.
-UNANSWERED = (REPEATED, FLOOD)
+#: Reasons of a PayloadError: what its screen had shown is too old; it came before, and was answered then.
+TOO_OLD, REPEATED = "too_old", "repeated"
 
 Asked = TypeVar("Asked")
 
@@ -98,7 +98,8 @@ class Endpoint(Generic[Asked]):
         read: Returns what is asked for, or raises PayloadError.
         carry_out: Does it. May raise PayloadError, which is refused and counted then, and ServiceSilentError.
         describe: Returns in a few words who asks for what, for the log; None: there is no line of it.
-        line: Takes what is asked for; returns where that waits. None: it is carried out where it arrives, and waits for nothing.
+        line: Takes what is asked for; returns where that waits, and is kept to its kind's pace. None: it is carried out where it
+            arrives, and waits for nothing.
     """
 
     def __init__(
@@ -115,6 +116,8 @@ class Endpoint(Generic[Asked]):
         self.topic, self.qos = topics.of(kind), kind.qos
         self._kind, self._topics, self._read, self._act = kind, topics, read, carry_out
         self._counts, self._outlets, self._describe, self._line = counts, outlets, describe, line
+        # a newer one follows: this one is not worth reading, and answering it would be as much again
+        self._unread = kind.pace.limits() if kind.pace is not None and not kind.qos else None
 
     def on_message(self, message: MQTTMessage) -> None:
         """Take a message from the connection's thread."""
@@ -132,6 +135,12 @@ class Endpoint(Generic[Asked]):
 
     def take(self, incoming: Incoming) -> None:
         """Take a message whose account is known."""
+        account = incoming.account
+        if self._unread is not None and not self._unread.take(account, round(time.monotonic() * NANOSECONDS)):
+            self._count_refusal(
+                f"{self._kind.name}_rate", f"{self._kind.name} too often from {account}: {self._kind.pace}"
+            )
+            return
         try:
             asked = self._read(incoming)
         except PayloadError as error:
@@ -148,11 +157,12 @@ class Endpoint(Generic[Asked]):
                 partial(self._act_and_answer, incoming, asked),
                 partial(self._refuse, incoming),
                 partial(self._repeat, incoming),
+                self._kind.pace if self._unread is None else None,
             )
         )
 
     def _refuse_unread(self, incoming: Incoming, error: PayloadError) -> None:
-        if error.reason not in UNANSWERED and self._counts.is_due(incoming.account):
+        if self._counts.is_due(incoming.account):
             self._send(incoming, Outcome(False, str(error), error.reason == TOO_OLD))
         self._count_refusal(error.reason, str(error))
 
@@ -178,7 +188,7 @@ class Endpoint(Generic[Asked]):
         except PayloadError as error:
             refused, outcome = error, Outcome(False, str(error), error.reason == TOO_OLD)
         answer = b""
-        if refused is None or refused.reason not in UNANSWERED:
+        if refused is None or refused.reason != REPEATED:
             answer = self._send(incoming, outcome)
             self._counts.add(outcome.success, outcome.counted)
         if refused is not None:
