@@ -337,14 +337,14 @@ class ScriptedRobot:
             sentence = f"plan {review.plan_id} with this hash is not under review"
             self._answer(requests.REVIEW, account, False, sentence, **known)
             return
-        if review.approves and (problem := self._too_old(review.moment)):
+        if review.approve and (problem := self._too_old(review.moment)):
             self._answer(requests.REVIEW, account, False, f"the approval is {problem}", expired=True, **known)
             return
         self.verdicts.append((review.reviewer, review.verdict, review.plan_id))
         self.plan = None
         self._answer(requests.REVIEW, account, True, f"{review.verdict} by {review.reviewer}", **known)
         self._publish(self._topics.plan, b"", retain=True)
-        if review.approves:
+        if review.approve:
             self.state, self._outcome, self._playing, self._elapsed, self._rate = "PLAYING", "", plan.id, 0.0, 1.0
 
     def _on_intervention(self, verb: str, account: str, payload: bytes, retained: bool) -> None:

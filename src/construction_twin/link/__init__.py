@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from construction_twin.link.goal_request import parse_plan_request as parse_plan_request
     from construction_twin.link.remote_review import PlanBoard as PlanBoard
     from construction_twin.link.remote_review import PlanView as PlanView
-    from construction_twin.link.remote_review import RemoteReview as RemoteReview
+    from construction_twin.link.remote_review import ReviewRequest as ReviewRequest
     from construction_twin.link.remote_review import SegmentView as SegmentView
     from construction_twin.link.remote_review import parse_review as parse_review
     from construction_twin.link.remote_trajectory import TrajectoryRequest as TrajectoryRequest

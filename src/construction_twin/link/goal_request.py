@@ -1,9 +1,9 @@
-"""`plan_request` and `ik` on MQTT: what a person at a console asks for, read strictly, and the answers. Standard library only.
+"""Requests for a plan to a goal; `plan_request` and `ik` on MQTT, read strictly. Pure; standard library only.
 
-A request becomes a plan for review by the planner's own services, or a sentence; nothing here moves anything. Poses are those of
-`tool0` in the robot's base_link. A request for a plan repeats the newest moment that its screen had received (`core.freshness`); a
-pose that is dragged is only answered, and needs none. SI: m, rad, s. What is not exactly as docs/reference/mqtt.md says is refused
-(PayloadError).
+A `GoalRequest`, also of the command line and the marker in rviz, becomes a plan for review by the planner's own services, or a
+sentence; nothing here moves anything. By MQTT poses are those of `tool0` in the robot's base_link. A request for a plan repeats the
+newest moment that its screen had received (`core.freshness`); a pose that is dragged is only answered, and needs none. SI: m, rad,
+s. What is not exactly as docs/reference/mqtt.md says is refused (PayloadError).
 """
 
 from __future__ import annotations
@@ -50,23 +50,26 @@ Vector = tuple[float, ...]
 
 @dataclass(frozen=True)
 class GoalRequest:
-    """A wish for a plan.
+    """A request for a plan to a goal.
 
     Attributes:
-        id: The sender's own, echoed in the answer.
-        kind: One of `KINDS`; of the fields below only those of its kind count.
+        kind: One of `KINDS`, or ``csv``, which is not taken by MQTT; of the fields below only those of its kind count.
+        id: Of MQTT: the sender's own, echoed in the answer.
+        moment: Of MQTT: the newest that the screen had received.
         joints: Goal in the robot's order [rad], [m].
-        position, orientation: Of tool0 in the base_link [m]; x y z w, of unit length.
+        position, orientation: Of tool0 in `frame` [m]; x y z w, of unit length.
         configuration: Empty: any.
         speed: Of the tool along a line [m/s]; 0: as fast as the limits allow.
         speed_scale, acceleration_scale: Fractions of the limits; 0: the planner's default.
         task: Id of a task of the building model; empty: the next one.
-        moment: The newest that the screen had received.
+        frame: Of tf; by MQTT always "", the base_link.
+        duration: Of the motion [s]; 0: the planner's default.
+        path, columns: Of a file of waypoints on the planner's machine; see `waypoint_file`.
     """
 
-    id: str
     kind: str
-    moment: Moment
+    id: str = ""
+    moment: Moment = Moment("", 0)
     joints: Vector = ()
     position: Vector = ()
     orientation: Vector = ()
@@ -75,6 +78,10 @@ class GoalRequest:
     speed_scale: float = 0.0
     acceleration_scale: float = 0.0
     task: str = ""
+    frame: str = ""
+    duration: float = 0.0
+    path: str = ""
+    columns: str = ""
 
 
 @dataclass(frozen=True)
@@ -93,7 +100,7 @@ class IkRequest:
 
 
 def parse_plan_request(document: Mapping[str, Any], joints: Joints) -> GoalRequest:
-    """Return the wish in a document of `read_document`; PayloadError (``format``, ``joints``, ``values`` or ``moment``)."""
+    """Return the request in a document of `read_document`; PayloadError (``format``, ``joints``, ``values`` or ``moment``)."""
     kind = document.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         raise PayloadError("format", f"kind is {shown(kind)}; expected one of {', '.join(KINDS)}")

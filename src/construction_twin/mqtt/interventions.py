@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import parse_moment
-from construction_twin.mqtt.messages import demand_live, is_short_text, parse_object
+from construction_twin.mqtt.messages import demand_live, is_short_text, other_keys, parse_object
 
 #: What can be asked for.
 STOP, PAUSE, RESUME = "stop", "pause", "resume"
@@ -49,10 +48,7 @@ def parse_intervention(verb: str, account: str, payload: bytes, retained: bool) 
     id_ = document.get("id", "")
     if not set(document) <= {"id", "moment"} or not is_short_text(id_) or not id_.strip():
         expected = "id, a text of 1 to 64 characters, " + ("and moment" if verb == RESUME else "alone")
-        raise PayloadError(
-            verb,
-            f"{verb} with keys {[key[:32] for key in sorted(document)[:8]]}; expected {expected}",
-        )
+        raise other_keys(verb, verb, document, expected)
     if verb != RESUME:
         return Intervention(verb, account, id_)
     return Intervention(verb, account, id_, str(parse_moment(document.get("moment"))))

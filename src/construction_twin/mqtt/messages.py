@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import partialmethod
 from typing import Any
@@ -231,10 +232,7 @@ def parse_control(payload: bytes) -> Control:
     """Parse a control message; PayloadError (``control``) when it is not one."""
     document = parse_object(payload, "control")
     if set(document) - {"value"} != {"id", "session", "verb"}:
-        raise PayloadError(
-            "control",
-            f"control message with keys {[key[:32] for key in sorted(document)[:8]]}; expected id, session, verb and value",
-        )
+        raise other_keys("control", "control message", document, "id, session, verb and value")
     if not all(is_short_text(document[key]) for key in ("id", "session", "verb")):
         raise PayloadError("control", "control message whose id, session or verb is not a short text in one line")
     return Control(**document)
@@ -321,6 +319,11 @@ def demand_live(retained: bool, what: str) -> None:
         raise PayloadError(
             "retained", f"retained {what}: it is unknown when it was meant; publish it without the retain flag"
         )
+
+
+def other_keys(reason: str, what: str, document: Mapping[str, object], expected: str) -> PayloadError:
+    """Return the refusal of a message whose keys are not as expected."""
+    return PayloadError(reason, f"{what} with keys {[key[:32] for key in sorted(document)[:8]]}; expected {expected}")
 
 
 def parse_object(payload: bytes, reason: str, limit: int = MAX_CONTROL_BYTES) -> dict:

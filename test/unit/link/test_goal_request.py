@@ -48,12 +48,12 @@ def refused(document: dict, parse=parse_plan_request) -> str:
 def test_every_kind_is_read_with_all_that_belongs_to_it():
     assert set(REQUESTS) == set(KINDS)
     read = {kind: parse_plan_request(asked(kind), JOINTS) for kind in KINDS}
-    assert read["joints"] == GoalRequest("7", "joints", MOMENT, (0.5, 2.0), speed_scale=0.5)
+    assert read["joints"] == GoalRequest("joints", "7", MOMENT, (0.5, 2.0), speed_scale=0.5)
     assert read["pose"] == GoalRequest(
-        "7", "pose", MOMENT, (), (1.5, 0.0, 2.0), (0.0, 0.0, 0.0, 1.0), "front up positive", acceleration_scale=0.25
+        "pose", "7", MOMENT, (), (1.5, 0.0, 2.0), (0.0, 0.0, 0.0, 1.0), "front up positive", acceleration_scale=0.25
     )
-    assert read["line"] == GoalRequest("7", "line", MOMENT, (), (1.5, 0.0, 2.0), (0.0, 0.0, 0.0, 1.0), speed=0.1)
-    assert read["way_back"] == GoalRequest("7", "way_back", MOMENT)
+    assert read["line"] == GoalRequest("line", "7", MOMENT, (), (1.5, 0.0, 2.0), (0.0, 0.0, 0.0, 1.0), speed=0.1)
+    assert read["way_back"] == GoalRequest("way_back", "7", MOMENT)
     assert read["work_task"].task == "2O2Fr$t4X7Zf8NOew3FLOH"
     assert parse_plan_request({"id": "8", "kind": "work_task", "moment": str(MOMENT)}, JOINTS).task == "", (
         "the next one"

@@ -10,6 +10,7 @@ import pytest
 import rospy
 from bridge_bench import Client, Refusals
 from construction_twin.msg import Plan, PlanCaller, Review
+from construction_twin.srv import ResumeFromScreenResponse, ReviewFromScreenResponse
 from paho.mqtt.client import topic_matches_sub
 from processes import wait_until
 from rospy.exceptions import TransportTerminated
@@ -43,7 +44,7 @@ class Trigger:
         self._pressed.append(verb)
         if self.error is not None:
             raise self.error
-        return SimpleNamespace(success=self.success, message="as the executor says", expired=self.expired)
+        return ResumeFromScreenResponse(self.success, "as the executor says", self.expired)
 
 
 class Bench:
@@ -64,7 +65,7 @@ class Bench:
     #: What the executor has been asked, and what an approval waits for there.
     asked: list[dict] = []
     disk: threading.Event | None = None
-    answer: SimpleNamespace | None = None
+    answer: ReviewFromScreenResponse | None = None
 
     def __call__(self, **request):
         if self.error is not None:
@@ -74,7 +75,7 @@ class Bench:
             assert self.disk.wait(10.0)
         self.asked = [*self.asked, request]
         said = "approved" if approves else "rejected"
-        return self.answer or SimpleNamespace(success=True, message=said, expired=False)
+        return self.answer or ReviewFromScreenResponse(True, said, False)
 
     def deliver(self, topic, payload, retain=False):
         """Hand over a message as the client does."""
@@ -124,7 +125,7 @@ def test_a_verdict_that_was_carried_out_is_answered_and_counted(bench):
 
 
 def test_what_its_screen_had_shown_goes_to_the_executor_with_it_and_that_it_was_too_old_comes_back(bench):
-    bench.answer = SimpleNamespace(success=False, message="the approval is too old", expired=True)
+    bench.answer = ReviewFromScreenResponse(False, "the approval is too old", True)
     bench.carry_out()
     answer = json.loads(bench.client.published[-1][1])
     assert [(asked["moment"], asked["approve"]) for asked in bench.asked] == [(MOMENT, True)]

@@ -12,13 +12,12 @@ import secrets
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import genpy
 import pydantic
 import rospy
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import PayloadError, PoseUnknownError
@@ -33,9 +32,10 @@ from construction_twin.mqtt.requests import NAMELESS_TRAJECTORY, TRAJECTORY, Req
 from construction_twin.msg import Execution, Link, Plan, Review, Sync, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
+from construction_twin.ros.messages.plan_services import PLAN_SERVICES
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.console_feed import ConsoleFeed, deployment_of
-from construction_twin.ros.shared.console_requests import ConsoleRequests, PlanServices, RobotContext
+from construction_twin.ros.shared.console_requests import ConsoleRequests, RobotContext
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
@@ -56,14 +56,7 @@ from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.persistent_service import call
-from construction_twin.srv import (
-    PlanCartesian,
-    PlanToJoints,
-    PlanToPose,
-    PlanTrajectory,
-    PlanTrajectoryResponse,
-    WorkPlanTask,
-)
+from construction_twin.srv import PlanTrajectory, PlanTrajectoryResponse
 
 #: Motions that may wait while one is checked; a person sends one at a time.
 WAITING = 4
@@ -282,9 +275,8 @@ class MqttPlanner:
             retime=True,
             source=source_of(asked.source, motion.sender, self._proven),
         )
-        notes = [*asked.notes, *_timing_notes(asked, answer)]
-        plan = {"plan_id": answer.plan_id, "plan_hash": answer.plan_hash, "duration": answer.duration, "notes": notes}
-        return Outcome(answer.success, answer.message, fields=plan)
+        outcome = Outcome.of(answer)
+        return replace(outcome, fields={**outcome.fields, "notes": [*asked.notes, *_timing_notes(asked, answer)]})
 
     def _publish_answer(self, topic: str, payload: bytes, qos: int) -> None:
         # what asks for no acknowledgement is of the past when it cannot be sent at once
@@ -449,13 +441,7 @@ def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: P
             files.drop_building()
     deployment = deployment_of(rospy.get_param("startup", None), rospy.get_namespace().rstrip("/"))
     feed = ConsoleFeed(topics, robot.base_link, node.publish_now, node.refuse, deployment, files)
-    services = PlanServices(
-        rospy.ServiceProxy("plan_to_joints", PlanToJoints),
-        rospy.ServiceProxy("plan_to_pose", PlanToPose),
-        rospy.ServiceProxy("plan_cartesian", PlanCartesian),
-        rospy.ServiceProxy("plan_way_back", Trigger),
-        rospy.ServiceProxy("work/plan", WorkPlanTask),
-    )
+    services = {kind: rospy.ServiceProxy(service.name, service.kind) for kind, service in PLAN_SERVICES.items()}
     around = RobotContext(
         twin=lambda: _positions(poses.twin, settings.max_pose_age),
         has_work=lambda: ports.connections("work/tasks") > 0,

@@ -22,7 +22,7 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_review import (
     PlanBoard,
     PlanView,
-    RemoteReview,
+    ReviewRequest,
     SegmentView,
     SwitchView,
     parse_review,
@@ -37,6 +37,7 @@ from construction_twin.msg import Link, Plan, PlanCaller, Review
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.segments import segments_content
 from construction_twin.ros.messages.convert import plan_from_msg
+from construction_twin.ros.messages.plan_services import request_fields
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
@@ -126,13 +127,13 @@ class MqttReview:
         )
         self._diagnostics = diagnostics
 
-    def _verdict_endpoint(self, kind: RequestKind) -> Endpoint[RemoteReview]:
+    def _verdict_endpoint(self, kind: RequestKind) -> Endpoint[ReviewRequest]:
         # where the broker knows accounts, one in no name is refused where it arrives
         nameless = kind is NAMELESS_REVIEW and bool(self._settings.account)
         return Endpoint(
             kind, self._topics, _read_verdict, _refuse_nameless if nameless else self._call_executor,
             self._verdicts, self.outlets, _describe,
-            None if nameless else lambda review: self.approvals if review.approves else self.rejections,
+            None if nameless else lambda review: self.approvals if review.approve else self.rejections,
         )  # fmt: skip
 
     def connect(self) -> None:
@@ -258,22 +259,15 @@ class MqttReview:
         """Note what the broker holds."""
         self._seen = payload
 
-    def _call_executor(self, review: RemoteReview) -> Outcome:
+    def _call_executor(self, review: ReviewRequest) -> Outcome:
         """Give a verdict to the executor; return what it says."""
-        request = {
-            "plan_id": review.plan_id,
-            "plan_hash": review.plan_hash,
-            "approve": review.approves,
-            "reviewer": review.reviewer,
-            "reason": recorded_reason(review),
-            "moment": review.moment,
-        }
-        if review.approves:
-            answer = call(self._give_approval, EXECUTOR, **request)
+        fields = request_fields(ReviewFromScreen, replace(review, reason=recorded_reason(review)))
+        if review.approve:
+            answer = call(self._give_approval, EXECUTOR, **fields)
         else:
             # over the connection that is open, as a stop
-            answer = call_twice(self._give_rejection, EXECUTOR, **request)
-        return Outcome(answer.success, answer.message, answer.expired)
+            answer = call_twice(self._give_rejection, EXECUTOR, **fields)
+        return Outcome.of(answer)
 
     def _publish_answer(self, topic: str, payload: bytes, qos: int) -> None:
         self._client.publish(topic, payload, qos=qos)
@@ -297,17 +291,17 @@ def _run_line(line: RequestLine) -> None:
         line.run(0.2)
 
 
-def _read_verdict(incoming: Incoming) -> RemoteReview:
+def _read_verdict(incoming: Incoming) -> ReviewRequest:
     review = parse_review(incoming.payload, incoming.retained, incoming.account)
     incoming.echo |= {name: getattr(review, name) for name in ("plan_id", "plan_hash", "verdict", "reviewer")}
     return review
 
 
-def _refuse_nameless(review: RemoteReview) -> Outcome:
+def _refuse_nameless(review: ReviewRequest) -> Outcome:
     raise PayloadError("sender", _NAMELESS)
 
 
-def _describe(review: RemoteReview) -> str:
+def _describe(review: ReviewRequest) -> str:
     return f"{review.verdict} of plan {review.plan_id} by {review.reviewer}"
 
 

@@ -8,12 +8,10 @@ pose of an IK request, which is dragged, is worth solving only while it is the n
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import rospy
-from geometry_msgs.msg import Point, PoseStamped, Quaternion
-from geometry_msgs.msg import Pose as PoseMsg
 
 from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.core.freshness import Moment, staleness
@@ -24,8 +22,8 @@ from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ClosestView
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import IK, PLAN_REQUEST
-from construction_twin.msg import CartesianWaypoint
 from construction_twin.robot.frames import quaternion_to_rotation
+from construction_twin.ros.messages.plan_services import PLAN_SERVICES
 from construction_twin.ros.shared.endpoint import TOO_OLD, Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.pose_judge import PoseJudge
@@ -39,17 +37,6 @@ from construction_twin.ros.transport.persistent_service import call
 IK_ACCOUNTS = 16
 #: How often the closest two bodies are looked for [s].
 CLOSEST_PERIOD = 0.2
-
-
-@dataclass(frozen=True)
-class PlanServices:
-    """The services that make plans, as `rospy.ServiceProxy` has them."""
-
-    to_joints: rospy.ServiceProxy
-    to_pose: rospy.ServiceProxy
-    line: rospy.ServiceProxy
-    way_back: rospy.ServiceProxy
-    work_task: rospy.ServiceProxy
 
 
 @dataclass(frozen=True)
@@ -83,6 +70,7 @@ class ConsoleRequests:
 
     Args:
         line: Where plan requests wait.
+        services: Those that make plans, by kind of request.
         source_of: Takes an account; returns who asks, for the reviewer.
 
     Attributes:
@@ -95,7 +83,7 @@ class ConsoleRequests:
         topics: Topics,
         joints: Joints,
         line: RequestLine,
-        services: PlanServices,
+        services: Mapping[str, rospy.ServiceProxy],
         judge: PoseJudge,
         around: RobotContext,
         outlets: Outlets,
@@ -143,41 +131,21 @@ class ConsoleRequests:
     def _carry_out(self, request: _PlanAsked) -> Outcome:
         # it may have waited too long for its turn
         self._demand_fresh(request.asked)
-        return self._make(request.asked, request.account, request.arrived)
+        asked, kind = request.asked, request.asked.kind
+        if kind == "way_back" and self._around.has_work() and self._around.is_engaged():
+            # the node `work` makes the scene right before it has the way back planned
+            kind = "work_task"
+        if kind == "work_task" and not self._around.has_work():
+            return Outcome(False, "no building model is worked on here; start bringup with work_model and work_cell")
+        # a stop between the message and its turn voids the plan
+        source, arrived = self._source_of(request.account), to_time(request.arrived)
+        fields = PLAN_SERVICES[kind].fields(asked, source=source, asked=arrived)
+        return Outcome.of(call(self._services[kind], "its node", **fields))
 
     def _demand_fresh(self, asked: GoalRequest) -> None:
         """Refuse a plan request (PayloadError) that is too old to be begun."""
         if problem := staleness(asked.moment, self._around.clock()):
             raise PayloadError(TOO_OLD, Sentence("executor.void.request", problem=problem))
-
-    def _make(self, asked: GoalRequest, account: str, arrived: int) -> Outcome:
-        """Have a plan made by the service of its kind."""
-        services, scales = (
-            self._services,
-            {"speed_scale": asked.speed_scale, "acceleration_scale": asked.acceleration_scale},
-        )
-        common = {"source": self._source_of(account), **scales}
-        if asked.kind == "joints":
-            # a stop between the message and its turn voids the plan
-            return self._call(services.to_joints, goal=list(asked.joints), asked=to_time(arrived), **common)
-        if asked.kind == "pose":
-            goal = PoseStamped(pose=_pose_msg(asked))
-            return self._call(services.to_pose, goal=goal, configuration=asked.configuration, **common)
-        if asked.kind == "line":
-            waypoints = [CartesianWaypoint(pose=_pose_msg(asked))]
-            return self._call(services.line, waypoints=waypoints, speed=asked.speed, **common)
-        if asked.kind == "way_back" and not (self._around.has_work() and self._around.is_engaged()):
-            return self._call(services.way_back)
-        # the node `work` makes the scene right before it has the way back planned
-        if not self._around.has_work():
-            return Outcome(False, "no building model is worked on here; start bringup with work_model and work_cell")
-        return self._call(services.work_task, task=asked.task)
-
-    @staticmethod
-    def _call(service: rospy.ServiceProxy, **request: object) -> Outcome:
-        answer = call(service, "its node", **request)
-        plan = {name: getattr(answer, name) for name in ("plan_id", "plan_hash", "duration") if hasattr(answer, name)}
-        return Outcome(answer.success, answer.message, fields=plan)
 
     # -- IK requests
 
@@ -234,7 +202,3 @@ class ConsoleRequests:
 
 def _describe(request: _PlanAsked) -> str:
     return f"plan_request {request.asked.id!r} ({request.asked.kind}) from {request.account}"
-
-
-def _pose_msg(asked: GoalRequest) -> PoseMsg:
-    return PoseMsg(Point(*asked.position), Quaternion(*asked.orientation))

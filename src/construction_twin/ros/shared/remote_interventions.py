@@ -61,12 +61,10 @@ def remote_interventions(
             raise PayloadError(REPEATED, f"{wanted.verb} {wanted.id!r} of account {wanted.account} came before")
         known.append(wanted)
         # it asks the master first; when a pause overtakes it, its moment is older than that pause, and it is void
-        answer = call(services[RESUME], EXECUTOR, moment=wanted.moment)
-        return Outcome(answer.success, answer.message, answer.expired)
+        return Outcome.of(call(services[RESUME], EXECUTOR, moment=wanted.moment))
 
     def brake(wanted: Intervention) -> Outcome:
-        answer = call_twice(services[wanted.verb], EXECUTOR)
-        return Outcome(answer.success, answer.message)
+        return Outcome.of(call_twice(services[wanted.verb], EXECUTOR))
 
     def endpoint(kind: RequestKind, act: Callable[[Intervention], Outcome]) -> Endpoint[Intervention]:
         read, line = partial(_read, kind.name), lines[kind.name]
