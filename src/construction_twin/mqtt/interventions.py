@@ -11,9 +11,11 @@ from dataclasses import dataclass, field
 
 from construction_twin.core.freshness import parse_moment
 from construction_twin.mqtt.messages import demand_live, is_short_text, other_keys, parse_object
+from construction_twin.mqtt.requests import PRESSED
 
 #: What can be asked for.
 STOP, PAUSE, RESUME = "stop", "pause", "resume"
+_STARTING = {kind.name for kind in PRESSED if kind.starts}
 #: Longest message that is read [bytes].
 MAX_BYTES = 256
 
@@ -47,8 +49,8 @@ def parse_intervention(verb: str, account: str, payload: bytes, retained: bool) 
     document = parse_object(payload, verb, MAX_BYTES)
     id_ = document.get("id", "")
     if not set(document) <= {"id", "moment"} or not is_short_text(id_) or not id_.strip():
-        expected = "id, a text of 1 to 64 characters, " + ("and moment" if verb == RESUME else "alone")
+        expected = "id, a text of 1 to 64 characters, " + ("and moment" if verb in _STARTING else "alone")
         raise other_keys(verb, verb, document, expected)
-    if verb != RESUME:
+    if verb not in _STARTING:
         return Intervention(verb, account, id_)
     return Intervention(verb, account, id_, str(parse_moment(document.get("moment"))))

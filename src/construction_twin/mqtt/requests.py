@@ -48,6 +48,8 @@ class RequestKind:
         qos: Of request and answer.
         pace: How often one account may ask; None: as often as it likes. Kinds of one pace that wait in one line have it together.
             What comes too often is told when to try again; of QoS 0, where a newer one follows anyway, it is not even read.
+        starts: Of what is pressed: it starts motion, repeats the moment that its screen had received, and is carried out once;
+            any other may be carried out twice.
     """
 
     name: str
@@ -57,6 +59,7 @@ class RequestKind:
     answer: tuple[str, ...]
     qos: int = 1
     pace: Pace | None = None
+    starts: bool = False
 
     def is_answered_to(self, account: str) -> bool:
         """Return whether somebody hears the answer; where each account has a topic of its own, "" has none."""
@@ -80,7 +83,9 @@ NAMELESS_REVIEW = RequestKind("review", "", "review", "review/ack", _VERDICT)
 REVIEW = RequestKind("review", "review", "review/{}", "review/ack", _VERDICT)
 STOP = RequestKind("stop", "stop", "stop/{}", "stop/ack", _PRESSED)
 PAUSE = RequestKind("pause", "pause", "pause/{}", "pause/ack", _PRESSED)
-RESUME = RequestKind("resume", "pause", "resume/{}", "pause/ack", _PRESSED)
+RESUME = RequestKind("resume", "pause", "resume/{}", "pause/ack", _PRESSED, starts=True)
+#: What is pressed: an `Intervention`, which the executor's service of the same name carries out.
+PRESSED = (STOP, PAUSE, RESUME)
 PLAN_REQUEST = RequestKind(
     "plan_request", "plan_request", "plan_request/{}", "plan_request/ack", _PLANNED, pace=_PLANNING
 )
@@ -90,7 +95,7 @@ NAMELESS_TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory", "tra
 TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory/from/{}", "trajectory/ack", _CHECKED, pace=_PLANNING)
 #: In the order of the broker's rules.
 REQUESTS = (
-    NAMELESS_REVIEW, REVIEW, STOP, PAUSE, RESUME, PLAN_REQUEST, IK, NAMELESS_TRAJECTORY, TRAJECTORY,
+    NAMELESS_REVIEW, REVIEW, *PRESSED, PLAN_REQUEST, IK, NAMELESS_TRAJECTORY, TRAJECTORY,
 )  # fmt: skip
 
 #: Answers per second, and at once, to what an account sends that cannot be read, or that is a stop of what stands stopped. What can

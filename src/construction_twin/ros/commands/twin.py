@@ -27,7 +27,7 @@ from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.shared.robot_listener import RobotListener
-from construction_twin.views.arguments import Exit, check, parser, split_lists
+from construction_twin.views.arguments import TRIGGERS, Exit, check, parser, split_lists
 from construction_twin.views.goals import joint_goal, pose_goal
 from construction_twin.views.texts import caller_line, plan_lines, status_lines
 
@@ -52,7 +52,7 @@ class Command:
     def run(self) -> Exit:
         """Do it; see `OperatorClient` for what is raised."""
         name = self._options.command
-        if name in ("stop", "pause", "resume", "reset"):
+        if name in TRIGGERS:
             return _print(self._client.trigger(name))
         return getattr(self, f"_{name}")()
 

@@ -29,10 +29,9 @@ from construction_twin.link.remote_review import (
     recorded_reason,
 )
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
-from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
-from construction_twin.mqtt.requests import NAMELESS_REVIEW, REVIEW, RequestKind
+from construction_twin.mqtt.requests import NAMELESS_REVIEW, PRESSED, REVIEW, RequestKind
 from construction_twin.msg import Link, Plan, PlanCaller, Review
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.segments import segments_content
@@ -407,14 +406,16 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttReview:
     topics = Topics(settings.prefix, robot.name)
     client = make_client(broker, unique_id(robot.name, "review"), topics.plan, will="")
     give_approval = rospy.ServiceProxy("review_from_screen", ReviewFromScreen)
-    # `stop` and `pause` may be called twice
-    services = {name: PersistentService(name, Trigger) for name in (STOP, PAUSE)}
-    services[RESUME] = rospy.ServiceProxy("resume_from_screen", ResumeFromScreen)
+    # what starts nothing may be called twice
+    twice = {kind.name: PersistentService(kind.name, Trigger) for kind in PRESSED if not kind.starts}
+    once = {
+        kind.name: rospy.ServiceProxy(f"{kind.name}_from_screen", ResumeFromScreen) for kind in PRESSED if kind.starts
+    }
     # a plan is rejected once, and a second time it is said to be
     reject = PersistentService("review_from_screen", ReviewFromScreen)
-    connections = (services[STOP], services[PAUSE], reject)
+    connections = (*twice.values(), reject)
     node = MqttReview(
-        settings, robot.name, broker, client, give_approval, services, ports.diagnostics, reject, connections
+        settings, robot.name, broker, client, give_approval, twice | once, ports.diagnostics, reject, connections
     )
     node.connect()
     return node

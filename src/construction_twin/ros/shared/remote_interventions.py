@@ -7,17 +7,16 @@ same stops itself, so this one brakes along the path what the gateway brakes wit
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
 import rospy
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.mqtt import requests
-from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP, Intervention, parse_intervention
+from construction_twin.mqtt.interventions import Intervention, parse_intervention
 from construction_twin.mqtt.messages import Topics
-from construction_twin.mqtt.requests import RequestKind
+from construction_twin.mqtt.requests import PRESSED, RequestKind
 from construction_twin.ros.shared.endpoint import REPEATED, Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.request_counts import RequestCounts
@@ -50,28 +49,28 @@ def remote_interventions(
     """Return what takes interventions and gives them to the executor.
 
     Args:
-        services: The executor's of each verb; that of `resume` takes `moment`, the others may be called twice.
+        services: The executor's of each verb; that of one that starts motion takes `moment`, the others may be called twice.
     """
-    lines = {verb: RequestLine(WAITING) for verb in (STOP, PAUSE, RESUME)}
+    lines = {kind.name: RequestLine(WAITING) for kind in PRESSED}
     known: deque[Intervention] = deque(maxlen=MEMORY)
 
-    def resume(wanted: Intervention) -> Outcome:
+    def start(wanted: Intervention) -> Outcome:
         if wanted in known:
             # it must not start again what was paused since
             raise PayloadError(REPEATED, f"{wanted.verb} {wanted.id!r} of account {wanted.account} came before")
         known.append(wanted)
         # it asks the master first; when a pause overtakes it, its moment is older than that pause, and it is void
-        return Outcome.of(call(services[RESUME], EXECUTOR, moment=wanted.moment))
+        return Outcome.of(call(services[wanted.verb], EXECUTOR, moment=wanted.moment))
 
     def brake(wanted: Intervention) -> Outcome:
         return Outcome.of(call_twice(services[wanted.verb], EXECUTOR))
 
-    def endpoint(kind: RequestKind, act: Callable[[Intervention], Outcome]) -> Endpoint[Intervention]:
+    def endpoint(kind: RequestKind) -> Endpoint[Intervention]:
         read, line = partial(_read, kind.name), lines[kind.name]
+        act = start if kind.starts else brake
         return Endpoint(kind, topics, read, act, counts, outlets, _describe, lambda _: line)
 
-    endpoints = endpoint(requests.STOP, brake), endpoint(requests.PAUSE, brake), endpoint(requests.RESUME, resume)
-    return RemoteInterventions(endpoints, lines)
+    return RemoteInterventions(tuple(map(endpoint, PRESSED)), lines)
 
 
 def _read(verb: str, incoming: Incoming) -> Intervention:
