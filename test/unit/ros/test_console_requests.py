@@ -45,7 +45,11 @@ class Service:
     """In place of a `rospy.ServiceProxy`: fields that the service does not have are an error."""
 
     def __init__(self, name: str, kind, answer):
-        self.resolved_name, self._request, self.answer = f"/kr120/{name}", kind._request_class, answer
+        self.resolved_name, self._request, self.answer = (
+            f"/kr120/{name}",
+            rospy.ServiceProxy(name, kind).request_class,
+            answer,
+        )
         self.asked: list = []
 
     def __call__(self, **fields):

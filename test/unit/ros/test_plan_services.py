@@ -21,7 +21,9 @@ def test_every_kind_of_request_has_a_service_that_takes_its_fields():
     assert {*KINDS, "csv"} == set(PLAN_SERVICES)
     for kind, service in PLAN_SERVICES.items():
         asked = GoalRequest(kind, position=(1.0, 2.0, 3.0), orientation=(0.0, 0.0, 0.0, 1.0))
-        service.kind._request_class(**service.fields(asked, source="ada", asked=rospy.Time(7)))
+        rospy.ServiceProxy(service.name, service.kind).request_class(
+            **service.fields(asked, source="ada", asked=rospy.Time(7))
+        )
 
 
 def test_a_field_reaches_the_services_field_of_its_name_and_a_goal_is_formed():

@@ -58,6 +58,7 @@ class Command:
 
     def _plan(self) -> Exit:
         options = self._options
+        goal: dict[str, Any]
         if options.csv is not None:
             kind, goal = "csv", {"path": str(Path(options.csv).absolute()), "columns": options.columns}
         elif options.joints is not None:

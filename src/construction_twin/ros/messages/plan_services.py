@@ -45,7 +45,7 @@ class PlanService:
         return request_fields(self.kind, request, **further) | self.goal(request)
 
 
-def pose_fields(pose: Pose) -> dict[str, tuple[float, ...]]:
+def pose_fields(pose: Pose) -> dict[str, Any]:
     """Return the fields of a `GoalRequest` that name a pose."""
     return {
         "position": tuple(map(float, pose.position)),
