@@ -46,7 +46,7 @@ class RequestKind:
         topic, ack: Where it comes in and is answered, below ``<prefix>/<robot>/``; ``{}`` is the account.
         answer: Its fields, in their order.
         qos: Of request and answer.
-        pace: How often one account may ask; None: as often as it likes. Kinds of one pace that wait in one line have it together.
+        pace: How often one account may ask; None: as often as it likes. Kinds of one pace that wait in one queue have it together.
             What comes too often is told when to try again; of QoS 0, where a newer one follows anyway, it is not even read.
         starts: Of what is pressed: it starts motion, repeats the moment that its screen had received, and is carried out once;
             any other may be carried out twice.

@@ -31,7 +31,7 @@ from construction_twin.ros.shared.console_requests import (
     RobotContext,
 )
 from construction_twin.ros.shared.endpoint import Outlets
-from construction_twin.ros.shared.request_line import RequestLine
+from construction_twin.ros.shared.request_queue import RequestQueue
 from construction_twin.views.reachability import PoseVerdict, Reach
 
 JOINTS = Joints(("joint_a1", "track"), (False, True))
@@ -97,10 +97,10 @@ class Bench:
                 ("work_task", WorkPlanTaskResponse(**PLAN, task="t")),
             )
         }
-        self.line = RequestLine(4, 5.0, lambda: self.steady)
+        self.queue = RequestQueue(4, 5.0, lambda: self.steady)
         around = RobotContext(lambda: self.twin, lambda: self.work, lambda: self.engaged, self.moment)
         self.desk = ConsoleRequests(
-            Topics("twin", "kr120"), JOINTS, self.line, self.services, self.judge, around,
+            Topics("twin", "kr120"), JOINTS, self.queue, self.services, self.judge, around,
             Outlets(self._publish, self._refuse), lambda account: f"MQTT account {account}",
         )  # fmt: skip
 
@@ -127,7 +127,7 @@ class Bench:
         """Send a wish, and have it carried out; return the newest answer."""
         wish = {"id": "7", "moment": str(self.moment())} | document
         self.deliver(f"plan_request/{account}", json.dumps(wish).encode(), retained)
-        self.line.run()
+        self.queue.run()
         self.steady += 1.1
         topic, answer = self.published[-1]
         assert topic == "twin/kr120/plan_request/ack"
@@ -229,7 +229,7 @@ def test_nobody_asks_more_than_once_a_second_and_the_same_message_is_one_wish(be
     bench.deliver(f"plan_request/{ADA}", payload)
     bench.deliver(f"plan_request/{ADA}", payload)
     bench.deliver(f"plan_request/{ADA}", payload.replace(b'"7"', b'"8"'))
-    bench.line.run()
+    bench.queue.run()
     assert bench.refused == ["repeated", "busy"] and len(bench.services["way_back"].asked) == 1
     assert [(answer["id"], answer["ok"]) for _, answer in bench.published] == [("8", False), ("7", True)]
 
@@ -247,7 +247,7 @@ def test_a_wish_that_waited_too_long_for_its_turn_is_void_and_says_so(bench):
     document = {"id": "7", "kind": "way_back", "moment": str(bench.moment())}
     bench.deliver(f"plan_request/{ADA}", json.dumps(document).encode())
     bench.steady += 3.5
-    bench.line.run()
+    bench.queue.run()
     ((_, answer),) = bench.published
     assert (answer["ok"], answer["expired"]) == (False, True) and "look again" in answer["reason"]
     assert bench.services["way_back"].asked == [] and bench.refused == ["too_old"]

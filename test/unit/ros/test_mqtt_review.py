@@ -191,7 +191,7 @@ def test_a_rejection_does_not_wait_behind_an_approval_whose_record_waits_for_a_d
     ended, bench.disk = threading.Event(), threading.Event()
     bench.client.disconnect = bench.client.loop_stop = lambda: None
     monkeypatch.setattr(rospy, "is_shutdown", ended.is_set)
-    bench.node.start_lines()
+    bench.node.start_queues()
     approving = threading.Thread(target=bench.node.run)
     approving.start()
     bench.verdict("p1")
@@ -235,7 +235,7 @@ def test_a_verdict_is_answered_although_the_log_fails(bench, monkeypatch, verdic
 def pressing(bench, monkeypatch):
     ended = threading.Event()
     monkeypatch.setattr(rospy, "is_shutdown", ended.is_set)
-    bench.node.start_lines()
+    bench.node.start_queues()
     yield bench
     ended.set()
 
@@ -341,7 +341,7 @@ def test_a_resume_for_which_there_was_no_room_may_be_pressed_again(bench):
     for number in range(remote_interventions.WAITING + 1):
         press(bench, "resume", str(number))
     assert [answer["ok"] for answer in acks(bench, "pause")] == [False] and bench.made.refused == {"busy": 1}
-    bench.node.start_lines()
+    bench.node.start_queues()
     wait_until(lambda: len(bench.pressed) == remote_interventions.WAITING, what="those that waited")
     press(bench, "resume", str(remote_interventions.WAITING))
     wait_until(lambda: len(bench.pressed) == remote_interventions.WAITING + 1, what="the one that had no room")

@@ -51,7 +51,7 @@ from construction_twin.ros.shared.ports import (
 from construction_twin.ros.shared.pose_judge import PoseJudge
 from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.ros.shared.request_counts import RequestCounts
-from construction_twin.ros.shared.request_line import RequestLine
+from construction_twin.ros.shared.request_queue import RequestQueue
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
@@ -149,7 +149,7 @@ class MqttPlanner:
         self._poses = Poses(None, None)
         self._connection = report_of(broker)
         self.outlets = Outlets(self._publish_answer, lambda reason, sentence: self.refuse(reason, sentence))
-        self._line = RequestLine(WAITING, REPEAT_WINDOW, lambda: time.monotonic())
+        self._queue = RequestQueue(WAITING, REPEAT_WINDOW, lambda: time.monotonic())
         kinds = (NAMELESS_TRAJECTORY, TRAJECTORY) if settings.trajectories else ()
         self._motions = tuple(map(self._motion_endpoint, kinds))
         self._diagnostics = diagnostics
@@ -158,7 +158,7 @@ class MqttPlanner:
         return Endpoint(
             kind, self._topics, self._read_motion, self._carry_out, self._counts, self.outlets,
             lambda motion: f"trajectory {motion.asked.id!r} from {motion.sender or 'an unknown sender'}",
-            lambda _motion: self._line,
+            lambda _motion: self._queue,
         )  # fmt: skip
 
     @property
@@ -196,9 +196,9 @@ class MqttPlanner:
             return self._execution is not None and bool(self._execution[0].engaged)
 
     @property
-    def line(self) -> RequestLine:
+    def queue(self) -> RequestQueue:
         """Where requests wait for their turn."""
-        return self._line
+        return self._queue
 
     def serve_consoles(self, feed: ConsoleFeed, requests: ConsoleRequests) -> None:
         """Take what tells consoles more than `view`, and what carries out their wishes."""
@@ -235,7 +235,7 @@ class MqttPlanner:
 
     def run_waiting(self, patience: float = 0.0) -> None:
         """Carry out all requests that wait; wait so long [s] for the first one."""
-        self._line.run(patience)
+        self._queue.run(patience)
         self.outlets.write_log()
 
     # -- motions from MQTT
@@ -369,7 +369,7 @@ class MqttPlanner:
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
-        values: dict[str, object] = {**self._counts.report(), "trajectories waiting": self._line.waiting}
+        values: dict[str, object] = {**self._counts.report(), "trajectories waiting": self._queue.waiting}
         values |= self._consoles.counts if self._consoles is not None else {}
         if not self._client.is_connected():
             return Report(WARN, self._connection.sentence or "connecting to the broker", values)
@@ -448,7 +448,7 @@ def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: P
         is_engaged=node.is_engaged,
     )
     requests = ConsoleRequests(
-        topics, node.joints, node.line, services, PoseJudge(robot, settings.self_collision, lambda: feed.scene), around,
+        topics, node.joints, node.queue, services, PoseJudge(robot, settings.self_collision, lambda: feed.scene), around,
         node.outlets, node.source_of,
     )  # fmt: skip
     node.serve_consoles(feed, requests)

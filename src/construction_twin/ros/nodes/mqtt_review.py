@@ -45,7 +45,7 @@ from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import Interface, Ports, Subscription
 from construction_twin.ros.shared.remote_interventions import EXECUTOR, remote_interventions
 from construction_twin.ros.shared.request_counts import RequestCounts
-from construction_twin.ros.shared.request_line import RequestLine
+from construction_twin.ros.shared.request_queue import RequestQueue
 from construction_twin.ros.transport.persistent_service import PersistentService, call, call_twice
 from construction_twin.srv import ResumeFromScreen, ReviewFromScreen
 
@@ -117,7 +117,7 @@ class MqttReview:
             self._publish_answer, lambda reason, sentence: self.refuse(reason, sentence), safety=True
         )
         self._connection = report_of(broker, self.outlets.log)
-        self.approvals, self.rejections = RequestLine(WAITING), RequestLine(WAITING)
+        self.approvals, self.rejections = RequestQueue(WAITING), RequestQueue(WAITING)
         self.interventions = remote_interventions(topics, interventions, self._pressed, self.outlets)
         self.endpoints: tuple[Endpoint, ...] = (
             self._verdict_endpoint(NAMELESS_REVIEW),
@@ -139,15 +139,15 @@ class MqttReview:
         """Connect to the broker, and serve the connection in a thread of its own."""
         on_message = {endpoint.topic: endpoint.on_message for endpoint in self.endpoints}
         on_message[self._topics.plan] = lambda message: self.on_own_plan(bytes(message.payload))
-        self.start_lines()
+        self.start_queues()
         threading.Thread(target=self.run_log, name="log", daemon=True).start()
         threading.Thread(target=self.run_connections, name="connections", daemon=True).start()
         connect(self._client, self._broker, self._connection, self.on_connect, self.on_disconnect, on_message)
 
-    def start_lines(self) -> None:
+    def start_queues(self) -> None:
         """Begin to carry out what waits for no approval, each kind in a thread of its own."""
-        for name, line in {"reject": self.rejections, **self.interventions.lines}.items():
-            threading.Thread(target=_run_line, args=(line,), name=name, daemon=True).start()
+        for name, queue in {"reject": self.rejections, **self.interventions.queues}.items():
+            threading.Thread(target=_run_queue, args=(queue,), name=name, daemon=True).start()
 
     @property
     def refuse(self) -> Callable[[str, str], None]:
@@ -285,9 +285,9 @@ class MqttReview:
         return Report(OK, "a plan is shown" if self._board.payload else "no plan to review", values)
 
 
-def _run_line(line: RequestLine) -> None:
+def _run_queue(queue: RequestQueue) -> None:
     while not rospy.is_shutdown():
-        line.run(0.2)
+        queue.run(0.2)
 
 
 def _read_verdict(incoming: Incoming) -> ReviewRequest:

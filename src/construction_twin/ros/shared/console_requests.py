@@ -1,8 +1,8 @@
 """Plan and IK requests of consoles: handed to the planner's own services, and answered. Nothing here moves.
 
-What a plan service makes waits for a person's verdict as any plan. A plan request is carried out in its turn (`RequestLine`); the
+What a plan service makes waits for a person's verdict as any plan. A plan request is carried out in its turn (`RequestQueue`); the
 pose of an IK request, which is dragged, is worth solving only while it is the newest of its account, in a thread of its own
-(`NewestLine`).
+(`NewestQueue`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from construction_twin.ros.shared.endpoint import TOO_OLD, Endpoint, Incoming, O
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.pose_judge import PoseJudge
 from construction_twin.ros.shared.request_counts import RequestCounts
-from construction_twin.ros.shared.request_line import NewestLine, RequestLine
+from construction_twin.ros.shared.request_queue import NewestQueue, RequestQueue
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.persistent_service import call
@@ -69,7 +69,7 @@ class ConsoleRequests:
     """The endpoints of plan and IK requests.
 
     Args:
-        line: Where plan requests wait.
+        queue: Where plan requests wait.
         services: Those that make plans, by kind of request.
         source_of: Takes an account; returns who asks, for the reviewer.
 
@@ -82,7 +82,7 @@ class ConsoleRequests:
         self,
         topics: Topics,
         joints: Joints,
-        line: RequestLine,
+        queue: RequestQueue,
         services: Mapping[str, rospy.ServiceProxy],
         judge: PoseJudge,
         around: RobotContext,
@@ -94,7 +94,7 @@ class ConsoleRequests:
         self._refuse, self._source_of = outlets.refuse, source_of
         self._plans = RequestCounts("plan_requests", "under review", "no plan")
         self._poses = RequestCounts("ik", "solved", "not solved")
-        self.poses = NewestLine(
+        self.poses = NewestQueue(
             IK_ACCOUNTS,
             f"{IK_ACCOUNTS} accounts drag poses already; try again",
             lambda: self._poses.add(False, "overtaken"),
@@ -109,10 +109,10 @@ class ConsoleRequests:
             self._plans,
             outlets,
             _describe,
-            lambda _: line,
+            lambda _: queue,
         )
         self.ik: Endpoint[IkRequest] = Endpoint(
-            IK, topics, self._read_pose, self._solve, self._poses, outlets, line=lambda _: self.poses
+            IK, topics, self._read_pose, self._solve, self._poses, outlets, queue=lambda _: self.poses
         )
 
     @property

@@ -1,7 +1,7 @@
 """A request by MQTT, from its message to its answer: one `Endpoint` for each kind.
 
-An endpoint is what differs: its kind (`mqtt.requests`: topics, answer), how a message is read (a pure function of `link` or
-`mqtt`), where it waits (`request_line`), and what carries it out. What all have in common is here. A message that cannot be read is
+An endpoint is what differs: its kind (`mqtt.requests`), how a message is read (a pure function of `link` or
+`mqtt`), where it waits (`request_queue`), and what carries it out. What all have in common is here. A message that cannot be read is
 refused and counted, and answered at a pace. What was asked for is carried out first and answered next; counts and log lines come
 after that, and hold up nothing (`deferred_log`). Of a safety act none of them can fail it either (`core.beside`).
 """
@@ -27,7 +27,7 @@ from construction_twin.mqtt.requests import RequestKind
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.request_counts import RequestCounts
-from construction_twin.ros.shared.request_line import Line, Request
+from construction_twin.ros.shared.request_queue import Queue, Request
 
 #: Reasons of a PayloadError: what its screen had shown is too old; it came before, and was answered then.
 TOO_OLD, REPEATED = "too_old", "repeated"
@@ -98,7 +98,7 @@ class Endpoint(Generic[Asked]):
         read: Returns what is asked for, or raises PayloadError.
         carry_out: Does it. May raise PayloadError, which is refused and counted then, and ServiceSilentError.
         describe: Returns in a few words who asks for what, for the log; None: there is no line of it.
-        line: Takes what is asked for; returns where that waits, and is kept to its kind's pace. None: it is carried out where it
+        queue: Takes what is asked for; returns where that waits, and is kept to its kind's pace. None: it is carried out where it
             arrives, and waits for nothing.
     """
 
@@ -111,11 +111,11 @@ class Endpoint(Generic[Asked]):
         counts: RequestCounts,
         outlets: Outlets,
         describe: Callable[[Asked], str] | None = None,
-        line: Callable[[Asked], Line] | None = None,
+        queue: Callable[[Asked], Queue] | None = None,
     ):
         self.topic, self.qos = topics.of(kind), kind.qos
         self._kind, self._topics, self._read, self._act = kind, topics, read, carry_out
-        self._counts, self._outlets, self._describe, self._line = counts, outlets, describe, line
+        self._counts, self._outlets, self._describe, self._queue = counts, outlets, describe, queue
         # a newer one follows: this one is not worth reading, and answering it would be as much again
         self._unread = kind.pace.limits() if kind.pace is not None and not kind.qos else None
 
@@ -146,10 +146,10 @@ class Endpoint(Generic[Asked]):
         except PayloadError as error:
             self._refuse_unread(incoming, error)
             return
-        if self._line is None:
+        if self._queue is None:
             self._act_and_answer(incoming, asked)
             return
-        self._line(asked).take(
+        self._queue(asked).take(
             Request(
                 self._kind.name,
                 incoming.account,

@@ -1,6 +1,6 @@
 """`stop`, `pause` and `resume` by MQTT, carried out by the executor and answered there; part of mqtt_review.
 
-Each verb has a line and a thread of its own: a stop and a pause wait for nothing else that was asked for. The gateway reads the
+Each verb has a queue and a thread of its own: a stop and a pause wait for nothing else that was asked for. The gateway reads the
 same stops itself, so this one brakes along the path what the gateway brakes within its limits, and voids the plans that wait.
 """
 
@@ -20,7 +20,7 @@ from construction_twin.mqtt.requests import PRESSED, RequestKind
 from construction_twin.ros.shared.endpoint import REPEATED, Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.request_counts import RequestCounts
-from construction_twin.ros.shared.request_line import RequestLine
+from construction_twin.ros.shared.request_queue import RequestQueue
 from construction_twin.ros.transport.persistent_service import call, call_twice
 
 #: What may wait while one is carried out, for each of the verbs.
@@ -36,11 +36,11 @@ class RemoteInterventions:
     """What takes interventions, and where they wait.
 
     Attributes:
-        lines: Of each verb; a thread for each of them.
+        queues: Of each verb; a thread for each of them.
     """
 
     endpoints: tuple[Endpoint[Intervention], ...]
-    lines: Mapping[str, RequestLine]
+    queues: Mapping[str, RequestQueue]
 
 
 def remote_interventions(
@@ -51,7 +51,7 @@ def remote_interventions(
     Args:
         services: The executor's of each verb; that of one that starts motion takes `moment`, the others may be called twice.
     """
-    lines = {kind.name: RequestLine(WAITING) for kind in PRESSED}
+    queues = {kind.name: RequestQueue(WAITING) for kind in PRESSED}
     known: deque[Intervention] = deque(maxlen=MEMORY)
 
     def start(wanted: Intervention) -> Outcome:
@@ -66,11 +66,11 @@ def remote_interventions(
         return Outcome.of(call_twice(services[wanted.verb], EXECUTOR))
 
     def endpoint(kind: RequestKind) -> Endpoint[Intervention]:
-        read, line = partial(_read, kind.name), lines[kind.name]
+        read, queue = partial(_read, kind.name), queues[kind.name]
         act = start if kind.starts else brake
-        return Endpoint(kind, topics, read, act, counts, outlets, _describe, lambda _: line)
+        return Endpoint(kind, topics, read, act, counts, outlets, _describe, lambda _: queue)
 
-    return RemoteInterventions(tuple(map(endpoint, PRESSED)), lines)
+    return RemoteInterventions(tuple(map(endpoint, PRESSED)), queues)
 
 
 def _read(verb: str, incoming: Incoming) -> Intervention:

@@ -43,15 +43,15 @@ class Request:
         return hashlib.sha256(b"\0".join((self.kind.encode(), self.sender.encode(), self.payload))).digest()
 
 
-class Line(Protocol):
+class Queue(Protocol):
     """Where requests wait."""
 
     def take(self, request: Request) -> None:
         """Let a request wait for its turn, or answer why not."""
 
 
-class NewestLine:
-    """A line in which only the newest request of each sender waits: what it asked for before is not worth doing any more.
+class NewestQueue:
+    """A queue in which only the newest request of each sender waits: what it asked for before is not worth doing any more.
 
     Args:
         most: Senders that may wait at once.
@@ -86,8 +86,8 @@ class NewestLine:
             request.carry_out()
 
 
-class RequestLine:
-    """The line; requests come from the connection's thread, and are carried out in another.
+class RequestQueue:
+    """The queue; requests come from the connection's thread, and are carried out in another.
 
     Args:
         most: Requests that may wait.
