@@ -12,11 +12,11 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from construction_twin.controller.port import Said
+from construction_twin.controller.port import StatusReport
 from construction_twin.controller.telegram import Telegram
-from construction_twin.core.beside import Beside
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
+from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.state_table import Machine
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
@@ -104,7 +104,7 @@ class Gateway:
         #: Number of the last stop or fault of this run, but of one by silence; 0 before the first. A `reset` must name it.
         self.fault_number = 0
         #: What tells of a stop, and cannot fail it.
-        self.beside = Beside()
+        self.side_effects = SideEffects()
         #: Called with every answered telegram: its stamp, number of the session, state, stamp of the target [ns] (0: none),
         #: position [rad], which is origin plus correction, whether the reply before this one did not arrive. None costs nothing.
         self.trace: Callable[[int, int, State, int, tuple[float, ...], bool], None] | None = None
@@ -136,7 +136,7 @@ class Gateway:
         self._answered_stamp = 0
         self._ending = False
         #: What the controller says of itself, where its telegrams tell.
-        self._said: Said = config.make.nothing_said
+        self._controller_status: StatusReport = config.make.no_status
         self._machine = Machine(
             ROWS,
             State.NO_CONTROLLER,
@@ -262,9 +262,9 @@ class Gateway:
             return correction
         return tuple([start + value for start, value in zip(self._controller.origin, correction)])
 
-    def note_status(self, said: Said, unreadable: int) -> None:
+    def note_status(self, status: StatusReport, unreadable: int) -> None:
         """Take what a telegram says on its optional channels, and how many of these cannot be read; it changes no answer."""
-        self._said = said
+        self._controller_status = status
         if unreadable:
             self.counters["status_channels_unreadable"] += unreadable
 
@@ -296,7 +296,7 @@ class Gateway:
         if self._measures and self.clock.measure_rate():
             self._machine.changed = True
         if self._controller.is_silent(now):
-            said = self._said.sentence
+            said = self._controller_status.sentence
             last = f"; the last one said: {said}" if said else ""
             self._machine.on(Event.CONTROLLER_SILENT, Occasion(f"no telegram for {self.config.timeout:g} s{last}"))
         state = self._machine.state
@@ -403,7 +403,7 @@ class Gateway:
     def _on_session_ended(self, row: Row, occasion: Occasion) -> None:
         self._controller.end()
         self.clock.restart()
-        self._said = self.config.make.nothing_said
+        self._controller_status = self.config.make.no_status
         self._player.remove()
         if self.tool is not None:
             self.tool.end_session(occasion.reason)
@@ -469,7 +469,7 @@ class Gateway:
             return position
         if machine.state is State.BRAKING:
             position = follower.brake()
-            self.beside.do("the way to rest", self._stopping.advance, follower, elapsed)
+            self.side_effects.run("the way to rest", self._stopping.advance, follower, elapsed)
             if follower.at_rest:
                 machine.on(Event.AT_REST, Occasion(machine.reason))
             return position
@@ -487,7 +487,9 @@ class Gateway:
             begun = self._player.braking if cause == "silence" else None
             follows = self.mode is Mode.NORMAL and state is State.FOLLOWING and cause != "drift"
             measured = self._controller.measured if follows else ()
-            self.beside.do("the way to rest", self._stopping.begin, cause, follower, measured, begun, occasion.account)
+            self.side_effects.run(
+                "the way to rest", self._stopping.begin, cause, follower, measured, begun, occasion.account
+            )
         self._disarm(occasion.reason)
 
     def _on_brake_to_fault(self, row: Row, occasion: Occasion) -> None:
@@ -716,7 +718,10 @@ class Gateway:
         was just answered several times, is only counted (``stops_repeated``): its answer has no reason.
         """
         # what cannot tell how often an account was answered must not refuse its stop
-        if self.beside.do("the pace of answers", self._stop_pace.take, stop.account, now) is False and self.fault:
+        if (
+            self.side_effects.run("the pace of answers", self._stop_pace.take, stop.account, now) is False
+            and self.fault
+        ):
             self.counters["stops_repeated"] += 1
             # it changes nothing now, and yet a reset that is under way does not know of it
             self.fault_number += 1
@@ -821,7 +826,7 @@ class Gateway:
                 fault_number=self.fault_number,
                 mode=self.mode.value,
                 correction=list(self.correction),
-                controller=self._said.report(),
+                controller=self._controller_status.report(),
                 last_ipoc_jump_ms=self._controller.jump_ms,
                 cycle=self.clock.report(),
                 run=self.run,
@@ -835,6 +840,6 @@ class Gateway:
                 intruder={"session": owners.intruder, "count": owners.intrusions},
                 last_refusal=self.refusals.last,
                 later_refusal=self.refusals.later,
-                counters=dict(self.counters) | self.beside.counts("failed_beside"),
+                counters=dict(self.counters) | self.side_effects.counts("failed_beside"),
             ).to_dict()
         )

@@ -24,7 +24,7 @@ from construction_twin.core.units import NANOSECONDS
 #: A switch further ahead of the playout than this is refused [s]: it would be one for a motion that nobody sees yet.
 MOST_AHEAD = 2.0
 #: Switches that are told, and so many may wait.
-MOST_TOLD = 16
+MOST_REPORTED = 16
 #: Longest id of a switch, and name of an output [characters].
 LONGEST_TEXT = 160
 #: Ids of switches that are remembered: one is used once.
@@ -128,7 +128,7 @@ class ToolSwitches:
         self._longest_difference = round(LONGEST_DIFFERENCE * NANOSECONDS) // cycle_ns
         self._pause = -(-round(SHORTEST_PAUSE * NANOSECONDS) // cycle_ns)
         self._armed: list[ToolSwitch] = []
-        self._reported: deque[ToolSwitch] = deque(maxlen=MOST_TOLD)
+        self._reported: deque[ToolSwitch] = deque(maxlen=MOST_REPORTED)
         self._used: deque[str] = deque(maxlen=MEMORY)
         #: Changes since the last call of `take_change`: one that is told at once, one that may wait for others.
         self._news = True
@@ -328,8 +328,8 @@ class ToolSwitches:
             return f"the playout has passed the stamp {switch.stamp} already, by {-(lead or 0.0):.3f} s"
         if lead > MOST_AHEAD:
             return f"the stamp lies {lead:.3f} s ahead of the playout; at most {MOST_AHEAD:g} s"
-        if len(self._armed) >= MOST_TOLD:
-            return f"{MOST_TOLD} switches wait already"
+        if len(self._armed) >= MOST_REPORTED:
+            return f"{MOST_REPORTED} switches wait already"
         return ""
 
     def void(self, why: str) -> int:

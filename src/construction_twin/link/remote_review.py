@@ -229,7 +229,7 @@ class PlanView:
         if self.segments:
             document["task"], document["content"] = self.task, self.content
             document["segments"] = [
-                replace(segment, tool_path_end=end, put=_named(segment.put))
+                replace(segment, tool_path_end=end, put=_object_names(segment.put))
                 for segment, end in zip(self.segments, ends)
             ]
         return json.dumps(records.document(document), allow_nan=False).encode()
@@ -248,10 +248,10 @@ def shown(text: str) -> str:
     return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
 
 
-def _named(names: Sequence[str]) -> list[str]:
+def _object_names(names: Sequence[str]) -> list[str]:
     """Return the first names of many; the last entry says how many more there are."""
-    told = [shown(name) for name in names[:_MOST_OBJECTS]]
-    return told if len(names) <= _MOST_OBJECTS else [*told, f"and {len(names) - _MOST_OBJECTS} more"]
+    found = [shown(name) for name in names[:_MOST_OBJECTS]]
+    return found if len(names) <= _MOST_OBJECTS else [*found, f"and {len(names) - _MOST_OBJECTS} more"]
 
 
 def thinned(path: Sequence[Point], points: int, keep: Sequence[int] = ()) -> tuple[list[Point], float, list[int]]:

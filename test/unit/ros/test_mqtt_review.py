@@ -300,10 +300,10 @@ def test_a_press_is_answered_although_the_log_fails_and_the_next_one_is_taken(pr
         press(pressing, verb, str(number))
         wait_until(lambda: len(acks(pressing, verb)) > number, what="an answer")
         wait_until(
-            lambda: pressing.node.outlets.write_log() or pressing.node.outlets.beside.counts()["the log"] > number
+            lambda: pressing.node.outlets.write_log() or pressing.node.outlets.side_effects.counts()["the log"] > number
         )
     assert [answer["ok"] for answer in acks(pressing, verb)] == [True, True]
-    assert pressing.node.outlets.beside.counts() == {"the log": 2}
+    assert pressing.node.outlets.side_effects.counts() == {"the log": 2}
 
 
 @pytest.mark.parametrize("verb", [STOP, PAUSE, "reject"])
@@ -352,7 +352,7 @@ def test_a_press_whose_answer_cannot_be_sent_is_carried_out_and_so_is_the_next_o
     with monkeypatch.context() as broken:
         broken.setattr(pressing.client, "publish", fail)
         press(pressing, verb, "1")
-        wait_until(lambda: pressing.node.outlets.beside.counts() == {"the answer": 1}, what="the count")
+        wait_until(lambda: pressing.node.outlets.side_effects.counts() == {"the answer": 1}, what="the count")
     press(pressing, verb, "2")
     wait_until(lambda: acks(pressing, verb), what="an answer")
     assert pressing.pressed == [verb] * 2 and acks(pressing, verb)[0]["id"] == "2"

@@ -41,7 +41,7 @@ from construction_twin.ros.messages.joint_goals import control_messages
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.master import running
 from construction_twin.ros.shared.params import ros_home, settings_of
-from construction_twin.ros.shared.roslaunch_above import command_lines, roslaunch_above, say_below
+from construction_twin.ros.shared.roslaunch_parent import command_lines, print_after, roslaunch_parent
 from construction_twin.ros.shared.start_claim import claim
 from construction_twin.scenario.definition import read_scenario
 from construction_twin.scene.cell import load_cell
@@ -457,7 +457,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     for_roslaunch = "--for-roslaunch" in words
-    above = roslaunch_above() if for_roslaunch else None
+    above = roslaunch_parent() if for_roslaunch else None
     pid, call = above if above is not None else (None, None)
     given = dict(word.split(":=", 1) for word in words if ":=" in word)
     uri = _master(call)
@@ -466,7 +466,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sentence = claim_problem(given, uri, pid)
     if sentence:
         print(f"preflight: {sentence}", file=sys.stderr, flush=True)
-        say_below(f"preflight: {sentence}", pid)
+        print_after(f"preflight: {sentence}", pid)
         if for_roslaunch:
             print("refused")
         return 0 if for_roslaunch else 1

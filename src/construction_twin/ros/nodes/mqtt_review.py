@@ -276,9 +276,9 @@ class MqttReview:
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
         values: dict[str, object] = dict(
-            self._verdicts.report() | self._pressed.report() | self.outlets.beside.report()
+            self._verdicts.report() | self._pressed.report() | self.outlets.side_effects.report()
         )
-        if failed := self.outlets.beside.sentence:
+        if failed := self.outlets.side_effects.sentence:
             return Report(WARN, failed, values)
         if not self._client.is_connected():
             return Report(WARN, self._connection.sentence or "connecting to the broker", values)

@@ -1,9 +1,9 @@
 """A request by MQTT, from its message to its answer: one `Endpoint` for each kind.
 
-An endpoint is what differs: its kind (`mqtt.requests`), how a message is read (a pure function of `link` or
-`mqtt`), where it waits (`request_queue`), and what carries it out. What all have in common is here. A message that cannot be read is
-refused and counted, and answered at a pace. What was asked for is carried out first and answered next; counts and log lines come
-after that, and hold up nothing (`deferred_log`). Of a safety act none of them can fail it either (`core.beside`).
+An endpoint is what differs: its kind (`mqtt.requests`), how a message is read (a pure function of `link` or `mqtt`), where it waits
+(`request_queue`), and what carries it out. What all have in common is here. A message that cannot be read is refused and counted,
+and answered at a pace. What was asked for is carried out first and answered next; counts and log lines come after that, and hold up
+nothing (`deferred_log`). Of a safety act none of them can fail it either (`core.side_effects`).
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import Any, Generic, TypeVar
 import rospy
 from paho.mqtt.client import MQTTMessage
 
-from construction_twin.core.beside import Beside
 from construction_twin.core.errors import PayloadError, ServiceSilentError
+from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import request_id
 from construction_twin.mqtt.json_fields import read_document
@@ -68,7 +68,7 @@ class Outlets:
             nobody foresaw ends the node, as everywhere (docs/architecture.md).
 
     Attributes:
-        beside: What was told beside a safety act, and failed.
+        side_effects: What ran beside a safety act, and failed.
         log: What `write_log` writes.
     """
 
@@ -76,15 +76,15 @@ class Outlets:
         self, publish: Callable[[str, bytes, int], object], refuse: Callable[[str, str], None], safety: bool = False
     ):
         self.publish, self.refuse = publish, refuse
-        self.beside = Beside()
+        self.side_effects = SideEffects()
         self.log = DeferredLog()
         #: Takes a part's name, the part and its arguments; returns what the part returns, or None where it failed beside an act.
-        self.tell: Callable[..., Any] = self.beside.do if safety else _just_do
+        self.tell: Callable[..., Any] = self.side_effects.run if safety else _just_do
 
     def write_log(self) -> None:
         """Write what is to be said, and what has failed; for a thread that may wait for a disk or a terminal."""
         self.tell("the log", self.log.flush)
-        self.beside.tell(rospy.logerr)
+        self.side_effects.write(rospy.logerr)
 
 
 def _just_do(_what: str, part: Callable[..., Any], *arguments: object) -> Any:
