@@ -20,7 +20,7 @@ from ros_master import Node, ros_master
 from construction_twin.controller import makes
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.commands import preflight
-from construction_twin.ros.commands.node_files import NODE_FILES, node_files_problem
+from construction_twin.ros.commands.node_files import NODE_FILES, ROBOT_NODES, node_files_problem
 from construction_twin.views.roslaunch_call import RoslaunchCall
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -293,7 +293,7 @@ def test_every_node_of_a_robot_is_looked_for():
         for name in ("bringup", "twin", "link", "gate", "work")
     ]
     names = {node.get("name") for tree in trees for node in tree.iter("node")} - {"broker", "view", "console"}
-    assert set(preflight.ROBOT_NODES) == names
+    assert set(ROBOT_NODES) == names
 
 
 # -- ports

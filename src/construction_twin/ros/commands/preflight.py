@@ -32,6 +32,7 @@ from construction_twin.robot.tool import read_tool
 from construction_twin.robot.urdf import expand_xacro, xacro_arguments
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
 from construction_twin.ros.commands.node_files import (
+    ROBOT_NODES,
     controller_settings,
     node_files_problem,
     read_mapping,
@@ -53,14 +54,6 @@ from construction_twin.views.roslaunch_call import RoslaunchCall, argument_probl
 from construction_twin.work.extras import check_extras
 from construction_twin.work.site import read_site
 
-#: Nodes of one robot, in its namespace: a second one of a name would end the first.
-ROBOT_NODES = (
-    "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mqtt_review", "mqtt_planner", "mock_rsi", "planner", "scene",
-    "neighbour", "follow_joint_trajectory", "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation", "work",
-    "joint_velocities", "joint_state_publisher",
-    "robot_state_publisher", "physical_state_publisher", "preview_state_publisher", "rsi_gateway",
-    "plc",
-)  # fmt: skip
 #: What parses launch files without the master that ROS_MASTER_URI names.
 _WITHOUT_MASTER = ("rostest", "roslaunch-check")
 
