@@ -1,4 +1,4 @@
-"""The site's access rules on the real mosquitto: every role, every topic, both directions. Roles and programs are written down here again."""
+"""The access rules on the real mosquitto: every role, every topic, both directions. Roles and programs are written down again."""
 
 from __future__ import annotations
 
