@@ -268,7 +268,7 @@ class MqttBridge:
             self._diagnostics.refuse(error.reason, str(error))
 
     def on_tool_command(self, message: ToolCommand) -> None:
-        """Take a switch, or the wish that none of those that are armed fires."""
+        """Take a switch, or the request that none of those that are armed fires."""
         if message.verb not in (ToolCommand.ARM, ToolCommand.VOID):
             self._diagnostics.refuse("tool_command", f"tool_command with verb {message.verb}; expected ARM or VOID")
             return

@@ -74,7 +74,7 @@ class Settings(MqttSettings):
     """Private parameters; see config/mqtt_planner.yaml.
 
     Attributes:
-        trajectories: Whether motions, and wishes for plans, are taken by MQTT.
+        trajectories: Whether motions, and requests for plans, are taken by MQTT.
         self_collision: YAML of the link pairs that are not checked; empty: no joint values are found for poses that are dragged.
         private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
     """
@@ -163,7 +163,7 @@ class MqttPlanner:
 
     @property
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """What takes requests: motions, and of consoles wishes for plans and poses."""
+        """What takes requests: motions, and of consoles requests for plans and poses."""
         if self._consoles is None:
             return self._motions
         plans = (self._consoles.plan_requests,) if self._settings.trajectories else ()
@@ -201,7 +201,7 @@ class MqttPlanner:
         return self._queue
 
     def serve_consoles(self, feed: ConsoleFeed, requests: ConsoleRequests) -> None:
-        """Take what tells consoles more than `view`, and what carries out their wishes."""
+        """Take what tells consoles more than `view`, and what carries out their requests."""
         self._feed, self._consoles = feed, requests
 
     def publish_now(self, topic: str, payload: bytes, qos: int, retain: bool = False) -> None:
@@ -414,8 +414,8 @@ def _timing_notes(asked: TrajectoryRequest, answer: PlanTrajectoryResponse) -> l
     """Return that the times were replaced, and why, where they were."""
     if not answer.retimed:
         return []
-    wished = (asked.points[-1].time_ns - asked.points[0].time_ns) / NANOSECONDS
-    return [f"timed anew: {answer.duration:.3f} s instead of {wished:.3f} s, because {answer.retimed}"]
+    requested = (asked.points[-1].time_ns - asked.points[0].time_ns) / NANOSECONDS
+    return [f"timed anew: {answer.duration:.3f} s instead of {requested:.3f} s, because {answer.retimed}"]
 
 
 def _pose_view(stream: LatestPose | None, settings: Settings) -> PoseView | None:
