@@ -15,7 +15,7 @@ from visualization_msgs.msg import InteractiveMarkerFeedback, InteractiveMarkerI
 from construction_twin.core.units import radians
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.robot.frames import rotation_to_abc
-from construction_twin.ros.shared.operator_client import pose_to_msg
+from construction_twin.ros.messages.convert import pose_to_msg
 
 #: Cycles over which an arm that must not move is watched.
 WATCH = 200

@@ -21,8 +21,7 @@ from construction_twin.core.motion_errors import KinematicsError
 from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
-from construction_twin.link.json_fields import read_document
-from construction_twin.link.remote_request import MAX_BYTES, parse_ik, parse_plan_request
+from construction_twin.link.goal_request import MAX_BYTES, parse_ik, parse_plan_request
 from construction_twin.link.remote_review import PlanView, parse_review
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
@@ -35,6 +34,7 @@ from construction_twin.link.remote_view import (
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.interventions import parse_intervention
+from construction_twin.mqtt.json_fields import read_document
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import EXECUTOR, GATEWAY, RequestKind
 from construction_twin.robot.description import RobotModel, read_robot_files
@@ -337,14 +337,14 @@ class ScriptedRobot:
             sentence = f"plan {review.plan_id} with this hash is not under review"
             self._answer(requests.REVIEW, account, False, sentence, **known)
             return
-        if review.approves and (problem := self._too_old(review.moment)):
+        if review.approve and (problem := self._too_old(review.moment)):
             self._answer(requests.REVIEW, account, False, f"the approval is {problem}", expired=True, **known)
             return
         self.verdicts.append((review.reviewer, review.verdict, review.plan_id))
         self.plan = None
         self._answer(requests.REVIEW, account, True, f"{review.verdict} by {review.reviewer}", **known)
         self._publish(self._topics.plan, b"", retain=True)
-        if review.approves:
+        if review.approve:
             self.state, self._outcome, self._playing, self._elapsed, self._rate = "PLAYING", "", plan.id, 0.0, 1.0
 
     def _on_intervention(self, verb: str, account: str, payload: bytes, retained: bool) -> None:

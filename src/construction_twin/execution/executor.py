@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from construction_twin.core.beside import Beside
 from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.reports import ToolReport
 from construction_twin.core.sentences import Quantity, Sentence, Value, replaced
+from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.state_table import Machine, Occasion, conditions
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.boundary import ToolOrder
@@ -85,12 +85,12 @@ class Executor:
         tool: What is known of the tool; set by `on_tool`.
         segment_run: The present or last execution of a work plan; None when the plan played last is none.
         reason: Why the state was entered, and what the speed limit makes of it now.
-        beside: Runs what tells of a stop, a pause or a rejection: it can fail none of them.
+        side_effects: Runs what tells of a stop, a pause or a rejection: it can fail none of them.
     """
 
     def __init__(self, robot: RobotModel):
         self._robot = robot
-        self.beside = Beside()
+        self.side_effects = SideEffects()
         self.lag = 0.0
         self.neighbour = ConflictVerdicts()
         self.queue = PlanUnderReview()
@@ -374,7 +374,7 @@ class Executor:
         waiting = self.queue.void(now)
         is_active = self.state in ACTIVE
         sentence = self._stop(reason) if is_active else Sentence("executor.stop.nothing", state=self.state.name)
-        self.beside.do("the verdict on a waiting plan", self.tell_withdrawn, waiting, reason)
+        self.side_effects.run("the verdict on a waiting plan", self.tell_withdrawn, waiting, reason)
         return sentence
 
     def stop_plan(self, plan_id: str, reason: str) -> str:
@@ -425,7 +425,7 @@ class Executor:
             self.queue.void_coming(now)
         self._on(ExecutorEvent.PAUSE, Sentence("executor.pause_asked"))
         if self.segment_run is not None and before is ExecutorState.AT_BOUNDARY:
-            where = self.beside.do("where a pause rests", lambda work: work.where, self.segment_run)
+            where = self.side_effects.run("where a pause rests", lambda work: work.where, self.segment_run)
             return self._said("executor.pause.boundary", where=where or Sentence("executor.where.boundary"))
         if before is ExecutorState.HELD:
             return self._said("executor.pause.held")
@@ -577,7 +577,7 @@ class Executor:
         def carry_out(row: Row, occasion: Occasion) -> str:
             act(row)
             # what a state is entered for is said of a change that takes place: the arm brakes without the sentence, too
-            sentence = self.beside.do("the executor's sentence", self._sentence, row, occasion.reason)
+            sentence = self.side_effects.run("the executor's sentence", self._sentence, row, occasion.reason)
             sentence = sentence or occasion.reason
             if row.action in OUTCOMES:
                 sentence = self._end_work(row.action, sentence)
@@ -645,13 +645,15 @@ class Executor:
         if work is None:
             return sentence
         if action is not Action.FINISH:
-            where = self.beside.do("where a work plan ends", lambda: work.where) or Sentence("executor.where.unknown")
+            where = self.side_effects.run("where a work plan ends", lambda: work.where) or Sentence(
+                "executor.where.unknown"
+            )
             sentence = Sentence("executor.end.dropped", reason=sentence, where=where)
         was_engaged = self.engagement.engaged
         self._orders += work.end(action is Action.FINISH, self._played.elapsed, sentence)
         if self.engagement.engaged and not was_engaged:
             waiting = self.queue.clear()
-            self.beside.do("the verdict on a waiting plan", self._withdraw_other, waiting)
+            self.side_effects.run("the verdict on a waiting plan", self._withdraw_other, waiting)
         if action is Action.FINISH:
             return sentence
         return Sentence(f"executor.end.{'engaged' if self.engagement.engaged else 'look'}", end=sentence)

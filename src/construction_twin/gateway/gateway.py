@@ -13,13 +13,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
-from construction_twin.controller.port import Said
+from construction_twin.controller.port import StatusReport
 from construction_twin.controller.telegram import Telegram
-from construction_twin.core.beside import Beside
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
-from construction_twin.core.rate_limit import SenderLimits, TokenBucket
 from construction_twin.core.sentences import Sentence, Value
+from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.state_table import Machine
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
@@ -46,6 +45,7 @@ from construction_twin.mqtt.messages import (
     other_protocol,
     protocol_of,
 )
+from construction_twin.mqtt.requests import answer_limits
 
 #: States in which nothing is commanded, and the held pose follows what a program of the controller does.
 HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
@@ -53,8 +53,6 @@ HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
 DISPLACED = 2.0
 #: What could not be read is told until nothing more of it has come for this long [s].
 UNREAD_QUIET = 10.0
-#: Messages on `stop/<account>` are answered with this time between them [ns], and so many at once.
-STOP_PERIOD, STOPS_AT_ONCE = NANOSECONDS // 10, 10
 #: Why no switch is armed, and armed ones are void.
 _SPEED_0 = Sentence("gateway.speed.zero")
 #: Figures in a sentence about the clock that are measured.
@@ -119,7 +117,7 @@ class Gateway:
         #: Number of the last stop or fault of this run, but of one by silence; 0 before the first. A `reset` must name it.
         self.fault_number = 0
         #: What tells of a stop, and cannot fail it.
-        self.beside = Beside()
+        self.side_effects = SideEffects()
         #: Called with every answered telegram: its stamp, number of the session, state, stamp of the target [ns] (0: none),
         #: position [rad], which is origin plus correction, whether the reply before this one did not arrive. None costs nothing.
         self.trace: Callable[[int, int, State, int, tuple[float, ...], bool], None] | None = None
@@ -136,7 +134,7 @@ class Gateway:
         self._unread_count = self._unread_since = 0
         self._controller = ControllerSession(config, self.counters)
         self._owners = Ownership()
-        self._stop_pace = SenderLimits(lambda: TokenBucket(NANOSECONDS // STOP_PERIOD, STOPS_AT_ONCE))
+        self._stop_pace = answer_limits()
         self._player = Player(config, self.counters)
         self._stream = CommandIntake(config, self.codec, self._player)
         #: How fast the arm may move, as the source of `speed_limit` asks.
@@ -151,7 +149,7 @@ class Gateway:
         self._answered_stamp = 0
         self._ending = False
         #: What the controller says of itself, where its telegrams tell.
-        self._said: Said = config.make.nothing_said
+        self._controller_status: StatusReport = config.make.no_status
         self._machine = Machine(
             ROWS,
             State.NO_CONTROLLER,
@@ -280,9 +278,9 @@ class Gateway:
             return correction
         return tuple([start + value for start, value in zip(self._controller.origin, correction)])
 
-    def note_status(self, said: Said, unreadable: int) -> None:
+    def note_status(self, status: StatusReport, unreadable: int) -> None:
         """Take what a telegram says on its optional channels, and how many of these cannot be read; it changes no answer."""
-        self._said = said
+        self._controller_status = status
         if unreadable:
             self.counters["status_channels_unreadable"] += unreadable
 
@@ -314,7 +312,7 @@ class Gateway:
         if self._measures and self.clock.measure_rate():
             self._machine.changed = True
         if self._controller.is_silent(now):
-            said, silent = self._said.sentence, {"seconds": self.config.timeout}
+            said, silent = self._controller_status.sentence, {"seconds": self.config.timeout}
             why = Sentence("gateway.silent_said", **silent, said=said) if said else Sentence("gateway.silent", **silent)
             self._machine.on(Event.CONTROLLER_SILENT, Occasion(why))
         state = self._machine.state
@@ -425,7 +423,7 @@ class Gateway:
     def _on_session_ended(self, row: Row, occasion: Occasion) -> None:
         self._controller.end()
         self.clock.restart()
-        self._said = self.config.make.nothing_said
+        self._controller_status = self.config.make.no_status
         self._player.remove()
         if self.tool is not None:
             self.tool.end_session(occasion.reason)
@@ -491,7 +489,7 @@ class Gateway:
             return position
         if machine.state is State.BRAKING:
             position = follower.brake()
-            self.beside.do("the way to rest", self._stopping.advance, follower, elapsed)
+            self.side_effects.run("the way to rest", self._stopping.advance, follower, elapsed)
             if follower.at_rest:
                 machine.on(Event.AT_REST, Occasion(machine.reason))
             return position
@@ -510,7 +508,9 @@ class Gateway:
             begun = self._player.braking if cause == "silence" else None
             follows = self.mode is Mode.NORMAL and state is State.FOLLOWING and cause != "drift"
             measured = self._controller.measured if follows else ()
-            self.beside.do("the way to rest", self._stopping.begin, cause, follower, measured, begun, occasion.account)
+            self.side_effects.run(
+                "the way to rest", self._stopping.begin, cause, follower, measured, begun, occasion.account
+            )
         self._disarm(occasion.reason)
 
     def _on_brake_to_fault(self, row: Row, occasion: Occasion) -> None:
@@ -741,7 +741,10 @@ class Gateway:
         was just answered several times, is only counted (``stops_repeated``): its answer has no reason.
         """
         # what cannot tell how often an account was answered must not refuse its stop
-        if self.beside.do("the pace of answers", self._stop_pace.take, stop.account, now) is False and self.fault:
+        if (
+            self.side_effects.run("the pace of answers", self._stop_pace.take, stop.account, now) is False
+            and self.fault
+        ):
             self.counters["stops_repeated"] += 1
             # it changes nothing now, and yet a reset that is under way does not know of it
             self.fault_number += 1
@@ -848,7 +851,7 @@ class Gateway:
                 fault_number=self.fault_number,
                 mode=self.mode.value,
                 correction=list(self.correction),
-                controller=self._said.report(),
+                controller=self._controller_status.report(),
                 last_ipoc_jump_ms=self._controller.jump_ms,
                 cycle=self.clock.report(),
                 run=self.run,
@@ -862,6 +865,6 @@ class Gateway:
                 intruder={"session": owners.intruder, "count": owners.intrusions},
                 last_refusal=self.refusals.last,
                 later_refusal=self.refusals.later,
-                counters=dict(self.counters) | self.beside.counts("failed_beside"),
+                counters=dict(self.counters) | self.side_effects.counts("failed_beside"),
             ).to_dict()
         )

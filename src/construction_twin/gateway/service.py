@@ -275,10 +275,10 @@ class GatewayService:
             self._publish_status()
         elif self._status.is_due(now, answered):
             self._publish_status()
-        if self.gateway.beside.untold:
+        if self.gateway.side_effects.unwritten:
             # a thread of its own, as of a failure: a traceback is formatted from source files
-            told = log.error, self.gateway.beside.take()
-            threading.Thread(target=self.gateway.beside.tell, args=told, daemon=True).start()
+            told = log.error, self.gateway.side_effects.take()
+            threading.Thread(target=self.gateway.side_effects.write, args=told, daemon=True).start()
 
     def _is_readable(self, events: list) -> bool:
         return any(key.data is self._mqtt and mask & selectors.EVENT_READ for key, mask in events)
@@ -405,20 +405,20 @@ class GatewayService:
                 return
         verb = control.verb if control.verb in VERBS else "unknown verb"
         kind = verb if ok else f"refused {verb}"
-        beside = self.gateway.beside
+        side_effects = self.gateway.side_effects
         # the status first: a reader of the answer must not act on an older status
-        beside.do("the status", self._publish_status_of_stop if control.verb == "stop" else self._publish_status)
+        side_effects.run("the status", self._publish_status_of_stop if control.verb == "stop" else self._publish_status)
         answer = {"id": control.id, "verb": control.verb, "ok": ok, "reason": reason, "session": control.session}
-        beside.do("the answer", self._publish_answer, self._topics.control_ack, json.dumps(answer))
+        side_effects.run("the answer", self._publish_answer, self._topics.control_ack, json.dumps(answer))
         level = logging.INFO if ok else logging.WARNING
-        beside.do("the log", self._log, level, kind, f"session {control.session}: {reason}")
+        side_effects.run("the log", self._log, level, kind, f"session {control.session}: {reason}")
 
     def _publish_answer(self, topic: str, answer: str | bytes) -> None:
         self._mqtt.client.publish(topic, answer, qos=1)
 
     def _on_stop(self, client, userdata, message: paho.MQTTMessage) -> None:
         now, account, id_ = time.monotonic_ns(), "", ""
-        beside = self.gateway.beside
+        side_effects = self.gateway.side_effects
         try:
             account = account_of(message.topic)
             if not account:
@@ -433,11 +433,11 @@ class GatewayService:
             line = logging.INFO, "stop by a person", f"account {account}: {done.reason or 'again'}"
         if done.reason:
             # the status first: a reader of the answer must not act on an older status
-            beside.do("the status", self._publish_status_of_stop)
+            side_effects.run("the status", self._publish_status_of_stop)
             known = {"id": id_, "account": account, "ok": done.ok, "reason": done.reason, "by": requests.GATEWAY}
             answer = requests.STOP.payload(**known)
-            beside.do("the answer", self._publish_answer, self._topics.stop_ack, answer)
-        beside.do("the log", self._log, *line)
+            side_effects.run("the answer", self._publish_answer, self._topics.stop_ack, answer)
+        side_effects.run("the log", self._log, *line)
 
     def _publish_state(self) -> None:
         if not self._mqtt.connected:

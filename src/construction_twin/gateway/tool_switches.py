@@ -26,7 +26,7 @@ from construction_twin.core.units import NANOSECONDS
 #: A switch further ahead of the playout than this is refused [s]: it would be one for a motion that nobody sees yet.
 MOST_AHEAD = 2.0
 #: Switches that are told, and so many may wait.
-MOST_TOLD = 16
+MOST_REPORTED = 16
 #: Longest id of a switch, and name of an output [characters].
 LONGEST_TEXT = 160
 #: Ids of switches that are remembered: one is used once.
@@ -122,7 +122,7 @@ class ToolSwitches:
         self._longest_difference = round(LONGEST_DIFFERENCE * NANOSECONDS) // cycle_ns
         self._pause = -(-round(SHORTEST_PAUSE * NANOSECONDS) // cycle_ns)
         self._armed: list[ToolSwitch] = []
-        self._reported: deque[ToolSwitch] = deque(maxlen=MOST_TOLD)
+        self._reported: deque[ToolSwitch] = deque(maxlen=MOST_REPORTED)
         self._used: deque[str] = deque(maxlen=MEMORY)
         #: Changes since the last call of `take_change`: one that is told at once, one that may wait for others.
         self._news = True
@@ -316,8 +316,8 @@ class ToolSwitches:
             return Sentence("gateway.tool.late", stamp=switch.stamp, seconds=-(lead or 0.0))
         if lead > MOST_AHEAD:
             return Sentence("gateway.tool.early", seconds=lead, most=MOST_AHEAD)
-        if len(self._armed) >= MOST_TOLD:
-            return Sentence("gateway.tool.full", count=MOST_TOLD)
+        if len(self._armed) >= MOST_REPORTED:
+            return Sentence("gateway.tool.full", count=MOST_REPORTED)
         return ""
 
     def void(self, why: str) -> int:

@@ -10,17 +10,17 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from construction_twin.core import records
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import parse_moment
 from construction_twin.core.sentences import Sentence
+from construction_twin.mqtt.json_fields import Reader, read_fields
 from construction_twin.mqtt.messages import demand_live, parse_object, shown_keys
 
 #: Longest review that is read [bytes].
 MAX_REVIEW_BYTES = 2048
-_KEYS = ("plan_id", "plan_hash", "verdict", "reviewer")
-_MAX_TEXT = {"plan_id": 64, "plan_hash": 64, "verdict": 16, "reviewer": 64, "reason": 500, "moment": 64}
 #: Most numbers of a trajectory that a plan carries, about 5000 waypoints of six joints: brokers limit a message (a site's: 4 MiB).
 MAX_TRAJECTORY_NUMBERS = 100_000
 #: What a trajectory tells by waypoint and joint, in the order in which its hash covers it.
@@ -36,8 +36,8 @@ Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class RemoteReview:
-    """A verdict that came by MQTT.
+class ReviewRequest:
+    """A verdict on a plan, by MQTT or from the command line.
 
     Attributes:
         verdict: ``approved`` or ``rejected``.
@@ -57,12 +57,12 @@ class RemoteReview:
     moment: str = ""
 
     @property
-    def approves(self) -> bool:
+    def approve(self) -> bool:
         """True for an approval."""
         return self.verdict == "approved"
 
 
-def parse_review(payload: bytes, retained: bool, account: str = "") -> RemoteReview:
+def parse_review(payload: bytes, retained: bool, account: str = "") -> ReviewRequest:
     """Return the verdict in a message on `review/<account>`, or on `review`.
 
     Args:
@@ -76,27 +76,49 @@ def parse_review(payload: bytes, retained: bool, account: str = "") -> RemoteRev
     """
     demand_live(retained, "review")
     document = parse_object(payload, "review", MAX_REVIEW_BYTES)
-    needed = _KEYS[:-1] if account else _KEYS
-    if not set(needed) <= set(document) <= {*_KEYS, "reason", "moment"}:
+    needed = ("plan_id", "plan_hash", "verdict", *(() if account else ("reviewer",)))
+    if not set(needed) <= set(document) <= set(_READERS):
         found = Sentence("link.payload.review_keys", found=shown_keys(document), needed=", ".join(needed))
         raise PayloadError("review", found)
-    for key, value in document.items():
-        if not isinstance(value, str) or len(value) > _MAX_TEXT[key] or not value.isprintable():
-            raise PayloadError("review", Sentence("link.payload.review_text", key=key, longest=_MAX_TEXT[key]))
-    for key in ("plan_id", "plan_hash", "reviewer"):
-        if key in document and not document[key].strip():
-            raise PayloadError("review", Sentence("link.payload.review_without", key=key))
-    if document["verdict"] not in ("approved", "rejected"):
-        raise PayloadError("review", Sentence("link.payload.review_verdict", found=repr(document["verdict"])))
-    if document["verdict"] == "approved":
-        parse_moment(document.get("moment"))
+    fields = read_fields(document, _READERS)
+    if fields["verdict"] == "approved":
+        parse_moment(fields.get("moment"))
     if not account:
-        return RemoteReview(**document)
-    says = document.pop("reviewer", account)
-    return RemoteReview(**document, reviewer=account, account=account, says="" if says == account else says)
+        return ReviewRequest(**fields)
+    says = fields.pop("reviewer", account)
+    return ReviewRequest(**fields, reviewer=account, account=account, says="" if says == account else says)
 
 
-def recorded_reason(review: RemoteReview) -> str:
+def _text(most: int, value: object, key: str) -> str:
+    if not isinstance(value, str) or len(value) > most or not value.isprintable():
+        raise PayloadError("review", Sentence("link.payload.review_text", key=key, longest=most))
+    return value
+
+
+def _name(value: object, key: str) -> str:
+    found = _text(64, value, key)
+    if not found.strip():
+        raise PayloadError("review", Sentence("link.payload.review_without", key=key))
+    return found
+
+
+def _verdict(value: object, key: str) -> str:
+    found = _text(16, value, key)
+    if found not in ("approved", "rejected"):
+        raise PayloadError("review", Sentence("link.payload.review_verdict", found=repr(found)))
+    return found
+
+
+#: What reads each key of a review.
+_READERS: Mapping[str, Reader] = {
+    **dict.fromkeys(("plan_id", "plan_hash", "reviewer"), _name),
+    "verdict": _verdict,
+    "reason": partial(_text, 500),
+    "moment": partial(_text, 64),
+}
+
+
+def recorded_reason(review: ReviewRequest) -> str:
     """Return the reviewer's words as they are recorded: what came by MQTT was not said at this machine."""
     who = f"by MQTT, which says it is {review.says!r}" if review.says else "by MQTT"
     return f"{who}: {review.reason}" if review.reason else who
@@ -209,7 +231,7 @@ class PlanView:
         if self.segments:
             document["task"], document["content"] = self.task, self.content
             document["segments"] = [
-                replace(segment, tool_path_end=end, put=_named(segment.put))
+                replace(segment, tool_path_end=end, put=_object_names(segment.put))
                 for segment, end in zip(self.segments, ends)
             ]
         return json.dumps(records.document(document), allow_nan=False).encode()
@@ -228,10 +250,10 @@ def shown(text: str) -> str:
     return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
 
 
-def _named(names: Sequence[str]) -> list[str]:
+def _object_names(names: Sequence[str]) -> list[str]:
     """Return the first names of many; the last entry says how many more there are."""
-    told = [shown(name) for name in names[:_MOST_OBJECTS]]
-    return told if len(names) <= _MOST_OBJECTS else [*told, f"and {len(names) - _MOST_OBJECTS} more"]
+    found = [shown(name) for name in names[:_MOST_OBJECTS]]
+    return found if len(names) <= _MOST_OBJECTS else [*found, f"and {len(names) - _MOST_OBJECTS} more"]
 
 
 def thinned(path: Sequence[Point], points: int, keep: Sequence[int] = ()) -> tuple[list[Point], float, list[int]]:

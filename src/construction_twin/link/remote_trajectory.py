@@ -15,7 +15,7 @@ from typing import Any
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.json_fields import (
+from construction_twin.mqtt.json_fields import (
     LARGEST,
     fraction,
     keys,

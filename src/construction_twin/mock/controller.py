@@ -24,7 +24,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from construction_twin.controller.makes import make_of
-from construction_twin.controller.port import Said, Told
+from construction_twin.controller.port import StatusOverride, StatusReport
 from construction_twin.controller.telegram import STAMP_WRAP, Reply, stamp_step
 from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.core.motion_errors import JointRangeError
@@ -74,7 +74,7 @@ class MockController:
         program: The program that runs.
         refusals: Why replies did not count.
         tool: What the channels of a tool switch and read; None where the layout has none.
-        told: What packets say of the controller in place of what is. It changes nothing else.
+        forced: What packets say of the controller in place of what is. It changes nothing else.
         counters: Totals since construction, see `COUNTERS`.
     """
 
@@ -115,12 +115,12 @@ class MockController:
         self._forward_kinematics = forward_kinematics
         layout = config.layout
         make = make_of(layout.make)
-        self.told = Told()
+        self.forced = StatusOverride()
         self._absolute = make.absolute
         #: What people call things on it.
         self.words = make.words
         side = make.controller_side(config)
-        self._encode, self._decode, self._said = side.encode, side.decode, side.said
+        self._encode, self._decode, self._status_of = side.encode, side.decode, side.status
         self.tool: SimulatedTool | None = None
         if layout.switched or layout.outputs or layout.inputs:
             self.tool = SimulatedTool(layout, config.gripper, config.period, config.tool_gated)
@@ -147,13 +147,13 @@ class MockController:
         return tuple([angle - slip for angle, slip in zip(self.measured, self.encoders.slip)])
 
     @property
-    def status(self) -> Said:
+    def status(self) -> StatusReport:
         """What telegrams say of the controller, where they have channels for it."""
-        return self._said(self._telling)
+        return self._status_of(self._telling)
 
     @property
-    def _telling(self) -> Told:
-        return replace(self.told, slow=bool(self._tool_speed))
+    def _telling(self) -> StatusOverride:
+        return replace(self.forced, slow=bool(self._tool_speed))
 
     def restart(self, pose: Sequence[float] | None = None) -> None:
         """Start a new session, ending the present one if there is one.

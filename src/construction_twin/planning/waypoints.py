@@ -241,8 +241,8 @@ def retime_waypoints(
         return time_path(path, robot, duration, speed_scale, acceleration_scale, bounds=bounds, times=times)
 
     fastest = timed(None)
-    wished = float(times[-1])
-    return fastest if fastest.duration >= wished else timed(wished)
+    requested = float(times[-1])
+    return fastest if fastest.duration >= requested else timed(requested)
 
 
 def _point_array(name: str, values, points: int, joints: int) -> np.ndarray:

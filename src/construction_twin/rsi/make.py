@@ -6,7 +6,16 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 
 from construction_twin.controller.last_resort import BareProtocol, LastResort
-from construction_twin.controller.port import ControllerSide, FileForm, Make, MockSetup, Reader, Setup, Told, Words
+from construction_twin.controller.port import (
+    ControllerSide,
+    FileForm,
+    Make,
+    MockSetup,
+    Reader,
+    Setup,
+    StatusOverride,
+    Words,
+)
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
@@ -73,12 +82,12 @@ def last_resort(setup: Setup[RsiLayout]) -> LastResort:
     return LastResort(setup.limits, bare, setup.cycle)
 
 
-def said(told: Told) -> ControllerStatus:
+def mock_status(forced: StatusOverride) -> ControllerStatus:
     """Return what the optional channels of a mock say."""
     return ControllerStatus(
-        told.mode or (_T1 if told.slow else _AUT),
-        told.program or _ACTIVE,
-        _FULL if told.override is None else told.override,
+        forced.mode or (_T1 if forced.slow else _AUT),
+        forced.program or _ACTIVE,
+        _FULL if forced.override is None else forced.override,
     )
 
 
@@ -98,14 +107,14 @@ def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
         measured_pose: Sequence[float],
         setpoint_pose: Sequence[float],
         delay: int,
-        told: Told,
+        forced: StatusOverride,
         outputs: Mapping[str, bool] | None,
         inputs: Mapping[str, bool],
     ) -> bytes:
         values = ipoc, measured, setpoint, measured_pose, setpoint_pose, delay
         if not rich:
             return seen.encode(*values)
-        status, signals = said(told), {f"{IN}.{name}": value for name, value in inputs.items()}
+        status, signals = mock_status(forced), {f"{IN}.{name}": value for name, value in inputs.items()}
         if outputs is None:
             return unseen.encode(*values, status, signals)
         return seen.encode(*values, status, signals | {f"{OUT}.{name}": value for name, value in outputs.items()})
@@ -117,7 +126,7 @@ def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
         ).parse
     holdon = dict(zip(layout.receive, layout.holdon))
     holds = [any(held for channel, held in holdon.items() if channel.partition(".")[2] == axis) for axis in config.axes]
-    return ControllerSide(encode, decode, tuple(holds), holdon.get(STOP, False), said)
+    return ControllerSide(encode, decode, tuple(holds), holdon.get(STOP, False), mock_status)
 
 
 def _ipoc(data: bytes) -> int | None:
@@ -154,7 +163,7 @@ MAKE = Make(
         timeout="Timeout of the controller's ETHERNET object",
         description="the Ethernet XML",
     ),
-    nothing_said=ControllerStatus(),
+    no_status=ControllerStatus(),
     plain=RsiLayout.plain,
     read_layout=RsiLayout.of_document,
     check=check,

@@ -20,7 +20,7 @@ from construction_twin.gateway.gateway import State
 from construction_twin.gateway.tool_switches import (
     LONGEST_DIFFERENCE,
     MOST_AHEAD,
-    MOST_TOLD,
+    MOST_REPORTED,
     ROUND_TRIP,
     SWITCH_TABLE,
     SwitchAction,
@@ -127,8 +127,8 @@ def test_a_switch_is_used_once_and_a_copy_of_its_message_is_refused():
 
 def test_no_more_than_16_wait():
     cell = ToolCell().follow()
-    answers = [cell.ask(True, ahead=60)[0] for _ in range(MOST_TOLD + 1)]
-    assert answers == [True] * MOST_TOLD + [False]
+    answers = [cell.ask(True, ahead=60)[0] for _ in range(MOST_REPORTED + 1)]
+    assert answers == [True] * MOST_REPORTED + [False]
 
 
 def test_without_a_stream_and_in_commissioning_mode_nothing_is_switched():

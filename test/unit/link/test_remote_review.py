@@ -24,7 +24,7 @@ from construction_twin.link.remote_review import (
     MAX_REVIEW_BYTES,
     MAX_TRAJECTORY_NUMBERS,
     PlanBoard,
-    RemoteReview,
+    ReviewRequest,
     parse_review,
     recorded_reason,
     shown,
@@ -59,15 +59,15 @@ def refusal(data: bytes, retained: bool = False) -> str:
 
 
 def test_a_verdict_is_read_as_it_was_given():
-    assert parse_review(payload(), False) == RemoteReview(**REVIEW, moment=MOMENT)
-    assert parse_review(payload(verdict="rejected", reason="too close to the wall"), False) == RemoteReview(
+    assert parse_review(payload(), False) == ReviewRequest(**REVIEW, moment=MOMENT)
+    assert parse_review(payload(verdict="rejected", reason="too close to the wall"), False) == ReviewRequest(
         "p1", "ab" * 32, "rejected", "Anna", "too close to the wall", moment=MOMENT
     )
 
 
 @pytest.mark.parametrize("verdict, approves", [("approved", True), ("rejected", False)])
 def test_only_one_word_approves(verdict, approves):
-    assert parse_review(payload(verdict=verdict), False).approves is approves
+    assert parse_review(payload(verdict=verdict), False).approve is approves
 
 
 @pytest.mark.parametrize("account", ["", "kr120-reviewer-ada"])
@@ -82,7 +82,7 @@ def test_an_approval_that_does_not_say_what_its_screen_had_shown_is_refused(acco
 
 @pytest.mark.parametrize("moment", [..., "", "of an old screen", MOMENT])
 def test_a_rejection_needs_no_moment(moment):
-    assert not parse_review(payload(verdict="rejected", moment=moment), False).approves
+    assert not parse_review(payload(verdict="rejected", moment=moment), False).approve
 
 
 def test_a_retained_verdict_is_refused_whatever_it_says():

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.sentences import Sentence
-from construction_twin.link.json_fields import read_document
 from construction_twin.link.remote_trajectory import (
     COMPAS_TYPE,
     LARGEST,
@@ -22,6 +21,7 @@ from construction_twin.link.remote_trajectory import (
     parse_trajectory,
     request_id,
 )
+from construction_twin.mqtt.json_fields import read_document
 
 JOINTS = Joints(("track", "joint_a1", "joint_a2"), (True, False, False))
 LIMIT = 100_000

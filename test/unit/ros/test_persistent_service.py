@@ -206,7 +206,7 @@ def test_a_second_stop_does_not_wait_for_the_answer_to_the_first(world):
 class TestClient:
     def test_a_stop_is_called_without_a_probe(self, world, monkeypatch):
         monkeypatch.setattr(rospy, "wait_for_service", lambda *_: pytest.fail("probed"))
-        assert OperatorClient("/kr120", 5.0, "test").trigger("stop") == "braking"
+        assert OperatorClient("/kr120", 5.0, "test").trigger("stop").message == "braking"
         assert (world.asked, len(world.service.connections)) == (1, 1)
 
     def test_where_there_is_no_answer_it_is_tried_the_ordinary_way(self, world, monkeypatch):

@@ -20,7 +20,7 @@ from ros_master import Node, ros_master
 from construction_twin.controller import makes
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.commands import preflight
-from construction_twin.ros.commands.node_files import NODE_FILES, node_files_problem
+from construction_twin.ros.commands.node_files import NODE_FILES, ROBOT_NODES, node_files_problem
 from construction_twin.views.roslaunch_call import RoslaunchCall
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -293,7 +293,7 @@ def test_every_node_of_a_robot_is_looked_for():
         for name in ("bringup", "twin", "link", "gate", "work")
     ]
     names = {node.get("name") for tree in trees for node in tree.iter("node")} - {"broker", "view", "console"}
-    assert set(preflight.ROBOT_NODES) == names
+    assert set(ROBOT_NODES) == names
 
 
 # -- ports
@@ -540,8 +540,8 @@ def test_for_roslaunch_the_result_is_on_standard_output(capsys):
 def test_the_sentence_stands_below_the_last_line_of_the_process_that_is_waited_for():
     """As with roslaunch: it starts the one that refuses, reads its output, and then prints lines of its own."""
     child = (
-        "import os; from construction_twin.ros.shared.roslaunch_above import say_below; "
-        "say_below('the sentence', os.getppid()); print('refused')"
+        "import os; from construction_twin.ros.shared.roslaunch_parent import print_after; "
+        "print_after('the sentence', os.getppid()); print('refused')"
     )
     parent = (
         f"import subprocess, sys; run = subprocess.run([sys.executable, '-c', {child!r}], stdout=subprocess.PIPE); "
@@ -555,9 +555,9 @@ def test_the_sentence_stands_below_the_last_line_of_the_process_that_is_waited_f
 def test_what_waits_to_say_a_sentence_holds_no_socket_of_the_process_that_ended(tmp_path):
     """A node's peers would connect to it, and wait for an answer."""
     code = (
-        "import socket, sys; from construction_twin.ros.shared.roslaunch_above import say_below; "
+        "import socket, sys; from construction_twin.ros.shared.roslaunch_parent import print_after; "
         "server = socket.create_server(('127.0.0.1', 0)); print(server.getsockname()[1]); "
-        "say_below('the sentence', int(sys.argv[1]))"
+        "print_after('the sentence', int(sys.argv[1]))"
     )
     said = tmp_path / "said"
     awaited = subprocess.Popen(["cat"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)

@@ -1,4 +1,4 @@
-"""The nodes' own YAML files in config/, checked as the nodes will read them, before any of them starts."""
+"""The nodes of a robot, and their own YAML files in config/, checked as the nodes will read them, before any of them starts."""
 
 from __future__ import annotations
 
@@ -39,6 +39,14 @@ from construction_twin.views.preflight import NONE, is_bare, is_true
 Given = Mapping[str, str]
 Values = dict[str, Any]
 
+#: Nodes of one robot, in its namespace: a second one of a name would end the first.
+ROBOT_NODES = (
+    "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mqtt_review", "mqtt_planner", "mock_rsi", "planner", "scene",
+    "neighbour", "follow_joint_trajectory", "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation", "work",
+    "joint_velocities", "joint_state_publisher",
+    "robot_state_publisher", "physical_state_publisher", "preview_state_publisher", "rsi_gateway",
+    "plc",
+)  # fmt: skip
 #: What the launch files give beside the files, where any value will do.
 _BROKER = {"host": "127.0.0.1", "port": 18830}
 _MARKER = {"self_collision": "", "tf_prefix": "", "reviewer": "operator"}

@@ -32,6 +32,7 @@ from construction_twin.robot.tool import read_tool
 from construction_twin.robot.urdf import expand_xacro, xacro_arguments
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
 from construction_twin.ros.commands.node_files import (
+    ROBOT_NODES,
     controller_settings,
     node_files_problem,
     read_mapping,
@@ -41,7 +42,7 @@ from construction_twin.ros.messages.joint_goals import control_messages
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.master import running
 from construction_twin.ros.shared.params import ros_home, settings_of
-from construction_twin.ros.shared.roslaunch_above import command_lines, roslaunch_above, say_below
+from construction_twin.ros.shared.roslaunch_parent import command_lines, print_after, roslaunch_parent
 from construction_twin.ros.shared.start_claim import claim
 from construction_twin.scenario.definition import read_scenario
 from construction_twin.scene.cell import load_cell
@@ -53,14 +54,6 @@ from construction_twin.views.roslaunch_call import RoslaunchCall, argument_probl
 from construction_twin.work.extras import check_extras
 from construction_twin.work.site import read_site
 
-#: Nodes of one robot, in its namespace: a second one of a name would end the first.
-ROBOT_NODES = (
-    "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mqtt_review", "mqtt_planner", "mock_rsi", "planner", "scene",
-    "neighbour", "follow_joint_trajectory", "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation", "work",
-    "joint_velocities", "joint_state_publisher",
-    "robot_state_publisher", "physical_state_publisher", "preview_state_publisher", "rsi_gateway",
-    "plc",
-)  # fmt: skip
 #: What parses launch files without the master that ROS_MASTER_URI names.
 _WITHOUT_MASTER = ("rostest", "roslaunch-check")
 
@@ -457,7 +450,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     for_roslaunch = "--for-roslaunch" in words
-    above = roslaunch_above() if for_roslaunch else None
+    above = roslaunch_parent() if for_roslaunch else None
     pid, call = above if above is not None else (None, None)
     given = dict(word.split(":=", 1) for word in words if ":=" in word)
     uri = _master(call)
@@ -466,7 +459,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sentence = claim_problem(given, uri, pid)
     if sentence:
         print(f"preflight: {sentence}", file=sys.stderr, flush=True)
-        say_below(f"preflight: {sentence}", pid)
+        print_after(f"preflight: {sentence}", pid)
         if for_roslaunch:
             print("refused")
         return 0 if for_roslaunch else 1

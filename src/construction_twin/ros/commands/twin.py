@@ -11,18 +11,23 @@ import os
 import sys
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused, SilenceError
+from construction_twin.link.goal_request import GoalRequest
+from construction_twin.link.remote_review import ReviewRequest
 from construction_twin.msg import Execution
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import BY_ACTION, Plan
+from construction_twin.ros.messages.plan_services import pose_fields
 from construction_twin.ros.shared.master import TO_DO, await_master, expect_publisher, publishing_nodes
 from construction_twin.ros.shared.operator_client import OperatorClient
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.shared.robot_listener import RobotListener
-from construction_twin.views.arguments import Exit, check, parser, split_lists
+from construction_twin.views.arguments import TRIGGERS, Exit, check, parser, split_lists
 from construction_twin.views.goals import joint_goal, pose_goal
 from construction_twin.views.texts import caller_line, plan_lines, status_lines
 
@@ -47,40 +52,33 @@ class Command:
     def run(self) -> Exit:
         """Do it; see `OperatorClient` for what is raised."""
         name = self._options.command
-        if name in ("stop", "pause", "resume", "reset"):
-            print(self._client.trigger(name))
-            return Exit.DONE
+        if name in TRIGGERS:
+            return _print(self._client.trigger(name))
         return getattr(self, f"_{name}")()
 
     def _plan(self) -> Exit:
-        options, client = self._options, self._client
-        scale, duration = options.speed or 0.0, options.duration or 0.0
+        options = self._options
+        goal: dict[str, Any]
         if options.csv is not None:
-            print(client.plan_from_csv(str(Path(options.csv).absolute()), scale, options.columns))
+            kind, goal = "csv", {"path": str(Path(options.csv).absolute()), "columns": options.columns}
         elif options.joints is not None:
-            print(client.plan_to_joints(joint_goal(options.joints, self._robot()), duration, scale))
-        elif options.line:
-            print(
-                client.plan_line(
-                    pose_goal(options.pose, options.frame), options.frame, (options.tool_speed or 0.0) / 1e3, scale
-                )
-            )
+            kind, goal = "joints", {"joints": joint_goal(options.joints, self._robot())}
         else:
-            print(
-                client.plan_to_pose(
-                    pose_goal(options.pose, options.frame), options.frame, options.configuration, duration, scale
-                )
-            )
-        return Exit.DONE
+            kind, goal = "line" if options.line else "pose", pose_fields(pose_goal(options.pose, options.frame))
+            speed = (options.tool_speed or 0.0) / 1e3
+            goal |= {"frame": options.frame, "configuration": options.configuration, "speed": speed}
+        return self._plan_to(kind, **goal)
 
     def _home(self) -> Exit:
+        return self._plan_to("joints", joints=self._robot().home)
+
+    def _plan_to(self, kind: str, **goal: Any) -> Exit:
         options = self._options
-        print(self._client.plan_to_joints(self._robot().home, options.duration or 0.0, options.speed or 0.0))
-        return Exit.DONE
+        asked = GoalRequest(kind, duration=options.duration or 0.0, speed_scale=options.speed or 0.0, **goal)
+        return _print(self._client.plan(asked))
 
     def _back(self) -> Exit:
-        print(self._client.trigger("plan_way_back"))
-        return Exit.DONE
+        return _print(self._client.plan(GoalRequest("way_back")))
 
     def _show(self) -> Exit:
         listener = self._listener()
@@ -106,14 +104,13 @@ class Command:
         return Exit.DONE
 
     def _preview(self) -> Exit:
-        print(self._client.preview(self._options.speed))
-        return Exit.DONE
+        return _print(self._client.preview(self._options.speed))
 
     def _work(self) -> Exit:
         """Do one step of the work from a building model; approving is as for every plan, once the plan is that of a task."""
         from construction_twin.ros.commands.twin_work import WorkCommand
 
-        work = WorkCommand(self._options, self._namespace, account_name())
+        work = WorkCommand(self._options, self._namespace, account_name(), self._client)
         if self._options.step != "approve":
             return work.run()
         return self._approve(work.plan_under_review())
@@ -131,16 +128,14 @@ class Command:
         if not options.yes and not _confirmed():
             print("not approved; the plan still waits", file=sys.stderr)
             return Exit.NOT_CONFIRMED
-        print(self._verdict(plan, True))
+        self._review(plan, "approved")
         return self._wait(listener, plan) if options.wait else Exit.DONE
 
     def _reject(self) -> Exit:
-        print(self._verdict(self._under_review(self._listener()), False))
-        return Exit.DONE
+        return self._review(self._under_review(self._listener()), "rejected")
 
     def _arm(self) -> Exit:
-        print(self._client.arm(self._options.responsible))
-        return Exit.DONE
+        return _print(self._client.arm(self._options.responsible))
 
     def _status(self) -> Exit:
         listener = self._listener()
@@ -226,9 +221,9 @@ class Command:
         caller = listener.newest("plan_caller")
         return caller_line(caller.client, caller.connected)
 
-    def _verdict(self, plan: Plan, approve: bool) -> str:
+    def _review(self, plan: Plan, verdict: str) -> Exit:
         reviewer = self._options.reviewer or account_name()
-        return self._client.review(plan.id, plan.hash, approve, reviewer, self._options.reason)
+        return _print(self._client.review(ReviewRequest(plan.id, plan.hash, verdict, reviewer, self._options.reason)))
 
     def _wait(self, listener: RobotListener, plan: Plan) -> Exit:
         """Wait for the motion's end, print it, and return its exit code."""
@@ -288,6 +283,11 @@ def main(arguments: list[str] | None = None) -> int:
 def _report(error: ConstructionTwinError, code: Exit) -> Exit:
     print(f"twin: {error}", file=sys.stderr)
     return code
+
+
+def _print(outcome: Outcome) -> Exit:
+    print(outcome.message)
+    return Exit.DONE
 
 
 def account_name() -> str:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import genpy
 import numpy as np
-from geometry_msgs.msg import Point, Transform
+from geometry_msgs.msg import Point, Quaternion, Transform
 from geometry_msgs.msg import Pose as PoseMsg
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -23,7 +23,7 @@ from construction_twin.msg import Signal as SignalMsg
 from construction_twin.msg import ToolSwitch
 from construction_twin.msg import WorkSegment as WorkSegmentMsg
 from construction_twin.planning.work_segment import WorkSegment
-from construction_twin.robot.frames import quaternion_to_rotation
+from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_quaternion
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.segments import Segment, Signal, Switch
 from construction_twin.robot.trajectory import Trajectory
@@ -195,6 +195,11 @@ def pose_from_msg(msg: PoseMsg) -> Pose:
         KinematicsError: If the orientation is not a unit quaternion within 1e-3.
     """
     return Pose(_vector(msg.position), quaternion_to_rotation(_quaternion(msg.orientation)))
+
+
+def pose_to_msg(pose: Pose) -> PoseMsg:
+    """Return the message of a pose."""
+    return PoseMsg(Point(*map(float, pose.position)), Quaternion(*rotation_to_quaternion(pose.rotation).tolist()))
 
 
 def pose_from_transform_msg(msg: Transform) -> Pose:

@@ -18,10 +18,10 @@ import rospy
 from diagnostic_msgs.msg import KeyValue
 from std_srvs.srv import SetBool, Trigger
 
-from construction_twin.core.beside import Beside
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import ToolReport
 from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
@@ -163,7 +163,7 @@ class MqttBridge:
         self._broker = broker
         self._client = client
         # what tells of a halt, and cannot fail it
-        self._beside, self._said = Beside(), DeferredLog()
+        self._side_effects, self._said = SideEffects(), DeferredLog()
         self._connection = report_of(broker, self._said)
         # why only a person leads on, for the bridge after this one
         self._waits = waits
@@ -228,8 +228,8 @@ class MqttBridge:
 
     def write_log(self) -> None:
         """Write what is to be said, and what has failed: not for the poll, which waits for no disk and no terminal."""
-        self._beside.do("the log", self._said.flush)
-        self._beside.tell(rospy.logerr)
+        self._side_effects.run("the log", self._said.flush)
+        self._side_effects.write(rospy.logerr)
 
     # -- ROS to MQTT
 
@@ -264,7 +264,7 @@ class MqttBridge:
             self._diagnostics.refuse(error.reason, str(error))
 
     def on_tool_command(self, message: ToolCommand) -> None:
-        """Take a switch, or the wish that none of those that are armed fires."""
+        """Take a switch, or the request that none of those that are armed fires."""
         if message.verb not in (ToolCommand.ARM, ToolCommand.VOID):
             self._diagnostics.refuse("tool_command", Sentence("link.tool.verb", verb=message.verb))
             return
@@ -501,10 +501,10 @@ class MqttBridge:
             tells = self._supervisor.sends_control
             # the link is not armed from here on: the executor drops its plan, no command is sent, and the gateway brakes on silence
             self._supervisor.halt(Sentence("link.halt.asked" if tells else "link.halt.plc"))
-        sent = tells and self._beside.do("the stop for the gateway", self._send_stop, session)
+        sent = tells and self._side_effects.run("the stop for the gateway", self._send_stop, session)
         if mirrored:
             # in a thread of its own: a master that hangs must not hold up the answer
-            remember = partial(self._beside.do, "what outlasts this node", self._remember_mirror)
+            remember = partial(self._side_effects.run, "what outlasts this node", self._remember_mirror)
             threading.Thread(target=remember, daemon=True).start()
         if not tells:
             return Outcome(True, Sentence("link.halt.plc"))
@@ -518,7 +518,9 @@ class MqttBridge:
         control = Control(uuid.uuid4().hex, session, "stop")
         sent = self._publish_control(control)
         # after the answer: it waits for a disk, or for rosout
-        self._beside.do("the log", self._said.add, rospy.loginfo, "%s, session %s", control.verb, control.session)
+        self._side_effects.run(
+            "the log", self._said.add, rospy.loginfo, "%s, session %s", control.verb, control.session
+        )
         return sent
 
     def on_mirror(self, request) -> str:
@@ -626,10 +628,10 @@ class MqttBridge:
             values |= {f"not checked: {topic}": what for topic, _, what in parts}
         if not self._properties:
             values["comparison"] = "instant: the link carries no MQTT 5 properties"
-        values |= self._beside.report()
+        values |= self._side_effects.report()
         if self._memory.problem:
             return Report(WARN, f"{state.name}: {reason}; {self._memory.problem}", values)
-        if failed := self._beside.sentence:
+        if failed := self._side_effects.sentence:
             return Report(WARN, f"{state.name}: {reason}; {failed}", values)
         level = OK if state in (LinkState.ARMED, LinkState.MIRROR) else WARN
         return Report(level, f"{state.name}: {reason}", values)

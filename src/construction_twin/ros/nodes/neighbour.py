@@ -39,7 +39,7 @@ DELAY = 0.1
 
 
 @dataclass(frozen=True)
-class Said:
+class LoggedConflict:
     """What the log was told of a plan last.
 
     Attributes:
@@ -78,7 +78,7 @@ class NeighbourNode:
         self._moveit = moveit
         self._checks, self._longest = 0, 0.0
         self._failure = ""
-        self._said: dict[str, Said] = {}
+        self._said: dict[str, LoggedConflict] = {}
 
     def run(self) -> None:
         """Check again and again, in the main thread: an unexpected exception ends the process, which is then started anew."""
@@ -169,7 +169,7 @@ class NeighbourNode:
         )
         message.header.stamp = stamp
         self._publisher.publish(message)
-        said = Said(verdict.blocked, verdict.time < 0.0)
+        said = LoggedConflict(verdict.blocked, verdict.time < 0.0)
         if self._said.get(plan_id) != said:
             self._said[plan_id] = said
             (rospy.logwarn if verdict.blocked else rospy.loginfo)("plan %s: %s", plan_id, verdict.sentence)
