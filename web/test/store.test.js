@@ -214,6 +214,8 @@ test("a plan whose form is not a plan's is refused, and then none is under revie
   const bad = [
     3, "p1", true, [], [plan()], {}, plan({id: undefined}), plan({id: ""}), plan({id: 1}), plan({id: null}), plan({hash: undefined}),
     plan({hash: 1}), plan({hash: null}), plan({joints: undefined}), plan({joints: null}), plan({joints: "joint_a1"}), plan({joints: {}}),
+    plan({joints: [1]}), plan({duration: "1"}), plan({clearance: {}}), plan({use: {velocity: []}}), plan({goal: null}), plan({tool_path: [0]}),
+    plan({trajectory: 7}), plan({segments: [{name: "go"}]}), plan({content: {}}),
   ];
   for (const value of bad) {
     const page = fakePage();
@@ -224,10 +226,16 @@ test("a plan whose form is not a plan's is refused, and then none is under revie
   }
 });
 
-test("an answer that is no object is refused and reaches nobody", async () => {
+test("an answer that is no object, or of which a field is of another type, is refused and reaches nobody", async () => {
   const page = fakePage();
   const told = [];
   for (const kind of ["review_ack", "stop_ack", "pause_ack", "plan_request_ack", "ik_ack"]) page.store.on(kind, (_, value) => told.push([kind, value]));
+  const [review, stop, pause, request, ik] = ANSWERS;
   for (const topic of ANSWERS) await refuses(page, topic, [null, 3, "yes", true, [], [{id: "1", ok: true}]]);
+  for (const topic of [stop, pause, request, ik]) await refuses(page, topic, [{id: 1}, {id: null}]);
+  for (const topic of [review, stop, pause, request]) await refuses(page, topic, [{ok: 1}, {ok: "yes"}, {reason: null}, {account: 1}]);
+  await refuses(page, review, [{verdict: true}, {plan_id: null}, {plan_hash: 1}, {reviewer: []}]);
+  await refuses(page, request, [{duration: "2"}, {plan_id: 1}, {expired: 1}]);
+  await refuses(page, ik, [{reach: null}, {joints: []}, {joints: {joint_a1: null}}, {between: "wall"}, {sentence: 1}]);
   assert.deepEqual(told, []);
 });

@@ -7,32 +7,51 @@ and all answers are made from these.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 #: Who answers: the gateway, which brakes the arm, or the executor, which brakes along the path.
 GATEWAY, EXECUTOR = "gateway", "executor"
-#: Every field of an answer, with what it holds while no more is known. Durations are in s, joints by name in rad and m.
-UNKNOWN: Mapping[str, object] = {
-    "id": "",
-    "account": "",
-    "sender": "",
-    "kind": "",
-    "ok": False,
-    "reason": "",
-    "sentence": "",
-    "by": EXECUTOR,
-    "expired": False,
-    "plan_id": "",
-    "plan_hash": "",
-    "verdict": "",
-    "reviewer": "",
-    "duration": 0.0,
-    "notes": (),
-    "reach": "unknown",
-    "joints": None,
-    "between": (),
-}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Every field of an answer, with what it holds while no more is known; a kind of request has some of them.
+
+    Attributes:
+        id: The request's own; "" when it could not be read.
+        account, sender: Who asked, as the topic has it; "" in no name.
+        reason, sentence: For people.
+        by: `GATEWAY` or `EXECUTOR`.
+        expired: The request was too old.
+        reviewer: The name on record.
+        duration: Of the plan [s].
+        reach: ``free``, ``contact``, ``out`` or ``unknown``.
+        joints: By name [rad, m].
+        between: What is in contact.
+    """
+
+    id: str = ""
+    account: str = ""
+    sender: str = ""
+    kind: str = ""
+    ok: bool = False
+    reason: str = ""
+    sentence: str = ""
+    by: str = EXECUTOR
+    expired: bool = False
+    plan_id: str = ""
+    plan_hash: str = ""
+    verdict: str = ""
+    reviewer: str = ""
+    duration: float = 0.0
+    notes: Sequence[str] = ()
+    reach: str = "unknown"
+    joints: Mapping[str, float] | None = None
+    between: Sequence[str] = ()
+
+
+UNKNOWN: Mapping[str, object] = vars(Answer())
 
 
 @dataclass(frozen=True)
@@ -42,7 +61,7 @@ class RequestKind:
     Attributes:
         right: What an account needs to publish it; "": no account of a site may.
         topic, ack: Where it comes in and is answered, below ``<prefix>/<robot>/``; ``{}`` is the account.
-        answer: Its fields, in their order.
+        answer: Which fields of `Answer` it has, in their order.
         qos: Of request and answer.
     """
 
@@ -58,7 +77,7 @@ class RequestKind:
         return bool(account) or "{}" not in self.ack
 
     def payload(self, /, **known: object) -> bytes:
-        """Return an answer: of what is known its fields, the others as in `UNKNOWN`."""
+        """Return an answer: of what is known its fields, the others as in `UNKNOWN`; ValueError for a nan, which null would hide."""
         return json.dumps({key: known.get(key, UNKNOWN[key]) for key in self.answer}, allow_nan=False).encode()
 
 
