@@ -183,7 +183,7 @@ class PlanView:
         tool_path_deviation: How far the thinned path is off at most [m].
         clearance: None when it was not measured.
         trajectory: What the trajectory's hash covers besides the joints' names: ``times`` [s], and by waypoint ``positions``,
-            ``velocities`` and ``accelerations`` [rad, m, s]; None when it is too long. Who checks that hash goes through its numbers.
+            ``velocities`` and ``accelerations`` [rad, m, s]; None when it is too long. Who checks the hash reads the numbers.
         task, content, segments: Of a work plan only. `content` is the text whose SHA-256 is its hash.
     """
 

@@ -77,7 +77,8 @@ class RequestKind:
         return bool(account) or "{}" not in self.ack
 
     def payload(self, /, **known: object) -> bytes:
-        """Return an answer: of what is known its fields, the others as in `UNKNOWN`; ValueError for a nan, which null would hide."""
+        """Return an answer: of what is known its fields, the others as in `UNKNOWN`; ValueError for a nan."""
+        # not by `core.records`: null in the place of a nan would be an answer
         return json.dumps({key: known.get(key, UNKNOWN[key]) for key in self.answer}, allow_nan=False).encode()
 
 

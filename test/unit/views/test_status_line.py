@@ -43,10 +43,27 @@ def states_of(topic: str) -> list[str]:
 
 
 def test_a_line_is_sent_with_all_its_fields_in_their_order_as_json_has_them():
-    for heard in (WELL, Heard(sync=Word("HOLDING", NO_REPORT)), Heard(started=True, missing=Missing("nodes", "ä", HERE))):
+    for heard in (
+        WELL,
+        Heard(sync=Word("HOLDING", NO_REPORT)),
+        Heard(started=True, missing=Missing("nodes", "ä", HERE)),
+    ):
         found = status_lines(heard)
         assert dumped(found, marks=SPACED) == json.dumps([asdict(line) for line in found]).encode()
-    keys = ["topic", "state", "words", "values", "level", "sentence", "reason", "said", "waits_for", "who", "todo", "page"]
+    keys = [
+        "topic",
+        "state",
+        "words",
+        "values",
+        "level",
+        "sentence",
+        "reason",
+        "said",
+        "waits_for",
+        "who",
+        "todo",
+        "page",
+    ]
     assert list(document(found[0])) == keys
 
 
