@@ -51,6 +51,7 @@ class Answer:
     between: Sequence[str] = ()
 
 
+#: What each field holds while no more is known.
 UNKNOWN: Mapping[str, object] = vars(Answer())
 
 
