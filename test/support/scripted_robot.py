@@ -22,7 +22,7 @@ from construction_twin.core.reports import ExecutionReport, LinkReport, SyncRepo
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.link.goal_request import MAX_BYTES, parse_ik, parse_plan_request
-from construction_twin.link.remote_review import PlanView, parse_review
+from construction_twin.link.remote_review import ClearanceView, PlanView, UseView, parse_review
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
     ClosestView,
@@ -253,11 +253,11 @@ class ScriptedRobot:
         use = report.usage
         return PlanView(
             id=plan_id, hash=trajectory.content_hash(), source=source, planner="none", scene="0" * 64, frame="base_link",
-            created_ns=time.time_ns(), duration=trajectory.duration, planning_time=0.1, joint_names=self._names,
+            created_ns=time.time_ns(), duration=trajectory.duration, planning_time=0.1, joints=self._names,
             start=tuple(trajectory.positions[0]), goal=tuple(trajectory.positions[-1]),
-            tool_path=[self.tool(row) for row in trajectory.positions],
-            clearance={"distance": 0.213, "time": 1.0, "between": ["link_4", "table"], "point": [1.0, 0.2, 0.9]},
-            use={"velocity": use.velocity, "acceleration": use.acceleration, "jerk": use.jerk},
+            waypoints=len(trajectory.positions), tool_path=[self.tool(row) for row in trajectory.positions],
+            clearance=ClearanceView(0.213, 1.0, ["link_4", "table"], (1.0, 0.2, 0.9)),
+            use=UseView(use.velocity, use.acceleration, use.jerk),
             trajectory={
                 "times": trajectory.times.tolist(), "positions": trajectory.positions.tolist(),
                 "velocities": trajectory.velocities.tolist(), "accelerations": trajectory.accelerations.tolist(),

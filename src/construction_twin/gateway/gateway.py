@@ -17,6 +17,7 @@ from construction_twin.controller.port import StatusReport
 from construction_twin.controller.telegram import Telegram
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
+from construction_twin.core.records import document
 from construction_twin.core.sentences import Sentence, Value
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.state_table import Machine
@@ -840,17 +841,16 @@ class Gateway:
         """Return the content of the `status` topic."""
         config, owners = self.config, self._owners
         failure = self.reason if self.state is State.FAILED else ""
-        tool = {"tool": self.tool.report(failure)} if self.tool is not None else {}
-        return (
-            tool
-            | Status(
+        return document(
+            Status(
+                tool=self.tool.report(failure) if self.tool is not None else None,
                 state=self.state.value,
                 reason=self.reason,
                 session=self.session,
                 fault=self.fault,
                 fault_number=self.fault_number,
                 mode=self.mode.value,
-                correction=list(self.correction),
+                correction=self.correction,
                 controller=self._controller_status.report(),
                 last_ipoc_jump_ms=self._controller.jump_ms,
                 cycle=self.clock.report(),
@@ -866,5 +866,5 @@ class Gateway:
                 last_refusal=self.refusals.last,
                 later_refusal=self.refusals.later,
                 counters=dict(self.counters) | self.side_effects.counts("failed_beside"),
-            ).to_dict()
+            )
         )

@@ -23,6 +23,7 @@ from construction_twin.core.errors import (
     PayloadError,
 )
 from construction_twin.core.histogram import Histogram
+from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.udp import receive
 from construction_twin.gateway.config import GatewayConfig
@@ -45,6 +46,7 @@ from construction_twin.mqtt.messages import (
     PROTOCOL,
     VERBS,
     CommandProperties,
+    ControlAnswer,
     Topics,
     account_of,
     parse_control,
@@ -408,12 +410,12 @@ class GatewayService:
         side_effects = self.gateway.side_effects
         # the status first: a reader of the answer must not act on an older status
         side_effects.run("the status", self._publish_status_of_stop if control.verb == "stop" else self._publish_status)
-        answer = {"id": control.id, "verb": control.verb, "ok": ok, "reason": reason, "session": control.session}
-        side_effects.run("the answer", self._publish_answer, self._topics.control_ack, json.dumps(answer))
+        answer = dumped(ControlAnswer(control.id, control.verb, ok, reason, control.session), marks=SPACED)
+        side_effects.run("the answer", self._publish_answer, self._topics.control_ack, answer)
         level = logging.INFO if ok else logging.WARNING
         side_effects.run("the log", self._log, level, kind, f"session {control.session}: {reason}")
 
-    def _publish_answer(self, topic: str, answer: str | bytes) -> None:
+    def _publish_answer(self, topic: str, answer: bytes) -> None:
         self._mqtt.client.publish(topic, answer, qos=1)
 
     def _on_stop(self, client, userdata, message: paho.MQTTMessage) -> None:

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.records import left_out
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import StateProperties
 
@@ -17,17 +19,18 @@ from construction_twin.mqtt.messages import StateProperties
 QUIET = 0.05
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
     """The content of the `status` topic, key by key; each is explained in docs/reference/mqtt.md."""
 
+    tool: dict | None = left_out()
     state: str
     reason: str
     session: str
     fault: bool
     fault_number: int
     mode: str
-    correction: list[float]
+    correction: Sequence[float]
     controller: dict
     last_ipoc_jump_ms: int
     cycle: dict
@@ -43,10 +46,6 @@ class Status:
     last_refusal: str
     later_refusal: str
     counters: dict[str, int]
-
-    def to_dict(self) -> dict:
-        """Return the document as it is sent."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
 
 class StateReport:

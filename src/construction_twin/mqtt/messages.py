@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partialmethod
 from typing import Any
 
 from construction_twin.core.errors import ConfigurationError, PayloadError
+from construction_twin.core.records import SPACED, dumped, left_out
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mqtt.requests import (
@@ -194,7 +195,35 @@ class Control:
 
     def to_json(self) -> bytes:
         """Return the message's payload."""
-        return json.dumps(asdict(self)).encode()
+        return dumped(self, marks=SPACED)
+
+
+@dataclass(frozen=True)
+class ControlAnswer:
+    """A message on `control/ack`: what became of a control message, by its id, verb and session."""
+
+    id: str
+    verb: str
+    ok: bool
+    reason: str
+    session: str
+
+
+@dataclass(frozen=True)
+class BridgeStatus:
+    """A message on `bridge/status`.
+
+    Attributes:
+        session, protocol: Not of a bridge that ends.
+        responsible, not_checked: Of a bare PLC only: who has armed it, and what is not checked, one sentence each.
+    """
+
+    state: str
+    reason: str
+    session: str | None = left_out()
+    protocol: int | None = left_out()
+    responsible: str | None = left_out()
+    not_checked: Sequence[str] | None = left_out()
 
 
 def protocol_of(document: object) -> object:

@@ -7,34 +7,54 @@ all answers and all limits of how often are made from these.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from construction_twin.core.rate_limit import Pace, SenderLimits, TokenBucket
 
 #: Who answers: the gateway, which brakes the arm, or the executor, which brakes along the path.
 GATEWAY, EXECUTOR = "gateway", "executor"
-#: Every field of an answer, with what it holds while no more is known. Durations are in s, joints by name in rad and m.
-UNKNOWN: Mapping[str, object] = {
-    "id": "",
-    "account": "",
-    "sender": "",
-    "kind": "",
-    "ok": False,
-    "reason": "",
-    "sentence": "",
-    "by": EXECUTOR,
-    "expired": False,
-    "plan_id": "",
-    "plan_hash": "",
-    "verdict": "",
-    "reviewer": "",
-    "duration": 0.0,
-    "notes": (),
-    "reach": "unknown",
-    "joints": None,
-    "between": (),
-}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Every field of an answer, with what it holds while no more is known; a kind of request has some of them.
+
+    Attributes:
+        id: The request's own; "" when it could not be read.
+        account, sender: Who asked, as the topic has it; "" in no name.
+        reason, sentence: For people.
+        by: `GATEWAY` or `EXECUTOR`.
+        expired: The request was too old.
+        reviewer: The name on record.
+        duration: Of the plan [s].
+        reach: ``free``, ``contact``, ``out`` or ``unknown``.
+        joints: By name [rad, m].
+        between: What is in contact.
+    """
+
+    id: str = ""
+    account: str = ""
+    sender: str = ""
+    kind: str = ""
+    ok: bool = False
+    reason: str = ""
+    sentence: str = ""
+    by: str = EXECUTOR
+    expired: bool = False
+    plan_id: str = ""
+    plan_hash: str = ""
+    verdict: str = ""
+    reviewer: str = ""
+    duration: float = 0.0
+    notes: Sequence[str] = ()
+    reach: str = "unknown"
+    joints: Mapping[str, float] | None = None
+    between: Sequence[str] = ()
+
+
+#: What each field holds while no more is known.
+UNKNOWN: Mapping[str, object] = vars(Answer())
 
 
 @dataclass(frozen=True)
@@ -44,7 +64,7 @@ class RequestKind:
     Attributes:
         right: What an account needs to publish it; "": no account of a site may.
         topic, ack: Where it comes in and is answered, below ``<prefix>/<robot>/``; ``{}`` is the account.
-        answer: Its fields, in their order.
+        answer: Which fields of `Answer` it has, in their order.
         qos: Of request and answer.
         pace: How often one account may ask; None: as often as it likes. Kinds of one pace that wait in one queue have it together.
             What comes too often is told when to try again; of QoS 0, where a newer one follows anyway, it is not even read.
@@ -66,7 +86,8 @@ class RequestKind:
         return bool(account) or "{}" not in self.ack
 
     def payload(self, /, **known: object) -> bytes:
-        """Return an answer: of what is known its fields, the others as in `UNKNOWN`."""
+        """Return an answer: of what is known its fields, the others as in `UNKNOWN`; ValueError for a nan."""
+        # not by `core.records`: null in the place of a nan would be an answer
         return json.dumps({key: known.get(key, UNKNOWN[key]) for key in self.answer}, allow_nan=False).encode()
 
 

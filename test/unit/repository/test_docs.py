@@ -33,7 +33,7 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.states import Mode, State
 from construction_twin.link import remote_trajectory
 from construction_twin.link.bare_supervisor import NOT_CHECKED
-from construction_twin.link.remote_review import PlanView, SegmentView
+from construction_twin.link.remote_review import ClearanceView, PlanView, SegmentView, SwitchView, UseView
 from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import status_values
 from construction_twin.monitor.comparison import ComparisonSettings, undetected
@@ -191,10 +191,8 @@ def test_gateway_counters_are_documented():
 
 
 def test_keys_of_plan_review_and_account_files_are_documented():
-    empty = PlanView("", "", "", "", "", "", 0, 0.0, 0.0, (), (), (), (), None, {})
-    segment = SegmentView("", 0.0, 0, False, {}, (), "", "", (), ())
-    shown = json.loads(dataclasses.replace(empty, segments=(segment,)).to_json(2))
-    keys = {*shown, *shown["segments"][0], *REVIEW.answer}
+    records = (PlanView, ClearanceView, UseView, SegmentView, SwitchView)
+    keys = {*REVIEW.answer, *(field.name for record in records for field in dataclasses.fields(record))}
     keys |= {field.name for field in dataclasses.fields(Account)} - {"name"}
     assert sorted(keys - code_words(BROKER)) == []
 

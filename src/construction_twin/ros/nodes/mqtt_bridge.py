@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import http.client
-import json
 import threading
 import time
 import uuid
@@ -19,6 +18,7 @@ from diagnostic_msgs.msg import KeyValue
 from std_srvs.srv import SetBool, Trigger
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import ToolReport
 from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.side_effects import SideEffects
@@ -35,6 +35,7 @@ from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
     PLC,
     PROTOCOL,
+    BridgeStatus,
     CommandProperties,
     Control,
     StateProperties,
@@ -195,9 +196,8 @@ class MqttBridge:
         while not rospy.is_shutdown():
             self.poll()
             time.sleep(POLL)
-        self._client.publish(
-            self._topics.bridge_status, json.dumps({"state": "offline", "reason": "bridge stopped"}), 1, True
-        )
+        ended = dumped(BridgeStatus("offline", "bridge stopped"), marks=SPACED)
+        self._client.publish(self._topics.bridge_status, ended, 1, True)
         self._client.disconnect()
         self._client.loop_stop()
 
@@ -552,17 +552,18 @@ class MqttBridge:
 
     # -- reports
 
-    def _status_report(self) -> str:
+    def _status_report(self) -> bytes:
         with self._lock:
             supervisor = self._supervisor
-            status = {
-                "state": supervisor.state.name.lower(),
-                "reason": supervisor.reason,
-                "session": supervisor.session,
-                "protocol": PROTOCOL,
-            }
-            beside = {"responsible": supervisor.responsible, "not_checked": supervisor.not_checked}
-        return json.dumps(status | beside if beside["not_checked"] else status)
+            status = BridgeStatus(
+                supervisor.state.name.lower(),
+                supervisor.reason,
+                supervisor.session,
+                PROTOCOL,
+                supervisor.responsible if supervisor.not_checked else None,
+                supervisor.not_checked or None,
+            )
+        return dumped(status, marks=SPACED)
 
     def _publish_link(self) -> None:
         with self._lock:

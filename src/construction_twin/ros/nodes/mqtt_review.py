@@ -5,7 +5,6 @@ A node of its own: the bridge has 4 ms.
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from bisect import bisect_left
@@ -21,11 +20,13 @@ from construction_twin.core.motion_errors import PlanningError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_review import (
+    ClearanceView,
     PlanBoard,
     PlanView,
     ReviewRequest,
     SegmentView,
     SwitchView,
+    UseView,
     parse_review,
     recorded_reason,
 )
@@ -308,15 +309,10 @@ def plan_view(message: Plan) -> PlanView:
     Raises:
         PlanningError: If a work plan is not what its hash says.
     """
-    points = message.trajectory.points
-    clearance = None
-    if message.velocity_use:
-        clearance = {
-            "distance": message.clearance if math.isfinite(message.clearance) else None,
-            "time": message.clearance_time,
-            "between": list(message.clearance_between),
-            "point": _xyz(message.clearance_point),
-        }
+    points, is_work = message.trajectory.points, bool(message.segments)
+    clearance = ClearanceView(
+        message.clearance, message.clearance_time, message.clearance_between, _xyz(message.clearance_point)
+    )
     return PlanView(
         id=message.id,
         hash=message.hash,
@@ -327,20 +323,17 @@ def plan_view(message: Plan) -> PlanView:
         created_ns=message.header.stamp.to_nsec(),
         duration=message.duration,
         planning_time=message.planning_time,
-        joint_names=message.trajectory.joint_names,
+        joints=message.trajectory.joint_names,
         start=points[0].positions if points else (),
         goal=points[-1].positions if points else (),
+        waypoints=len(message.tool_path),
         tool_path=[_xyz(point) for point in message.tool_path],
-        clearance=clearance,
-        use={
-            "velocity": message.velocity_use,
-            "acceleration": message.acceleration_use,
-            "jerk": message.jerk_use,
-        },
-        task=message.task,
-        segments=segment_views(message),
-        content=_content(message),
+        clearance=clearance if message.velocity_use else None,
+        use=UseView(message.velocity_use, message.acceleration_use, message.jerk_use),
         trajectory=_trajectory(message),
+        task=message.task if is_work else None,
+        content=_content(message) if is_work else None,
+        segments=segment_views(message) if is_work else None,
     )
 
 
@@ -373,9 +366,7 @@ def segment_views(message: Plan) -> list[SegmentView]:
 
 
 def _content(message: Plan) -> str:
-    """Return the text that a work plan's hash covers; "" for other plans."""
-    if not message.segments:
-        return ""
+    """Return the text that a work plan's hash covers."""
     plan = plan_from_msg(message)
     return segments_content(plan.trajectory.content_hash(), plan.task, plan.segments)
 
