@@ -37,7 +37,7 @@ def test_every_key_has_words_in_both_languages_with_the_same_values():
         assert all(text and text == text.strip() for text in words.values()), key
         assert places(words["en"]) == places(words["de"]), key
         # what cannot be filled in is no place
-        rest = re.sub(r"\{\w+(:(g|s|\.\df|\.\dq|(\.\d)?p))?\}", "", words["en"] + words["de"])
+        rest = re.sub(r"\{\w+(:(g|s|t|\.\df|\.\dq|(\.\d)?p))?\}", "", words["en"] + words["de"])
         assert "{" not in rest and "}" not in rest, key
 
 
@@ -112,6 +112,15 @@ def test_a_reason_is_found_in_its_text_again(key):
                 assert again.unit == value.unit and again.value == pytest.approx(value.value, rel=1e-5)
             else:
                 assert again == value and getattr(again, "key", "") == getattr(value, "key", "")
+
+
+def test_a_task_is_its_id_or_its_name_in_quotes_with_it():
+    for task in ("0aB$", "'Place stud' (T2)", '"Eva\'s stud" (T2)', "'' (T2)"):
+        said = Sentence("work.waits", task=task, tasks="'Place plate' (T1)")
+        found = understood(str(said))
+        assert (found.key, found.values) == (said.key, said.values)
+    # what else waits is no task
+    assert understood("stands at a boundary, waits for the tool").key == "executor.stands_and_waits"
 
 
 def test_a_part_that_has_changed_is_said_in_its_place():
