@@ -17,7 +17,7 @@ export function wordsOf(key, language) {
 }
 
 /** Beginnings of the keys of reasons and answers. */
-const REASONS = ["reason.", "executor.", "review.", "link.", "gateway.", "work."];
+const REASONS = ["reason.", "executor.", "review.", "link.", "gateway.", "work.", "startup."];
 const isReason = (key) => REASONS.some((each) => key.startsWith(each));
 
 /** Whether what came from a robot is key and values of a reason, with a value of the right kind in every place. */
