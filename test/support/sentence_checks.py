@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.sentences import Value, said_in, understood
+from construction_twin.core.work_errors import TaskPlanningError
 
 
 def key_of(text: str) -> str:
@@ -21,3 +22,8 @@ def says(key: str, **values: Value) -> Callable[[ConstructionTwinError], bool]:
         return key_of(said) == key and values.items() <= said.values.items()
 
     return check
+
+
+def because(key: str, **values: Value) -> Callable[[TaskPlanningError], bool]:
+    """Return the same check of the reason why a task cannot be planned."""
+    return lambda error: key_of(error.reason) == key and values.items() <= error.reason.values.items()

@@ -40,7 +40,8 @@ const WORDS = /^\w+\.\w+$/;
  */
 export function wordsOf(line, texts) {
   const known = typeof line.words === "string" && WORDS.test(line.words);
-  const values = typeof line.values === "object" && line.values !== null ? line.values : {};
+  const given = typeof line.values === "object" && line.values !== null ? line.values : {};
+  const values = Object.fromEntries(Object.entries(given).map(([name, value]) => [name, texts.reason(value)]));
   const own = (part) => {
     const keys = known ? [`line.${line.words}.${part}`, `line.${line.topic}.${line.state}.${part}`] : [];
     const key = keys.find((each) => texts.has(each));
