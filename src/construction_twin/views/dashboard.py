@@ -60,8 +60,8 @@ def _states(snapshot: Snapshot) -> Table:
     progress = None if execution is None else execution.progress(snapshot.now)
     if execution is not None and progress is not None:
         cells = round(progress * BAR)
-        line = Sentence("view.watch.progress", percent=_percent(progress), seconds=execution.duration)
-        table.add_row("progress", Text(f"{'█' * cells}{'░' * (BAR - cells)} {line}"))
+        far = Sentence("view.watch.progress", percent=_percent(progress), seconds=execution.duration)
+        table.add_row("progress", Text(f"{'█' * cells}{'░' * (BAR - cells)} {far}"))
     for line in work_lines(execution):
         name, _, text = line.partition(" ")
         table.add_row(name, Text(text.strip(), style="red" if name == "engaged" else ""))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from construction_twin.core.reports import ExecutionReport
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, Value
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.scene.objects import Scene
@@ -36,7 +36,7 @@ def plan_lines(plan: Plan, linear: Sequence[bool], changes: Sequence[SceneChange
     if math.isfinite(clearance.distance):
         distance, bodies = clearance.distance * 1e3, between(clearance.between)
         closest = Sentence("view.closest", distance=distance, between=bodies, time=clearance.time)
-    asked = {"source": plan.source, "planner": plan.planner, "seconds": plan.planning_time}
+    asked: dict[str, Value] = {"source": plan.source, "planner": plan.planner, "seconds": plan.planning_time}
     return [
         f"plan       {plan.id}",
         f"hash       {plan.hash}",
@@ -164,7 +164,7 @@ def under_review(plan: Plan | None) -> str:
     """Return one line about the plan under review."""
     if plan is None:
         return Sentence("view.review.none")
-    values = {"plan": plan.id, "seconds": plan.trajectory.duration, "source": plan.source}
+    values: dict[str, Value] = {"plan": plan.id, "seconds": plan.trajectory.duration, "source": plan.source}
     if plan.segments:
         return Sentence("view.review.work", count=len(plan.segments), **values)
     return Sentence("view.review.plan", **values)
@@ -172,7 +172,8 @@ def under_review(plan: Plan | None) -> str:
 
 def waiting_plan(plan: Plan) -> str:
     """Return the short line about the plan under review that stands beside the marker."""
-    clearance, values = plan.report.clearance.distance, {"plan": plan.id[:8], "seconds": plan.trajectory.duration}
+    clearance = plan.report.clearance.distance
+    values: dict[str, Value] = {"plan": plan.id[:8], "seconds": plan.trajectory.duration}
     if math.isfinite(clearance):
         return Sentence("view.marker_closest", distance=clearance * 1e3, **values)
     return Sentence("view.marker", **values)

@@ -88,6 +88,8 @@ def sample(template: str, part: str, reason: str) -> dict[str, object]:
     return values | {name: reason for name in texts[-1:]}
 
 
+#: Beginnings of the keys whose sentences programs say: reasons, and what is read in terminal and rviz.
+OF_PROGRAMS = (*REASONS, "line.", "view.", "preflight.")
 #: A piece of a sentence that is as long as this is nobody else's [characters].
 LONG_ENOUGH = 36
 REASON_KEYS = [key for key in SENTENCES if key.startswith(REASONS)]
@@ -154,12 +156,13 @@ def test_a_text_that_is_no_reason_to_the_letter_has_no_key(text):
     assert understood(text) is None
 
 
-def test_the_words_of_a_reason_stand_in_no_program():
+def test_the_words_of_a_sentence_stand_in_no_program():
     """Where its key is enough: in `sentences.json` alone. Pieces that are too short to be these words are not looked at."""
     programs = {path: re.sub(r'"\s*\n\s*f?"', "", path.read_text()) for path in (ROOT / "src").rglob("*.py")}
     pieces = {
         piece.strip()
-        for key in REASON_KEYS
+        for key in SENTENCES
+        if key.startswith(OF_PROGRAMS)
         for piece in re.split(r"\{.*?\}", SENTENCES[key]["en"])
         if len(piece.strip()) >= LONG_ENOUGH
     }

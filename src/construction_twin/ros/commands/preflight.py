@@ -126,7 +126,7 @@ def _check_work(given: Given, robot: RobotModel) -> None:
         return
     check_extras()
     if not readable(given["work_model"]):
-        raise ConfigurationError("its path", given["work_model"], "the absolute path of a file that can be read")
+        raise ConfigurationError("its path", given["work_model"], Sentence("preflight.expected.file"))
     cell = given.get("work_cell", "")
     if not readable(cell):
         raise ConfigurationError("work_cell", cell, "the absolute path of a cell file")

@@ -405,8 +405,7 @@ class WorkNode:
                 raise WorkRefused(answer.message)
             if memory.state is TaskState.PLANNED and not memory.plan:
                 desk.ledger.add(Entry("planned", task, element, plan=answer.plan_id, offer=offer))
-        values = {"plan": answer.plan_id, "duration": answer.duration, "method": plan.method}
-        sentence = Sentence("work.plan", task=title, **values)
+        sentence = Sentence("work.plan", task=title, plan=answer.plan_id, duration=answer.duration, method=plan.method)
         return _planned(sentence, task, answer.plan_id, answer.plan_hash, answer.duration)
 
     def _plan_way_back(self, asked: str) -> Outcome:

@@ -13,6 +13,7 @@ from interactive_markers.menu_handler import MenuHandler
 from visualization_msgs.msg import InteractiveMarkerFeedback
 
 from construction_twin.core.errors import ConstructionTwinError, RequestRefused
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.shared.operator_client import OperatorClient
@@ -121,7 +122,7 @@ class ToolMarkerMenu:
     def _plan(self, request: Callable[[], str]) -> str:
         """Ask for a plan, unless another request is under way."""
         if not self._planning.acquire(blocking=False):
-            raise RequestRefused("a plan is being made already; wait for it")
+            raise RequestRefused(Sentence("view.tool.busy"))
         try:
             return request()
         finally:
@@ -130,18 +131,18 @@ class ToolMarkerMenu:
     def _demand_goal(self) -> Pose:
         pose = self._goal.pose
         if pose is None:
-            raise RequestRefused("the marker is at the tool; drag it to a goal first")
+            raise RequestRefused(Sentence("view.tool.at_tool"))
         return pose
 
     def _review(self, approve: bool) -> str:
         plan = self._under_review()
         if plan is None:
-            raise RequestRefused("no plan waits for approval; plan one first")
+            raise RequestRefused(Sentence("view.tool.no_plan"))
         shown = self._shown
         if shown.plan_id != plan.id or time.monotonic() - shown.since < SHOWN:
-            raise RequestRefused(f"plan {plan.id[:8]} has only just come; look at it, then choose again")
+            raise RequestRefused(Sentence("view.tool.too_new", plan=plan.id[:8]))
         return self._client.review(plan.id, plan.hash, approve, self._reviewer, "by the marker's menu")
 
     def _back(self) -> str:
         self._goal.drop()
-        return "the marker follows the tool"
+        return Sentence("view.tool.dropped")

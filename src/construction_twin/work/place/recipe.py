@@ -176,12 +176,12 @@ def mass_of(job: WorkJob, name: str, recipe: PlaceRecipe, tool: Tool) -> float:
         )
     if not mass > 0.0:
         raise TaskPlanningError(job.task, Sentence("work.cannot.mass_zero", element=job.called, mass=mass))
+    names = {"element": job.called, "tool": repr(tool.name)}
     if mass > tool.payload:
-        values = {"element": job.called, "tool": repr(tool.name)}
-        raise TaskPlanningError(job.task, Sentence("work.cannot.payload", mass=mass, payload=tool.payload, **values))
+        raise TaskPlanningError(job.task, Sentence("work.cannot.payload", mass=mass, payload=tool.payload, **names))
     if tool.mass + mass > tool.load:
-        values = {"element": job.called, "tool": repr(tool.name), "mass": tool.mass + mass, "load": tool.load}
-        raise TaskPlanningError(job.task, Sentence("work.cannot.load", **values))
+        both = tool.mass + mass
+        raise TaskPlanningError(job.task, Sentence("work.cannot.load", mass=both, load=tool.load, **names))
     return mass
 
 
