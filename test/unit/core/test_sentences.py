@@ -41,6 +41,22 @@ def test_every_key_has_words_in_both_languages_with_the_same_values():
         assert "{" not in rest and "}" not in rest, key
 
 
+#: German words for what has another one here: one idea, one word.
+OTHER_WORDS = {
+    "gesandt|sandte": "gesendet", "Urteile?": "Entscheidung", "Pult": "PC des Roboters", "Schranke": "Monitor",
+    "Themen?|Thema": "Topic", "Hash(es)?": "Prüfsumme", "Gelenkketten?": "Gelenkwerte", "Trajektorien?": "Bahn",
+    "Auftr(ag|äge)": "Aufgabe", "Elemente?": "Bauteil", "Segmente?": "Abschnitt", "Nothalt|Not-?[Aa]us": "Not-Halt",
+    "Knoten": "Programm", "Sollposition(en)?": "Sollwert", "Posen?": "Stellung", "Joints?": "Gelenk",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("others", OTHER_WORDS)
+def test_an_idea_has_one_word_in_german(others):
+    assert [key for key, words in SENTENCES.items() if re.search(rf"\b({others})\b", words["de"])] == [], OTHER_WORDS[
+        others
+    ]
+
+
 def test_no_key_is_unused():
     forms = [re.escape(key) for key in named()]
     forms = [re.sub(r"(?:\\\$)?\\\{.*?\\\}", r"[\\w.]+", form) for form in forms]
