@@ -5,7 +5,7 @@
  */
 import sentences from "../../src/construction_twin/core/sentences.json" with {type: "json"};
 
-const PLACE = /\{(\w+)(?::(?:\.(\d))?([fgqps]))?\}/g;
+const PLACE = /\{(\w+)(?::(?:\.(\d))?([fgqpst]))?\}/g;
 const UNITS = {rad: [180 / Math.PI, "deg"], m: [1e3, "mm"]};
 
 /** Languages that there are. */
@@ -17,7 +17,7 @@ export function wordsOf(key, language) {
 }
 
 /** Beginnings of the keys of reasons and answers. */
-const REASONS = ["reason.", "executor.", "review.", "link.", "gateway.", "motion."];
+const REASONS = ["reason.", "executor.", "review.", "link.", "gateway.", "motion.", "work.", "startup."];
 const isReason = (key) => REASONS.some((each) => key.startsWith(each));
 
 /** Whether what came from a robot is key and values of a reason, with a value of the right kind in every place. */
@@ -54,7 +54,7 @@ export function fill(template, values, said = {value: String, unit: (unit) => un
 // -- reasons that come as text, as `understood` of core/sentences.py finds them
 
 /** What a place in a text may be, by its form; others are one word. */
-const READ = {s: "(.+?)", p: "(\\S+ \\S+?)", q: "(\\S+ \\S+?)"};
+const READ = {s: "(.+?)", t: "((?:'.*?'|\".*?\") \\(\\S+\\)|\\S+?)", p: "(\\S+ \\S+?)", q: "(\\S+ \\S+?)"};
 const escaped = (text) => text.replace(/[\\^$.*+?()[\]{}|]/g, "\\$&");
 
 /** Key, places and pattern of each reason, its own words and their longest piece; the one with the most words first. */

@@ -4,6 +4,7 @@ A place in braces is a named value, and is written as its format says; `web/src/
 
     {name}                a text or a whole number, as it is; in a reason one word
     {name:s}              in a reason, a text of several words, or another sentence
+    {name:t}              in a reason, a task: its name in quotes with its id behind in parentheses, or one word
     {name:.3f}            a number with three decimals
     {name:g}              a number with at most six digits
     {name:.6q}            a `Quantity` with six decimals, in its own unit
@@ -26,12 +27,12 @@ from typing import Any
 from construction_twin.core.records import document
 from construction_twin.core.units import for_people, from_people, to_people
 
-_PLACE = re.compile(r"\{(\w+)(?::(?:\.(\d))?([fgqps]))?\}")
+_PLACE = re.compile(r"\{(\w+)(?::(?:\.(\d))?([fgqpst]))?\}")
 _ENGLISH: dict[str, str] = {
     key: words["en"] for key, words in json.loads(Path(__file__).with_name("sentences.json").read_bytes()).items()
 }
 #: Beginnings of the keys of what nodes give as reasons and answers: `understood` finds these.
-REASONS = ("reason.", "executor.", "review.", "link.", "gateway.", "motion.")
+REASONS = ("reason.", "executor.", "review.", "link.", "gateway.", "motion.", "work.", "startup.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +154,7 @@ def understood(text: str) -> Sentence | None:
 
 
 def _read(form: str | None, part: str) -> Value:
-    if form is None:
+    if form in (None, "t"):
         return part
     if form == "s":
         return understood(part) or part
@@ -164,7 +165,7 @@ def _read(form: str | None, part: str) -> Value:
 
 
 #: What places with other values than one word may hold.
-_READ = {"s": "(.+?)", "p": r"(\S+ \S+?)", "q": r"(\S+ \S+?)"}
+_READ = {"s": "(.+?)", "t": r"""((?:'.*?'|".*?") \(\S+\)|\S+?)""", "p": r"(\S+ \S+?)", "q": r"(\S+ \S+?)"}
 _Pattern = tuple[str, str, re.Pattern[str], list[tuple[str, str | None]], bool]
 
 

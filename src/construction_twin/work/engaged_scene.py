@@ -10,11 +10,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.sentences import Sentence, Value
 from construction_twin.robot.segments import Segment
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
-
-_FREE = "or free the arm by hand and call release_engagement"
 
 
 @dataclass(frozen=True)
@@ -71,12 +70,10 @@ def due(
         wanted = _wanted(base, left.scenes, leading, element, alternatives)
         if wanted is not None:
             return _lead(left, scene, wanted, mine)
-    known = "" if segments else f"plan {left.plan} is not known any more, and "
-    return Due(
-        sentence=f"{_where(left)}; {known}no change of the work's objects makes the present scene {scene.hash[:12]} the one in "
-        f"which it may go back ({' or '.join(each[:12] for each in left.scenes) or 'none is known'}): look at what hangs on the "
-        f"tool, undo what was changed in the scene since, {_FREE}"
-    )
+    scenes = " or ".join(each[:12] for each in left.scenes) or "none is known"
+    if segments:
+        return _why_not(left, "none", scene=scene.hash[:12], scenes=scenes)
+    return _why_not(left, "forgotten", plan=left.plan, scene=scene.hash[:12], scenes=scenes)
 
 
 def confirmed(left: Left, segment: Segment) -> bool:
@@ -126,26 +123,19 @@ def _lead(left: Left, scene: Scene, wanted: Scene, mine: set[str]) -> Due:
 
     added = [name for name in remove if foreign(name)]
     if added:
-        return Due(
-            sentence=f"{_where(left)}; {_names(added)} came into the scene since, and blocks the way back: "
-            f"take it out again, {_FREE}"
-        )
+        return _why_not(left, "added", names=_names(added))
     others = [item.name for item in put if foreign(item.name)]
     if others:
-        return Due(
-            sentence=f"{_where(left)}; {_names(others)} was changed or taken out of the scene since: put it back as it was, {_FREE}"
-        )
+        return _why_not(left, "changed", names=_names(others))
     change = SceneChange(tuple(put), tuple(remove))
     try:
         made = change.apply(scene).hash
     except SceneError as error:
-        return Due(sentence=f"{_where(left)}; the scene cannot be restored: {error}")
+        return _why_not(left, "broken", problem=error.sentence)
+    if made != wanted.hash and scene.padding != wanted.padding:
+        return _why_not(left, "padding", padding=wanted.padding)
     if made != wanted.hash:
-        return Due(
-            sentence=f"{_where(left)}; the scene's padding was changed since: set it back to {wanted.padding:g} m, {_FREE}"
-            if scene.padding != wanted.padding
-            else f"{_where(left)}; the scene cannot be restored by putting and removing objects: do it by hand, {_FREE}"
-        )
+        return _why_not(left, "by_hand")
     return Due(change, wanted.hash)
 
 
@@ -153,8 +143,9 @@ def _differ(one: SceneObject, other: SceneObject) -> bool:
     return one.contents() != other.contents()
 
 
-def _where(left: Left) -> str:
-    return f"the arm was left in engaged segment {left.segment!r} of plan {left.plan}"
+def _why_not(left: Left, why: str, **values: Value) -> Due:
+    where = Sentence("work.left", segment=repr(left.segment), plan=left.plan)
+    return Due(sentence=Sentence(f"work.back.{why}", left=where, **values))
 
 
 def _names(names: Sequence[str]) -> str:

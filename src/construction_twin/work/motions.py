@@ -16,6 +16,7 @@ import numpy as np
 
 from construction_twin.core.clock import Clock
 from construction_twin.core.motion_errors import KinematicsError, PlanningError, UnreachableError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import InverseKinematics
@@ -171,7 +172,7 @@ class Search:
             contact = world.contact(found[0])
             assert contact is not None
             one, other = contact.between
-            raise Failed(stage, method, f"{where}, {one} touches {other} or is closer than the padding")
+            raise Failed(stage, method, Sentence("work.cannot.touches", where=where, first=one, second=other))
         return free
 
     def line(self, start: np.ndarray, pose: Pose, scale: float, scene: Scene, stage: str, method: str) -> Trajectory:
@@ -209,7 +210,7 @@ class Search:
         contact = self.worlds.of(scene).contact(q)
         if contact is not None:
             one, other = contact.between
-            raise Failed(stage, method, f"{where} {one} touches {other} or is closer than the padding")
+            raise Failed(stage, method, Sentence("work.cannot.touches_there", where=where, first=one, second=other))
 
     def nearest(self, solutions: Sequence[np.ndarray]) -> list[int]:
         """Return the numbers of joint solutions, those that the arm gets to soonest first."""

@@ -10,6 +10,7 @@ import pytest
 from plan_samples import make_plan
 
 from construction_twin.core.errors import ReviewError
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.plan import Clearance, Plan
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.views.preview import (
@@ -75,7 +76,7 @@ class TestGhost:
         assert preview.pose(100.0) == TWIN
 
     def test_plays_again_and_again_with_a_rest_at_the_goal(self, preview):
-        assert "again and again" in preview.play(2.0, True, 0.0)
+        assert preview.play(2.0, True, 0.0).key == "view.preview.loop"
         period = DURATION / 2.0 + LOOP_REST
         assert preview.pose(DURATION / 2.0 + LOOP_REST / 2) == (1.0, 2.0)
         for time in (0.2, 0.7):
@@ -88,7 +89,7 @@ class TestGhost:
 
     def test_ends_at_speed_zero(self, preview):
         preview.play(1.0, True, 0.0)
-        assert "ended" in preview.play(0.0, False, 0.5)
+        assert preview.play(0.0, False, 0.5).key == "view.preview.ended"
         assert preview.pose(1.0) == GOAL
 
     @pytest.mark.parametrize("speed", [-1.0, math.inf, math.nan])
@@ -208,4 +209,4 @@ class TestPicture:
         ]
 
     def test_the_text_says_when_there_is_nothing_to_touch(self):
-        assert "nothing to touch" in describe(plan())
+        assert Sentence("view.nothing_near") in describe(plan())

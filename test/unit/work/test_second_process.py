@@ -14,6 +14,7 @@ import work_bench
 import yaml
 from construction_twin.msg import Execution
 from ifc_models import IfcModel
+from sentence_checks import key_of
 from touch_process import TOP, recipes_file
 from work_bench import Bench
 from work_samples import (
@@ -35,6 +36,7 @@ from work_samples import (
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.reports import WorkReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError, TaskPlanningError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
@@ -260,7 +262,7 @@ def test_the_node_follows_it_to_its_end_and_the_scene_stays(bench):
     bench.execution(Execution.IDLE, plan_id=bench.plan.id, outcome="finished")
     bench.run()
     assert bench.events == ["offered", "planned", "begun", "finished"]
-    assert (bench.row.state, bench.row.reason) == ("done", "done") and bench.scene.hash == before
+    assert (bench.row.state, bench.row.reason) == ("done", Sentence("work.task.done")) and bench.scene.hash == before
     offered = json.loads(bench.ledger_lines[1])
     assert offered["process"] == "touch" and offered["grip"] == "point 0 0 0 mm" and "pose" not in offered
 
@@ -296,7 +298,7 @@ def test_a_stop_at_the_element_asks_whether_it_was_done(bench, answer, state):
     bench.execution(Execution.IDLE, 1, plan_id=bench.plan.id, outcome="stopped")
     bench.run()
     assert bench.row.state == "asks" and tuple(bench.row.answers) == ("done", "not_done")
-    assert bench.row.question.startswith("was the task on stud carried out?")
+    assert key_of(bench.row.question) == "work.question.done"
     assert work_bench.PLACED.name in bench.scene.names
     desk = bench.desk.opened()
     desk.answer(work_bench.TASK, answer, "eva", "looked")
@@ -308,7 +310,7 @@ def test_an_open_grip_says_nothing_of_what_was_done(tmp_path):
     begun = offered.then(Entry("begun", "T", "E", plan="p"))
     for memory in (offered, begun):
         (entry,) = after_restart(memory, "E", OfferOutcome("p", False, None), GripReading(True, False))
-        assert entry.event == "unknown" and "carried out?" in question(memory.then(entry), "stud")
+        assert entry.event == "unknown" and question(memory.then(entry), "stud").key == "work.question.done"
 
 
 def test_what_is_placed_is_not_done_before_it_was_let_go():
@@ -331,7 +333,8 @@ def test_another_model_asks_whether_it_was_done_and_leaves_nothing_behind_where_
     first.close()
     again = ledger(tmp_path / "l", "b" * 64)
     memory = again.book.tasks["T"]
-    assert memory.possible_answers() == ("done", "not_done") and "another version" in question(memory, "stud")
+    assert memory.possible_answers() == ("done", "not_done")
+    assert question(memory, "stud").values["known"].key == "work.known.stays.done"
     again.close()
     times = count(1_800_000_000_000_000_000)
     other = Ledger(tmp_path / "l", {"U": ()}, "c" * 64, lambda: next(times), "/cell.yaml", {"U": "E"})

@@ -39,10 +39,11 @@ const WORDS = /^\w+\.\w+$/;
  * own, which are English; so is a reason that the robot's programs send without a key.
  */
 export function wordsOf(line, texts) {
+  const values = Object.fromEntries(Object.entries(line.values ?? {}).map(([name, value]) => [name, texts.reason(value)]));
   const own = (part) => {
     const keys = WORDS.test(line.words) ? [`line.${line.words}.${part}`, `line.${line.topic}.${line.state}.${part}`] : [];
     const key = keys.find((each) => texts.has(each));
-    return key === undefined ? null : texts(key, line.values ?? {});
+    return key === undefined ? null : texts(key, values);
   };
   const sentence = own("sentence");
   return {

@@ -15,6 +15,7 @@ import yaml
 
 from construction_twin.controller.makes import DEFAULT
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import read_text
 from construction_twin.ros.nodes import (
@@ -198,8 +199,12 @@ def node_files_problem(given: Given, robot: RobotModel, folder: Path) -> str:
     strange = next((name for name in changes if name not in ("scenario", *nodes)), None)
     if strange is not None:
         near = difflib.get_close_matches(str(strange), nodes, n=1)
-        meant = f"; did you mean {near[0]}?" if near else ""
-        return f"scenario:={given['scenario']}: {strange}: expected `scenario`, or the name of a node that it changes{meant}"
+        values = {"path": given["scenario"], "name": str(strange)}
+        return (
+            Sentence("preflight.scenario_near", near=near[0], **values)
+            if near
+            else Sentence("preflight.scenario", **values)
+        )
     for file in NODE_FILES:
         if not file.loaded(given):
             continue

@@ -16,6 +16,7 @@ from visualization_msgs.msg import InteractiveMarkerFeedback, MarkerArray
 
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import KinematicsError, SceneError
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.msg import Execution
@@ -87,7 +88,7 @@ class ToolMarkerNode:
         self._world: CollisionWorld | None = None
         self._place: Pose | None = None
         self._verdict: PoseVerdict | None = None
-        self._problem = "the twin's pose is not known yet"
+        self._problem: str = Sentence("view.tool.no_pose")
         self._drawn: MarkerArray | None = None
         self._finished = ""
         namespace = rospy.get_namespace()

@@ -29,6 +29,7 @@ from visualization_msgs.msg import MarkerArray
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.motion_errors import FrameError
 from construction_twin.core.reports import WorkReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.msg import Engagement, Execution, Plan, Review, Scene, ToolState, WorkTasks
 from construction_twin.robot.description import RobotModel
@@ -308,7 +309,7 @@ class WorkNode:
     def on_plan_task(self, request: WorkPlanTaskRequest) -> Outcome:
         """Have a task planned, or while the arm is engaged the way back."""
         if not self._planning.acquire(timeout=self._settings.service_timeout):
-            raise WorkRefused("a task is being planned already; wait for it")
+            raise WorkRefused(Sentence("work.busy"))
         try:
             return self._plan_task(request.task)
         finally:
@@ -323,7 +324,7 @@ class WorkNode:
             heard.wait_for(lambda: not heard.unsaid, SCENE_TIME)
         if heard.engaged:
             if problem := self._scene.make_for_way_back():
-                raise WorkRefused(f"the arm is engaged, only the way back can be planned, and not yet: {problem}")
+                raise WorkRefused(Sentence("work.back.not_yet", problem=problem))
             return self._plan_way_back(asked)
         task, desk = self._allowed(asked)
         self._scene.tidy()
@@ -335,11 +336,9 @@ class WorkNode:
             scene = heard.scene
             wanted, alone = desk.wanted_scene()
         if scene is None:
-            raise WorkRefused("the scene is not known; see why the scene node is down")
+            raise WorkRefused(Sentence("work.scene_unknown"))
         if change(scene, wanted, alone):
-            raise WorkRefused(
-                "the scene could not be made what the ledger says; /diagnostics of the node work says why"
-            )
+            raise WorkRefused(Sentence("work.scene_wrong"))
         start = self._inputs.twin_pose()
         began = time.monotonic()
         try:
@@ -405,7 +404,7 @@ class WorkNode:
                 raise WorkRefused(answer.message)
             if memory.state is TaskState.PLANNED and not memory.plan:
                 desk.ledger.add(Entry("planned", task, element, plan=answer.plan_id, offer=offer))
-        sentence = f"{title}: plan {answer.plan_id} of {answer.duration:.1f} s with {plan.method} waits for approval"
+        sentence = Sentence("work.plan", task=title, plan=answer.plan_id, duration=answer.duration, method=plan.method)
         return _planned(sentence, task, answer.plan_id, answer.plan_hash, answer.duration)
 
     def _plan_way_back(self, asked: str) -> Outcome:
@@ -413,13 +412,13 @@ class WorkNode:
         before = heard.plan.message.id if heard.plan is not None else ""
         problem, answer = self._outputs.plan_way_back(TriggerRequest())
         if answer is None or not answer.success:
-            raise WorkRefused(f"the arm is engaged, only the way back can be planned: {problem or answer.message}")
+            raise WorkRefused(Sentence("work.back.refused", problem=problem or answer.message))
         heard.wait_for(lambda: heard.plan is not None and heard.plan.message.id != before, SCENE_TIME)
         known = heard.plan
         if known is None or known.message.id == before:
-            raise WorkRefused("the way back was planned, but is not published")
+            raise WorkRefused(Sentence("work.back.unpublished"))
         plan = known.message
-        sentence = f"the arm is engaged: the way back comes first; {answer.message}"
+        sentence = Sentence("work.back.planned", answer=answer.message)
         return _planned(sentence, asked, plan.id, plan.hash, plan.duration)
 
     def on_decide(self, request: WorkDecideRequest) -> str:
@@ -427,7 +426,8 @@ class WorkNode:
         with self._shared.lock:
             sentence = self._decided(self._shared.opened(), request)
             problem = self._left_closed() if request.decision == "answer" else ""
-            sentence += f"; {problem}" if problem else ""
+            if problem:
+                sentence = Sentence("executor.both", first=sentence, second=problem)
         rospy.loginfo("%s (%s)", sentence, request.person)
         self.heard.announce()
         return sentence
@@ -444,7 +444,7 @@ class WorkNode:
             return desk.answer(request.task, request.answer, request.person, request.reason)
         if request.decision == "removed":
             return desk.removed(request.task, request.person, request.reason)
-        raise WorkRefused(f"decision {request.decision!r}; expected skip, redo, answer, removed or accept_schedule")
+        raise WorkRefused(Sentence("work.decision", decision=repr(request.decision)))
 
     def on_measured(self, request: WorkMeasuredRequest) -> Outcome:
         """Take where a person has measured an element."""
@@ -453,7 +453,7 @@ class WorkNode:
             found = self._shared.opened().measured(request.element, pose, request.person, request.reason)
         self.heard.announce()
         distance, angle = found.distance * 1e3, math.degrees(found.angle)
-        sentence = f"{request.element} is {distance:.2f} mm and {angle:.3f} deg from where the model has it"
+        sentence = Sentence("work.measured", element=request.element, distance=distance, angle=angle)
         return Outcome(True, sentence, fields={"deviation_mm": distance, "deviation_deg": angle})
 
     def _pose_in_base(self, request: WorkMeasuredRequest) -> Pose:
@@ -521,8 +521,8 @@ class WorkNode:
             return to_msg(said, WorkTasks)
         reason = desk.summary(now)
         if engaged:
-            reason = "the arm is engaged: only the way back can be planned"
-            reason += f", and not yet: {self._scene.blocked}" if self._scene.blocked else ""
+            blocked = self._scene.blocked
+            reason = Sentence("work.back.blocked", problem=blocked) if blocked else Sentence("work.back.only")
         said = WorkReport(
             model=desk.prepared.model,
             model_hash=desk.prepared.digest,
@@ -562,7 +562,7 @@ def _call(name: str, kind: type, timeout: float, request: Any) -> tuple[str, Any
         rospy.wait_for_service(service, timeout)
         return "", rospy.ServiceProxy(service, kind)(request)
     except (rospy.ROSException, rospy.ServiceException) as error:
-        return f"{service} does not answer: {error}", None
+        return Sentence("work.silent", service=service, problem=str(error)), None
 
 
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:
@@ -581,7 +581,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:
         robot,
         rospy.get_param("planner", {}),
         worker,
-        SharedDesk("the model is being read"),
+        SharedDesk(Sentence("work.reading")),
         WorkListener(ports.connections, rospy.is_shutdown, review_file, refuse),
         Inputs(functools.partial(twin.pose, age, age), functools.partial(arm.pose, age, age), frames.transform),
         Outputs(

@@ -14,6 +14,7 @@ from typing import Any
 import rosgraph
 
 from construction_twin.core.errors import ConfigurationError, SilenceError
+from construction_twin.core.sentences import Sentence
 
 #: How long a command waits for the master [s].
 TIMEOUT = 5.0
@@ -46,9 +47,9 @@ class RunningNode:
 
     def __str__(self) -> str:
         if self.pid is None:
-            return f"{self.name} on {self.host} (does not answer; if it has ended, `rosnode cleanup` removes it)"
-        doubt = "" if self.tells_name else " (which tells no name; if it has ended, `rosnode cleanup` removes it)"
-        return f"{self.name} on {self.host}, process {self.pid}{doubt}"
+            return Sentence("preflight.node_mute", name=self.name, host=self.host)
+        key = "preflight.node" if self.tells_name else "preflight.node_nameless"
+        return Sentence(key, name=self.name, host=self.host, pid=self.pid)
 
 
 class _Transport(xmlrpc.client.Transport):

@@ -13,6 +13,7 @@ from interactive_markers.menu_handler import MenuHandler
 from visualization_msgs.msg import InteractiveMarkerFeedback
 
 from construction_twin.core.errors import ConstructionTwinError, RequestRefused
+from construction_twin.core.sentences import Sentence
 from construction_twin.link.goal_request import GoalRequest
 from construction_twin.link.remote_review import ReviewRequest
 from construction_twin.robot.plan import Plan
@@ -124,7 +125,7 @@ class ToolMarkerMenu:
     def _plan(self, request: Callable[[], GoalRequest]) -> Outcome:
         """Ask for a plan, unless another request is under way."""
         if not self._planning.acquire(blocking=False):
-            raise RequestRefused("a plan is being made already; wait for it")
+            raise RequestRefused(Sentence("view.tool.busy"))
         try:
             return self._client.plan(request())
         finally:
@@ -133,18 +134,18 @@ class ToolMarkerMenu:
     def _pose_request(self, kind: str) -> GoalRequest:
         pose = self._goal.pose
         if pose is None:
-            raise RequestRefused("the marker is at the tool; drag it to a goal first")
+            raise RequestRefused(Sentence("view.tool.at_tool"))
         return GoalRequest(kind, **pose_fields(pose))
 
     def _review(self, verdict: str) -> Outcome:
         plan = self._under_review()
         if plan is None:
-            raise RequestRefused("no plan waits for approval; plan one first")
+            raise RequestRefused(Sentence("view.tool.no_plan"))
         shown = self._shown
         if shown.plan_id != plan.id or time.monotonic() - shown.since < SHOWN:
-            raise RequestRefused(f"plan {plan.id[:8]} has only just come; look at it, then choose again")
+            raise RequestRefused(Sentence("view.tool.too_new", plan=plan.id[:8]))
         return self._client.review(ReviewRequest(plan.id, plan.hash, verdict, self._reviewer, "by the marker's menu"))
 
     def _back(self) -> Outcome:
         self._goal.drop()
-        return Outcome(True, "the marker follows the tool")
+        return Outcome(True, Sentence("view.tool.dropped"))

@@ -10,6 +10,7 @@ from collections.abc import Callable
 import rospy
 
 from construction_twin.core.errors import PayloadError, PoseUnknownError
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain
 from construction_twin.msg import Engagement, Execution
 from construction_twin.ros.messages.convert import trajectory_from_msg
@@ -203,9 +204,9 @@ class WorkFollower:
         memory = self._under_way()
         review = self._heard.review(memory.plan) if memory is not None else None
         if memory is not None and memory.state is TaskState.PLANNED and review is not None and not review.approved:
-            desk, task, reason = self._shared.opened(), memory.task, f"{review.reviewer}: {review.reason}"
-            desk.ledger.add(Entry("dropped", task, desk.element_of(task), plan=memory.plan, reason=reason))
-            desk.failures[task] = f"its plan was turned down by {reason}"
+            desk, task, who, why = self._shared.opened(), memory.task, review.reviewer, review.reason
+            desk.ledger.add(Entry("dropped", task, desk.element_of(task), plan=memory.plan, reason=f"{who}: {why}"))
+            desk.failures[task] = Sentence("work.task.turned_down", who=who, reason=why)
 
     def _doubt_if_open(self) -> None:
         """Have it asked about what counts as carried, when the tool is surely open."""

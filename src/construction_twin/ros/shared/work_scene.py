@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.msg import Execution
 from construction_twin.ros.messages.scene_convert import object_to_msg
 from construction_twin.ros.messages.work_convert import left_from_msg
@@ -87,25 +88,23 @@ class WorkScene:
         """
         left = self._heard.left
         if left is None:
-            return (
-                "the executor has not said yet where the arm was left engaged; its log says whether the disk takes it"
-            )
+            return Sentence("work.back.unsaid")
         with self._shared.lock:
             desk, scene = self._shared.desk, self._heard.scene
             if scene is None:
-                return "the scene is not known; see why the scene node is down"
+                return Sentence("work.scene_unknown")
             if scene.hash in left.scenes:
                 self.unblock()
                 return ""
             if desk is None:
                 return self._shared.problem
             if self._heard.playing:
-                return "a plan is under way, and the scene is not the one for the way back; wait for its end"
+                return Sentence("work.back.playing")
             self._follower.follow(self._heard.execution)
             self._follower.settle_if_lost()
             memory = desk.book.tasks.get(left.task)
             if memory is not None and memory.plan == left.plan_id and memory.state in UNDER_WAY:
-                return f"{desk.title(left.task)}: how its plan ended is not written yet; ask again"
+                return Sentence("work.back.unwritten", task=desk.title(left.task))
             known = self._heard.work_plan(left.plan_id)
             segments, changes = (known.segments, known.changes) if known is not None else ((), ())
             about = (left.plan_id, tuple(left.scenes), scene.hash, bool(segments), memory.state if memory else None)
@@ -139,5 +138,5 @@ class WorkScene:
             return sentence
         heard = self._heard
         if not heard.wait_for(lambda: heard.scene is not None and heard.scene.hash == answer.hash, SCENE_TIME):
-            return "the scene was changed, but is not published"
+            return Sentence("work.scene_unpublished")
         return ""
