@@ -8,8 +8,9 @@ from collections import deque
 import pytest
 from gateway_cell import CONFIG, RUN, START
 
-from construction_twin.gateway.gateway import UNREAD_QUIET, Gateway
+from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
+from construction_twin.gateway.refusals import UNREAD_QUIET
 from construction_twin.gateway.refusals import LONGEST_REFUSAL
 from construction_twin.gateway.states import State
 from construction_twin.gateway.status import QUIET, StatusClock
