@@ -41,7 +41,7 @@ def broken_once(original):
 PARTS = {
     "inbox": lambda service: (service._inbox, "newest"),
     "telegram decoder": lambda service: (service._inbox, "_parse"),
-    "RSI session": lambda service: (service.gateway._controller, "hear"),
+    "RSI session": lambda service: (service.gateway._controller, "take"),
     "playout": lambda service: (service.gateway._player._playout, "advance"),
     "follower": lambda service: (service.gateway._player.follower, "follow"),
     "reply's encoder": lambda service: (service._encoder, "encode"),
