@@ -257,7 +257,7 @@ def execution_message(wide: Wide) -> str:
     """Return what the executor publishes of itself."""
     names = [SimpleNamespace(name=wide.text()) for _ in range(3)]
     plan = SimpleNamespace(id=wide.text(), segments=names, trajectory=SimpleNamespace(duration=wide.number(False)))
-    said = executor_node.Said(
+    said = executor_node.ExecutionFields(
         wide.random.choice(list(ExecutorState)), wide.text(), wide.whole() * 10**9 + 7, wide.text(), wide.flag(),
         wide.number(), wide.random.choice((-1, 0, 1, 2)), wide.flag(), wide.text(), wide.flag(),
     )  # fmt: skip

@@ -109,7 +109,7 @@ PAUSE = 0.0005
 #: States in which an act of a person is under way.
 BRAKING = (ExecutorState.STOPPING, ExecutorState.PAUSING)
 
-Told = TypeVar("Told")
+_Result = TypeVar("_Result")
 
 
 class Settings(NodeSettings):
@@ -134,8 +134,8 @@ class Settings(NodeSettings):
         return names
 
 
-class Said(NamedTuple):
-    """What is reported of the executor in one message: made in every cycle, so that a change is noticed."""
+class ExecutionFields(NamedTuple):
+    """Fields of Execution.msg, which is published when one changes; they are read in every cycle."""
 
     state: ExecutorState
     reason: str
@@ -161,11 +161,21 @@ class Outputs:
     engagement: Sink
 
 
-class Snapshot(NamedTuple):
-    """The executor in one cycle, as far as there is something to tell; `told` is what is worth a line in the log."""
+class LoggedState(NamedTuple):
+    """What of the executor is worth a line in the log when it changes."""
 
-    said: Said
-    told: tuple
+    state: ExecutorState
+    cause: str
+    standing: bool
+    plan_start: int
+    outcome: str
+
+
+class Snapshot(NamedTuple):
+    """The executor in one cycle, as far as there is something to report."""
+
+    fields: ExecutionFields
+    logged: LoggedState
     plan: PlanContent | None
     rate: float
     limit: float
@@ -174,7 +184,7 @@ class Snapshot(NamedTuple):
     stamp: int
 
 
-def _tell(_what: str, part: Callable[..., Told], *arguments: object) -> Told:
+def _do(_what: str, part: Callable[..., _Result], *arguments: object) -> _Result:
     """Call a part whose failure ends the node, as everywhere else."""
     return part(*arguments)
 
@@ -206,13 +216,13 @@ class ExecutorNode:
         self._log = log
         self._outputs = outputs
         self._engagements = engagements
-        self._told_engagement: tuple | None = None
+        self._reported_engagement: tuple | None = None
         self._record_problem = ""
         self._engagement_problem = ""
-        self._said = DeferredLog()
+        self._log_queue = DeferredLog()
         self._beside = executor.beside
         # safety acts, and how many of them were told of: until then, and while the arm brakes, what tells cannot end this node
-        self._acts = self._acts_told = 0
+        self._acts = self._acts_reported = 0
         # of the newest pause or stop that was answered; a screen that has not seen it resumes nothing
         self._rested: Moment | None = None
         # by the wall clock, and by the one that nobody sets [ns]
@@ -223,8 +233,8 @@ class ExecutorNode:
         self._without_person = without_person
         self._session: str | None = None
         self._sync_at = 0
-        self._reported: Said | None = None
-        self._told: tuple = ()
+        self._reported: ExecutionFields | None = None
+        self._logged: LoggedState | None = None
         self._diagnostics = diagnostics
         found = engagements.read()
         if found is not None:
@@ -453,7 +463,7 @@ class ExecutorNode:
 
     def _say(self, write: Callable[..., None], *words) -> None:
         """Have a line written after the answer."""
-        self._beside.do("the log", self._said.add, write, *words)
+        self._beside.do("the log", self._log_queue.add, write, *words)
 
     def on_release(self, request: ReleaseEngagementRequest) -> Outcome:
         """Take a person's word that the arm was freed; recorded before it counts."""
@@ -533,8 +543,8 @@ class ExecutorNode:
         """
         self.write_records()
         # where a stop leaves the arm is written down here
-        told = self._acts == self._acts_told
-        (_tell if told else self._beside.do)("the engagement", self.keep_engagement)
+        reported = self._acts == self._acts_reported
+        (_do if reported else self._beside.do)("the engagement", self.keep_engagement)
         with self._lock:
             self._readings.note(now_ns(), time.monotonic_ns())
             self._executor.queue.scene_alive = scene_alive
@@ -551,7 +561,7 @@ class ExecutorNode:
     def write_records(self) -> None:
         """Write what is kept to log and record; not for the path of the setpoints."""
         # the lines of a stop are among these
-        self._beside.do("the log", self._said.flush)
+        self._beside.do("the log", self._log_queue.flush)
         self._beside.tell(rospy.logerr)
         self._beside.do("the record", self._flush_record)
 
@@ -580,9 +590,9 @@ class ExecutorNode:
                 keeper.on_written(present)
         self._engagement_problem = ""
         left = present if engaged else None
-        told = left, left.requires(tool) if left is not None else ()
-        if told != self._told_engagement:
-            self._told_engagement = told
+        report = left, left.requires(tool) if left is not None else ()
+        if report != self._reported_engagement:
+            self._reported_engagement = report
             message = engagement_to_msg(left, tool)
             message.header.stamp = rospy.Time.now()
             self._outputs.engagement.publish(message)
@@ -591,7 +601,9 @@ class ExecutorNode:
 
     def _publish_verdict(self, verdict: Verdict) -> None:
         reason = f": {verdict.reason}" if verdict.reason else ""
-        self._said.add(rospy.loginfo, "plan %s %s by %s%s", verdict.plan_id, verdict.verdict, verdict.reviewer, reason)
+        self._log_queue.add(
+            rospy.loginfo, "plan %s %s by %s%s", verdict.plan_id, verdict.verdict, verdict.reviewer, reason
+        )
         message = Review(
             plan_id=verdict.plan_id,
             plan_hash=verdict.plan_hash,
@@ -610,15 +622,15 @@ class ExecutorNode:
         executor = self._executor
         with self._lock:
             acts, brakes = self._acts, executor.state in BRAKING
-            tell = _tell if acts == self._acts_told else self._beside.do
+            tell = _do if acts == self._acts_reported else self._beside.do
             events, orders = executor.take_events(), executor.take_orders()
             now = tell("the executor's state", self._snapshot)
         for order in orders:
             command = order_to_msg(order)
             command.header.stamp = rospy.Time.now()
             self._outputs.tool_command.publish(command)
-        if now is not None and now.said != self._reported:
-            self._reported = now.said
+        if now is not None and now.fields != self._reported:
+            self._reported = now.fields
             tell("the topic execution", self._publish_execution, now)
         for event in events:
             if not (isinstance(event, Verdict) and event.verdict == REJECTED):
@@ -629,12 +641,12 @@ class ExecutorNode:
         if now is not None:
             tell("the log", self._note_changes, now)
         if not brakes:
-            self._acts_told = acts
+            self._acts_reported = acts
 
     def _snapshot(self) -> Snapshot:
-        """Return what there is to be told; to be called under the lock."""
+        """Return what there is to report; to be called under the lock."""
         executor, limit, work = self._executor, self._limit, self._executor.segment_run
-        said = Said(
+        fields = ExecutionFields(
             executor.state,
             executor.reason,
             executor.plan_start,
@@ -646,22 +658,23 @@ class ExecutorNode:
             work.expected_scene if work is not None and executor.state in ACTIVE else "",
             executor.engagement.engaged,
         )
-        told = executor.state, executor.cause, executor.limit.standing, executor.plan_start, executor.outcome
+        standing = executor.limit.standing
+        logged = LoggedState(executor.state, executor.cause, standing, executor.plan_start, executor.outcome)
         # with the state: a stop that comes after this stamp is not known to the report
         stamp = now_ns()
-        return Snapshot(said, told, executor.plan, executor.rate, limit.limit, limit.state, limit.reason, stamp)
+        return Snapshot(fields, logged, executor.plan, executor.rate, limit.limit, limit.state, limit.reason, stamp)
 
     def _note_changes(self, now: Snapshot) -> None:
         if now.limit_state is not self._limit_state:
             self._limit_state = now.limit_state
             warns = now.limit_state in (LimitState.SILENT, LimitState.MISSING)
-            self._said.add(rospy.logwarn if warns else rospy.loginfo, "%s", now.limit_reason)
-        if now.told != self._told:
-            self._told = now.told
-            self._said.add(rospy.loginfo, "%s: %s", now.said.state.name, now.said.reason)
+            self._log_queue.add(rospy.logwarn if warns else rospy.loginfo, "%s", now.limit_reason)
+        if now.logged != self._logged:
+            self._logged = now.logged
+            self._log_queue.add(rospy.loginfo, "%s: %s", now.fields.state.name, now.fields.reason)
 
     def _publish_execution(self, now: Snapshot) -> None:
-        report = execution_report(now.said, now.plan, now.rate, now.limit, now.stamp)
+        report = execution_report(now.fields, now.plan, now.rate, now.limit, now.stamp)
         self._outputs.execution.publish(to_msg(report, Execution))
 
     def report(self) -> Report:
@@ -689,37 +702,28 @@ class ExecutorNode:
         return Report(level, f"{executor.state.name}: {executor.reason}", values)
 
 
-#: In the order of `Outputs`.
-PUBLISHES = (
-    PosePublication("next/joint_states"),
-    Publication("execution", Execution, queue_size=10, latch=True),
-    Publication("review", Review, queue_size=10, latch=True),
-    # not latched: a bridge that is started again must not take a switch that was meant for another moment
-    Publication("tool_command", ToolCommand, queue_size=50, tcp_nodelay=True),
-    Publication("engagement", Engagement, queue_size=5, latch=True),
-)
-
-
-def execution_report(said: Said, plan: PlanContent | None, rate: float, limit: float, stamp: int) -> ExecutionReport:
-    """Return the report of what is said at the moment `stamp` [ns]."""
+def execution_report(
+    fields: ExecutionFields, plan: PlanContent | None, rate: float, limit: float, stamp: int
+) -> ExecutionReport:
+    """Return the report at the moment `stamp` [ns]."""
     report = ExecutionReport(
-        state=said.state.value,
-        text=said.state.name,
-        reason=said.reason,
-        outcome=said.outcome,
+        state=fields.state.value,
+        text=fields.state.name,
+        reason=fields.reason,
+        outcome=fields.outcome,
         rate=rate,
         speed_limit=limit,
-        segment=said.segment,
-        at_boundary=said.at_boundary,
-        wants_scene=bool(said.expected_scene),
-        expected_scene=said.expected_scene,
-        engaged=said.engaged,
+        segment=fields.segment,
+        at_boundary=fields.at_boundary,
+        wants_scene=bool(fields.expected_scene),
+        expected_scene=fields.expected_scene,
+        engaged=fields.engaged,
         stamp=stamp,
     )
     if plan is None:
         return report
-    name = plan.segments[said.segment].name if said.segment >= 0 else ""
-    start, duration = said.plan_start, plan.trajectory.duration
+    name = plan.segments[fields.segment].name if fields.segment >= 0 else ""
+    start, duration = fields.plan_start, plan.trajectory.duration
     return replace(report, plan_id=plan.id, plan_start=start, duration=duration, segment_name=name)
 
 
@@ -737,7 +741,13 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> ExecutorNode:
         executor,
         SpeedLimit(settings.speed_limit_deadline, settings.speed_limit_silent, settings.speed_limit_required),
         log,
-        Outputs(*(ports.publishers[each.topic] for each in PUBLISHES)),
+        Outputs(
+            next=ports.publishers["next/joint_states"],
+            execution=ports.publishers["execution"],
+            review=ports.publishers["review"],
+            tool_command=ports.publishers["tool_command"],
+            engagement=ports.publishers["engagement"],
+        ),
         EngagementFile(log.path.with_name(f"{log.path.stem}_engagement.json"), robot.joint_names),
         ports.diagnostics,
         WithoutPerson(settings.auto_approve, settings.auto_approve_sources),
@@ -754,7 +764,14 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> ExecutorNode:
 
 INTERFACE = Interface(
     report=ExecutorNode.report,
-    publishes=PUBLISHES,
+    publishes=(
+        PosePublication("next/joint_states"),
+        Publication("execution", Execution, queue_size=10, latch=True),
+        Publication("review", Review, queue_size=10, latch=True),
+        # not latched: a bridge that is started again must not take a switch that was meant for another moment
+        Publication("tool_command", ToolCommand, queue_size=50, tcp_nodelay=True),
+        Publication("engagement", Engagement, queue_size=5, latch=True),
+    ),
     hears=(
         PoseSubscription("twin/joint_states", ExecutorNode.on_twin, queue_size=1, pause=TWIN_PAUSE),
         Subscription("sync", Sync, ExecutorNode.on_sync, queue_size=50, tcp_nodelay=True),
