@@ -95,12 +95,13 @@ class ControllerSession:
             moving: Whether that correction is being changed.
         """
         step = stamp_step(self.stamp, telegram.stamp, self._timeout_ms)
-        if self.alive and -self._timeout_ms <= step <= 0 and source == self._source:
+        goes_on = self.alive and source == self._source
+        if goes_on and -self._timeout_ms <= step <= 0:
             return None
         elapsed = step * STAMP_NS
-        begins = self._is_another(source, step) or (
-            elapsed != self._cycle and self._is_restarted(telegram, sent, moving)
-        )
+        begins = False
+        if not goes_on or elapsed != self._cycle:
+            begins = self._is_another(goes_on, step) or self._is_restarted(telegram, sent, moving)
         if begins:
             self._begin(telegram)
             elapsed = self._cycle
@@ -114,7 +115,8 @@ class ControllerSession:
                 self.origin, refusal = self._rules.origin(telegram)
                 self._refused = bool(refusal)
             # before the count of missed replies is taken over
-            lost = self._is_reply_lost(telegram, elapsed)
+            if telegram.missed != self._last_missed or elapsed != self._cycle:
+                lost = self._is_reply_lost(telegram.missed, elapsed)
             drifted_to = self._take_poses(telegram)
         if elapsed == self._cycle and not (begins or missed or refusal or lost or drifted_to):
             return self._regular
@@ -139,21 +141,18 @@ class ControllerSession:
         if telegram.measured is not None:
             self.measured = telegram.measured
 
-    def _is_reply_lost(self, telegram: Telegram, elapsed: int) -> bool:
+    def _is_reply_lost(self, count: int | None, elapsed: int) -> bool:
         """Return whether the controller says that the last answer did not arrive in time.
 
         The count has then risen by every cycle since: so it does whether it counts the misses in a row, and falls back with a
         reply, or all of a session, and does not. A number that it cannot have is counted: a higher one is a reply that is lost, a
         lower one is not (docs/rsi.md, section 5).
         """
-        count, before = telegram.missed, self._last_missed
-        if count == before and elapsed == self._cycle:
-            return False
         if count is None:
             self._counters["telegrams_without_delay"] += 1
             return False
         cycles = max(1, elapsed // self._cycle)
-        missed = count - before
+        missed = count - self._last_missed
         if missed > cycles or (missed < cycles and cycles - 1 not in (missed, count)):
             self._counters["delay_irregular"] += 1
         return missed >= cycles
@@ -194,15 +193,13 @@ class ControllerSession:
         self.origin = setpoint
         return tuple([start + value for start, value in zip(setpoint, correction)])
 
-    def _is_another(self, source: object, step: int) -> bool:
-        """Return whether a telegram from there, so many ms on, begins another session, by what every make has."""
+    def _is_another(self, goes_on: bool, step: int) -> bool:
+        """Return whether a telegram so many ms on begins another session, by what every make has."""
         if not self.alive:
             self.began = "the first telegram after silence"
-        elif source != self._source:
+        elif not goes_on:
             self.began = "telegrams come from another source"
             self._counters["sessions_by_source"] += 1
-        elif step * STAMP_NS == self._cycle:
-            return False
         else:
             self.jump_ms = step
             if 0 < step * STAMP_NS <= self._timeout:

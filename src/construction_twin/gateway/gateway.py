@@ -108,7 +108,7 @@ class Gateway:
         self._owners = Ownership()
         self._stop_pace = SenderLimits(lambda: TokenBucket(NANOSECONDS // STOP_PERIOD, STOPS_AT_ONCE))
         self._player = Player(config, self.counters)
-        self._stream = CommandIntake(config, self.codec, self._player)
+        self._intake = CommandIntake(config, self.codec, self._player)
         #: How fast the arm may move, as the source of `speed_limit` asks.
         self.speed = SpeedLimit(config)
         self._stopping = StopReport(config.limits.linear)
@@ -162,7 +162,7 @@ class Gateway:
     @property
     def session(self) -> str:
         """Id of the session that may command; "" for none."""
-        return "" if self._machine.state is State.FAILED else self._stream.session
+        return "" if self._machine.state is State.FAILED else self._intake.session
 
     # -- the controller's side
 
@@ -181,9 +181,8 @@ class Gateway:
             Shape (n,). Position, or position minus origin, as the make takes it [rad]; None when it must not be answered.
         """
         controller, machine, player, replies = self._controller, self._machine, self._player, self._replies
-        sent = replies.correction if self.mode is Mode.NORMAL else ()
         moving = machine.state is State.FOLLOWING or machine.state is State.BRAKING
-        taken = controller.take(telegram, source, now, sent, moving)
+        taken = controller.take(telegram, source, now, replies.sent, moving)
         if taken is None:
             self.counters["telegrams_repeated"] += 1
             return None
@@ -206,10 +205,11 @@ class Gateway:
         follower = player.follower or player.place(controller.origin)
         if taken.drifted_to:
             follower = self._note_drift(follower, taken.drifted_to)
-        replies.note(taken.lost, elapsed)
-        if taken.lost or elapsed > self._cycle:
+        lost = taken.lost
+        replies.note(lost, elapsed)
+        if lost or elapsed > self._cycle:
             # HOLDON kept the arm where it was: going on at the speed of before would be a step from standstill
-            follower, elapsed = self._stand(follower, elapsed, taken.lost)
+            follower, elapsed = self._stand(follower, elapsed, lost)
         # where nothing has arrived for so long, nothing is played: the gate is to compare with the present
         self._command_stamp = player.stamp if replies.lost_for <= self._silence else 0
         self.counters["telegrams"] += 1
@@ -220,8 +220,7 @@ class Gateway:
         if self.tool is not None and machine.state is State.FOLLOWING and player.braking is None:
             self.tool.play(player.stamp)
         if self.trace is not None:
-            session = self.counters["rsi_sessions"]
-            self.trace(telegram.stamp, session, machine.state, player.stamp, position, taken.lost)
+            self.trace(telegram.stamp, self.counters["rsi_sessions"], machine.state, player.stamp, position, lost)
         return replies.answer(position, controller.origin)
 
     def note_status(self, said: Said, unreadable: int) -> None:
@@ -455,18 +454,29 @@ class Gateway:
             properties: What was beside it: None without MQTT 5 properties, the error when they could not be read.
             now: [ns]
         """
+        machine = self._machine
+        state = machine.state
         try:
-            stamp, q = self._read_command(payload, properties, now)
+            if state is not State.FOLLOWING and state is not State.ARMED:
+                raise PayloadError("not_armed", f"gateway is {state.value}")
+            stamp, q, lost = self._intake.read(payload, properties, now)
         except PayloadError as error:
             self.refusals.message(error.reason, error, follows=error.reason == "not_armed")
             if error.reason in ("session", "not_armed"):
                 self._note_stranger(properties.session if isinstance(properties, CommandProperties) else None, now)
             return
         try:
-            self._take(stamp, q, now)
+            if state is State.ARMED:
+                why = f"stream of session {self.session} began"
+                machine.on(Event.STREAM_BEGAN, Occasion(why, now, stamp=stamp, q=q))
+            else:
+                if lost:
+                    self.counters["commands_lost"] += lost
+                self._intake.take(stamp, q, now - self._controller.heard_at)
+            self.counters["commands_received"] += 1
         except MotionRefused as refusal:
             self.refusals.message(refusal.reason, refusal)
-            if self._machine.state is State.FOLLOWING:
+            if machine.state is State.FOLLOWING:
                 self.refusals.stopped()
             self._brake(Event.COMMAND_REFUSED, str(refusal))
         except StreamBroken as broken:
@@ -478,31 +488,10 @@ class Gateway:
         else:
             self._player.learn_from_stall(session, now)
 
-    def _read_command(
-        self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int
-    ) -> tuple[int, tuple[float, ...]]:
-        state = self._machine.state
-        if state is not State.FOLLOWING and state is not State.ARMED:
-            raise PayloadError("not_armed", f"gateway is {state.value}")
-        stamp, q, lost = self._stream.read(payload, properties, now)
-        if lost and state is State.FOLLOWING:
-            self.counters["commands_lost"] += lost
-        return stamp, q
-
-    def _take(self, stamp: int, q: tuple[float, ...], now: int) -> None:
-        waited = now - self._controller.heard_at
-        machine = self._machine
-        if machine.state is State.ARMED:
-            machine.on(Event.STREAM_BEGAN, Occasion(f"stream of session {self.session} began", stamp=stamp, q=q))
-            self._player.learn_from_stall(self.session if self.config.properties else None, now)
-        else:
-            self._stream.go_on(stamp, q, waited)
-        self._stream.push(stamp, q, waited)
-        self.counters["commands_received"] += 1
-
     def _on_stream_began(self, row: Row, occasion: Occasion) -> None:
         assert self._player.follower is not None  # an armed gateway has one
-        self._stream.start(self._player.follower.position, occasion.stamp, occasion.q)
+        held, now = self._player.follower.position, occasion.now
+        self._intake.start(held, occasion.stamp, occasion.q, now - self._controller.heard_at, now)
 
     # -- control
 
@@ -609,7 +598,7 @@ class Gateway:
 
     def _on_armed(self, row: Row, occasion: Occasion) -> None:
         self._owners.begin(occasion.session)
-        self._stream.begin(occasion.session)
+        self._intake.begin(occasion.session)
         self.refusals.forgive()
 
     def _refusal_of_second_session(self, occasion: Occasion) -> str:
@@ -734,7 +723,7 @@ class Gateway:
     def _disarm(self, why: str) -> None:
         if self.tool is not None:
             self.tool.void(why)
-        self._stream.begin("")
+        self._intake.begin("")
         self._command_stamp = 0
         self._player.clear()
 

@@ -21,6 +21,8 @@ class Replies:
         """Forget the session before."""
         #: The last correction, as it would be without commissioning mode [rad]; () before the first.
         self.correction: tuple[float, ...] = ()
+        #: What the last answer carried as a correction, if it was a computed one [rad]; () for nothing.
+        self.sent: tuple[float, ...] = ()
         #: The one that the controller had before it, and keeps if it does not arrive [rad]; () before the first.
         self.kept: tuple[float, ...] = ()
         #: How long no answer has arrived while telegrams went on [ns].
@@ -35,8 +37,11 @@ class Replies:
 
     def answer(self, position: tuple[float, ...], origin: tuple[float, ...]) -> tuple[float, ...]:
         """Return what the answer carries that is to bring the axes to a position [rad]."""
-        self.correction = tuple([value - start for value, start in zip(position, origin)])
-        return self.correction if self._plain else self.target(self.correction, origin)
+        correction = tuple([value - start for value, start in zip(position, origin)])
+        self.correction = correction
+        if not self._zero:
+            self.sent = correction
+        return correction if self._plain else self.target(correction, origin)
 
     def target(self, correction: tuple[float, ...], origin: tuple[float, ...]) -> tuple[float, ...]:
         """Return what an answer carries for a correction [rad]."""
