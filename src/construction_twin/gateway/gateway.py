@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from construction_twin.controller.port import Said
+from construction_twin.controller.port import ControllerStatus
 from construction_twin.controller.telegram import Telegram
 from construction_twin.core.beside import Beside
 from construction_twin.core.errors import MotionRefused, PayloadError
@@ -121,7 +121,7 @@ class Gateway:
         self._command_stamp = 0
         self._ending = False
         #: What the controller says of itself, where its telegrams tell.
-        self._said: Said = config.make.nothing_said
+        self._status: ControllerStatus = config.make.no_status
         self._machine = Machine(
             ROWS,
             State.NO_CONTROLLER,
@@ -223,9 +223,9 @@ class Gateway:
             self.trace(telegram.stamp, self.counters["rsi_sessions"], machine.state, player.stamp, position, lost)
         return replies.answer(position, controller.origin)
 
-    def note_status(self, said: Said, unreadable: int) -> None:
+    def note_status(self, status: ControllerStatus, unreadable: int) -> None:
         """Take what a telegram says on its optional channels, and how many of these cannot be read; it changes no answer."""
-        self._said = said
+        self._status = status
         if unreadable:
             self.counters["status_channels_unreadable"] += unreadable
 
@@ -259,8 +259,8 @@ class Gateway:
         if self._measures and self.clock.measure_rate():
             self._machine.changed = True
         if self._controller.is_silent(now):
-            said = self._said.sentence
-            last = f"; the last one said: {said}" if said else ""
+            sentence = self._status.sentence
+            last = f"; the last one said: {sentence}" if sentence else ""
             self._machine.on(Event.CONTROLLER_SILENT, Occasion(f"no telegram for {self.config.timeout:g} s{last}"))
         state = self._machine.state
         if state is State.MEASURING or state is State.OTHER_CYCLE:
@@ -350,7 +350,7 @@ class Gateway:
     def _on_session_ended(self, row: Row, occasion: Occasion) -> None:
         self._controller.end()
         self.clock.restart()
-        self._said = self.config.make.nothing_said
+        self._status = self.config.make.no_status
         self._player.remove()
         if self.tool is not None:
             self.tool.end_session(occasion.reason)
@@ -749,7 +749,7 @@ class Gateway:
                 fault_number=self.fault_number,
                 mode=self.mode.value,
                 correction=list(self.correction),
-                controller=self._said.report(),
+                controller=self._status.report(),
                 last_ipoc_jump_ms=self._controller.jump_ms,
                 cycle=self.clock.report(),
                 run=self.run,

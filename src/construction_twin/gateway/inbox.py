@@ -50,7 +50,7 @@ class TelegramInbox:
         self._clock = clock
         self._controller = controller
         reader = gateway.config.make.reader(gateway.config)
-        self._parse, self._said, self._tool = reader.parse, reader.said, reader.tool
+        self._parse, self._status, self._tool = reader.parse, reader.status, reader.tool
         self._timeout_ms = round(gateway.config.timeout * 1000)
 
     def newest(self) -> Arrival | None:
@@ -74,8 +74,8 @@ class TelegramInbox:
             if telegram is None:
                 continue
             self._gateway.clock.note(telegram.stamp, arrived)
-            if self._said is not None:
-                self._gateway.note_status(*self._said(data))
+            if self._status is not None:
+                self._gateway.note_status(*self._status(data))
             if newest is not None:
                 behind = stamp_step(telegram.stamp, newest.telegram.stamp, self._timeout_ms)
                 if source == newest.source and 0 <= behind <= self._timeout_ms:

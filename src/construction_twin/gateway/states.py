@@ -121,7 +121,7 @@ TABLE: tuple[Row, ...] = (
     *rows(_UNMEASURED, Event.CYCLE_FITS, State.READY),
     *rows((State.MEASURING, State.READY, State.OTHER_CYCLE), Event.CYCLE_REFUSED, State.OTHER_CYCLE),
     *rows((State.ARMED, State.FOLLOWING), Event.CYCLE_REFUSED, State.BRAKING, Action.BRAKE_TO_FAULT),
-    *rows((State.MEASURING, State.READY, State.OTHER_CYCLE), Event.ORIGIN_REFUSED, State.JOINED),
+    *rows((State.MEASURING, State.READY), Event.ORIGIN_REFUSED, State.JOINED),
     *rows(_LIVE[1:], Event.CONTROLLER_SILENT, State.NO_CONTROLLER, Action.END_SESSION),
     *rows(State.READY, Event.ARM, State.ARMED, Action.OWN, Guard.MAY_ARM),
     *rows((State.ARMED, State.FOLLOWING), Event.ARM, None, Action.NONE, Guard.SAME_SESSION),
