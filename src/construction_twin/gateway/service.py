@@ -13,6 +13,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
@@ -62,6 +63,16 @@ _LAST_STOP = 0.1
 _LONGEST_FAILURE = 300
 
 _Result = TypeVar("_Result")
+
+
+@dataclass(frozen=True, slots=True)
+class _LoggedState:
+    """What stands in the log of the gateway."""
+
+    state: State | None = None
+    reason: str = ""
+    limit_silent: bool = False
+    clock_off: bool = False
 
 
 class GatewayService:
@@ -121,7 +132,7 @@ class GatewayService:
         self._lines = LineLimiter()
         self._speed_answer: tuple = ()
         self._held_channels: tuple[bool, ...] = ()
-        self._said: tuple = (None, "", False, False)
+        self._logged = _LoggedState()
         self._running = True
 
     def run(self) -> None:
@@ -286,19 +297,20 @@ class GatewayService:
 
     def _log_change(self) -> None:
         gateway = self.gateway
-        silent, off = gateway.speed.source == "silence", bool(gateway.clock.off_sentence)
-        before, self._said = self._said, (gateway.state, gateway.reason, silent, off)
-        if self._said[:2] != before[:2]:
+        limit_silent, clock_off = gateway.speed.source == "silence", bool(gateway.clock.off_sentence)
+        before, now = self._logged, _LoggedState(gateway.state, gateway.reason, limit_silent, clock_off)
+        self._logged = now
+        if (now.state, now.reason) != (before.state, before.reason):
             # what cannot be read is logged under its own key; otherwise the rate limit would suppress the line after
             # 'controller gone'
-            unread = before[0] is gateway.state is State.NO_CONTROLLER and gateway.refusals.unread > 0
-            wrong = unread or gateway.state is State.OTHER_CYCLE
+            unread = before.state is now.state is State.NO_CONTROLLER and gateway.refusals.unread > 0
+            wrong = unread or now.state is State.OTHER_CYCLE
             kind = "no telegram can be read" if unread else gateway.state.value
-            self._log(logging.WARNING if wrong else logging.INFO, kind, gateway.reason)
-        if self._said[3] != before[3]:
-            level = logging.WARNING if self._said[3] else logging.INFO
+            self._log(logging.WARNING if wrong else logging.INFO, kind, now.reason)
+        if now.clock_off != before.clock_off:
+            level = logging.WARNING if now.clock_off else logging.INFO
             self._log(level, "controller's clock", gateway.clock.off_sentence or "nothing is wrong with it any more")
-        if self._said[2] and not before[2]:
+        if now.limit_silent and not before.limit_silent:
             fraction = gateway.speed.given
             self._log(
                 logging.WARNING, "speed limit", f"its source is silent; {fraction:g} of the limits until it speaks"
