@@ -94,7 +94,7 @@ class ControllerSession:
             sent: Shape (n,). The correction that the last answer carried [rad]; () for nothing.
             moving: Whether that correction is being changed.
         """
-        step = stamp_step(self.stamp, telegram.stamp, self._timeout_ms)
+        step = stamp_step(self.stamp, telegram.controller_ms, self._timeout_ms)
         goes_on = self.alive and source == self._source
         if goes_on and -self._timeout_ms <= step <= 0:
             return None
@@ -105,9 +105,10 @@ class ControllerSession:
         if begins:
             self._begin(telegram)
             elapsed = self._cycle
-        self.stamp, self._source, self.heard_at = telegram.stamp, source, now
+        self.stamp, self._source, self.heard_at = telegram.controller_ms, source, now
         missed = elapsed > self._cycle or (telegram.missed is not None and telegram.missed > self._last_missed)
-        refusal, lost, drifted_to = "", False, ()
+        refusal, lost = "", False
+        drifted_to: tuple[float, ...] = ()
         if not self._answered:
             self.take_measured(telegram)
         elif not self._refused:

@@ -220,7 +220,9 @@ class Gateway:
         if self.tool is not None and machine.state is State.FOLLOWING and player.braking is None:
             self.tool.play(player.stamp)
         if self.trace is not None:
-            self.trace(telegram.stamp, self.counters["rsi_sessions"], machine.state, player.stamp, position, lost)
+            self.trace(
+                telegram.controller_ms, self.counters["rsi_sessions"], machine.state, player.stamp, position, lost
+            )
         return replies.answer(position, controller.origin)
 
     def note_status(self, status: ControllerStatus, unreadable: int) -> None:
@@ -248,7 +250,7 @@ class Gateway:
         self._command_stamp = 0
         if self.trace is not None:
             position = target if self._absolute else moved(self._controller.origin, target)
-            self.trace(telegram.stamp, self.counters["rsi_sessions"], self.state, 0, position, lost)
+            self.trace(telegram.controller_ms, self.counters["rsi_sessions"], self.state, 0, position, lost)
 
     def poll(self, now: int) -> None:
         """Notice silence, of the controller or of a speed limit's source, and what its clock shows; call it at least every 0.1 s.
@@ -327,7 +329,7 @@ class Gateway:
     def _begin_session(self, telegram: Telegram) -> None:
         controller, words = self._controller, self._words
         self._began = (
-            f"{words.protocol} session began at {words.stamp} {telegram.stamp}: {controller.began}{self._note}"
+            f"{words.protocol} session began at {words.stamp} {telegram.controller_ms}: {controller.began}{self._note}"
         )
         self._machine.on(Event.SESSION_BEGAN, Occasion(self._began))
         if self._machine.state is State.MEASURING:

@@ -338,8 +338,8 @@ class GatewayService:
         if target is not None and self._encoder is not None:
             stop = True if self.gateway.ends else None
             switched = self._switched(self._encoder) if self.gateway.tool is not None else ()
-            self._answer(self._encoder.encode(target, telegram.stamp, stop, switched), source)
-            self._last_resort.sent(telegram.stamp, source, target, self.gateway.kept, telegram.missed)
+            self._answer(self._encoder.encode(target, telegram.controller_ms, stop, switched), source)
+            self._last_resort.sent(telegram.controller_ms, source, target, self.gateway.kept, telegram.missed)
             self.reply_time.add((time.time_ns() - newest.arrived) / 1e3)
         self._publish_state()
         return True

@@ -222,19 +222,19 @@ class MockController:
             telegram = self._decode(data)
         except TelegramError as error:
             return self._refuse("wrong_sentype" if error.reason == "sentype" else "malformed", error.reason, str(error))
-        if telegram.stamp != self.stamp or not self._open:
-            behind, beside = divmod(stamp_step(telegram.stamp, self.stamp, _LONGEST_STEP), self.config.cycle)
-            if behind > 0 and not beside and stamp_step(self._first_stamp, telegram.stamp, _LONGEST_STEP) >= 0:
-                late = f"the reply to {self.words.stamp} {telegram.stamp} came {behind} cycle{'s' if behind > 1 else ''} late"
+        if telegram.controller_ms != self.stamp or not self._open:
+            behind, beside = divmod(stamp_step(telegram.controller_ms, self.stamp, _LONGEST_STEP), self.config.cycle)
+            if behind > 0 and not beside and stamp_step(self._first_stamp, telegram.controller_ms, _LONGEST_STEP) >= 0:
+                late = f"the reply to {self.words.stamp} {telegram.controller_ms} came {behind} cycle{'s' if behind > 1 else ''} late"
                 return self._refuse("late_replies", "late", late)
-            found = f"the reply carries {self.words.stamp} {telegram.stamp}"
+            found = f"the reply carries {self.words.stamp} {telegram.controller_ms}"
             expected = f"{found}; expected that of the packet, unchanged: {self.stamp}"
             return self._refuse("mismatched", "ipoc", expected)
         if not in_time:
             return self._refuse(
                 "late_replies",
                 "late",
-                f"the reply to {self.words.stamp} {telegram.stamp} came after the end of its cycle",
+                f"the reply to {self.words.stamp} {telegram.controller_ms} came after the end of its cycle",
             )
         if self._reply is not None:
             return self._count("duplicates")

@@ -54,7 +54,7 @@ def test_the_codec_reads_such_telegrams_as_any_other_and_learns_their_shape(chan
     decoder = RobotDecoder(CONFIG.axes)
     for k, mode in enumerate((3, 3, 3, 1, 1)):
         read = decoder.parse(telegram(send, RsiStatus(mode, 3, 100), 1000 + 4 * k))
-        assert (read.stamp, read.measured) == (1000 + 4 * k, pytest.approx(START, abs=1e-8))
+        assert (read.controller_ms, read.measured) == (1000 + 4 * k, pytest.approx(START, abs=1e-8))
 
 
 def test_only_the_channels_that_the_file_declares_are_read():
@@ -228,7 +228,7 @@ def mock(channels=PLAIN):
 
 def said(cell, channels=PLAIN):
     data = cell.mock.begin_cycle()
-    cell.mock.receive(cell.encoder.encode((0.0,) * 6, parse_robot(data, cell.config.axes).stamp))
+    cell.mock.receive(cell.encoder.encode((0.0,) * 6, parse_robot(data, cell.config.axes).controller_ms))
     return StatusReader(channels).read(data)[0]
 
 
