@@ -225,7 +225,8 @@ class MockController:
         if telegram.controller_ms != self.stamp or not self._open:
             behind, beside = divmod(stamp_step(telegram.controller_ms, self.stamp, _LONGEST_STEP), self.config.cycle)
             if behind > 0 and not beside and stamp_step(self._first_stamp, telegram.controller_ms, _LONGEST_STEP) >= 0:
-                late = f"the reply to {self.words.stamp} {telegram.controller_ms} came {behind} cycle{'s' if behind > 1 else ''} late"
+                cycles = f"cycle{'s' if behind > 1 else ''}"
+                late = f"the reply to {self.words.stamp} {telegram.controller_ms} came {behind} {cycles} late"
                 return self._refuse("late_replies", "late", late)
             found = f"the reply carries {self.words.stamp} {telegram.controller_ms}"
             expected = f"{found}; expected that of the packet, unchanged: {self.stamp}"
