@@ -163,10 +163,10 @@ def rsi_codecs(telegram: bytes, count: int, seed: int, progress: Callable[[int],
     for done in range(count):
         if done % 4:
             read = tally.run(lambda: robot.parse(mutate_telegram(telegram, seed + done)[:LARGEST]), TelegramError)
-            values = () if read is None else (*(read.measured or ()), *(read.setpoint or ()), read.stamp)
+            values = () if read is None else (*(read.measured or ()), *(read.setpoint or ()), read.controller_ms)
         else:
             read = tally.run(lambda: sensor.parse(mutate_telegram(SENSOR, seed + done)[:LARGEST]), TelegramError)
-            values = () if read is None else (*read.target, read.stamp)
+            values = () if read is None else (*read.target, read.controller_ms)
         assert all(map(math.isfinite, values))
         progress(done + 1)
     return tally

@@ -129,7 +129,7 @@ class Setup(Protocol[_LayoutOut]):
         ...
 
 
-class StatusReport(Protocol):
+class ControllerStatus(Protocol):
     """What a controller says of itself: its mode, its program, what stops or limits the arm."""
 
     @property
@@ -154,7 +154,7 @@ class Reader:
     """
 
     parse: Callable[[bytes], Telegram]
-    status: Callable[[bytes], tuple[StatusReport, int]] | None = None
+    status: Callable[[bytes], tuple[ControllerStatus, int]] | None = None
     tool: Callable[[bytes], ToolReading | None] | None = None
 
 
@@ -243,7 +243,7 @@ class MockSetup(Protocol[_LayoutOut]):
 
 
 @dataclass(frozen=True, slots=True)
-class StatusOverride:
+class MockStatus:
     """What a mock controller is to say of itself, in the make's numbers; None: what is.
 
     Attributes:
@@ -270,7 +270,7 @@ class TelegramEncoder(Protocol):
         measured_pose: Sequence[float],
         followed_pose: Sequence[float],
         missed: int,
-        forced: StatusOverride,
+        status: MockStatus,
         outputs: Mapping[str, bool] | None,
         inputs: Mapping[str, bool],
         /,
@@ -301,7 +301,7 @@ class ControllerSide:
     decode: Callable[[bytes], Reply] | None
     holds: tuple[bool, ...]
     holds_stop: bool
-    status: Callable[[StatusOverride], StatusReport]
+    status: Callable[[MockStatus], ControllerStatus]
 
 
 @dataclass(frozen=True)
@@ -392,7 +392,7 @@ class Make(Generic[LayoutT]):
     absolute: bool
     cycles: Mapping[int, str]
     words: Words
-    no_status: StatusReport
+    no_status: ControllerStatus
     plain: Callable[[Sequence[str]], LayoutT]
     read_layout: Callable[[dict[str, Any]], LayoutT]
     check: Callable[[Setup[LayoutT]], None]

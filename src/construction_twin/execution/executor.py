@@ -293,7 +293,7 @@ class Executor:
         if not self.engagement.engaged or present is None:
             raise ExecutionError(Sentence("executor.release.nothing"))
         if self.state in ACTIVE:
-            raise ExecutionError(self._said("executor.release.active", state=self.state.name))
+            raise ExecutionError(self._answer("executor.release.active", state=self.state.name))
         return present
 
     def check_start(self, plan: Plan) -> None:
@@ -397,14 +397,14 @@ class Executor:
     def _stop(self, reason: str) -> str:
         if self.plan_start == 0:
             self._on(ExecutorEvent.STOP, Sentence("executor.stopped_unbegun"))
-            return self._said("executor.stop.unbegun")
+            return self._answer("executor.stop.unbegun")
         brakes = self.state is ExecutorState.STOPPING
         self._on(ExecutorEvent.STOP, reason)
         if brakes:
-            return self._said("executor.stop.again")
-        return self._said(f"executor.stop.{'braking' if self.state is ExecutorState.STOPPING else 'at_rest'}")
+            return self._answer("executor.stop.again")
+        return self._answer(f"executor.stop.{'braking' if self.state is ExecutorState.STOPPING else 'at_rest'}")
 
-    def _said(self, key: str, **values: Value) -> Sentence:
+    def _answer(self, key: str, **values: Value) -> Sentence:
         """Return a sentence about the present plan."""
         return Sentence(key, plan=self._played.plan.id, **values)
 
@@ -426,12 +426,12 @@ class Executor:
         self._on(ExecutorEvent.PAUSE, Sentence("executor.pause_asked"))
         if self.segment_run is not None and before is ExecutorState.AT_BOUNDARY:
             where = self.side_effects.run("where a pause rests", lambda work: work.where, self.segment_run)
-            return self._said("executor.pause.boundary", where=where or Sentence("executor.where.boundary"))
+            return self._answer("executor.pause.boundary", where=where or Sentence("executor.where.boundary"))
         if before is ExecutorState.HELD:
-            return self._said("executor.pause.held")
+            return self._answer("executor.pause.held")
         if before is not ExecutorState.PLAYING:
-            return self._said("executor.pause.again", state=before.name)
-        return self._said("executor.pause.coming")
+            return self._answer("executor.pause.again", state=before.name)
+        return self._answer("executor.pause.coming")
 
     def resume(self, may_wait: int = LIFETIME) -> str:
         """Go on along the same path; return one sentence. The approval that started the plan covers it.
@@ -449,10 +449,10 @@ class Executor:
         if self._unarmed:
             raise ExecutionError(Sentence("executor.resume.unarmed", reason=self._unarmed))
         if problem := self.neighbour.problem(self._played.plan.id):
-            raise ExecutionError(self._said("executor.resume.refused", reason=problem))
+            raise ExecutionError(self._answer("executor.resume.refused", reason=problem))
         self._begin_by = self._now + may_wait
         self._on(ExecutorEvent.RESUME, Sentence("executor.resumed"))
-        return self._said("executor.resume.done", rest=self._played.plan.trajectory.duration - self._played.elapsed)
+        return self._answer("executor.resume.done", rest=self._played.plan.trajectory.duration - self._played.elapsed)
 
     # -- output
 
@@ -667,7 +667,7 @@ class Executor:
             if row.state is ExecutorState.STOPPING:
                 return Sentence("executor.both", first=self.cause, second=reason)
             if row.action is Action.LOSE:
-                return self._said("executor.held_elsewhere", hold=reason)
+                return self._answer("executor.held_elsewhere", hold=reason)
             return Sentence("executor.held", hold=reason, elapsed=self._played.elapsed)
         if row.target is ExecutorState.AT_BOUNDARY:
             where = self._run_at_boundary.where

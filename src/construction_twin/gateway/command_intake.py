@@ -50,21 +50,32 @@ class CommandIntake:
         """Read a command; PayloadError when it is not one."""
         if isinstance(properties, PayloadError):
             raise properties
-        if self._config.properties and properties is None:
-            raise PayloadError("properties", Sentence("gateway.command.properties"))
         return self._stream.read(payload, properties, now)
 
-    def start(self, held: tuple[float, ...], stamp: int, q: tuple[float, ...]) -> None:
-        """Take the first command of a stream; MotionRefused when it is out of range, or away from the `held` pose (``start``)."""
+    def start(self, held: tuple[float, ...], stamp: int, q: tuple[float, ...], waited: int, now: int) -> None:
+        """Take the first command of a stream.
+
+        Args:
+            held: Shape (n,). The pose that the gateway holds [rad].
+            stamp: [ns]
+            q: Shape (n,). [rad]
+            waited: Time since the last telegram [ns].
+            now: [ns]
+
+        Raises:
+            MotionRefused: When it is out of range, or away from the pose that is held (``start``).
+        """
         self._limits.check_range(q)
         tolerances = self._config.start_tolerances
         off = outside_tolerance(q, held, tolerances)
         if off is not None:
             raise self._limits.refused("start", off, q[off] - held[off], tolerances[off])
         self._check.start(stamp, q)
+        self._player.learn_from_stall(self.session if self._config.properties else None, now)
+        self._push(stamp, q, waited)
 
-    def go_on(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
-        """Check a command that follows another.
+    def take(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
+        """Take a command that follows another.
 
         Args:
             stamp: [ns]
@@ -95,8 +106,8 @@ class CommandIntake:
             found = Sentence("gateway.stream.speed", fraction=player.fraction, **backlog)
             raise StreamBroken(Event.SPEED_IGNORED, found)
         self._check.accept(stamp, q)
+        self._push(stamp, q, waited)
 
-    def push(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
-        """Give a command that was checked to the player."""
+    def _push(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
         self._stream.last_stamp = stamp
         self._player.push(stamp, q, waited)

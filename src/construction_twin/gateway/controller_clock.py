@@ -9,6 +9,7 @@ of arrival in ns.
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from statistics import median
 
@@ -43,6 +44,8 @@ PIECES, SPAN = 30, 3
 OFF, RIGHT = 0.001, 0.0008
 #: What the playout follows in motion, however long (docs/conventions.md, section Playout).
 FOLLOWED = 0.005
+#: Figures in a sentence about the clock that are measured.
+_MEASURED = re.compile(r"\d+\.\d+")
 
 
 class ControllerClock:
@@ -86,6 +89,8 @@ class ControllerClock:
         self.off_sentence = ""
         # whether it was judged to be another clock: then that is told, and enough
         self._refused = False
+        # what was judged last, without figures that waver
+        self._judged = ""
 
     def note(self, stamp: int, arrived: int) -> None:
         """Take a telegram, also one that is not answered.
@@ -158,6 +163,11 @@ class ControllerClock:
             return None
         self._refused = True
         return self._sentence(step, rate)
+
+    def is_new(self, wrong: str) -> bool:
+        """Take note of what `judge` has returned; return whether it is another thing: a measured rate that wavers makes none."""
+        before, self._judged = self._judged, _MEASURED.sub("", wrong)
+        return self._judged != before
 
     def measure_rate(self) -> bool:
         """Measure how far the clock is off; return whether `off_sentence` came or went. It costs something once a second only."""

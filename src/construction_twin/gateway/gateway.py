@@ -7,13 +7,12 @@ actions do. Standard library only; rad and ns.
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
-from construction_twin.controller.port import StatusReport
+from construction_twin.controller.port import ControllerStatus
 from construction_twin.controller.telegram import Telegram
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
@@ -29,7 +28,8 @@ from construction_twin.gateway.controller_session import ControllerSession
 from construction_twin.gateway.ownership import Ownership
 from construction_twin.gateway.part_steps import PartSteps
 from construction_twin.gateway.player import Player
-from construction_twin.gateway.refusals import Refusals
+from construction_twin.gateway.refusals import Refusals, UnreadReport
+from construction_twin.gateway.replies import Replies, moved
 from construction_twin.gateway.speed_limit import SpeedLimit
 from construction_twin.gateway.states import CAUSES, ROWS, Action, Event, Guard, Mode, Occasion, Row, State, noted
 from construction_twin.gateway.status import StateReport, Status
@@ -52,12 +52,8 @@ from construction_twin.mqtt.requests import answer_limits
 HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
 #: An arm may begin a session this many start tolerances away from the held pose: its first command may be one away from either.
 DISPLACED = 2.0
-#: What could not be read is told until nothing more of it has come for this long [s].
-UNREAD_QUIET = 10.0
 #: Why no switch is armed, and armed ones are void.
 _SPEED_0 = Sentence("gateway.speed.zero")
-#: Figures in a sentence about the clock that are measured.
-_MEASURED = re.compile(r"\d+\.\d+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,14 +97,7 @@ class Gateway:
         self.mode = Mode.of(config, commissioning)
         self._words = config.make.words
         self._absolute = config.make.absolute
-        # a reply carries the correction as it is
-        self._plain = self.mode is Mode.NORMAL and not self._absolute
-        #: The last correction, as it would be without commissioning mode [rad], [m].
-        self.correction: tuple[float, ...] = ()
-        # the one that the controller had before it, and kept if the last one did not arrive
-        self._kept: tuple[float, ...] = ()
-        # how long no reply has arrived while telegrams went on [ns]
-        self._unanswered = 0
+        self._replies = Replies(self._absolute, self.mode is not Mode.NORMAL)
         self.codec = JointStringCodec.of_config(config)
         self.counters: Counter[str] = Counter()
         #: What was refused, and why; inbox and service, which stand before the gateway, count here too.
@@ -126,18 +115,12 @@ class Gateway:
         self.clock = ControllerClock(config.make, config.cycle)
         self._measures = measures
         self._began = ""
-        # what was said of the controller's clock, without figures that waver
-        self._clock_told = ""
-        # why telegrams could not be read, as told last, and when [ns]
-        self._unread_told = ""
-        self._unread_told_at = -NANOSECONDS
-        # how many they were then, and since when [ns]
-        self._unread_count = self._unread_since = 0
+        self._unread = UnreadReport(self.refusals)
         self._controller = ControllerSession(config, self.counters)
         self._owners = Ownership()
         self._stop_pace = answer_limits()
         self._player = Player(config, self.counters)
-        self._stream = CommandIntake(config, self.codec, self._player)
+        self._intake = CommandIntake(config, self.codec, self._player)
         #: How fast the arm may move, as the source of `speed_limit` asks.
         self.speed = SpeedLimit(config)
         self._stopping = StopReport(config.limits.linear)
@@ -147,10 +130,10 @@ class Gateway:
         self._silence = round(config.silence * NANOSECONDS)
         self._cycle = config.cycle_ns
         self._parts = PartSteps(config.cycle_ns)
-        self._answered_stamp = 0
+        self._command_stamp = 0
         self._ending = False
         #: What the controller says of itself, where its telegrams tell.
-        self._controller_status: StatusReport = config.make.no_status
+        self._status: ControllerStatus = config.make.no_status
         self._machine = Machine(
             ROWS,
             State.NO_CONTROLLER,
@@ -198,7 +181,7 @@ class Gateway:
     @property
     def session(self) -> str:
         """Id of the session that may command; "" for none."""
-        return "" if self._machine.state is State.FAILED else self._stream.session
+        return "" if self._machine.state is State.FAILED else self._intake.session
 
     # -- the controller's side
 
@@ -216,49 +199,37 @@ class Gateway:
         Returns:
             Shape (n,). Position, or position minus origin, as the make takes it [rad]; None when it must not be answered.
         """
-        controller = self._controller
-        if controller.is_repeated(telegram.stamp, source):
+        controller, machine, player, replies = self._controller, self._machine, self._player, self._replies
+        moving = machine.state is State.FOLLOWING or machine.state is State.BRAKING
+        taken = controller.take(telegram, source, now, replies.sent, moving)
+        if taken is None:
             self.counters["telegrams_repeated"] += 1
             return None
-        sent = self.correction if self.mode is Mode.NORMAL else ()
-        machine = self._machine
-        moving = machine.state is State.FOLLOWING or machine.state is State.BRAKING
-        elapsed = controller.hear(telegram, source, now, sent, moving)
-        if elapsed is None:
+        if taken.begins:
             self._begin_session(telegram)
-            elapsed = self.config.cycle_ns
-        state = machine.state
+        if taken.refusal:
+            machine.on(Event.ORIGIN_REFUSED, Occasion(taken.refusal))
+        state, elapsed = machine.state, taken.elapsed
         if self.tool is not None:
-            missed = elapsed > self._cycle or controller.counts_missed(telegram)
             unanswered = state is State.JOINED
-            self.tool.hear(_not_answered(self._words.protocol, machine.reason) if unanswered else "", missed)
+            self.tool.hear(_not_answered(self._words.protocol, machine.reason) if unanswered else "", taken.missed)
         if state is State.JOINED or state is State.READ_ONLY or state is State.FAILED:
             self.counters["telegrams_unanswered"] += 1
-            if state is not State.JOINED and telegram.measured is not None:
-                controller.measured = telegram.measured
             return None
-        player = self._player
-        if player.follower is None:
-            self._find_origin(telegram)
-        lost = controller.is_reply_lost(telegram, elapsed)
-        drifted = controller.note(telegram)
-        follower = player.follower
-        if follower is None:
-            # without an origin the only target that is known is the correction of none
-            refused = machine.state is State.JOINED or self._absolute
-            self.counters["telegrams_unanswered" if refused else "telegrams"] += 1
-            return None if refused else (0.0,) * len(self.config.axes)
-        if drifted and telegram.setpoint is not None:
-            follower = self._note_drift(follower, telegram.setpoint)
-        if lost:
-            self._unanswered += elapsed
-        else:
-            self._kept, self._unanswered = self.correction, 0
+        if not controller.origin:
+            # the only target that is known is the correction of none
+            self.counters["telegrams_unanswered" if self._absolute else "telegrams"] += 1
+            return None if self._absolute else (0.0,) * len(self.config.axes)
+        follower = player.follower or player.place(controller.origin)
+        if taken.drifted_to:
+            follower = self._note_drift(follower, taken.drifted_to)
+        lost = taken.lost
+        replies.note(lost, elapsed)
         if lost or elapsed > self._cycle:
             # HOLDON kept the arm where it was: going on at the speed of before would be a step from standstill
             follower, elapsed = self._stand(follower, elapsed, lost)
         # where nothing has arrived for so long, nothing is played: the gate is to compare with the present
-        self._answered_stamp = player.stamp if self._unanswered <= self._silence else 0
+        self._command_stamp = player.stamp if replies.lost_for <= self._silence else 0
         self.counters["telegrams"] += 1
         if elapsed < self._cycle or self._parts.interpolated:
             position = self._move_in_parts(follower, elapsed)
@@ -267,42 +238,37 @@ class Gateway:
         if self.tool is not None and machine.state is State.FOLLOWING and player.braking is None:
             self.tool.play(player.stamp)
         if self.trace is not None:
-            self.trace(telegram.stamp, self.counters["rsi_sessions"], machine.state, player.stamp, position, lost)
-        self.correction = tuple([value - start for value, start in zip(position, controller.origin)])
-        return self.correction if self._plain else self._target(self.correction)
+            self.trace(
+                telegram.controller_ms, self.counters["rsi_sessions"], machine.state, player.stamp, position, lost
+            )
+        return replies.answer(position, controller.origin)
 
-    def _target(self, correction: tuple[float, ...]) -> tuple[float, ...]:
-        """Return what a reply carries for a correction, which is zero in commissioning mode."""
-        if self.mode is not Mode.NORMAL:
-            correction = (0.0,) * len(correction)
-        if not self._absolute:
-            return correction
-        return tuple([start + value for start, value in zip(self._controller.origin, correction)])
-
-    def note_status(self, status: StatusReport, unreadable: int) -> None:
+    def note_status(self, status: ControllerStatus, unreadable: int) -> None:
         """Take what a telegram says on its optional channels, and how many of these cannot be read; it changes no answer."""
-        self._controller_status = status
+        self._status = status
         if unreadable:
             self.counters["status_channels_unreadable"] += unreadable
 
     @property
     def kept(self) -> tuple[float, ...]:
         """The target that the controller has until the last answer arrives, as it was sent [rad], [m]; () before the first."""
-        return self._kept if self._plain else self._target(self._kept)
+        return self._replies.target(self._replies.kept, self._controller.origin)
+
+    @property
+    def correction(self) -> tuple[float, ...]:
+        """The last correction, as it would be without commissioning mode [rad], [m]; () before the first."""
+        return self._replies.correction
 
     def observe(self, telegram: Telegram, target: tuple[float, ...], lost: bool) -> None:
         """Take note of a telegram that the last resort answered with `target` [rad]: the arm's pose is still reported.
 
         `lost` says whether the reply before it did not arrive.
         """
-        if telegram.measured is not None:
-            self._controller.measured = telegram.measured
-        self._answered_stamp = 0
+        self._controller.take_measured(telegram)
+        self._command_stamp = 0
         if self.trace is not None:
-            position = target
-            if not self._absolute:
-                position = tuple([start + value for start, value in zip(self._controller.origin, target)])
-            self.trace(telegram.stamp, self.counters["rsi_sessions"], self.state, 0, position, lost)
+            position = target if self._absolute else moved(self._controller.origin, target)
+            self.trace(telegram.controller_ms, self.counters["rsi_sessions"], self.state, 0, position, lost)
 
     def poll(self, now: int) -> None:
         """Notice silence, of the controller or of a speed limit's source, and what its clock shows; call it at least every 0.1 s.
@@ -313,7 +279,7 @@ class Gateway:
         if self._measures and self.clock.measure_rate():
             self._machine.changed = True
         if self._controller.is_silent(now):
-            said, silent = self._controller_status.sentence, {"seconds": self.config.timeout}
+            said, silent = self._status.sentence, {"seconds": self.config.timeout}
             why = Sentence("gateway.silent_said", **silent, said=said) if said else Sentence("gateway.silent", **silent)
             self._machine.on(Event.CONTROLLER_SILENT, Occasion(why))
         state = self._machine.state
@@ -325,33 +291,24 @@ class Gateway:
             if self.clock.changed and self._measures:
                 self._brake(Event.CYCLE_REFUSED, self.clock.changed)
         elif state is State.NO_CONTROLLER and self.refusals.unread:
-            self._tell_unread(now)
+            self._report_unread(now)
         elif state is State.READ_ONLY and self._measures:
-            self._tell_clock()
+            self._report_clock()
 
-    def _tell_unread(self, now: int) -> None:
-        """Say that something sends of which nothing can be read: once a second, and as a change when it is for another reason."""
-        if now < self._unread_told_at + NANOSECONDS:
+    def _report_unread(self, now: int) -> None:
+        report = self._unread.take(now)
+        if report is None:
             return
-        refusals = self.refusals
-        if refusals.unread == self._unread_count:
-            if now > self._unread_since + round(UNREAD_QUIET * NANOSECONDS):
-                # it sends no more: what is wrong now is not that
-                refusals.unread = self._unread_count = 0
-                self._unread_told = ""
-                self._machine.drop()
-            return
-        self._unread_count, self._unread_since = refusals.unread, now
-        last = refusals.last_unread
-        self._machine.add(Sentence("gateway.unread", count=refusals.unread, reason=last.reason, why=last.why))
-        if last.reason != self._unread_told:
-            self._machine.changed = True
-        self._unread_told, self._unread_told_at = last.reason, now
+        if report.sentence:
+            self._machine.add(report.sentence)
+            self._machine.changed = self._machine.changed or report.is_new
+        else:
+            self._machine.drop()
 
-    def _tell_clock(self) -> None:
+    def _report_clock(self) -> None:
         """Say of a controller that takes no corrections whether its clock is another one: the next program may take some."""
         wrong = self.clock.judge()
-        if wrong is None or not self._note_clock(wrong):
+        if wrong is None or not self.clock.is_new(wrong):
             return
         if wrong:
             self._machine.add(wrong)
@@ -359,16 +316,11 @@ class Gateway:
         else:
             self._machine.drop()
 
-    def _note_clock(self, wrong: str) -> bool:
-        """Take note of a sentence about the clock; return whether it is another one: a measured rate that wavers makes none."""
-        before, self._clock_told = self._clock_told, _MEASURED.sub("", wrong)
-        return self._clock_told != before
-
     def _judge_clock(self) -> None:
         wrong = self.clock.judge()
         if wrong is None:
             return
-        if self._note_clock(wrong) or not wrong:
+        if self.clock.is_new(wrong) or not wrong:
             event = Event.CYCLE_REFUSED if wrong else Event.CYCLE_FITS
             self._machine.on(event, Occasion(wrong or self._began))
 
@@ -377,7 +329,7 @@ class Gateway:
         wrong = self.clock.judge(rates=False)
         wrong = self._changed_cycle if wrong is None else wrong
         if wrong:
-            self._note_clock(wrong)
+            self.clock.is_new(wrong)
             self._machine.on(Event.CYCLE_REFUSED, Occasion(wrong))
 
     @property
@@ -390,15 +342,14 @@ class Gateway:
         Args:
             stamp: The gateway's own time, for the receiver's freshness check [ns].
         """
-        return self._states.message(self._controller.measured, self._answered_stamp, stamp)
+        return self._states.message(self._controller.measured, self._command_stamp, stamp)
 
     def _begin_session(self, telegram: Telegram) -> None:
         controller, words = self._controller, self._words
-        controller.begin(telegram)
         began: dict[str, Value] = {
             "protocol": words.protocol,
             "stamp": words.stamp,
-            "value": telegram.stamp,
+            "value": telegram.controller_ms,
             "why": controller.began,
         }
         self._began = self._noted(Sentence("gateway.session_began", **began))
@@ -415,27 +366,19 @@ class Gateway:
             self.tool.begin_session()
         self._disarm(occasion.reason)
         self._ending = False
-        self.correction = self._kept = ()
-        self._unanswered = 0
+        self._replies.begin()
         self.clock.restart()
         self._parts.restart()
-        self._unread_told, self._unread_count, self._clock_told = "", 0, ""
+        self._unread.restart()
 
     def _on_session_ended(self, row: Row, occasion: Occasion) -> None:
         self._controller.end()
         self.clock.restart()
-        self._controller_status = self.config.make.no_status
+        self._status = self.config.make.no_status
         self._player.remove()
         if self.tool is not None:
             self.tool.end_session(occasion.reason)
         self._disarm(occasion.reason)
-
-    def _find_origin(self, telegram: Telegram) -> None:
-        refusal = self._controller.find_origin(telegram)
-        if refusal:
-            self._machine.on(Event.ORIGIN_REFUSED, Occasion(refusal))
-        elif self._controller.origin:
-            self._player.place(self._controller.origin)
 
     def _note_drift(self, follower: Follower, setpoint: tuple[float, ...]) -> Follower:
         state = self._machine.state
@@ -455,9 +398,7 @@ class Gateway:
         if self._parts.interpolated:
             # it stands within a step, not at its end
             self._parts.restart()
-            follower = self._player.place(
-                tuple([start + value for start, value in zip(self._controller.origin, self._kept)])
-            )
+            follower = self._player.place(moved(self._controller.origin, self._replies.kept))
         elif lost:
             follower.take_back()
         else:
@@ -540,18 +481,29 @@ class Gateway:
             properties: What was beside it: None without MQTT 5 properties, the error when they could not be read.
             now: [ns]
         """
+        machine = self._machine
+        state = machine.state
         try:
-            stamp, q = self._read_command(payload, properties, now)
+            if state is not State.FOLLOWING and state is not State.ARMED:
+                raise PayloadError("not_armed", _is(state))
+            stamp, q, lost = self._intake.read(payload, properties, now)
         except PayloadError as error:
             self.refusals.message(error.reason, error, follows=error.reason == "not_armed")
             if error.reason in ("session", "not_armed"):
                 self._note_stranger(properties.session if isinstance(properties, CommandProperties) else None, now)
             return
         try:
-            self._take(stamp, q, now)
+            if state is State.ARMED:
+                why = Sentence("gateway.stream_began", session=self.session)
+                machine.on(Event.STREAM_BEGAN, Occasion(why, now, stamp=stamp, q=q))
+            else:
+                if lost:
+                    self.counters["commands_lost"] += lost
+                self._intake.take(stamp, q, now - self._controller.heard_at)
+            self.counters["commands_received"] += 1
         except MotionRefused as refusal:
             self.refusals.message(refusal.reason, refusal)
-            if self._machine.state is State.FOLLOWING:
+            if machine.state is State.FOLLOWING:
                 self.refusals.stopped()
             self._brake(Event.COMMAND_REFUSED, refusal.sentence)
         except StreamBroken as broken:
@@ -563,33 +515,10 @@ class Gateway:
         else:
             self._player.learn_from_stall(session, now)
 
-    def _read_command(
-        self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int
-    ) -> tuple[int, tuple[float, ...]]:
-        state = self._machine.state
-        if state is not State.FOLLOWING and state is not State.ARMED:
-            raise PayloadError("not_armed", _is(state))
-        stamp, q, lost = self._stream.read(payload, properties, now)
-        if lost and state is State.FOLLOWING:
-            self.counters["commands_lost"] += lost
-        return stamp, q
-
-    def _take(self, stamp: int, q: tuple[float, ...], now: int) -> None:
-        waited = now - self._controller.heard_at
-        machine = self._machine
-        if machine.state is State.ARMED:
-            machine.on(
-                Event.STREAM_BEGAN, Occasion(Sentence("gateway.stream_began", session=self.session), stamp=stamp, q=q)
-            )
-            self._player.learn_from_stall(self.session if self.config.properties else None, now)
-        else:
-            self._stream.go_on(stamp, q, waited)
-        self._stream.push(stamp, q, waited)
-        self.counters["commands_received"] += 1
-
     def _on_stream_began(self, row: Row, occasion: Occasion) -> None:
         assert self._player.follower is not None  # an armed gateway has one
-        self._stream.start(self._player.follower.position, occasion.stamp, occasion.q)
+        held, now = self._player.follower.position, occasion.now
+        self._intake.start(held, occasion.stamp, occasion.q, now - self._controller.heard_at, now)
 
     # -- control
 
@@ -693,7 +622,7 @@ class Gateway:
 
     def _on_armed(self, row: Row, occasion: Occasion) -> None:
         self._owners.begin(occasion.session)
-        self._stream.begin(occasion.session)
+        self._intake.begin(occasion.session)
         self.refusals.forgive()
 
     def _refusal_of_second_session(self, occasion: Occasion) -> str:
@@ -826,8 +755,8 @@ class Gateway:
     def _disarm(self, why: str) -> None:
         if self.tool is not None:
             self.tool.void(why)
-        self._stream.begin("")
-        self._answered_stamp = 0
+        self._intake.begin("")
+        self._command_stamp = 0
         self._player.clear()
 
     # -- status
@@ -851,7 +780,7 @@ class Gateway:
                 fault_number=self.fault_number,
                 mode=self.mode.value,
                 correction=self.correction,
-                controller=self._controller_status.report(),
+                controller=self._status.report(),
                 last_ipoc_jump_ms=self._controller.jump_ms,
                 cycle=self.clock.report(),
                 run=self.run,

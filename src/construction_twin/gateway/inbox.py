@@ -74,11 +74,11 @@ class TelegramInbox:
             telegram = self._read(data, source)
             if telegram is None:
                 continue
-            self._gateway.clock.note(telegram.stamp, arrived)
+            self._gateway.clock.note(telegram.controller_ms, arrived)
             if self._status is not None:
                 self._gateway.note_status(*self._status(data))
             if newest is not None:
-                behind = stamp_step(telegram.stamp, newest.telegram.stamp, self._timeout_ms)
+                behind = stamp_step(telegram.controller_ms, newest.telegram.controller_ms, self._timeout_ms)
                 if source == newest.source and 0 <= behind <= self._timeout_ms:
                     counters["telegrams_repeated"] += 1
                     continue

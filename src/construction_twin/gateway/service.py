@@ -13,6 +13,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
@@ -69,6 +70,16 @@ _Result = TypeVar("_Result")
 
 #: Until the failure's own sentence is made: nothing is looked up while it is taken note of.
 _FAILED = Sentence("gateway.has_failed")
+
+
+@dataclass(frozen=True, slots=True)
+class _LoggedState:
+    """What stands in the log of the gateway."""
+
+    state: State | None = None
+    reason: str = ""
+    limit_silent: bool = False
+    clock_off: bool = False
 
 
 class GatewayService:
@@ -128,7 +139,7 @@ class GatewayService:
         self._lines = LineLimiter()
         self._speed_answer: tuple = ()
         self._held_channels: tuple[bool, ...] = ()
-        self._said: tuple = (None, "", False, False)
+        self._logged = _LoggedState()
         self._running = True
 
     def run(self) -> None:
@@ -291,19 +302,20 @@ class GatewayService:
 
     def _log_change(self) -> None:
         gateway = self.gateway
-        silent, off = gateway.speed.source == "silence", bool(gateway.clock.off_sentence)
-        before, self._said = self._said, (gateway.state, gateway.reason, silent, off)
-        if self._said[:2] != before[:2]:
+        limit_silent, clock_off = gateway.speed.source == "silence", bool(gateway.clock.off_sentence)
+        before, now = self._logged, _LoggedState(gateway.state, gateway.reason, limit_silent, clock_off)
+        self._logged = now
+        if (now.state, now.reason) != (before.state, before.reason):
             # what cannot be read is logged under its own key; otherwise the rate limit would suppress the line after
             # 'controller gone'
-            unread = before[0] is gateway.state is State.NO_CONTROLLER and gateway.refusals.unread > 0
-            wrong = unread or gateway.state is State.OTHER_CYCLE
+            unread = before.state is now.state is State.NO_CONTROLLER and gateway.refusals.unread > 0
+            wrong = unread or now.state is State.OTHER_CYCLE
             kind = "no telegram can be read" if unread else gateway.state.value
-            self._log(logging.WARNING if wrong else logging.INFO, kind, gateway.reason)
-        if self._said[3] != before[3]:
-            level = logging.WARNING if self._said[3] else logging.INFO
+            self._log(logging.WARNING if wrong else logging.INFO, kind, now.reason)
+        if now.clock_off != before.clock_off:
+            level = logging.WARNING if now.clock_off else logging.INFO
             self._log(level, "controller's clock", gateway.clock.off_sentence or Sentence("gateway.clock.right"))
-        if self._said[2] and not before[2]:
+        if now.limit_silent and not before.limit_silent:
             fraction = gateway.speed.given
             self._log(logging.WARNING, "speed limit", Sentence("gateway.speed.silent", fraction=fraction))
 
@@ -329,8 +341,8 @@ class GatewayService:
         if target is not None and self._encoder is not None:
             stop = True if self.gateway.ends else None
             switched = self._switched(self._encoder) if self.gateway.tool is not None else ()
-            self._answer(self._encoder.encode(target, telegram.stamp, stop, switched), source)
-            self._last_resort.sent(telegram.stamp, source, target, self.gateway.kept, telegram.missed)
+            self._answer(self._encoder.encode(target, telegram.controller_ms, stop, switched), source)
+            self._last_resort.sent(telegram.controller_ms, source, target, self.gateway.kept, telegram.missed)
             self.reply_time.add((time.time_ns() - newest.arrived) / 1e3)
         self._publish_state()
         return True

@@ -62,13 +62,13 @@ class StateReport:
         self._properties = properties
 
     def message(
-        self, measured: tuple[float, ...], answered_stamp: int, stamp: int
+        self, measured: tuple[float, ...], command_stamp: int, stamp: int
     ) -> tuple[bytes, StateProperties] | None:
         """Return a pose's joint string and what goes beside it; None without a pose, or when it does not fit the format.
 
         Args:
             measured: Shape (n,). [rad]; () for none.
-            answered_stamp: Stamp of the target in the reply before this telegram [ns]; 0 for none.
+            command_stamp: Stamp of the target in the reply before this telegram [ns]; 0 for none.
             stamp: The gateway's own time [ns].
         """
         if not measured:
@@ -79,7 +79,7 @@ class StateReport:
             self._counters[f"state_refused_{error.reason}"] += 1
             return None
         self._counters["states_sent"] += 1
-        return payload, StateProperties(self._counters["states_sent"], stamp, answered_stamp if self._properties else 0)
+        return payload, StateProperties(self._counters["states_sent"], stamp, command_stamp if self._properties else 0)
 
 
 class StatusClock:

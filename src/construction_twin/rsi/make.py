@@ -11,9 +11,9 @@ from construction_twin.controller.port import (
     FileForm,
     Make,
     MockSetup,
+    MockStatus,
     Reader,
     Setup,
-    StatusOverride,
     Words,
 )
 from construction_twin.core.errors import ConfigurationError
@@ -31,7 +31,7 @@ from construction_twin.rsi.ethernet_xml_text import ethernet_xml_text
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.layout import STOP, RsiLayout
 from construction_twin.rsi.session import RsiSessionRules
-from construction_twin.rsi.status_channels import ControllerStatus, StatusReader, status_channels
+from construction_twin.rsi.status_channels import RsiStatus, StatusReader, status_channels
 from construction_twin.rsi.tool_channels import IN, OUT, ToolReader, is_signal
 from construction_twin.rsi.tool_check import check_tool
 
@@ -82,12 +82,12 @@ def last_resort(setup: Setup[RsiLayout]) -> LastResort:
     return LastResort(setup.limits, bare, setup.cycle)
 
 
-def mock_status(forced: StatusOverride) -> ControllerStatus:
+def status_of(shown: MockStatus) -> RsiStatus:
     """Return what the optional channels of a mock say."""
-    return ControllerStatus(
-        forced.mode or (_T1 if forced.slow else _AUT),
-        forced.program or _ACTIVE,
-        _FULL if forced.override is None else forced.override,
+    return RsiStatus(
+        shown.mode or (_T1 if shown.slow else _AUT),
+        shown.program or _ACTIVE,
+        _FULL if shown.override is None else shown.override,
     )
 
 
@@ -107,14 +107,14 @@ def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
         measured_pose: Sequence[float],
         setpoint_pose: Sequence[float],
         delay: int,
-        forced: StatusOverride,
+        shown: MockStatus,
         outputs: Mapping[str, bool] | None,
         inputs: Mapping[str, bool],
     ) -> bytes:
         values = ipoc, measured, setpoint, measured_pose, setpoint_pose, delay
         if not rich:
             return seen.encode(*values)
-        status, signals = mock_status(forced), {f"{IN}.{name}": value for name, value in inputs.items()}
+        status, signals = status_of(shown), {f"{IN}.{name}": value for name, value in inputs.items()}
         if outputs is None:
             return unseen.encode(*values, status, signals)
         return seen.encode(*values, status, signals | {f"{OUT}.{name}": value for name, value in outputs.items()})
@@ -126,7 +126,7 @@ def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
         ).parse
     holdon = dict(zip(layout.receive, layout.holdon))
     holds = [any(held for channel, held in holdon.items() if channel.partition(".")[2] == axis) for axis in config.axes]
-    return ControllerSide(encode, decode, tuple(holds), holdon.get(STOP, False), mock_status)
+    return ControllerSide(encode, decode, tuple(holds), holdon.get(STOP, False), status_of)
 
 
 def _ipoc(data: bytes) -> int | None:
@@ -163,7 +163,7 @@ MAKE = Make(
         timeout="Timeout of the controller's ETHERNET object",
         description="the Ethernet XML",
     ),
-    no_status=ControllerStatus(),
+    no_status=RsiStatus(),
     plain=RsiLayout.plain,
     read_layout=RsiLayout.of_document,
     check=check,

@@ -32,7 +32,7 @@ _PROGRAM_SENTENCES = {
 
 
 @dataclass(frozen=True, slots=True)
-class ControllerStatus:
+class RsiStatus:
     """What a controller says of itself.
 
     Attributes:
@@ -99,10 +99,10 @@ class StatusReader:
         self._searches = [found.get(name) for name in NAMES]
         self._count = len(found)
         self._texts: list[bytes | None] = []
-        self._status = ControllerStatus()
+        self._status = RsiStatus()
         self._unreadable = 0
 
-    def read(self, data: bytes) -> tuple[ControllerStatus, int]:
+    def read(self, data: bytes) -> tuple[RsiStatus, int]:
         """Read what a telegram says that was read as one before.
 
         Returns:
@@ -114,7 +114,7 @@ class StatusReader:
             # the same for minutes
             self._texts = texts
             mode, program, override = [None if text is None else float(text) for text in texts]
-            self._status = ControllerStatus(_whole(mode), _whole(program), _percentage(override))
+            self._status = RsiStatus(_whole(mode), _whole(program), _percentage(override))
             told = (self._status.mode, self._status.program, self._status.override)
             self._unreadable = self._count - sum(value is not None for value in told)
         return self._status, self._unreadable

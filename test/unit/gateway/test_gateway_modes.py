@@ -249,7 +249,7 @@ class TrackCell(Cell):
                 return
             telegram = self.decoder.parse(packet)
             reply = self.gateway.on_telegram(telegram, self.source, self.now)
-            self.bytes.append(self.encoder.encode(reply, telegram.stamp, True if self.gateway.ends else None))
+            self.bytes.append(self.encoder.encode(reply, telegram.controller_ms, True if self.gateway.ends else None))
             self.mock.receive(self.bytes[-1])
 
 

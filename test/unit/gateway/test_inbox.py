@@ -9,9 +9,9 @@ import pytest
 from gateway_cell import CONFIG, RUN, START
 
 from construction_twin.core.sentences import Sentence
-from construction_twin.gateway.gateway import UNREAD_QUIET, Gateway
+from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
-from construction_twin.gateway.refusals import LONGEST_REFUSAL
+from construction_twin.gateway.refusals import LONGEST_REFUSAL, UNREAD_QUIET
 from construction_twin.gateway.states import State
 from construction_twin.gateway.status import QUIET, StatusClock
 from construction_twin.rsi.controller_codec import RobotEncoder
@@ -45,7 +45,7 @@ class Line:
         """Put these in and read; return the IPOC of what is answered, its source and which datagram it was."""
         self.waiting.extend(thing if isinstance(thing, tuple) else (thing, HERE) for thing in things)
         found = self.inbox.newest()
-        return found and (found.telegram.stamp, found.source, found.arrived)
+        return found and (found.telegram.controller_ms, found.source, found.arrived)
 
     def counted(self) -> dict:
         return dict(self.gateway.counters)

@@ -109,7 +109,7 @@ PAUSE = 0.0005
 #: States in which an act of a person is under way.
 BRAKING = (ExecutorState.STOPPING, ExecutorState.PAUSING)
 
-Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 
 
 class Settings(NodeSettings):
@@ -135,7 +135,7 @@ class Settings(NodeSettings):
 
 
 class ExecutionFields(NamedTuple):
-    """What is reported of the executor in one message: made in every cycle, so that a change is noticed."""
+    """Fields of Execution.msg, which is published when one changes; they are read in every cycle."""
 
     state: ExecutorState
     reason: str
@@ -161,11 +161,21 @@ class Outputs:
     engagement: Sink
 
 
+class LoggedState(NamedTuple):
+    """What of the executor is worth a line in the log when it changes."""
+
+    state: ExecutorState
+    cause: str
+    standing: bool
+    plan_start: int
+    outcome: str
+
+
 class Snapshot(NamedTuple):
-    """The executor in one cycle, as far as there is something to tell; `logged` is what is worth a line in the log."""
+    """The executor in one cycle, as far as there is something to report."""
 
     fields: ExecutionFields
-    logged: tuple
+    logged: LoggedState
     plan: PlanContent | None
     rate: float
     limit: float
@@ -174,7 +184,7 @@ class Snapshot(NamedTuple):
     stamp: int
 
 
-def _run(_what: str, part: Callable[..., Result], *arguments: object) -> Result:
+def _do(_what: str, part: Callable[..., _Result], *arguments: object) -> _Result:
     """Call a part whose failure ends the node, as everywhere else."""
     return part(*arguments)
 
@@ -209,7 +219,7 @@ class ExecutorNode:
         self._reported_engagement: tuple | None = None
         self._record_problem = ""
         self._engagement_problem = ""
-        self._log_lines = DeferredLog()
+        self._log_queue = DeferredLog()
         self._side_effects = executor.side_effects
         # safety acts, and how many of them were told of: until then, and while the arm brakes, what tells cannot end this node
         self._acts = self._acts_reported = 0
@@ -224,7 +234,7 @@ class ExecutorNode:
         self._session: str | None = None
         self._sync_at = 0
         self._reported: ExecutionFields | None = None
-        self._logged: tuple = ()
+        self._logged: LoggedState | None = None
         self._diagnostics = diagnostics
         found = engagements.read()
         if found is not None:
@@ -453,7 +463,7 @@ class ExecutorNode:
 
     def _say(self, write: Callable[..., None], *words) -> None:
         """Have a line written after the answer."""
-        self._side_effects.run("the log", self._log_lines.add, write, *words)
+        self._side_effects.run("the log", self._log_queue.add, write, *words)
 
     def on_release(self, request: ReleaseEngagementRequest) -> Outcome:
         """Take a person's word that the arm was freed; recorded before it counts."""
@@ -534,7 +544,7 @@ class ExecutorNode:
         self.write_records()
         # where a stop leaves the arm is written down here
         reported = self._acts == self._acts_reported
-        (_run if reported else self._side_effects.run)("the engagement", self.keep_engagement)
+        (_do if reported else self._side_effects.run)("the engagement", self.keep_engagement)
         with self._lock:
             self._readings.note(now_ns(), time.monotonic_ns())
             self._executor.queue.scene_alive = scene_alive
@@ -551,7 +561,7 @@ class ExecutorNode:
     def write_records(self) -> None:
         """Write what is kept to log and record; not for the path of the setpoints."""
         # the lines of a stop are among these
-        self._side_effects.run("the log", self._log_lines.flush)
+        self._side_effects.run("the log", self._log_queue.flush)
         self._side_effects.write(rospy.logerr)
         self._side_effects.run("the record", self._flush_record)
 
@@ -580,9 +590,9 @@ class ExecutorNode:
                 keeper.on_written(present)
         self._engagement_problem = ""
         left = present if engaged else None
-        engagement = left, left.requires(tool) if left is not None else ()
-        if engagement != self._reported_engagement:
-            self._reported_engagement = engagement
+        report = left, left.requires(tool) if left is not None else ()
+        if report != self._reported_engagement:
+            self._reported_engagement = report
             message = engagement_to_msg(left, tool)
             message.header.stamp = rospy.Time.now()
             self._outputs.engagement.publish(message)
@@ -591,7 +601,7 @@ class ExecutorNode:
 
     def _publish_verdict(self, verdict: Verdict) -> None:
         reason = f": {verdict.reason}" if verdict.reason else ""
-        self._log_lines.add(
+        self._log_queue.add(
             rospy.loginfo, "plan %s %s by %s%s", verdict.plan_id, verdict.verdict, verdict.reviewer, reason
         )
         message = Review(
@@ -612,7 +622,7 @@ class ExecutorNode:
         executor = self._executor
         with self._lock:
             acts, brakes = self._acts, executor.state in BRAKING
-            run = _run if acts == self._acts_reported else self._side_effects.run
+            run = _do if acts == self._acts_reported else self._side_effects.run
             events, orders = executor.take_events(), executor.take_orders()
             now = run("the executor's state", self._snapshot)
         for order in orders:
@@ -634,7 +644,7 @@ class ExecutorNode:
             self._acts_reported = acts
 
     def _snapshot(self) -> Snapshot:
-        """Return what there is to be told; to be called under the lock."""
+        """Return what there is to report; to be called under the lock."""
         executor, limit, work = self._executor, self._limit, self._executor.segment_run
         fields = ExecutionFields(
             executor.state,
@@ -648,7 +658,8 @@ class ExecutorNode:
             work.expected_scene if work is not None and executor.state in ACTIVE else "",
             executor.engagement.engaged,
         )
-        logged = executor.state, executor.cause, executor.limit.standing, executor.plan_start, executor.outcome
+        standing = executor.limit.standing
+        logged = LoggedState(executor.state, executor.cause, standing, executor.plan_start, executor.outcome)
         # with the state: a stop that comes after this stamp is not known to the report
         stamp = now_ns()
         return Snapshot(fields, logged, executor.plan, executor.rate, limit.limit, limit.state, limit.reason, stamp)
@@ -657,10 +668,10 @@ class ExecutorNode:
         if now.limit_state is not self._limit_state:
             self._limit_state = now.limit_state
             warns = now.limit_state in (LimitState.SILENT, LimitState.MISSING)
-            self._log_lines.add(rospy.logwarn if warns else rospy.loginfo, "%s", now.limit_reason)
+            self._log_queue.add(rospy.logwarn if warns else rospy.loginfo, "%s", now.limit_reason)
         if now.logged != self._logged:
             self._logged = now.logged
-            self._log_lines.add(rospy.loginfo, "%s: %s", now.fields.state.name, now.fields.reason)
+            self._log_queue.add(rospy.loginfo, "%s: %s", now.fields.state.name, now.fields.reason)
 
     def _publish_execution(self, now: Snapshot) -> None:
         report = execution_report(now.fields, now.plan, now.rate, now.limit, now.stamp)
@@ -691,21 +702,10 @@ class ExecutorNode:
         return Report(level, f"{executor.state.name}: {executor.reason}", values)
 
 
-#: In the order of `Outputs`.
-PUBLISHES = (
-    PosePublication("next/joint_states"),
-    Publication("execution", Execution, queue_size=10, latch=True),
-    Publication("review", Review, queue_size=10, latch=True),
-    # not latched: a bridge that is started again must not take a switch that was meant for another moment
-    Publication("tool_command", ToolCommand, queue_size=50, tcp_nodelay=True),
-    Publication("engagement", Engagement, queue_size=5, latch=True),
-)
-
-
 def execution_report(
     fields: ExecutionFields, plan: PlanContent | None, rate: float, limit: float, stamp: int
 ) -> ExecutionReport:
-    """Return the report of what is said at the moment `stamp` [ns]."""
+    """Return the report at the moment `stamp` [ns]."""
     report = ExecutionReport(
         state=fields.state.value,
         text=fields.state.name,
@@ -741,7 +741,13 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> ExecutorNode:
         executor,
         SpeedLimit(settings.speed_limit_deadline, settings.speed_limit_silent, settings.speed_limit_required),
         log,
-        Outputs(*(ports.publishers[each.topic] for each in PUBLISHES)),
+        Outputs(
+            next=ports.publishers["next/joint_states"],
+            execution=ports.publishers["execution"],
+            review=ports.publishers["review"],
+            tool_command=ports.publishers["tool_command"],
+            engagement=ports.publishers["engagement"],
+        ),
         EngagementFile(log.path.with_name(f"{log.path.stem}_engagement.json"), robot.joint_names),
         ports.diagnostics,
         WithoutPerson(settings.auto_approve, settings.auto_approve_sources),
@@ -758,7 +764,14 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> ExecutorNode:
 
 INTERFACE = Interface(
     report=ExecutorNode.report,
-    publishes=PUBLISHES,
+    publishes=(
+        PosePublication("next/joint_states"),
+        Publication("execution", Execution, queue_size=10, latch=True),
+        Publication("review", Review, queue_size=10, latch=True),
+        # not latched: a bridge that is started again must not take a switch that was meant for another moment
+        Publication("tool_command", ToolCommand, queue_size=50, tcp_nodelay=True),
+        Publication("engagement", Engagement, queue_size=5, latch=True),
+    ),
     hears=(
         PoseSubscription("twin/joint_states", ExecutorNode.on_twin, queue_size=1, pause=TWIN_PAUSE),
         Subscription("sync", Sync, ExecutorNode.on_sync, queue_size=50, tcp_nodelay=True),

@@ -164,8 +164,8 @@ class MqttBridge:
         self._broker = broker
         self._client = client
         # what tells of a halt, and cannot fail it
-        self._side_effects, self._said = SideEffects(), DeferredLog()
-        self._connection = report_of(broker, self._said)
+        self._side_effects, self._log_queue = SideEffects(), DeferredLog()
+        self._connection = report_of(broker, self._log_queue)
         # why only a person leads on, for the bridge after this one
         self._waits = waits
         self._memory = StopMemory(waits, remember, WAITS)
@@ -228,7 +228,7 @@ class MqttBridge:
 
     def write_log(self) -> None:
         """Write what is to be said, and what has failed: not for the poll, which waits for no disk and no terminal."""
-        self._side_effects.run("the log", self._said.flush)
+        self._side_effects.run("the log", self._log_queue.flush)
         self._side_effects.write(rospy.logerr)
 
     # -- ROS to MQTT
@@ -252,7 +252,7 @@ class MqttBridge:
     def _send_control(self, control: Control) -> None:
         # the log may wait for a disk or for rosout; what is to stop the arm does not
         self._publish_control(control)
-        self._said.add(rospy.loginfo, "%s, session %s", control.verb, control.session)
+        self._log_queue.add(rospy.loginfo, "%s, session %s", control.verb, control.session)
 
     def on_speed_limit(self, message: SpeedLimit) -> None:
         """Take a speed limit; it is sent with the next poll."""
@@ -285,7 +285,7 @@ class MqttBridge:
             self._publish_control(control)
         self._publish_tool()
         told = "void" if message.verb == ToolCommand.VOID else f"{message.id} {message.output}"
-        self._said.add(rospy.loginfo, "tool: %s", told)
+        self._log_queue.add(rospy.loginfo, "tool: %s", told)
 
     def on_execution(self, message: Execution) -> None:
         """Take which plan is played: only its switches are armed."""
@@ -300,7 +300,7 @@ class MqttBridge:
             control = self._tool.on_gate(message.state == Sync.IN_SYNC, session) if supervisor.sends_control else None
         if control is not None:
             self._publish_control(control)
-            self._said.add(rospy.loginfo, "tool: void, the monitor's gate is closed")
+            self._log_queue.add(rospy.loginfo, "tool: void, the monitor's gate is closed")
 
     def _publish_tool(self) -> None:
         """Tell what is known of the tool, when it has changed."""
@@ -519,7 +519,7 @@ class MqttBridge:
         sent = self._publish_control(control)
         # after the answer: it waits for a disk, or for rosout
         self._side_effects.run(
-            "the log", self._said.add, rospy.loginfo, "%s, session %s", control.verb, control.session
+            "the log", self._log_queue.add, rospy.loginfo, "%s, session %s", control.verb, control.session
         )
         return sent
 
@@ -580,7 +580,7 @@ class MqttBridge:
         self._outputs.link.publish(self._link_message(*state, status, values))
         if changed:
             self._client.publish(self._topics.bridge_status, self._status_report(), qos=1, retain=True)
-            self._said.add(rospy.loginfo, "%s: %s", state[0].name, state[1])
+            self._log_queue.add(rospy.loginfo, "%s: %s", state[0].name, state[1])
 
     def _reason(self) -> str:
         """Return the supervisor's sentence; without a connection also why there is none, else why the arm may not move."""
@@ -650,7 +650,12 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
         JointStringCodec.of(robot, config.decimals),
         broker,
         make_client(broker, unique_id(robot.name, "bridge"), topics.bridge_status, direct=True),
-        Outputs(*(ports.publishers[each.topic] for each in PUBLISHES)),
+        Outputs(
+            physical=ports.publishers["physical/joint_states"],
+            feedback=ports.publishers["physical/feedback"],
+            link=ports.publishers["link"],
+            tool=ports.publishers["tool"],
+        ),
         ports.diagnostics,
         # not a private parameter: those hold settings, and this was asked for while the bridge ran
         mirrors=rospy.get_param(MIRROR_MODE, False) is True,
@@ -661,16 +666,14 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
     return bridge
 
 
-#: In the order of `Outputs`.
-PUBLISHES = (
-    PosePublication("physical/joint_states"),
-    PosePublication("physical/feedback", Feedback),
-    Publication("link", Link, queue_size=10, latch=True),
-    Publication("tool", ToolState, queue_size=50, latch=True),
-)
 INTERFACE = Interface(
     report=MqttBridge.report,
-    publishes=PUBLISHES,
+    publishes=(
+        PosePublication("physical/joint_states"),
+        PosePublication("physical/feedback", Feedback),
+        Publication("link", Link, queue_size=10, latch=True),
+        Publication("tool", ToolState, queue_size=50, latch=True),
+    ),
     hears=(
         PoseSubscription("command/joint_states", MqttBridge.on_command),
         Subscription("speed_limit", SpeedLimit, MqttBridge.on_speed_limit, queue_size=5),

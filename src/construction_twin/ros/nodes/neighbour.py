@@ -39,8 +39,8 @@ DELAY = 0.1
 
 
 @dataclass(frozen=True)
-class LoggedConflict:
-    """What the log was told of a plan last.
+class LoggedVerdict:
+    """What stands in the log of a plan.
 
     Attributes:
         clear: No conflict was found.
@@ -78,7 +78,7 @@ class NeighbourNode:
         self._moveit = moveit
         self._checks, self._longest = 0, 0.0
         self._failure = ""
-        self._said: dict[str, LoggedConflict] = {}
+        self._logged: dict[str, LoggedVerdict] = {}
 
     def run(self) -> None:
         """Check again and again, in the main thread: an unexpected exception ends the process, which is then started anew."""
@@ -169,14 +169,14 @@ class NeighbourNode:
         )
         message.header.stamp = stamp
         self._publisher.publish(message)
-        said = LoggedConflict(verdict.blocked, verdict.time < 0.0)
-        if self._said.get(plan_id) != said:
-            self._said[plan_id] = said
+        logged = LoggedVerdict(verdict.blocked, verdict.time < 0.0)
+        if self._logged.get(plan_id) != logged:
+            self._logged[plan_id] = logged
             (rospy.logwarn if verdict.blocked else rospy.loginfo)("plan %s: %s", plan_id, verdict.sentence)
 
     def _forget(self, kept: dict) -> None:
         self._judge.forget(kept)
-        self._said = {plan_id: said for plan_id, said in self._said.items() if plan_id in kept}
+        self._logged = {plan_id: logged for plan_id, logged in self._logged.items() if plan_id in kept}
 
     def _sum_up(self, verdicts: dict[str, Judgement], others: Others | None) -> None:
         if self._failure or others is None:
