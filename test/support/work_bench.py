@@ -38,12 +38,12 @@ from construction_twin.ros.nodes import work as module
 from construction_twin.ros.shared.work_listener import WorkListener
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.work.desk import ElementFacts, Prepared
 from construction_twin.work.events import Entry
 from construction_twin.work.ledger import read_entries
 from construction_twin.work.racks import Slot, StockPlan
 from construction_twin.work.schedule import Job, Schedule
-from construction_twin.work.shared_desk import SharedDesk
+from construction_twin.work.shared_board import SharedBoard
+from construction_twin.work.task_board import ElementFacts, Prepared
 
 TASK, ELEMENT = "T1", "E1"
 _CHAIN = Chain(ROBOT)
@@ -129,14 +129,14 @@ class Bench:
             folder="work", arm="mock", max_pose_age=0.5, service_timeout=1.0, listen_time=0.02, retry_time=0.01,
         ).model_copy(update=files)  # fmt: skip
         refuse = self.refuse
-        self.desk = SharedDesk("the model is being read")
+        self.board = SharedBoard("the model is being read")
         self.heard = WorkListener(self.publishers.__getitem__, lambda: False, self.review_file, refuse)
         self.node = module.WorkNode(
             settings,
             ROBOT,
             {},
             worker or SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=self._planned),
-            self.desk,
+            self.board,
             self.heard,
             module.Inputs(lambda: HOME, lambda: self.arm_pose(), lambda *_: None),
             module.Outputs(
@@ -159,7 +159,7 @@ class Bench:
 
     def kill(self) -> None:
         """End the node where it stands; what it had heard is lost, the ledger is not."""
-        self.desk.opened().ledger.close()
+        self.board.opened().ledger.close()
         self.noted.clear()
         self.tasks.clear()
 

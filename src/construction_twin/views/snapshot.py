@@ -56,7 +56,7 @@ class Snapshot:
 
         A system without an arm (`arm:=none`) has no link, and needs none.
         """
-        lacking = []
+        lacking: list[str] = []
         for name, wanted in READY.items():
             facts = getattr(self, name)
             if facts is None:

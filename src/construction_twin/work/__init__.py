@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from construction_twin.work.built import as_built as as_built
     from construction_twin.work.check import CheckedTask as CheckedTask
     from construction_twin.work.check import Checker as Checker
-    from construction_twin.work.desk import Desk as Desk
-    from construction_twin.work.desk import Prepared as Prepared
-    from construction_twin.work.desk import WorkRefused as WorkRefused
     from construction_twin.work.element_bodies import element_shapes as element_shapes
     from construction_twin.work.events import Entry as Entry
     from construction_twin.work.jobs import WorkJob as WorkJob
@@ -41,12 +38,15 @@ if TYPE_CHECKING:
     from construction_twin.work.schedule import Job as Job
     from construction_twin.work.schedule import Schedule as Schedule
     from construction_twin.work.schedule import Wait as Wait
-    from construction_twin.work.shared_desk import SharedDesk as SharedDesk
+    from construction_twin.work.shared_board import SharedBoard as SharedBoard
     from construction_twin.work.site import CellFile as CellFile
     from construction_twin.work.site import Site as Site
     from construction_twin.work.site import pose_of as pose_of
     from construction_twin.work.site import read_site as read_site
     from construction_twin.work.site_scene import Layout as Layout
+    from construction_twin.work.task_board import Prepared as Prepared
+    from construction_twin.work.task_board import TaskBoard as TaskBoard
+    from construction_twin.work.task_board import WorkRefused as WorkRefused
     from construction_twin.work.task_planner import TaskPlanner as TaskPlanner
     from construction_twin.work.task_states import TaskEvent as TaskEvent
     from construction_twin.work.task_states import TaskState as TaskState

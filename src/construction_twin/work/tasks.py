@@ -23,7 +23,6 @@ from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.work.building import BuildingModel, Element
 from construction_twin.work.built import pose_of_tuple
 from construction_twin.work.contacts import tool_objects
-from construction_twin.work.desk import ElementFacts, Prepared, Scheduled
 from construction_twin.work.element_bodies import element_shapes, element_triangles
 from construction_twin.work.ifc.reading import read_building
 from construction_twin.work.jobs import WorkPlan, bare_job
@@ -35,6 +34,7 @@ from construction_twin.work.schedule import Schedule
 from construction_twin.work.site import Site, pose_of, read_site
 from construction_twin.work.site_scene import Layout
 from construction_twin.work.standing import standing
+from construction_twin.work.task_board import ElementFacts, Prepared, Scheduled
 from construction_twin.work.task_planner import TaskPlanner
 
 #: By how much bodies may be larger than their element without being told [m].

@@ -131,5 +131,5 @@ def test_the_repository_itself_is_read():
     gate = "test/unit/monitor/test_gate.py"
     assert gate in touched.touched(["src/construction_twin/monitor/gate.py"], graph)
     # a module far away from the gate does not touch its tests
-    assert gate not in touched.touched(["src/construction_twin/work/desk.py"], graph)
+    assert gate not in touched.touched(["src/construction_twin/work/task_board.py"], graph)
     assert "test/unit/repository/test_launch.py" in touched.touched(["launch/bringup.launch"], graph)

@@ -50,7 +50,6 @@ from construction_twin.views.work_texts import list_lines, show_lines
 from construction_twin.work import processes, tasks
 from construction_twin.work.check import Checker
 from construction_twin.work.check_report import cell_picture, row
-from construction_twin.work.desk import Desk, Prepared
 from construction_twin.work.events import Entry
 from construction_twin.work.following import GripReading, OfferOutcome, after_restart, question
 from construction_twin.work.ledger import Ledger
@@ -60,6 +59,7 @@ from construction_twin.work.racks import StockPlan
 from construction_twin.work.recipes import read_recipes
 from construction_twin.work.schedule import Job, Schedule
 from construction_twin.work.site import pose_of
+from construction_twin.work.task_board import Prepared, TaskBoard
 from construction_twin.work.task_memory import NotNow, TaskMemory
 from construction_twin.work.task_states import TaskState
 
@@ -208,13 +208,13 @@ def test_the_works_child_process_reads_a_model_with_it_and_plans_it(tmp_path, wo
     assert [job.process for job in made.schedule.jobs] == ["touch", "place"] and list(made.stock.slots) == [
         bricks[1].GlobalId
     ]
-    desk = Desk(made, Ledger(tmp_path / "l", made.after, made.digest, lambda: 1), "kr120", robot().tip_link)
-    wanted, alone = desk.wanted_scene()
+    board = TaskBoard(made, Ledger(tmp_path / "l", made.after, made.digest, lambda: 1), "kr120", robot().tip_link)
+    wanted, alone = board.wanted_scene()
     assert not alone and f"{element_id}/0" in wanted and not wanted[f"{element_id}/0"].link
     scene = Scene((*work.site.scene.objects, *wanted.values()), work.site.scene.padding)
     plan = tasks.FUNCTIONS["plan"](task=task, element=element_id, start=robot().home, scene=scene)
     assert [part.name for part in plan.segments] == ["to point", "touch", "back"]
-    desk.ledger.close()
+    board.ledger.close()
 
 
 # -- its ledger
@@ -279,11 +279,11 @@ def test_people_read_of_it_in_the_list_and_can_have_it_done_again(bench):
     facts = from_msg(WorkReport, bench.tasks[-1])
     assert any("Place stud" in line and "done" in line for line in list_lines(facts))
     assert "state      done: done" in show_lines(facts, facts.tasks[0])
-    desk = bench.desk.opened()
-    assert [one.word for one in desk.appearances(0)] == ["placed"]
-    assert desk.redo(work_bench.TASK, "eva", "") == "'Place stud' (T1) is to be done again"
-    assert [one.word for one in desk.appearances(0)] == ["next"]
-    assert desk.skip(work_bench.TASK, "eva", "").endswith("no longer waits")
+    board = bench.board.opened()
+    assert [one.word for one in board.appearances(0)] == ["placed"]
+    assert board.redo(work_bench.TASK, "eva", "") == "'Place stud' (T1) is to be done again"
+    assert [one.word for one in board.appearances(0)] == ["next"]
+    assert board.skip(work_bench.TASK, "eva", "").endswith("no longer waits")
 
 
 def test_a_stop_before_anything_was_done_has_it_planned_again(bench):
@@ -300,9 +300,9 @@ def test_a_stop_at_the_element_asks_whether_it_was_done(bench, answer, state):
     assert bench.row.state == "asks" and tuple(bench.row.answers) == ("done", "not_done")
     assert key_of(bench.row.question) == "work.question.done"
     assert work_bench.PLACED.name in bench.scene.names
-    desk = bench.desk.opened()
-    desk.answer(work_bench.TASK, answer, "eva", "looked")
-    assert desk.book.tasks[work_bench.TASK].state.value == state
+    board = bench.board.opened()
+    board.answer(work_bench.TASK, answer, "eva", "looked")
+    assert board.book.tasks[work_bench.TASK].state.value == state
 
 
 def test_an_open_grip_says_nothing_of_what_was_done(tmp_path):

@@ -33,12 +33,12 @@ from construction_twin.work.build_report import TaskResult, summary
 from construction_twin.work.building import Sequence, Task
 from construction_twin.work.built import change, pose_tuple
 from construction_twin.work.check import Checker
-from construction_twin.work.desk import Desk, WorkRefused
 from construction_twin.work.events import Entry
 from construction_twin.work.ifc.reading import read_building
 from construction_twin.work.ledger import Ledger, read_entries
 from construction_twin.work.schedule import Job, Schedule, Wait
 from construction_twin.work.site import pose_of
+from construction_twin.work.task_board import TaskBoard, WorkRefused
 
 PLANNER = yaml.safe_load((ROOT / "config/planner.yaml").read_text())
 PLACE, TOUCH = "T1", "T2"
@@ -211,13 +211,13 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
     made, element_id = work.made, work.element
     assert [one.id for one in made.schedule.jobs] == [work.place, work.touch, work.other]
     assert list(made.stock.slots) == [element_id, made.element_of[work.other]]
-    desk = Desk(
+    board = TaskBoard(
         made, Ledger(tmp_path / "l", made.after, made.digest, count(10**18).__next__), "kr120", robot().tip_link
     )
     surroundings = site(tmp_path, {"recipes": str(recipes_file(tmp_path))}).scene
 
     def scene() -> Scene:
-        wanted, alone = desk.wanted_scene()
+        wanted, alone = board.wanted_scene()
         assert not alone and sum(name.startswith(f"{element_id}/") for name in wanted) == 1
         return Scene((*surroundings.objects, *wanted.values()), surroundings.padding)
 
@@ -225,28 +225,28 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
         plan = tasks.FUNCTIONS["plan"](task=task, element=element_id, start=robot().home, scene=scene())
         held = () if plan.tool0_T_element is None else pose_tuple(plan.tool0_T_element)
         process = "" if (name := made.schedule.job(task).process) == "place" else name
-        desk.ledger.add(Entry("offered", task, element_id, offer="o", grip=plan.method, pose=held, process=process))
-        desk.ledger.add(Entry("begun", task, element_id, plan=f"plan of {task}"))
+        board.ledger.add(Entry("offered", task, element_id, offer="o", grip=plan.method, pose=held, process=process))
+        board.ledger.add(Entry("begun", task, element_id, plan=f"plan of {task}"))
         return plan
 
-    assert desk.next(NOW) == work.place and "waits for" in desk.obstacle(work.touch, NOW)
+    assert board.next(NOW) == work.place and "waits for" in board.obstacle(work.touch, NOW)
     assert planned(work.place).segments[-1].name == "retreat"
     # it is let go 4 mm beside where the model has it
-    built = Pose(desk.goal(work.place).position + (0.004, 0.0, 0.0), desk.goal(work.place).rotation)
+    built = Pose(board.goal(work.place).position + (0.004, 0.0, 0.0), board.goal(work.place).rotation)
     for event in ("gripping", "gripped", "releasing"):
-        desk.ledger.add(Entry(event, work.place, element_id))
-    desk.ledger.add(Entry("released", work.place, element_id, pose=pose_tuple(built), source="measured"))
-    desk.ledger.add(Entry("finished", work.place, element_id))
-    assert desk.next(NOW) == work.touch
+        board.ledger.add(Entry(event, work.place, element_id))
+    board.ledger.add(Entry("released", work.place, element_id, pose=pose_tuple(built), source="measured"))
+    board.ledger.add(Entry("finished", work.place, element_id))
+    assert board.next(NOW) == work.touch
     plan = planned(work.touch)
     assert [part.name for part in plan.segments] == ["to point", "touch", "back"]
     tcp = product(Chain(robot()).forward(plan.segments[1].trajectory.positions[-1]), pose_of(made.tool.tool0_T_tcp))
     assert np.allclose(tcp.position, built.position + built.rotation @ np.array(TOP) + (0.0, 0.0, 0.04), atol=2e-4)
-    desk.ledger.add(Entry("finished", work.touch, element_id))
-    assert desk.next(NOW) == work.other and not change(scene(), *desk.wanted_scene())
-    states = [(row.name, row.element_name, row.state) for row in desk.rows(NOW)]
+    board.ledger.add(Entry("finished", work.touch, element_id))
+    assert board.next(NOW) == work.other and not change(scene(), *board.wanted_scene())
+    states = [(row.name, row.element_name, row.state) for row in board.rows(NOW)]
     assert states[:2] == [("place first", "brick0", "done"), ("touch first", "brick0", "done")]
-    desk.ledger.close()
+    board.ledger.close()
     written = [
         (entry.task, entry.event, entry.process) for entry in read_entries(tmp_path / "l") if entry.event == "offered"
     ]
@@ -280,12 +280,12 @@ def test_the_check_before_the_work_plans_each_in_its_turn(tmp_path):
 # -- what people say and see
 
 
-def of_two(tmp_path, model="a" * 64) -> Desk:
-    """A desk whose one element is placed, then touched."""
+def of_two(tmp_path, model="a" * 64) -> TaskBoard:
+    """A task board whose one element is placed, then touched."""
     ready = prepared()
     times = count(10**18)
     ledger = Ledger(tmp_path / "l", ready.after, model, times.__next__, "", ready.element_of, ready.staying)
-    return Desk(ready, ledger, "kr120", "tool0")
+    return TaskBoard(ready, ledger, "kr120", "tool0")
 
 
 def prepared():
@@ -295,7 +295,7 @@ def prepared():
     return replace(made, schedule=Schedule((*made.schedule.jobs, touch), (), ()))
 
 
-def done(one: Desk, task: str, until: str = "finished") -> None:
+def done(one: TaskBoard, task: str, until: str = "finished") -> None:
     """Write what is written while a task is carried out."""
     moves = one.prepared.schedule.job(task).moves
     between = ("gripping", "gripped", "releasing", "released") if moves else ()
@@ -307,7 +307,7 @@ def done(one: Desk, task: str, until: str = "finished") -> None:
             return
 
 
-def words(one: Desk) -> list[str]:
+def words(one: TaskBoard) -> list[str]:
     return [each.word for each in one.appearances(NOW)]
 
 
@@ -372,7 +372,7 @@ def test_what_a_former_task_placed_is_touched_there_and_only_what_moves_it_is_as
     alone = replace(ready.schedule.job(TOUCH), after=())
     ready = replace(ready, schedule=Schedule((alone,), (), ()), digest="b" * 64)
     ledger = Ledger(tmp_path / "l", ready.after, ready.digest, lambda: 1, "", ready.element_of, ready.staying)
-    again = Desk(ready, ledger, "kr120", "tool0")
+    again = TaskBoard(ready, ledger, "kr120", "tool0")
     assert again.next(NOW) == TOUCH and again.wanted_scene()[0][f"{ELEMENT}/0"] == stands
     done(again, TOUCH)
     assert again.wanted_scene()[0][f"{ELEMENT}/0"] == stands
@@ -384,7 +384,7 @@ def test_what_was_taken_down_is_not_worked_on(tmp_path):
     removal = Job("D", "D", "Take down", ELEMENT, (), ())
     touch = replace(ready.schedule.job(TOUCH), after=())
     ready = replace(ready, schedule=Schedule((touch,), (), (), False, (removal,)))
-    one = Desk(ready, Ledger(tmp_path / "l", ready.after, ready.digest, lambda: 1), "kr120", "tool0")
+    one = TaskBoard(ready, Ledger(tmp_path / "l", ready.after, ready.digest, lambda: 1), "kr120", "tool0")
     assert one.next(NOW) == TOUCH and f"{ELEMENT}/0" in one.wanted_scene()[0]
     one.removed("D", "eva", "")
     assert "was taken down" in one.obstacle(TOUCH, NOW) and f"{ELEMENT}/0" not in one.wanted_scene()[0]

@@ -35,7 +35,7 @@ from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import WorkDecide
 from construction_twin.work.build_report import HEADS, Decision, TaskResult, rows, write_report
-from construction_twin.work.desk import removed_command
+from construction_twin.work.task_board import removed_command
 
 #: Who approves, for the record.
 PERSON = "make build"

@@ -293,14 +293,14 @@ def running_problem(given: Given, uri: str) -> str:
     nodes = running([f"/{robot}/{name}" for name in ROBOT_NODES], uri) if robot else []
     if nodes:
         first, more = nodes[0], len(nodes) - 1
-        names = Sentence("preflight.nodes", node=first, count=more) if more else first
+        names = Sentence("preflight.nodes", node=str(first), count=more) if more else str(first)
         return Sentence("preflight.running", robot=robot, uri=uri, nodes=names)
     consoles = running(["/console"], uri) if is_true(given, "console") else []
     if consoles:
         return Sentence("preflight.console_runs", uri=uri)
     windows = running(["/view"], uri) if is_true(given, "gui") else []
     if windows:
-        return Sentence("preflight.rviz_runs", uri=uri, window=windows[0])
+        return Sentence("preflight.rviz_runs", uri=uri, window=str(windows[0]))
     return ""
 
 

@@ -71,13 +71,13 @@ from construction_twin.srv import (
 )
 from construction_twin.views.work_markers import DrawnElement, work_picture
 from construction_twin.work.built import change, pose_tuple
-from construction_twin.work.desk import Desk, Prepared, WorkRefused
 from construction_twin.work.events import Entry
 from construction_twin.work.glb import ShownElement, glb
 from construction_twin.work.jobs import WorkPlan
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.recipe import DEFAULT
-from construction_twin.work.shared_desk import SharedDesk
+from construction_twin.work.shared_board import SharedBoard
+from construction_twin.work.task_board import Prepared, TaskBoard, WorkRefused
 from construction_twin.work.task_states import TaskState
 from construction_twin.work.worker import Worker, WorkerError
 
@@ -159,7 +159,7 @@ class WorkNode:
     Args:
         planner: The planner node's settings, with which tasks are planned.
         worker: The process that reads models and plans.
-        desk: Opened by `open`.
+        board: Opened by `open`.
 
     Attributes:
         heard: What the topics say.
@@ -171,7 +171,7 @@ class WorkNode:
         robot: RobotModel,
         planner: Mapping[str, object],
         worker: Worker,
-        desk: SharedDesk,
+        board: SharedBoard,
         heard: WorkListener,
         inputs: Inputs,
         outputs: Outputs,
@@ -182,14 +182,14 @@ class WorkNode:
         self._planner = planner
         self._base_frame = tf_frame(settings.tf_prefix, robot.base_link)
         self._worker = worker
-        self._shared = desk
+        self._shared = board
         self._planning = threading.Lock()
         self.heard = heard
         self._inputs, self._outputs = inputs, outputs
         self._diagnostics = diagnostics
         refuse = diagnostics.refuse
-        self._follower = WorkFollower(desk, heard, Chain(robot), inputs.arm_pose, refuse)
-        self._scene = WorkScene(desk, heard, self._follower, outputs.edit_scene, refuse)
+        self._follower = WorkFollower(board, heard, Chain(robot), inputs.arm_pose, refuse)
+        self._scene = WorkScene(board, heard, self._follower, outputs.edit_scene, refuse)
         self._told: WorkTasks | None = None
         self._drawn: frozenset[str] = frozenset()
         self._publish()
@@ -205,7 +205,7 @@ class WorkNode:
         # without news, too: what did not work before is tried again
         if self.heard.wait_for_news(self._settings.retry_time):
             self._publish()
-        if self._shared.desk is None:
+        if self._shared.board is None:
             return
         try:
             self._catch_up()
@@ -218,7 +218,7 @@ class WorkNode:
         report = self.heard.execution
         with self._shared.lock:
             self._follower.catch_up(report)
-            idle = self._shared.desk is not None and not self._shared.desk.book.busy
+            idle = self._shared.board is not None and not self._shared.board.book.busy
         self._scene.change_as_planned(report)
         engaged = self.heard.engaged
         if not engaged:
@@ -264,20 +264,20 @@ class WorkNode:
             path, prepared.after, prepared.digest, time.time_ns, str(Path(prepared.cell).resolve()), prepared.element_of,
             prepared.staying,
         )  # fmt: skip
-        desk = Desk(prepared, ledger, self._robot.name, self._robot.tip_link)
+        board = TaskBoard(prepared, ledger, self._robot.name, self._robot.tip_link)
         rospy.loginfo(
             "%s: %d tasks, %d lines in %s; read in %.1f s",
             prepared.model, len(prepared.schedule.jobs), ledger.lines, path, time.monotonic() - began,
         )  # fmt: skip
-        for note in desk.notes:
+        for note in board.notes:
             rospy.loginfo("%s", note)
         if files is not None:
             self._show_building(prepared, files)
-        self._shared.open(desk)
+        self._shared.open(board)
         # nothing is tidied before it is known whether the arm was left engaged
         heard = self.heard
         heard.wait_for(lambda: heard.execution is not None and not heard.unsaid, min(1.0, settings.listen_time))
-        self._recall(desk)
+        self._recall(board)
 
     def _show_building(self, prepared: Prepared, files: PrivateFiles) -> None:
         """Write the model where a console serves it; without it everything else goes on."""
@@ -292,9 +292,9 @@ class WorkNode:
         except ConstructionTwinError as error:
             self._diagnostics.refuse("building", str(error))
 
-    def _recall(self, desk: Desk) -> None:
+    def _recall(self, board: TaskBoard) -> None:
         """Find out what became of a plan that the ledger has as offered or under way."""
-        if not desk.book.busy:
+        if not board.book.busy:
             return
         heard = self.heard
         # latched messages come within a moment of the connection; the executor may only now be starting
@@ -326,15 +326,15 @@ class WorkNode:
             if problem := self._scene.make_for_way_back():
                 raise WorkRefused(Sentence("work.back.not_yet", problem=problem))
             return self._plan_way_back(asked)
-        task, desk = self._allowed(asked)
+        task, board = self._allowed(asked)
         self._scene.tidy()
         with self._shared.lock:
             # while the scene was made right, somebody may have said something else
             self._allowed(task)
-            memory = desk.book.tasks[task]
+            memory = board.book.tasks[task]
             held = memory.tool0_T_element if memory.state is TaskState.CARRIED else ()
             scene = heard.scene
-            wanted, alone = desk.wanted_scene()
+            wanted, alone = board.wanted_scene()
         if scene is None:
             raise WorkRefused(Sentence("work.scene_unknown"))
         if change(scene, wanted, alone):
@@ -343,38 +343,38 @@ class WorkNode:
         began = time.monotonic()
         try:
             plan: WorkPlan = self._worker.ask(
-                "plan", task=task, element=desk.element_of(task), start=start, scene=scene, held=held
+                "plan", task=task, element=board.element_of(task), start=start, scene=scene, held=held
             )
         except WorkerError as error:
-            desk.failures[task] = str(error)
+            board.failures[task] = str(error)
             raise
-        desk.failures.pop(task, None)
-        rospy.loginfo("%s: planned with %s in %.2f s", desk.title(task), plan.method, time.monotonic() - began)
-        return self._offer(task, plan, desk)
+        board.failures.pop(task, None)
+        rospy.loginfo("%s: planned with %s in %.2f s", board.title(task), plan.method, time.monotonic() - began)
+        return self._offer(task, plan, board)
 
     def _left_closed(self) -> str:
         with self._shared.lock:
-            desk = self._shared.opened()
-            return desk.left_closed(self.heard.grip(desk.prepared.tool))
+            board = self._shared.opened()
+            return board.left_closed(self.heard.grip(board.prepared.tool))
 
-    def _allowed(self, asked: str) -> tuple[str, Desk]:
+    def _allowed(self, asked: str) -> tuple[str, TaskBoard]:
         with self._shared.lock:
-            desk = self._shared.opened()
+            board = self._shared.opened()
             now = time.time_ns()
-            task = asked or desk.next(now)
+            task = asked or board.next(now)
             if not task:
-                raise WorkRefused(desk.summary(now))
-            obstacle = desk.obstacle(task, now)
+                raise WorkRefused(board.summary(now))
+            obstacle = board.obstacle(task, now)
             if obstacle:
                 raise WorkRefused(obstacle)
-            return task, desk
+            return task, board
 
-    def _offer(self, task: str, plan: WorkPlan, desk: Desk) -> Outcome:
+    def _offer(self, task: str, plan: WorkPlan, board: TaskBoard) -> Outcome:
         """Have the planner check a plan and put it under review; the ledger knows of it before."""
-        offer, element = uuid.uuid4().hex[:12], desk.element_of(task)
-        title = desk.title(task)
+        offer, element = uuid.uuid4().hex[:12], board.element_of(task)
+        title = board.title(task)
         held = () if plan.tool0_T_element is None else pose_tuple(plan.tool0_T_element)
-        process = desk.prepared.schedule.job(task).process
+        process = board.prepared.schedule.job(task).process
         with self._shared.lock:
             self._allowed(task)
             entry = Entry(
@@ -386,24 +386,24 @@ class WorkNode:
                 pose=held,
                 process="" if process == DEFAULT else process,
             )
-            desk.ledger.add(entry)
+            board.ledger.add(entry)
         segments = [work_segment_to_msg(segment) for segment in plan.segments]
         how = plan.method if process == DEFAULT else f"{process}, {plan.method}"
         request = PlanWorkRequest(task=task, source=f"{title} by {how}, offer {offer}", segments=segments)
         problem, answer = self._outputs.plan_work(request)
         with self._shared.lock:
-            memory = desk.book.tasks[task]
+            memory = board.book.tasks[task]
             if answer is None:
                 if memory.state is TaskState.PLANNED and not memory.plan:
                     self._follower.settle_offer(task, offer)
-                desk.failures[task] = problem
+                board.failures[task] = problem
                 raise WorkRefused(problem)
             if not answer.success:
-                desk.ledger.add(Entry("dropped", task, element, offer=offer, reason=answer.message))
-                desk.failures[task] = answer.message
+                board.ledger.add(Entry("dropped", task, element, offer=offer, reason=answer.message))
+                board.failures[task] = answer.message
                 raise WorkRefused(answer.message)
             if memory.state is TaskState.PLANNED and not memory.plan:
-                desk.ledger.add(Entry("planned", task, element, plan=answer.plan_id, offer=offer))
+                board.ledger.add(Entry("planned", task, element, plan=answer.plan_id, offer=offer))
         sentence = Sentence("work.plan", task=title, plan=answer.plan_id, duration=answer.duration, method=plan.method)
         return _planned(sentence, task, answer.plan_id, answer.plan_hash, answer.duration)
 
@@ -433,17 +433,17 @@ class WorkNode:
         return sentence
 
     @staticmethod
-    def _decided(desk: Desk, request: WorkDecideRequest) -> str:
+    def _decided(board: TaskBoard, request: WorkDecideRequest) -> str:
         if request.decision == "accept_schedule":
-            return desk.accept(request.person, request.reason)
+            return board.accept(request.person, request.reason)
         if request.decision == "skip":
-            return desk.skip(request.task, request.person, request.reason)
+            return board.skip(request.task, request.person, request.reason)
         if request.decision == "redo":
-            return desk.redo(request.task, request.person, request.reason)
+            return board.redo(request.task, request.person, request.reason)
         if request.decision == "answer":
-            return desk.answer(request.task, request.answer, request.person, request.reason)
+            return board.answer(request.task, request.answer, request.person, request.reason)
         if request.decision == "removed":
-            return desk.removed(request.task, request.person, request.reason)
+            return board.removed(request.task, request.person, request.reason)
         raise WorkRefused(Sentence("work.decision", decision=repr(request.decision)))
 
     def on_measured(self, request: WorkMeasuredRequest) -> Outcome:
@@ -488,16 +488,16 @@ class WorkNode:
         self._draw()
 
     def _draw(self) -> None:
-        desk = self._shared.desk
-        if desk is None:
+        board = self._shared.board
+        if board is None:
             return
         with self._shared.lock:
-            shown = desk.appearances(time.time_ns())
+            shown = board.appearances(time.time_ns())
         drawn = []
         for one in shown:
             key = f"{one.element} stock" if one.word == "stock" else f"{one.element} {one.word == 'carried'}"
             link = self._robot.tip_link if one.word == "carried" else ""
-            triangles = desk.prepared.elements[one.element].triangles
+            triangles = board.prepared.elements[one.element].triangles
             drawn.append(DrawnElement(key, one.name, triangles, one.pose, one.word, link))
         picture = work_picture(drawn, self._drawn)
         self._drawn = picture.keys
@@ -505,8 +505,8 @@ class WorkNode:
 
     def _message(self) -> WorkTasks:
         engaged = self.heard.execution is not None and self.heard.execution.engaged
-        desk, now = self._shared.desk, time.time_ns()
-        if desk is None:
+        board, now = self._shared.board, time.time_ns()
+        if board is None:
             said = WorkReport(
                 model=Path(self._settings.model).name,
                 model_hash="",
@@ -519,35 +519,35 @@ class WorkNode:
                 notes=(),
             )
             return to_msg(said, WorkTasks)
-        reason = desk.summary(now)
+        reason = board.summary(now)
         if engaged:
             blocked = self._scene.blocked
             reason = Sentence("work.back.blocked", problem=blocked) if blocked else Sentence("work.back.only")
         said = WorkReport(
-            model=desk.prepared.model,
-            model_hash=desk.prepared.digest,
-            schedule=desk.schedule_word,
+            model=board.prepared.model,
+            model_hash=board.prepared.digest,
+            schedule=board.schedule_word,
             engaged=engaged,
-            next=desk.next(now),
+            next=board.next(now),
             reason=reason,
-            tasks=desk.rows(now),
-            notes=tuple(desk.notes),
+            tasks=board.rows(now),
+            notes=tuple(board.notes),
         )
         return to_msg(said, WorkTasks)
 
     def report(self) -> Report:
         """Return the state of the work for `/diagnostics`."""
         shared = self._shared
-        desk = shared.desk
-        if desk is None:
+        board = shared.board
+        if board is None:
             return Report(ERROR if shared.broken else WARN, shared.problem)
         with shared.lock:
-            book = desk.book
+            book = board.book
             values: dict[str, object] = {state.value: len(book.in_state(state)) for state in TaskState}
-            values |= {"lines of the ledger": desk.ledger.lines, "SHA-256 of the last line": desk.ledger.head}
-            values["notes on the model"] = len(desk.notes)
+            values |= {"lines of the ledger": board.ledger.lines, "SHA-256 of the last line": board.ledger.head}
+            values["notes on the model"] = len(board.notes)
             asks = bool(book.in_state(TaskState.ASKS))
-            return Report(WARN if asks else OK, desk.summary(time.time_ns()), values)
+            return Report(WARN if asks else OK, board.summary(time.time_ns()), values)
 
 
 def ledger_path(folder: Path, robot: str, model: str) -> Path:
@@ -581,7 +581,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:
         robot,
         rospy.get_param("planner", {}),
         worker,
-        SharedDesk(Sentence("work.reading")),
+        SharedBoard(Sentence("work.reading")),
         WorkListener(ports.connections, rospy.is_shutdown, review_file, refuse),
         Inputs(functools.partial(twin.pose, age, age), functools.partial(arm.pose, age, age), frames.transform),
         Outputs(

@@ -1,6 +1,6 @@
 """What the work node writes into the ledger of a building: what the executor's reports say of the task under way.
 
-Everything but `WorkFollower.grip` is to be called under the desk's lock. When a method returns, its lines are on the disk.
+Everything but `WorkFollower.grip` is to be called under the board's lock. When a method returns, its lines are on the disk.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from construction_twin.work import engaged_scene, following
 from construction_twin.work.built import as_built, pose_of_tuple, pose_tuple
 from construction_twin.work.events import MEASURED, PLANNED, Entry
 from construction_twin.work.following import Followed, GripReading, OfferOutcome
-from construction_twin.work.shared_desk import SharedDesk
+from construction_twin.work.shared_board import SharedBoard
 from construction_twin.work.task_memory import TaskMemory
 from construction_twin.work.task_states import UNDER_WAY, TaskState
 
@@ -36,13 +36,13 @@ class WorkFollower:
 
     def __init__(
         self,
-        desk: SharedDesk,
+        board: SharedBoard,
         heard: WorkListener,
         chain: Chain,
         arm_pose: Callable[[], tuple[float, ...]],
         refuse: Callable[[str, str], None],
     ):
-        self._shared, self._heard = desk, heard
+        self._shared, self._heard = board, heard
         self._chain, self._arm_pose = chain, arm_pose
         self._refuse = refuse
 
@@ -55,8 +55,8 @@ class WorkFollower:
 
     def grip(self) -> GripReading:
         """Return what the tool says of its grip."""
-        desk = self._shared.desk
-        return GripReading(False, False) if desk is None else self._heard.grip(desk.prepared.tool)
+        board = self._shared.board
+        return GripReading(False, False) if board is None else self._heard.grip(board.prepared.tool)
 
     # -- the task under way
 
@@ -106,35 +106,35 @@ class WorkFollower:
 
     def _write(self, task: str, followed: Followed, said: following.Report) -> None:
         """Write the lines that follow from a report."""
-        desk = self._shared.opened()
+        board = self._shared.opened()
         built, source = self._as_built(task, followed, said) if followed.releases >= 0 else ((), "")
-        memory, element = desk.book.tasks[task], desk.element_of(task)
+        memory, element = board.book.tasks[task], board.element_of(task)
         self._add(following.follow(memory, element, followed, said, self.grip(), built, source), rospy.loginfo)
 
     def _add(self, entries: list[Entry], log: Callable[..., None]) -> None:
         """Add events to the ledger, in their order."""
-        desk = self._shared.opened()
+        board = self._shared.opened()
         for entry in entries:
-            desk.ledger.add(entry)
-            log("%s: %s%s", desk.title(entry.task), entry.event, f"; {entry.reason}" if entry.reason else "")
+            board.ledger.add(entry)
+            log("%s: %s%s", board.title(entry.task), entry.event, f"; {entry.reason}" if entry.reason else "")
 
     def _under_way(self) -> TaskMemory | None:
-        """Return what is known of the task that is under review or under way; None: none is, or there is no desk."""
-        desk = self._shared.desk
-        return desk.book.tasks[desk.book.busy] if desk is not None and desk.book.busy else None
+        """Return what is known of the task that is under review or under way; None: none is, or there is no board."""
+        board = self._shared.board
+        return board.book.tasks[board.book.busy] if board is not None and board.book.busy else None
 
     def _followed(self, task: str, known: KnownPlan) -> Followed | None:
         """Return a plan of a task as it is followed; None when it is another's."""
-        desk, plan = self._shared.opened(), known.message
-        memory = desk.book.tasks[task]
+        board, plan = self._shared.opened(), known.message
+        memory = board.book.tasks[task]
         if plan.task != task or not (plan.id == memory.plan or (memory.offer and memory.offer in plan.source)):
             return None
-        return following.followed(plan.id, memory, known.segments, known.changes, desk.prepared.tool)
+        return following.followed(plan.id, memory, known.segments, known.changes, board.prepared.tool)
 
     def _as_built(self, task: str, followed: Followed, report: following.Report) -> tuple[tuple[float, ...], str]:
         """Return where the element stands if let go now: by the arm's own pose at the boundary, else by the plan's; and which."""
-        desk = self._shared.opened()
-        memory, planned = desk.book.tasks[task], self._planned_pose(followed)
+        board = self._shared.opened()
+        memory, planned = board.book.tasks[task], self._planned_pose(followed)
         if planned is None or not memory.tool0_T_element or memory.state is TaskState.RETREATING:
             return (), ""
         q, source = planned, PLANNED
@@ -143,7 +143,7 @@ class WorkFollower:
                 q, source = self._arm_pose(), MEASURED
             except (PoseUnknownError, PayloadError) as error:
                 self._refuse("pose", f"the planned pose is taken for the arm's: {error}")
-        held, goal = pose_of_tuple(memory.tool0_T_element), desk.goal(task)
+        held, goal = pose_of_tuple(memory.tool0_T_element), board.goal(task)
         return pose_tuple(as_built(self._chain.forward(q), self._chain.forward(planned), held, goal)), source
 
     def _planned_pose(self, followed: Followed) -> tuple[float, ...] | None:
@@ -204,14 +204,14 @@ class WorkFollower:
         memory = self._under_way()
         review = self._heard.review(memory.plan) if memory is not None else None
         if memory is not None and memory.state is TaskState.PLANNED and review is not None and not review.approved:
-            desk, task, who, why = self._shared.opened(), memory.task, review.reviewer, review.reason
-            desk.ledger.add(Entry("dropped", task, desk.element_of(task), plan=memory.plan, reason=f"{who}: {why}"))
-            desk.failures[task] = Sentence("work.task.turned_down", who=who, reason=why)
+            board, task, who, why = self._shared.opened(), memory.task, review.reviewer, review.reason
+            board.ledger.add(Entry("dropped", task, board.element_of(task), plan=memory.plan, reason=f"{who}: {why}"))
+            board.failures[task] = Sentence("work.task.turned_down", who=who, reason=why)
 
     def _doubt_if_open(self) -> None:
         """Have it asked about what counts as carried, when the tool is surely open."""
-        desk = self._shared.desk
-        if desk is not None and not self._heard.playing and self.grip().surely_open:
-            sentence = desk.lost()
+        board = self._shared.board
+        if board is not None and not self._heard.playing and self.grip().surely_open:
+            sentence = board.lost()
             if sentence:
                 rospy.logwarn("%s", sentence)

@@ -17,7 +17,7 @@ from construction_twin.ros.shared.work_listener import WorkListener
 from construction_twin.srv import EditSceneRequest
 from construction_twin.work import engaged_scene
 from construction_twin.work.built import change
-from construction_twin.work.shared_desk import SharedDesk
+from construction_twin.work.shared_board import SharedBoard
 from construction_twin.work.task_states import UNDER_WAY
 
 #: Calls a service with a request; returns why there is no answer, and the answer.
@@ -27,7 +27,7 @@ SCENE_TIME = 2.0
 
 
 class WorkScene:
-    """Has the scene changed by the scene node. To be called without the desk's lock: the scene node is waited for.
+    """Has the scene changed by the scene node. To be called without the board's lock: the scene node is waited for.
 
     Args:
         edit_scene: The scene node's service, see `Call`.
@@ -39,13 +39,13 @@ class WorkScene:
 
     def __init__(
         self,
-        desk: SharedDesk,
+        board: SharedBoard,
         heard: WorkListener,
         follower: WorkFollower,
         edit_scene: Call,
         refuse: Callable[[str, str], None],
     ):
-        self._shared, self._heard, self._follower = desk, heard, follower
+        self._shared, self._heard, self._follower = board, heard, follower
         self._edit_scene, self._refuse = edit_scene, refuse
         self.blocked = ""
         #: Of what that was said.
@@ -53,15 +53,15 @@ class WorkScene:
 
     def change_as_planned(self, report: Execution | None) -> None:
         """Change the scene as planned, when a report, which has been followed, says that the executor waits for it."""
-        desk, known, scene = self._shared.desk, self._heard.plan, self._heard.scene
-        if desk is None or report is None or known is None or scene is None:
+        board, known, scene = self._shared.board, self._heard.plan, self._heard.scene
+        if board is None or report is None or known is None or scene is None:
             return
         plan = known.message
         if not report.wants_scene or report.plan_id != plan.id or not 0 <= report.segment < len(plan.segments):
             return
         segment = plan.segments[report.segment]
-        task = desk.book.busy
-        if not task or desk.book.tasks[task].plan != plan.id or scene.hash == segment.scene_after:
+        task = board.book.busy
+        if not task or board.book.tasks[task].plan != plan.id or scene.hash == segment.scene_after:
             return
         self._edit(
             EditSceneRequest(before=segment.scene, put=segment.put, remove=segment.remove, after=segment.scene_after)
@@ -69,13 +69,13 @@ class WorkScene:
 
     def tidy(self) -> None:
         """Make the scene what the ledger says: tool, stock, placed elements."""
-        scene, desk = self._heard.scene, self._shared.desk
-        if scene is None or desk is None:
+        scene, board = self._heard.scene, self._shared.board
+        if scene is None or board is None:
             return
         with self._shared.lock:
-            if desk.in_doubt:
+            if board.in_doubt:
                 return
-            wanted, alone = desk.wanted_scene()
+            wanted, alone = board.wanted_scene()
         wrong = change(scene, wanted, alone)
         if wrong:
             put = [object_to_msg(item) for item in wrong.put]
@@ -90,28 +90,28 @@ class WorkScene:
         if left is None:
             return Sentence("work.back.unsaid")
         with self._shared.lock:
-            desk, scene = self._shared.desk, self._heard.scene
+            board, scene = self._shared.board, self._heard.scene
             if scene is None:
                 return Sentence("work.scene_unknown")
             if scene.hash in left.scenes:
                 self.unblock()
                 return ""
-            if desk is None:
+            if board is None:
                 return self._shared.problem
             if self._heard.playing:
                 return Sentence("work.back.playing")
             self._follower.follow(self._heard.execution)
             self._follower.settle_if_lost()
-            memory = desk.book.tasks.get(left.task)
+            memory = board.book.tasks.get(left.task)
             if memory is not None and memory.plan == left.plan_id and memory.state in UNDER_WAY:
-                return Sentence("work.back.unwritten", task=desk.title(left.task))
+                return Sentence("work.back.unwritten", task=board.title(left.task))
             known = self._heard.work_plan(left.plan_id)
             segments, changes = (known.segments, known.changes) if known is not None else ((), ())
             about = (left.plan_id, tuple(left.scenes), scene.hash, bool(segments), memory.state if memory else None)
             if about == self._blocked_in:
                 return self.blocked
-            element = desk.element_of(left.task) if memory is not None else ""
-            forms = desk.forms(left.task) if memory is not None else ()
+            element = board.element_of(left.task) if memory is not None else ""
+            forms = board.forms(left.task) if memory is not None else ()
             found = engaged_scene.due(
                 left_from_msg(left), scene, segments, changes, self._heard.scenes(), element, forms
             )

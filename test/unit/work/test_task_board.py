@@ -1,4 +1,4 @@
-"""The desk: what can be planned, what is refused and why, what stands where. With invented elements, without a model file."""
+"""The task board: what can be planned, what is refused and why, what stands where. With invented elements, without a model file."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import read_tool
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.work.built import as_built, change, deviation, pose_of_tuple, pose_tuple
-from construction_twin.work.desk import Desk, ElementFacts, Prepared, WorkRefused
 from construction_twin.work.events import Entry
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.racks import Slot, StockPlan
 from construction_twin.work.schedule import Job, Schedule, Wait
+from construction_twin.work.task_board import ElementFacts, Prepared, TaskBoard, WorkRefused
 from construction_twin.work.task_states import TaskState
 
 ROOT = Path(__file__).parents[3]
@@ -69,12 +69,12 @@ def prepared(proposed: bool = False) -> Prepared:
     return Prepared("panel.ifc", "a" * 64, "/cell.yaml", schedule, "s" * 64, elements, StockPlan(slots), TOOL, tool)
 
 
-def desk(tmp_path: Path, clock: Clock, proposed: bool = False, robot: str = "kr120") -> Desk:
+def board(tmp_path: Path, clock: Clock, proposed: bool = False, robot: str = "kr120") -> TaskBoard:
     ready = prepared(proposed)
-    return Desk(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), robot, "tool0")
+    return TaskBoard(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), robot, "tool0")
 
 
-def build(one: Desk, task: str, until: str = "finished", stands: Pose | None = None) -> None:
+def build(one: TaskBoard, task: str, until: str = "finished", stands: Pose | None = None) -> None:
     element = one.element_of(task)
     for event in ("offered", "planned", "begun", "gripping", "gripped", "releasing", "released", "finished"):
         pose = {"offered": pose_tuple(HELD), "released": pose_tuple(stands or one.goal(task))}.get(event, ())
@@ -84,7 +84,7 @@ def build(one: Desk, task: str, until: str = "finished", stands: Pose | None = N
 
 
 def test_a_proposed_schedule_must_be_accepted_by_a_person_first(tmp_path, clock):
-    one = desk(tmp_path, clock, proposed=True)
+    one = board(tmp_path, clock, proposed=True)
     assert one.schedule_word == "proposed" and one.next(clock()) == ""
     assert one.obstacle("T1", clock()).key == "work.proposed"
     with pytest.raises(WorkRefused, check=says("work.nameless")):
@@ -96,19 +96,19 @@ def test_a_proposed_schedule_must_be_accepted_by_a_person_first(tmp_path, clock)
 
 
 def test_an_accepted_schedule_that_has_changed_is_a_proposal_again(tmp_path, clock):
-    one = desk(tmp_path, clock, proposed=True)
+    one = board(tmp_path, clock, proposed=True)
     one.ledger.add(Entry("accept_schedule", schedule="other", person="eva"))
     assert one.schedule_word == "proposed"
 
 
 def test_out_of_order_is_refused_with_the_predecessor_named(tmp_path, clock):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
     assert one.obstacle("T2", clock()) == Sentence("work.waits", task=STUD, tasks="'Place plate' (T1)")
     assert one.obstacle("T9", clock()) == Sentence("work.no_task", task="'T9'")
 
 
 def test_a_lag_is_waited_for(tmp_path, clock):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
     build(one, "T1")
     lag = Sentence("work.lag.since_finished", seconds=60.0, job="'Place plate' (T1)")
     assert one.obstacle("T2", clock()) == Sentence("work.lag.waits", task=STUD, until=lag)
@@ -121,7 +121,7 @@ def test_another_robots_task_is_left_alone(tmp_path, clock):
     for robot, why in (("kr120", not_mine), ("other", "")):
         folder = tmp_path / robot
         folder.mkdir()
-        one = desk(folder, clock, robot=robot)
+        one = board(folder, clock, robot=robot)
         build(one, "T1")
         clock.now += MINUTE + 1
         build(one, "T2")
@@ -129,7 +129,7 @@ def test_another_robots_task_is_left_alone(tmp_path, clock):
 
 
 def test_one_task_at_a_time(tmp_path, clock):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
     one.ledger.add(Entry("offered", "T1", "E1", offer="o"))
     assert one.book.busy == "T1" and one.obstacle("T1", clock()).key == "work.under_review"
     with pytest.raises(WorkRefused, check=says("work.no_skip")):
@@ -137,7 +137,7 @@ def test_one_task_at_a_time(tmp_path, clock):
 
 
 def test_a_question_comes_before_everything_else(tmp_path, clock):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
     build(one, "T1", until="gripped")
     one.ledger.add(Entry("stopped", "T1", "E1"))
     row = one.rows(clock())[0]
@@ -153,7 +153,7 @@ def test_a_question_comes_before_everything_else(tmp_path, clock):
 
 
 def test_what_is_in_the_grip_comes_first(tmp_path, clock):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
     build(one, "T1")
     clock.now += MINUTE + 1
     build(one, "T2", until="gripped")
@@ -165,7 +165,7 @@ def test_what_is_in_the_grip_comes_first(tmp_path, clock):
 
 @pytest.mark.parametrize("by_person", [True, False])
 def test_what_counts_as_carried_can_be_doubted(tmp_path, clock, by_person):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
     assert one.lost() == ""
     build(one, "T1", until="gripped")
     one.ledger.add(Entry("stopped", "T1", "E1"))
@@ -178,7 +178,7 @@ def test_what_counts_as_carried_can_be_doubted(tmp_path, clock, by_person):
 
 
 def test_what_others_came_after_is_not_done_again_before_them(tmp_path, clock):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
     build(one, "T1")
     clock.now += MINUTE + 1
     build(one, "T2")
@@ -194,7 +194,7 @@ def test_what_others_came_after_is_not_done_again_before_them(tmp_path, clock):
 
 
 def test_a_measured_pose_replaces_the_arms(tmp_path, clock):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
     with pytest.raises(WorkRefused, check=says("work.measured_not_placed")):
         one.measured("E1", one.goal("T1"), "eva", "tape")
     build(one, "T1")
@@ -218,7 +218,7 @@ def test_an_element_that_can_never_be_planned_stops_only_what_waits_for_it(tmp_p
     ready = replace(
         ready, stock=StockPlan(slots), elements={**ready.elements, "E2": bodiless}, unplannable={"E2": "no body"}
     )
-    one = Desk(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), "other", "tool0")
+    one = TaskBoard(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), "other", "tool0")
     build(one, "T1")
     clock.now += MINUTE + 1
     assert one.obstacle("T2", clock()) == Sentence("work.unplannable", task=STUD, reason="no body")
@@ -235,14 +235,14 @@ def test_what_a_person_should_know_is_told_together(tmp_path, clock):
     former = Ledger(tmp_path / "ledger", {"T9": ()}, ready.digest, clock)
     former.add(Entry("offered", "T9", "E9"))
     former.close()
-    one = Desk(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), "kr120", "tool0")
+    one = TaskBoard(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), "kr120", "tool0")
     assert one.notes[:2] == ("left out", "a lead is not used") and "T9" in one.notes[2]
 
 
 # -- the scene
 
 
-def scene_of(one: Desk, scene: Scene) -> Scene:
+def scene_of(one: TaskBoard, scene: Scene) -> Scene:
     wanted, alone = one.wanted_scene()
     wrong = change(scene, wanted, alone)
     for name in wrong.remove:
@@ -254,7 +254,7 @@ def scene_of(one: Desk, scene: Scene) -> Scene:
 
 
 def test_the_scene_follows_the_ledger(tmp_path, clock):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
     scene = scene_of(one, Scene((SceneObject("table", "box", (1.0, 1.0, 1.0)), SceneObject("old/0", "sphere", (1.0,)))))
     # the third is not delivered yet, what is no work of ours stays, what a former model left goes
     assert set(scene.names) == {"table", "tool/post", "E1/0", "E2/0"}
@@ -269,7 +269,7 @@ def test_the_scene_follows_the_ledger(tmp_path, clock):
 
 
 def test_placed_elements_stand_as_built_and_not_as_designed(tmp_path, clock):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
     stands = product(one.goal("T1"), at(0.002))
     build(one, "T1", stands=stands)
     scene = scene_of(one, Scene())
@@ -278,7 +278,7 @@ def test_placed_elements_stand_as_built_and_not_as_designed(tmp_path, clock):
 
 
 def test_a_planned_pose_is_not_told_as_measured(tmp_path, clock):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
     build(one, "T1", until="releasing")
     one.ledger.add(Entry("released", "T1", "E1", pose=pose_tuple(one.goal("T1")), source="planned"))
     one.ledger.add(Entry("finished", "T1", "E1"))
@@ -288,7 +288,7 @@ def test_a_planned_pose_is_not_told_as_measured(tmp_path, clock):
 
 
 def test_a_skipped_element_is_taken_out_and_the_next_delivered(tmp_path, clock):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
     one.skip("T1", "eva", "")
     assert one.skip("T2", "eva", "").key == "work.skipped_stock"
     assert set(scene_of(one, Scene()).names) == {"tool/post", "E3/0"}
@@ -296,7 +296,7 @@ def test_a_skipped_element_is_taken_out_and_the_next_delivered(tmp_path, clock):
 
 @pytest.mark.parametrize("asked", [True, False])
 def test_nothing_comes_back_into_a_slot_that_was_filled_again(tmp_path, clock, asked):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
     build(one, "T1")
     clock.now += MINUTE + 1
     build(one, "T2", until="gripped" if asked else "finished")
@@ -316,7 +316,7 @@ def test_nothing_comes_back_into_a_slot_that_was_filled_again(tmp_path, clock, a
 
 
 def test_people_see_what_comes_next_what_is_there_and_what_is_off(tmp_path, clock):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
 
     def words(element: str) -> list[str]:
         return [each.word for each in one.appearances(clock()) if each.element == element]
@@ -337,14 +337,14 @@ def test_people_see_what_comes_next_what_is_there_and_what_is_off(tmp_path, cloc
 
 
 def test_a_changed_model_leaves_everything_where_it_is_until_a_person_has_answered(tmp_path, clock):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
     stands = product(one.goal("T1"), at(0.002))
     build(one, "T1", stands=stands)
     scene = scene_of(one, Scene())
     one.ledger.close()
     ready = prepared()
     ledger = Ledger(tmp_path / "ledger", ready.after, "b" * 64, clock, "/cell.yaml", ready.element_of)
-    again = Desk(ready, ledger, "kr120", "tool0")
+    again = TaskBoard(ready, ledger, "kr120", "tool0")
     assert again.in_doubt and again.next(clock()) == "" and again.obstacle("T2", clock()).key == "work.asks_first"
     assert again.rows(clock())[0].question.values["known"].key == "work.known.done"
     assert scene_of(again, scene).hash == scene.hash
@@ -360,7 +360,7 @@ def test_what_stands_and_is_no_longer_in_the_model_is_not_tidied_away(tmp_path, 
         former.add(Entry(event, "T9", "E9", pose=pose_tuple(at(1.0))))
     former.close()
     ledger = Ledger(tmp_path / "ledger", ready.after, ready.digest, clock, "/cell.yaml", ready.element_of)
-    one = Desk(ready, ledger, "kr120", "tool0")
+    one = TaskBoard(ready, ledger, "kr120", "tool0")
     scene = Scene((SceneObject("E9/0", "sphere", (1.0,)), SceneObject("old/0", "sphere", (1.0,))))
     assert {"E9/0", "E1/0"} <= set(scene_of(one, scene).names) and "old/0" not in scene_of(one, scene).names
 
@@ -397,7 +397,7 @@ def test_a_pose_comes_back_from_its_numbers():
 
 
 def test_the_forms_of_an_element_are_what_the_record_can_have(tmp_path, clock):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
     stock, goal = one.forms("T1")
     assert [item.name for item in (*stock, *goal)] == ["E1/0", "E1/0"]
     in_stock, _ = one.wanted_scene()
@@ -415,8 +415,8 @@ def test_the_forms_of_an_element_are_what_the_record_can_have(tmp_path, clock):
 # -- what people take down
 
 
-def with_removal(tmp_path: Path, clock: Clock) -> Desk:
-    """A desk whose first job waits for an element to be taken down."""
+def with_removal(tmp_path: Path, clock: Clock) -> TaskBoard:
+    """A task board whose first job waits for an element to be taken down."""
     ready = prepared()
     down = Job("D1", "D1", "Take down wall", "W1", (), ())
     jobs = (replace(JOBS[0], after=(Wait("D1", True, 0.0),)), *JOBS[1:])
@@ -429,7 +429,7 @@ def with_removal(tmp_path: Path, clock: Clock) -> Desk:
         elements={**ready.elements, "W1": facts},
         standing=(wall, SceneObject("W2/0", "box", (1.0, 0.1, 1.0), fixed=True)),
     )
-    return Desk(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), "kr120", "tool0")
+    return TaskBoard(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), "kr120", "tool0")
 
 
 def test_what_is_to_be_taken_down_stands_and_holds_up_until_a_person_says_that_it_is_gone(tmp_path, clock):
@@ -458,7 +458,7 @@ def test_that_it_is_gone_is_remembered_whatever_model_comes_and_can_be_taken_bac
     one.removed("D1", "eva", "")
     one.ledger.close()
     again = Ledger(tmp_path / "ledger", one.prepared.after, "b" * 64, clock, "", one.prepared.element_of)
-    other = Desk(one.prepared, again, "kr120", "tool0")
+    other = TaskBoard(one.prepared, again, "kr120", "tool0")
     assert "W1/0" not in other.wanted_scene()[0] and again.book.in_state(TaskState.ASKS) == ()
     assert "standing again" in other.redo("D1", "eva", "wrong wall")
     assert "W1/0" in other.wanted_scene()[0] and other.next(clock()) == ""
@@ -476,7 +476,7 @@ def test_a_remark_stands_at_its_task_until_it_is_done(tmp_path, clock):
 
 
 def test_what_the_arm_placed_stands_as_built_when_the_model_calls_it_completed(tmp_path, clock):
-    one = desk(tmp_path, clock)
+    one = board(tmp_path, clock)
     built = at(1.003, 1.0)
     build(one, "T1", stands=built)
     one.ledger.close()
@@ -488,6 +488,6 @@ def test_what_the_arm_placed_stands_as_built_when_the_model_calls_it_completed(t
         standing=(SceneObject("E1/0", "box", (0.1, 0.1, 0.1), (1.0, 1.0, 0.0), fixed=True),),
         standing_at={"E1": at(1.0, 1.0)},
     )
-    again = Desk(later, Ledger(tmp_path / "ledger", later.after, later.digest, clock), "kr120", "tool0")
+    again = TaskBoard(later, Ledger(tmp_path / "ledger", later.after, later.digest, clock), "kr120", "tool0")
     wanted, alone = again.wanted_scene()
     assert "E1" in alone and np.allclose(wanted["E1/0"].position, (1.003, 1.0, 0.0))

@@ -154,7 +154,7 @@ def removed_command(task: str) -> str:
     return f"`twin work removed {task}`"
 
 
-class Desk:
+class TaskBoard:
     """Answers what can be done, and takes what people say. Not for several threads at once.
 
     Args:
