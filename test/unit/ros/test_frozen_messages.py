@@ -204,10 +204,11 @@ class Wide:
 
 
 def raw(message: genpy.Message) -> str:
-    """Return a message as it goes over the wire, in hex after its text."""
+    """Return a message as it goes over the wire, in hex after the text that a reader of it has."""
     buffer = io.BytesIO()
     message.serialize(buffer)
-    return f"{message}\n{buffer.getvalue().hex()}"
+    read = type(message)().deserialize(buffer.getvalue())
+    return f"{read}\n{buffer.getvalue().hex()}"
 
 
 def views(wide: Wide) -> str:

@@ -29,9 +29,10 @@ def wrong(name: str, value: str, expected: str) -> Sentence:
     return Sentence("preflight.wrong", name=name, value=value, expected=expected)
 
 
-def taken(what: str, port: str, number: int, **values: int) -> Sentence:
-    host = {} if what == "broker" else {"host": "127.0.0.1"}
-    return Sentence(f"preflight.port.{what}", port=port, other=number + 10, **host, **values)
+def in_use(what: str, port: str, number: int) -> Sentence:
+    more = {"host": "127.0.0.1"} if what != "broker" else {}
+    more |= {"number": number} if what == "rsi" else {}
+    return Sentence(f"preflight.port.{what}", port=port, other=number + 10, **more)
 
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -82,7 +83,7 @@ def test_another_make_is_asked_for_its_cycle_its_file_and_its_port(monkeypatch):
     assert said.startswith("ethernet_xml:=") and said.endswith("expected none: frames has no file for its telegrams")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 50_000))
-        assert preflight.port_problem(given) == taken("rsi", "0", 50000, number=50000)
+        assert preflight.port_problem(given) == in_use("rsi", "0", 50000)
 
 
 def test_an_action_without_its_messages_is_refused_with_what_to_do(monkeypatch):
@@ -313,9 +314,9 @@ def test_a_taken_port_is_refused_before_anything_starts():
         udp.bind(("127.0.0.1", 0))
         broker, rsi = tcp.getsockname()[1], udp.getsockname()[1]
         here = KR120 | {"broker": "true", "broker_port": str(broker), "gateway": "true", "rsi_port": str(rsi)}
-        assert preflight.port_problem(here) == taken("broker", str(broker), broker)
+        assert preflight.port_problem(here) == in_use("broker", str(broker), broker)
         elsewhere = here | {"broker": "false"}
-        assert preflight.port_problem(elsewhere) == taken("rsi", str(rsi), rsi, number=rsi)
+        assert preflight.port_problem(elsewhere) == in_use("rsi", str(rsi), rsi)
         assert preflight.port_problem(elsewhere | {"gateway": "false"}) == ""
         assert preflight.port_problem(elsewhere | {"arm": "none"}) == ""
     assert preflight.port_problem(here) == ""
@@ -342,7 +343,7 @@ def test_a_taken_port_of_the_console_is_refused():
         tcp.listen()
         port = tcp.getsockname()[1]
         given = {"console": "true", "console_port": str(port), "console_listen": "127.0.0.1", "arm": "none"}
-        assert preflight.port_problem(given) == taken("console", str(port), port)
+        assert preflight.port_problem(given) == in_use("console", str(port), port)
         assert preflight.port_problem(given | {"console": "false"}) == ""
     # another test may take one of them meanwhile, not all
     assert "" in [preflight.port_problem(given | {"console_port": str(free_port())}) for _ in range(5)]

@@ -136,7 +136,7 @@ class ConsoleRequests:
             # the node `work` makes the scene right before it has the way back planned
             kind = "work_task"
         if kind == "work_task" and not self._around.has_work():
-            return Outcome(False, "no building model is worked on here; start bringup with work_model and work_cell")
+            return Outcome(False, Sentence("link.no_work"))
         # a stop between the message and its turn voids the plan
         source, arrived = self._source_of(request.account), to_time(request.arrived)
         fields = PLAN_SERVICES[kind].fields(asked, source=source, asked=arrived)
