@@ -172,7 +172,7 @@ class SilenceError(ConstructionTwinError):
 
     def __init__(self, where: str, problem: str, to_do: str):
         self.where = where
-        super().__init__(f"{where}: {problem}; {to_do}")
+        super().__init__(Sentence("view.silent", where=where, problem=problem, to_do=to_do))
 
 
 class ScenarioError(ConstructionTwinError):

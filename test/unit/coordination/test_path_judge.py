@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from neighbour_cell import AWAY, CLEAR, NEAR, TOWARDS, line, other, plan
 from planning_cell import HOME, ROBOT
+from sentence_checks import says
 
 from construction_twin.coordination import conflict, path_judge
 from construction_twin.coordination.conflict import Claim
@@ -129,7 +130,7 @@ def test_what_the_arm_carries_counts_and_a_load_that_cannot_be_used_is_an_error(
     assert verdict.blocked and contact.key == "reason.neighbour.too_close"
     assert contact.values["mine"] == "load" and contact.values["theirs"].startswith("other/")
     foreign = SceneObject("load", "box", (0.2, 0.2, 3.0), (0.0, 0.0, 1.5), link="no_such_link")
-    with pytest.raises(SceneError, match="no_such_link"):
+    with pytest.raises(SceneError, check=says("motion.scene", found="'no_such_link'")):
         judge.waiting(beside, Scene((foreign,), 0.0), STANDS_AWAY)
 
 
