@@ -93,9 +93,7 @@ def test_keeps_what_the_disk_refuses(tmp_path, monkeypatch):
         log.flush()
     assert (log.lost, log.written) == (2, 0)
     monkeypatch.setattr(sync_log.os, "write", lambda file, data: write(file, data[:10]))
-    with pytest.raises(
-        TransitionLogError, check=says("reason.transitions_kept", problem="only 10 of 291 bytes could be written")
-    ):
+    with pytest.raises(TransitionLogError, match="only 10 of"):
         log.flush()
     monkeypatch.setattr(sync_log.os, "write", write)
     log.flush()
