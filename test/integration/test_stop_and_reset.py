@@ -153,7 +153,7 @@ class StopAndResetTest(RobotTest):
 
     def test_a_second_gateway_is_named_and_nothing_is_armed_until_it_is_gone(self):
         client, run = self.client, self.status["run"]
-        end = time.monotonic() + 4.0
+        end = time.monotonic() + 2.0
         while time.monotonic() < end:
             other = self.status | {
                 "run": "second",

@@ -69,9 +69,9 @@ def test_the_mass_decides_how_many_cups_must_hold():
     few = ((0.3, 0.06, 0.12), (0, 0, 0.06))
     assert grips(few, mass=48.0).grips[0].cups == 4
     reason = grips(few, mass=48.1).reason
-    assert (reason.key, reason.values["count"], reason.values["needed"]) == ("work.grip.cups", 4, 5)
+    assert (reason.key, reason.values.get("count"), reason.values.get("needed")) == ("work.grip.cups", 4, 5)
     reason = grips(BEAM, mass=73.0).reason
-    assert (reason.key, reason.values["needed"], reason.values["count"]) == ("work.grip.mass", 7, 6)
+    assert (reason.key, reason.values.get("needed"), reason.values.get("count")) == ("work.grip.mass", 7, 6)
 
 
 def test_the_centre_of_gravity_has_to_be_near_the_cups():

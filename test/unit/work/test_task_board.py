@@ -131,7 +131,7 @@ def test_another_robots_task_is_left_alone(tmp_path, clock):
 def test_one_task_at_a_time(tmp_path, clock):
     one = board(tmp_path, clock)
     one.ledger.add(Entry("offered", "T1", "E1", offer="o"))
-    assert one.book.busy == "T1" and one.obstacle("T1", clock()).key == "work.under_review"
+    assert one.book.busy == "T1" and one.obstacle("T2", clock()).key == "work.under_review"
     with pytest.raises(WorkRefused, check=says("work.no_skip")):
         one.skip("T1", "eva", "")
 
