@@ -14,7 +14,7 @@ def key_of(text: str) -> str:
     return (said_in(text) or said_in(understood(text)) or {"key": ""})["key"]
 
 
-def says(key: str, **values: Value) -> Callable[[ConstructionTwinError], bool]:
+def says(key: str, /, **values: Value) -> Callable[[ConstructionTwinError], bool]:
     """Return the check, for `pytest.raises`, that an error says the sentence of a key, with these of its values."""
 
     def check(error: ConstructionTwinError) -> bool:
@@ -24,6 +24,6 @@ def says(key: str, **values: Value) -> Callable[[ConstructionTwinError], bool]:
     return check
 
 
-def because(key: str, **values: Value) -> Callable[[TaskPlanningError], bool]:
+def because(key: str, /, **values: Value) -> Callable[[TaskPlanningError], bool]:
     """Return the same check of the reason why a task cannot be planned."""
     return lambda error: key_of(error.reason) == key and values.items() <= error.reason.values.items()

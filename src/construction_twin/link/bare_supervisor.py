@@ -17,15 +17,9 @@ from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.messages import OFFLINE, PLC
 
 #: What is not checked with a bare PLC, one sentence each; `docs/broker.md` says what follows from it.
-NOT_CHECKED = (
-    "configuration: whether the PLC has the same joint ranges, speeds and accelerations, is not compared",
-    "session: the PLC takes strings from every client that may write on `command`",
-    "sequence: strings that are lost, doubled or reordered are not noticed, in neither direction",
-    "age: a string that travelled too long counts as new, in both directions",
-    "answers: a stop is not confirmed; why the PLC stopped, and how far the arm goes on, is not known",
-    "speed limit: it is not sent to the PLC; the executor alone obeys it",
-    "controller: what stands behind the PLC (RSI, servo, brakes) is not known",
-    "comparison: the gate compares at the present moment, so the whole round trip counts as lag",
+NOT_CHECKED = tuple(
+    Sentence(f"link.not_checked.{what}")
+    for what in ("configuration", "session", "sequence", "age", "answers", "speed_limit", "controller", "comparison")
 )
 #: How a person arms; with --robot where the robot is not the command's default.
 ARM_COMMAND = "rosrun construction_twin twin arm --responsible NAME"

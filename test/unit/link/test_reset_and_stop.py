@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from reset_bench import MS, ResetBench
+from sentence_checks import says
 from supervisor_bench import Bench
 
 from construction_twin.core.sentences import Sentence
@@ -491,7 +492,9 @@ class TestTwoGateways:
     def test_nothing_is_armed_until_one_is_left(self):
         bench = begun("stopped")
         self.speak(bench, 3.0)
-        with pytest.raises(Exception, match="run other and run run1") as refused:
+        with pytest.raises(
+            Exception, check=says("link.cannot.reset", why=Sentence("link.gateways", runs="run other and run run1"))
+        ) as refused:
             bench.supervisor.request_reset(bench.now)
         assert type(refused.value).__name__ == "ReviewError"
         sent = len(bench.sent)

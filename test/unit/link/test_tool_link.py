@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 
 import pytest
+from sentence_checks import says
 from tool_cell import ToolCell
 
 from construction_twin.core.errors import PayloadError
@@ -198,5 +199,5 @@ def test_a_real_status_is_read_and_a_gateway_without_a_tool_has_no_hands():
     ],
 )  # fmt: skip
 def test_what_is_no_status_of_a_tool_is_refused(tool):
-    with pytest.raises(PayloadError, match="tool"):
+    with pytest.raises(PayloadError, check=says("link.status.not_as_agreed")):
         tool_report({"tool": tool})

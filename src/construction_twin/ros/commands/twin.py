@@ -16,6 +16,7 @@ from typing import Any
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused, SilenceError
+from construction_twin.core.sentences import Sentence
 from construction_twin.link.goal_request import GoalRequest
 from construction_twin.link.remote_review import ReviewRequest
 from construction_twin.msg import Execution
@@ -91,7 +92,7 @@ class Command:
         listener.wait(lambda: listener.newest("plan") is not None, min(LATCHED, options.timeout))
         newest = listener.newest("plan")
         if newest is None:
-            raise RequestRefused("no plan was made since the planner started; plan one, then export it")
+            raise RequestRefused(Sentence("view.refused.no_plan_made"))
         plan = listener.plan(newest.id)
         if plan is None:
             raise RequestRefused(listener.refused)
@@ -121,9 +122,7 @@ class Command:
         listener = self._listener()
         plan = self._under_review(listener)
         if expected and plan.id != expected:
-            raise RequestRefused(
-                f"plan {plan.id} is under review, not {expected} of the task; see `twin show`, `twin work list`"
-            )
+            raise RequestRefused(Sentence("view.refused.not_of_task", plan=plan.id, expected=expected))
         self._print_plan(plan, listener)
         if not options.yes and not _confirmed():
             print("not approved; the plan still waits", file=sys.stderr)
@@ -143,7 +142,9 @@ class Command:
         self._await_latched(listener)
         snapshot = listener.snapshot()
         if snapshot.link is snapshot.sync is snapshot.execution is None:
-            raise SilenceError(self._namespace, "no node reports", "start bringup, or give another --robot")
+            raise SilenceError(
+                self._namespace, Sentence("view.silent.no_reports"), Sentence("view.to_do.bringup_or_robot")
+            )
         print("\n".join(status_lines(snapshot)))
         if not self._options.ready:
             return Exit.DONE
@@ -176,15 +177,15 @@ class Command:
         expect_publisher(f"{self._namespace}/execution")
         if not listener.wait(lambda: listener.newest("execution") is not None, self._options.timeout):
             topic = f"{self._namespace}/execution"
-            raise SilenceError(topic, "the executor does not report", "start bringup, or see why the node is down")
+            raise SilenceError(topic, Sentence("view.silent.executor"), Sentence("view.to_do.bringup_or_down"))
         listener.wait(lambda: listener.publishers("plan") > 0, self._options.timeout)
         self._await_latched(listener)
         plan = listener.under_review()
         if plan is None:
-            raise RequestRefused(listener.refused or "no plan waits for approval; plan one, then review it")
+            raise RequestRefused(listener.refused or Sentence("view.refused.no_plan"))
         wanted = getattr(self._options, "plan_id", "")
         if not plan.id.startswith(wanted):
-            raise RequestRefused(f"plan {wanted} is not under review; {plan.id} is")
+            raise RequestRefused(Sentence("view.refused.other_plan", wanted=wanted, plan=plan.id))
         return plan
 
     def _await_latched(self, listener: RobotListener) -> None:
@@ -252,8 +253,8 @@ def connect(options: argparse.Namespace) -> None:
     if not rospy.has_param(f"{namespace}/robot/name"):
         suffix = "/robot/name"
         names = sorted(name.removesuffix(suffix) for name in rospy.get_param_names() if name.endswith(suffix))
-        known = f"known here: {', '.join(names)}; give --robot" if names else TO_DO
-        raise SilenceError(namespace, "there is no robot of this name", known)
+        known = Sentence("view.to_do.robots", robots=", ".join(names)) if names else TO_DO
+        raise SilenceError(namespace, Sentence("view.silent.no_robot"), known)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -9,6 +9,7 @@ from geometry_msgs.msg import PoseStamped
 
 from construction_twin.core.errors import RequestRefused, SilenceError
 from construction_twin.core.reports import WorkReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.link.goal_request import GoalRequest
 from construction_twin.msg import WorkTasks
 from construction_twin.ros.messages.convert import pose_to_msg
@@ -53,7 +54,7 @@ class WorkCommand:
         work = self._work()
         found = next((task.plan_id for task in work.tasks if task.state == "planned" and task.plan_id), "")
         if not found:
-            raise RequestRefused(f"no plan of a task is under review: {work.reason}; `twin work next` has one planned")
+            raise RequestRefused(Sentence("view.refused.no_task_plan", reason=work.reason))
         return found
 
     def _list(self) -> None:
@@ -94,6 +95,6 @@ class WorkCommand:
         try:
             message = rospy.wait_for_message(topic, WorkTasks, self._options.timeout)
         except rospy.ROSException as error:
-            to_do = "start bringup with work_model and work_cell, or see why the node is down"
-            raise SilenceError(topic, "the work node does not report", to_do) from error
+            to_do = Sentence("view.to_do.work")
+            raise SilenceError(topic, Sentence("view.silent.work"), to_do) from error
         return from_msg(WorkReport, message)

@@ -273,7 +273,7 @@ class ExecutorNode:
         try:
             state = SyncState(message.state)
         except ValueError:
-            self._diagnostics.refuse("sync", f"sync state {message.state} is unknown; expected one of Sync.msg")
+            self._diagnostics.refuse("sync", Sentence("reason.refused.sync_state", state=message.state))
             return
         with self._lock:
             self._sync_at = time.monotonic_ns()

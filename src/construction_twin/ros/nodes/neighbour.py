@@ -14,6 +14,7 @@ from construction_twin.coordination.path_judge import Judgement, Others, PathJud
 from construction_twin.coordination.plan_book import PlanUnknownError
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.conflict_verdicts import VERDICT_TIMEOUT
 from construction_twin.msg import Conflict as ConflictMsg
@@ -97,7 +98,7 @@ class NeighbourNode:
         try:
             plans = self._own.plans()
         except PlanUnknownError as error:
-            self._note(WARN, f"our own plan is not known: {error}", {})
+            self._note(WARN, Sentence("reason.neighbour.own_plan_unknown", problem=error.sentence), {})
             return
         followed, waiting = plans.followed, plans.waiting
         others = self._others()
@@ -150,7 +151,9 @@ class NeighbourNode:
             try:
                 return judge(others)
             except ConstructionTwinError as error:
-                self._failure = f"a plan cannot be compared with {self._settings.name}: {error}"
+                self._failure = Sentence(
+                    "reason.neighbour.not_compared", neighbour=self._settings.name, problem=error.sentence
+                )
         return Judgement(True, 0.0, self._failure)
 
     def _poses(self) -> tuple[np.ndarray, ...]:
@@ -183,7 +186,9 @@ class NeighbourNode:
             self._note(ERROR, self._failure, {"obstacles": 0})
             return
         blocked = "; ".join(verdict.sentence for verdict in verdicts.values() if verdict.blocked)
-        sentence = blocked or others.unknown or f"{self._settings.name} blocks no path"
+        sentence = (
+            blocked or others.unknown or Sentence("reason.neighbour.blocks_nothing", neighbour=self._settings.name)
+        )
         self._note(WARN if blocked or others.unknown else OK, sentence, {"obstacles": len(others.obstacles)})
 
     def report(self) -> Report:

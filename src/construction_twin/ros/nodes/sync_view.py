@@ -70,7 +70,7 @@ class SyncViewNode:
     def on_sync(self, message: Sync) -> None:
         """Take the monitor's state."""
         if message.state not in SyncState._value2member_map_:
-            self._diagnostics.refuse("sync", f"sync state {message.state} is unknown; expected one of Sync.msg")
+            self._diagnostics.refuse("sync", Sentence("reason.refused.sync_state", state=message.state))
             return
         with self._lock:
             self._last, self._heard = message, time.monotonic()

@@ -144,10 +144,11 @@ class ToolMarkerNode:
     def _read(self, feedback: InteractiveMarkerFeedback) -> Pose:
         frame = feedback.header.frame_id
         if frame not in ("", self._frame):
-            raise PayloadError("pose", f"marker pose in frame {frame!r}; expected {self._frame!r}, as the marker is")
+            raise PayloadError("pose", Sentence("reason.refused.marker_frame", frame=frame, expected=self._frame))
         pose = pose_from_msg(feedback.pose)
         if not np.isfinite(pose.position).all():
-            raise PayloadError("pose", f"marker at {pose.position.tolist()} m; expected finite numbers")
+            found = str(pose.position.tolist())
+            raise PayloadError("pose", Sentence("reason.refused.marker_position", found=found))
         return pose
 
     def on_click(self, feedback: InteractiveMarkerFeedback) -> None:
