@@ -12,7 +12,7 @@ import math
 from dataclasses import asdict, dataclass
 
 from construction_twin.core.motion_errors import TrajectoryError
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, Value
 
 
 @dataclass(frozen=True)
@@ -100,15 +100,15 @@ def check_segments(plan_id: str, scene: str, duration: float, segments: tuple[Se
     """
     before, present = 0.0, scene
     for number, segment in enumerate(segments):
-        where = {"plan": plan_id, "number": number, "segment": segment.name}
+        where: dict[str, Value] = {"plan": plan_id, "number": number, "segment": segment.name}
         if not math.isfinite(segment.end) or segment.end <= before:
             raise TrajectoryError(Sentence("motion.segments.order", **where, end=segment.end, before=before))
         if segment.scene != present:
-            scenes = {"scene": segment.scene[:12], "present": present[:12]}
+            scenes: dict[str, Value] = {"scene": segment.scene[:12], "present": present[:12]}
             raise TrajectoryError(Sentence("motion.segments.scene", **where, **scenes))
         for switch in segment.switches:
             if not (math.isfinite(switch.timeout) and switch.timeout > 0.0):
-                late = {"output": switch.output, "seconds": switch.timeout}
+                late: dict[str, Value] = {"output": switch.output, "seconds": switch.timeout}
                 raise TrajectoryError(Sentence("motion.segments.timeout", **where, **late))
         before, present = segment.end, segment.scene_after
     if segments and before != duration:

@@ -170,18 +170,18 @@ def waypoints(*rows):
 
 
 def test_waypoints_are_checked_in_the_scene():
-    plan = pipeline().through(waypoints(RIGHT, HOME, LEFT), RIGHT, REQUEST)
+    plan = pipeline().through(RIGHT, waypoints(RIGHT, HOME, LEFT), REQUEST)
     assert (plan.planner, plan.scene) == ("waypoints", EMPTY.hash)
     with pytest.raises(CollisionError, match="touches wall \\(at .* s\\)"):
-        pipeline(WALLED).through(waypoints(RIGHT, LEFT), RIGHT, REQUEST)
+        pipeline(WALLED).through(RIGHT, waypoints(RIGHT, LEFT), REQUEST)
 
 
 def test_the_speed_scale_of_the_settings_is_the_default_for_all():
     slow, fast = pipeline(speed_scale=0.2), pipeline(speed_scale=1.0)
     ways = waypoints(RIGHT, HOME, LEFT)
     assert (
-        slow.through(ways, RIGHT, REQUEST).trajectory.duration
-        > 1.5 * fast.through(ways, RIGHT, REQUEST).trajectory.duration
+        slow.through(RIGHT, ways, REQUEST).trajectory.duration
+        > 1.5 * fast.through(RIGHT, ways, REQUEST).trajectory.duration
     )
 
 
@@ -255,14 +255,14 @@ def test_times_that_break_a_limit_are_replaced_only_where_that_is_allowed_and_th
     near = np.add(HOME, 0.1)
     points = from_points(ROBOT, ROBOT.joint_names, [HOME, near], times=[0.0, 0.2])
     with pytest.raises(WaypointTimesError, check=says("motion.points.acceleration")):
-        pipeline().through(points, HOME, REQUEST)
-    plan = pipeline().through(points, HOME, REQUEST, retime=True)
+        pipeline().through(HOME, points, REQUEST)
+    plan = pipeline().through(HOME, points, REQUEST, retime=True)
     assert plan.planner.startswith("waypoints, timed anew (point 1 (on the path to it, ")
     assert "has an acceleration of" in plan.planner and plan.trajectory.duration > 0.2
     assert plan.planner == f"waypoints, timed anew ({plan.retimed})"
     # what holds its limits is kept
     kept = pipeline().through(
-        from_points(ROBOT, ROBOT.joint_names, [HOME, LEFT], times=[0.0, 30.0]), HOME, REQUEST, retime=True
+        HOME, from_points(ROBOT, ROBOT.joint_names, [HOME, LEFT], times=[0.0, 30.0]), REQUEST, retime=True
     )
     assert (kept.planner, kept.retimed, kept.trajectory.duration) == ("waypoints", "", 30.0)
 
@@ -270,4 +270,4 @@ def test_times_that_break_a_limit_are_replaced_only_where_that_is_allowed_and_th
 def test_a_place_that_is_wrong_is_refused_whatever_the_times():
     points = from_points(ROBOT, ROBOT.joint_names, [np.add(HOME, 0.1), LEFT], times=[0.0, 0.05])
     with pytest.raises(WaypointsError, check=says("motion.points.start")):
-        pipeline().through(points, HOME, REQUEST, retime=True)
+        pipeline().through(HOME, points, REQUEST, retime=True)

@@ -59,7 +59,7 @@ def test_a_motion_that_takes_too_long_is_refused_before_it_is_made(change, curve
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"), pytest.raises(PlanningError) as caught:
         if curved and "duration" not in change:
             waypoints = from_points(ROBOT, ROBOT.joint_names, [RIGHT, HOME, LEFT])
-            pipeline().through(waypoints, RIGHT, replace(REQUEST, **change))
+            pipeline().through(RIGHT, waypoints, replace(REQUEST, **change))
         else:
             pipeline().to_joints(HOME, LEFT, replace(REQUEST, **change))
     if not isinstance(caught.value, PlanSizeError):
@@ -79,7 +79,7 @@ def test_waypoints_that_nobody_counted_count():
     rows = [RIGHT + (LEFT - RIGHT) * fraction for fraction in np.linspace(0.0, 1.0, 30)]
     for times in (None, list(np.linspace(0.0, 30.0, 30))):
         with pytest.raises(PlanSizeError, check=says("motion.size.waypoints")):
-            pipeline(max_waypoints=29).through(from_points(ROBOT, ROBOT.joint_names, rows, times=times), RIGHT, REQUEST)
+            pipeline(max_waypoints=29).through(RIGHT, from_points(ROBOT, ROBOT.joint_names, rows, times=times), REQUEST)
     with pytest.raises(PlanSizeError, check=says("motion.size.waypoints")):
         pipeline(max_waypoints=20).along(HOME, [to(0.3, 0.0, 0.0)], 0.2, REQUEST)
     with pytest.raises(PlanSizeError, check=says("motion.size.waypoints")):
@@ -92,7 +92,7 @@ def test_waypoints_that_nobody_counted_count():
 def test_timed_waypoints_that_take_too_long_are_refused(end):
     points = from_points(ROBOT, ROBOT.joint_names, [HOME, LEFT], times=[0.0, end])
     with pytest.raises(PlanSizeError, check=says("motion.size.duration")):
-        pipeline().through(points, HOME, REQUEST)
+        pipeline().through(HOME, points, REQUEST)
 
 
 @pytest.mark.parametrize("speed", [1e-9, 1e-300])

@@ -128,7 +128,7 @@ def test_it_is_a_work_plan_of_one_engaged_segment_in_the_present_scene():
     scene, held = Scene(padding=0.01), (Signal("held", True),)
     path = ExecutedPath(PATH, 1.0)
     present = PATH.sample(1.0)[0] + 2e-5 * BESIDE
-    plan = pipeline(scene).way_back("task-1", path, held, present, REQUEST)
+    plan = pipeline(scene).way_back(present, "task-1", path, held, REQUEST)
     (segment,) = plan.segments
     assert (plan.planner, plan.task, plan.scene) == ("way back", "task-1", scene.hash)
     assert (segment.name, segment.engaged, segment.requires, segment.switches) == ("way back", True, held, ())
@@ -149,7 +149,7 @@ def test_what_stands_in_the_way_back_now_is_not_driven_into():
             ),
         ),
     ) as caught:
-        pipeline(Scene((WALL,), 0.01)).way_back("t", ExecutedPath(PATH, PATH.duration), (), PATH.positions[-1], REQUEST)
+        pipeline(Scene((WALL,), 0.01)).way_back(PATH.positions[-1], "t", ExecutedPath(PATH, PATH.duration), (), REQUEST)
     assert isinstance(caught.value.cause, CollisionError)
 
 
@@ -159,7 +159,7 @@ def test_the_executor_takes_it_for_the_way_back(end, beside):
     held = (Signal("held", True),)
     engagement = Engagement("p0", "task-1", "carry", ExecutedPath(PATH, end), (held,), (EMPTY,), "stopped")
     present = PATH.sample(end)[0] + beside * BESIDE
-    plan = pipeline(Scene(padding=0.01)).way_back("task-1", engagement.path, held, present, REQUEST)
+    plan = pipeline(Scene(padding=0.01)).way_back(present, "task-1", engagement.path, held, REQUEST)
     check_way_back(plan, engagement)
 
 
@@ -169,4 +169,4 @@ def test_the_executor_takes_no_short_cut_for_the_way_back():
     made = pipeline(Scene(padding=0.01))
     short = WorkSegment("way back", time_path(np.array([PATH.positions[-1], HOME]), ROBOT), True, held)
     with pytest.raises(ReviewError, check=says("review.back.leaves")):
-        check_way_back(made.work("task-1", [short], PATH.positions[-1], REQUEST), engagement)
+        check_way_back(made.work(PATH.positions[-1], "task-1", [short], REQUEST), engagement)

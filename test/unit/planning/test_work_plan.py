@@ -399,9 +399,9 @@ def test_the_scene_that_changed_meanwhile_drops_the_plan():
     )
     made.set_scene(Scene((BLOCK,), 0.01))
     with pytest.raises(SceneChangedError, check=says("motion.scene_changed")):
-        made.work("task-1", task_of(), HOME, REQUEST)
+        made.work(HOME, "task-1", task_of(), REQUEST)
     made.set_scene(Scene((BLOCK,), 0.01))
-    assert made.work("task-1", task_of(), HOME, REQUEST).segments[0].name == "fetch"
+    assert made.work(HOME, "task-1", task_of(), REQUEST).segments[0].name == "fetch"
 
 
 @settings(max_examples=8)

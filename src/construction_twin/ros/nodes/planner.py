@@ -198,7 +198,7 @@ class PlannerNode:
 
         def read() -> Callable[[PlanRequest], Plan]:
             waypoints = read_waypoints(request.path, self._robot, request.columns)
-            return lambda asked: self._pipeline.through(waypoints, self._present_pose(), asked)
+            return lambda asked: self._pipeline.through(self._present_pose(), waypoints, asked)
 
         return self._requests.answer_read(read, self._request(request, request.path))
 
@@ -214,7 +214,7 @@ class PlannerNode:
         def read() -> Callable[[PlanRequest], Plan]:
             segments = work_segments(request.segments)
             changes.extend(segment.change for segment in segments)
-            return lambda asked: self._pipeline.work(request.task, segments, self._present_pose(), asked)
+            return lambda asked: self._pipeline.work(self._present_pose(), request.task, segments, asked)
 
         asked = PlanRequest(str(uuid.uuid4()), now_ns(), request.source or f"task {request.task}")
         return self._requests.answer_read(read, asked, changes)
@@ -230,7 +230,7 @@ class PlannerNode:
             requires = tuple(from_msg(Signal, signal) for signal in left.requires)
 
             def plan(asked: PlanRequest) -> Plan:
-                made = self._pipeline.way_back(left.task, path, requires, self._present_pose(), asked)
+                made = self._pipeline.way_back(self._present_pose(), left.task, path, requires, asked)
                 if made.scene not in left.scenes:
                     raise PlanningError(
                         Sentence("motion.no_way_back_now", problem=scene_problem(made.scene, left.scenes))
@@ -254,7 +254,7 @@ class PlannerNode:
 
         def read() -> Callable[[PlanRequest], Plan]:
             waypoints = trajectory_waypoints(msg, self._robot)
-            return lambda asked: self._pipeline.through(waypoints, self._present_pose(), asked, retime)
+            return lambda asked: self._pipeline.through(self._present_pose(), waypoints, asked, retime)
 
         return read
 

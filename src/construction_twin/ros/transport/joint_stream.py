@@ -58,8 +58,10 @@ def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ..
             or set(message.name) != set(names)
             or len(message.name) != len(names)
         ):
-            found = {"found": str(message.name), "count": len(message.position), "expected": str(list(names))}
-            raise PayloadError("names", Sentence("reason.refused.joint_state_names", **found))
+            found, expected = str(message.name), str(list(names))
+            count = len(message.position)
+            key = "reason.refused.joint_state_names"
+            raise PayloadError("names", Sentence(key, found=found, count=count, expected=expected))
         by_name = dict(zip(message.name, message.position))
         q = tuple(by_name[name] for name in names)
     if not all(map(math.isfinite, q)):
