@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.sentences import Value, said_in, understood
 from construction_twin.core.work_errors import TaskPlanningError
 
@@ -20,6 +20,16 @@ def says(key: str, /, **values: Value) -> Callable[[ConstructionTwinError], bool
     def check(error: ConstructionTwinError) -> bool:
         said = error.sentence
         return key_of(said) == key and values.items() <= said.values.items()
+
+    return check
+
+
+def expects(key: str, where: str = "", /, **values: Value) -> Callable[[ConfigurationError], bool]:
+    """Return the check that an error expects the sentence of a key, with these of its values, there: `where` is in its own."""
+
+    def check(error: ConfigurationError) -> bool:
+        said = error.expected
+        return where in error.where and key_of(said) == key and values.items() <= said.values.items()
 
     return check
 

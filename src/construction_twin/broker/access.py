@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from string import Template
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import REQUESTS
 
@@ -94,24 +95,24 @@ class Site:
         ):
             for name in names:
                 if not pattern.fullmatch(name):
-                    raise ConfigurationError(option, name, "letters, digits, - and _ (hosts: . and : too)")
+                    raise ConfigurationError(option, name, Sentence("expected.site.names"))
         for option, names in (("--host", self.hosts), ("--robot", self.robots)):
             if not names:
-                raise ConfigurationError(option, "", "at least one")
+                raise ConfigurationError(option, "", Sentence("expected.at_least_one"))
         if not 0 < self.port < 65535:
-            raise ConfigurationError("--port", self.port, "1 to 65534; client certificates use the one above it")
+            raise ConfigurationError("--port", self.port, Sentence("expected.site.port"))
         if not 0 < self.console_port < 65536:
-            raise ConfigurationError("--console-port", self.console_port, "1 to 65535")
-        if not self.folder or re.search(r"\s", self.folder):
             raise ConfigurationError(
-                "--broker-folder", self.folder, "a path without spaces: mosquitto.conf cannot hold them"
+                "--console-port", self.console_port, Sentence("expected.range", lowest=1, largest=65535)
             )
+        if not self.folder or re.search(r"\s", self.folder):
+            raise ConfigurationError("--broker-folder", self.folder, Sentence("expected.site.folder"))
         accounts = [account.name for account in self.accounts()]
         if len(set(accounts)) != len(accounts):
             raise ConfigurationError(
                 "--robot and the names of people",
                 sorted(accounts),
-                "names that give every account a name of its own",
+                Sentence("expected.site.accounts"),
             )
 
     def named(self, role: str) -> tuple[str, ...]:
@@ -176,7 +177,7 @@ def _filled(name: str, text: str, **values: object) -> str:
     try:
         return Template(text).substitute(values)
     except (KeyError, ValueError) as error:
-        expected = "no other names after $ than " + ", ".join(values)
+        expected = Sentence("expected.site.template", names=", ".join(values))
         raise ConfigurationError(f"template {name}", str(error), expected) from error
 
 

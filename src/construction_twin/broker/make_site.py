@@ -19,6 +19,7 @@ from construction_twin.broker.access import ROLES, Site, SiteAccount, access_rul
 from construction_twin.broker.certificates import Authority, expiry, make_folder, run_tool, write_private
 from construction_twin.broker.console_files import ConsoleFiles
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
 
 _TEMPLATES = share_file("config/mosquitto")
@@ -55,7 +56,7 @@ class SiteFolder:
             return {key: tuple(value) if isinstance(value, list) else value for key, value in document.items()}
         except (OSError, ValueError, AttributeError) as error:
             raise ConstructionTwinError(
-                f"{self._settings} cannot be read: {error}; restore it from a backup"
+                Sentence("view.site.unreadable", file=str(self._settings), problem=str(error))
             ) from error
 
     def make(
@@ -76,7 +77,7 @@ class SiteFolder:
         unknown = replace - {account.name for account in site.accounts()}
         if unknown:
             known = ", ".join(account.name for account in site.accounts())
-            raise ConfigurationError("--replace", sorted(unknown), f"accounts of this site: {known}")
+            raise ConfigurationError("--replace", sorted(unknown), Sentence("expected.site.known", accounts=known))
         before = self.load()
         rules, configuration = access_rules(site, self._template), broker_configuration(site, self._template)
         for folder in (self._folder, self._broker, self._folder / "accounts"):
@@ -118,10 +119,7 @@ class SiteFolder:
                 "needs the new ca.crt"
             ]
         if missing := authority.not_permitted(names):
-            raise ConstructionTwinError(
-                f"the site's CA may not vouch for {', '.join(missing)}; with --renew-ca its certificate is signed anew, with the "
-                "same key, and then every tablet and every client needs the new ca.crt"
-            )
+            raise ConstructionTwinError(Sentence("view.site.not_permitted", names=", ".join(missing)))
         if authority.is_limited():
             return authority, []
         return authority, [
@@ -148,7 +146,7 @@ class SiteFolder:
             return (self._templates / name).read_text(encoding="utf-8")
         except OSError as error:
             raise ConstructionTwinError(
-                f"{self._templates / name}: {error.strerror}; give the folder with --templates"
+                Sentence("view.site.no_template", file=str(self._templates / name), problem=str(error.strerror))
             ) from error
 
     def _account_folder(self, account: SiteAccount) -> Path:
@@ -213,7 +211,7 @@ def _hash_passwords(passwords: dict[str, str]) -> dict[str, str]:
         lines = path.read_text(encoding="utf-8").splitlines()
     hashed = {line.partition(":")[0]: line for line in lines}
     if set(hashed) != set(passwords) or not all(re.fullmatch(r"[^:]+:\$\d\$.+", line) for line in lines):
-        raise ConstructionTwinError("mosquitto_passwd did not hash the passwords; is it the one of mosquitto 2?")
+        raise ConstructionTwinError(Sentence("view.site.no_hashes"))
     return hashed
 
 
@@ -272,11 +270,11 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
 
 def _site(arguments: argparse.Namespace, before: dict) -> Site:
     if not 1 <= arguments.days <= 36500:
-        raise ConfigurationError("--days", arguments.days, "1 to 36500")
+        raise ConfigurationError("--days", arguments.days, Sentence("expected.range", lowest=1, largest=36500))
     # version 0.1.0 writes both into every site.json
     if before.get("people") or before.get("shared_role", "reviewer") != "reviewer":
         found = {name: before[name] for name in ("people", "shared_role") if name in before}
-        expected = "no account in the role `tablet`, which is gone: take both out of site.json, and name the people with --reviewer"
+        expected = Sentence("expected.site.no_tablet")
         raise ConfigurationError("people and shared_role of site.json", found, expected)
     named = {role: merged(before.get(field, ()), getattr(arguments, role)) for role, field in _FIELDS.items()}
     # without reviewers by name every robot has an account that they share, which may be in use

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.sentences import Sentence
 
 CONNECT, CONNACK, PUBLISH, DISCONNECT = 1, 2, 3, 14
 #: What a client may send: CONNECT, PUBLISH, PUBACK, PUBREC, PUBREL, PUBCOMP, SUBSCRIBE, UNSUBSCRIBE, PINGREQ, DISCONNECT, AUTH.
@@ -60,7 +61,7 @@ class PacketReader:
         while (packet := self._next()) is not None:
             packets.append(packet)
             if len(packets) > _MOST:
-                raise PayloadError("size", f"more than {_MOST} packets at once")
+                raise PayloadError("size", Sentence("view.packet.many", most=_MOST))
         return packets
 
     def first(self, data: bytes) -> Packet | None:
@@ -75,7 +76,7 @@ class PacketReader:
     def _next(self) -> Packet | None:
         rest = self._rest
         if rest and self._from_client and not _is_from_client(rest[0]):
-            raise PayloadError("mqtt", f"a packet that begins with byte 0x{rest[0]:02x}; no client sends that")
+            raise PayloadError("mqtt", Sentence("view.packet.first_byte", byte=f"{rest[0]:02x}"))
         length, shift, at = 0, 0, 1
         while True:
             if at >= len(rest):
@@ -86,9 +87,9 @@ class PacketReader:
             if not byte & 0x80:
                 break
             if at > _LONGEST_LENGTH:
-                raise PayloadError("mqtt", "a packet whose length has more than four bytes; expected MQTT")
+                raise PayloadError("mqtt", Sentence("view.packet.length"))
         if at + length > self._largest:
-            raise PayloadError("size", f"a packet of {at + length} bytes; expected at most {self._largest}")
+            raise PayloadError("size", Sentence("view.packet.large", bytes=at + length, most=self._largest))
         if len(rest) < at + length:
             return None
         packet = Packet(rest[0] >> 4, bytes(rest[: at + length]), at)
@@ -128,8 +129,12 @@ class ClientStream:
         packets = self._reader.feed(data)
         for packet in packets:
             if (packet.kind == CONNECT) == self.connected:
-                found = "a second CONNECT" if self.connected else f"a packet of type {packet.kind}"
-                raise PayloadError("mqtt", f"{found}; expected one CONNECT, at the beginning")
+                found = (
+                    Sentence("view.packet.second_connect")
+                    if self.connected
+                    else Sentence("view.packet.kind", kind=packet.kind)
+                )
+                raise PayloadError("mqtt", Sentence("view.packet.one_connect", found=found))
             if packet.kind == CONNECT:
                 self.account = user_name(packet)
                 self.connected = True
@@ -145,7 +150,7 @@ def user_name(connect: Packet) -> str:
     """
     fields = _Fields(connect.data, connect.body)
     if fields.text() != "MQTT" or (version := fields.byte()) not in (4, 5):
-        raise PayloadError("mqtt", "a CONNECT of another protocol; expected MQTT 3.1.1 or 5")
+        raise PayloadError("mqtt", Sentence("view.packet.protocol"))
     flags = fields.byte()
     fields.skip(2)
     if version == 5:
@@ -174,7 +179,7 @@ class _Fields:
     def _take(self, count: int) -> bytes:
         end = self._at + count
         if end > len(self._data):
-            raise PayloadError("mqtt", "a CONNECT that ends within a field")
+            raise PayloadError("mqtt", Sentence("view.packet.short"))
         taken, self._at = self._data[self._at : end], end
         return taken
 
@@ -200,11 +205,11 @@ class _Fields:
                 return value
             shift += 7
             if shift > 21:
-                raise PayloadError("mqtt", "a CONNECT with a length of more than four bytes")
+                raise PayloadError("mqtt", Sentence("view.packet.connect_length"))
 
     def text(self) -> str:
         """Return a text with its length before it."""
         try:
             return self._take(self.short()).decode()
         except UnicodeDecodeError as error:
-            raise PayloadError("mqtt", "a CONNECT with a text that is not UTF-8") from error
+            raise PayloadError("mqtt", Sentence("view.packet.text")) from error

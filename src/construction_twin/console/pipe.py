@@ -21,6 +21,7 @@ from websockets.exceptions import ConnectionClosed
 from construction_twin.console.packets import ClientStream, PacketReader, is_accepted
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.rate_limit import TokenBucket
+from construction_twin.core.sentences import Sentence
 
 log = logging.getLogger("console")
 #: Close codes that the page knows (RFC 6455 leaves 4000 to 4999 to applications).
@@ -93,8 +94,13 @@ async def pipe(
         connecting = asyncio.open_connection(broker.host, broker.port, ssl=broker.tls)
         reader, writer = await asyncio.wait_for(connecting, limits.login_s)
     except (OSError, TimeoutError) as error:
-        await _close(browser, BROKER_AWAY, "the broker cannot be reached")
-        return f"the broker at {broker.host}:{broker.port} cannot be reached: {str(error) or 'no answer'}"
+        await _close(browser, BROKER_AWAY, Sentence("view.pipe.unreachable"))
+        return Sentence(
+            "view.pipe.unreachable_at",
+            host=broker.host,
+            port=broker.port,
+            problem=str(error) or Sentence("view.pipe.no_answer"),
+        )
     _notice_silence(writer.get_extra_info("socket"))
     stream = ClientStream(limits.largest)
     up = asyncio.create_task(_from_browser(browser, writer, stream, limits, clock))
@@ -105,7 +111,7 @@ async def pipe(
         if cut is None:
             # its DISCONNECT, so that the broker publishes no last will, and what came before it
             await _finish(writer)
-            return "the browser has left"
+            return Sentence("view.pipe.browser_left")
         # what has not reached the broker by now never shall: a verdict that comes late moves an arm that nobody watches
         writer.transport.abort()
         if not isinstance(cut, Cut):
@@ -154,11 +160,11 @@ async def _from_browser(
             async with asyncio.timeout_at(None if stream.connected else deadline):
                 message = await browser.recv()
         except TimeoutError as error:
-            raise Cut(NOT_MQTT, f"no CONNECT within {limits.login_s:g} s") from error
+            raise Cut(NOT_MQTT, Sentence("view.pipe.no_connect", seconds=limits.login_s)) from error
         except ConnectionClosed:
             return
         if isinstance(message, str):
-            raise Cut(NOT_MQTT, "a text frame; MQTT is binary")
+            raise Cut(NOT_MQTT, Sentence("view.pipe.text_frame"))
         now = clock()
         too_much = Cut(
             TOO_MUCH, f"more than {limits.packets_per_s:g} packets or {limits.bytes_per_s:g} bytes per second"
@@ -177,9 +183,9 @@ async def _from_browser(
         try:
             await asyncio.wait_for(writer.drain(), BROKER_SILENCE)
         except TimeoutError as error:
-            raise Cut(BROKER_AWAY, f"the broker took nothing for {BROKER_SILENCE} s") from error
+            raise Cut(BROKER_AWAY, Sentence("view.pipe.broker_slow", seconds=BROKER_SILENCE)) from error
         except OSError as error:
-            raise Cut(BROKER_AWAY, f"the broker's connection broke: {error}") from error
+            raise Cut(BROKER_AWAY, Sentence("view.pipe.broken", problem=str(error))) from error
 
 
 async def _from_broker(
@@ -191,18 +197,18 @@ async def _from_broker(
         try:
             data = await reader.read(_CHUNK)
         except OSError as error:
-            raise Cut(BROKER_AWAY, f"the broker's connection broke: {error}") from error
+            raise Cut(BROKER_AWAY, Sentence("view.pipe.broken", problem=str(error))) from error
         if not data and stream.ended:
             return
         if not data and refused:
-            raise Cut(BROKER_AWAY, "the broker has refused the login")
+            raise Cut(BROKER_AWAY, Sentence("view.pipe.refused"))
         if not data:
-            raise Cut(BROKER_AWAY, "the broker has ended the connection")
+            raise Cut(BROKER_AWAY, Sentence("view.pipe.ended"))
         if answer is not None:
             try:
                 first = answer.first(data)
             except PayloadError as error:
-                raise Cut(BROKER_AWAY, f"what answers there is no MQTT broker: {error}") from error
+                raise Cut(BROKER_AWAY, Sentence("view.pipe.no_broker", problem=str(error))) from error
             if first is not None:
                 answer = None
                 refused = not is_accepted(first)
@@ -211,6 +217,6 @@ async def _from_broker(
         try:
             await asyncio.wait_for(browser.send(data), limits.stall_s)
         except TimeoutError as error:
-            raise Cut(TOO_SLOW, f"the browser took nothing for {limits.stall_s:g} s") from error
+            raise Cut(TOO_SLOW, Sentence("view.pipe.browser_slow", seconds=limits.stall_s)) from error
         except ConnectionClosed:
             return

@@ -15,6 +15,7 @@ from construction_twin.console.server import SOCKET, ConsoleServer, ServerSettin
 from construction_twin.console.static_files import read_folder
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
+from construction_twin.core.sentences import Sentence
 
 
 def settings_of(arguments: argparse.Namespace) -> ServerSettings:
@@ -24,11 +25,9 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
         ConfigurationError: Naming the argument.
     """
     if bool(arguments.certificate) != bool(arguments.key):
-        raise ConfigurationError("--certificate and --key", None, "both or neither")
+        raise ConfigurationError("--certificate and --key", None, Sentence("expected.both_or_neither"))
     if not arguments.certificate and not is_loopback(arguments.listen):
-        raise ConfigurationError(
-            "--listen", arguments.listen, "loopback, or --certificate: passwords cross the network"
-        )
+        raise ConfigurationError("--listen", arguments.listen, Sentence("expected.loopback_certificate"))
     own = broker_tls = None
     try:
         if arguments.certificate:
@@ -39,11 +38,9 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
             broker_tls = ssl.create_default_context(cafile=str(arguments.broker_ca))
     except (OSError, ssl.SSLError) as error:
         where = "--broker-ca" if own or not arguments.certificate else "--certificate and --key"
-        raise ConfigurationError(where, str(error), "readable files in PEM") from error
+        raise ConfigurationError(where, str(error), Sentence("expected.pem")) from error
     if broker_tls is None and not is_loopback(arguments.broker_host):
-        raise ConfigurationError(
-            "--broker-host", arguments.broker_host, "loopback, or --broker-ca: passwords cross the network"
-        )
+        raise ConfigurationError("--broker-host", arguments.broker_host, Sentence("expected.loopback_ca"))
     return ServerSettings(
         read_folder(arguments.page) if arguments.page else {},
         arguments.private,

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 
 #: Largest file, and all together [bytes].
 LARGEST, LARGEST_SUM = 64 * 2**20, 256 * 2**20
@@ -72,7 +73,7 @@ def read_folder(folder: Path, prefix: str = "/") -> Mapping[str, StaticFile]:
         ConfigurationError: When there is no such folder, or a file is too large.
     """
     if not folder.is_dir():
-        raise ConfigurationError("console files", str(folder), "a folder")
+        raise ConfigurationError("console files", str(folder), Sentence("expected.folder"))
     files: dict[str, StaticFile] = {}
     total = 0
     for path in sorted(folder.rglob("*")):
@@ -82,7 +83,7 @@ def read_folder(folder: Path, prefix: str = "/") -> Mapping[str, StaticFile]:
         size = path.stat().st_size
         total += size
         if size > LARGEST or total > LARGEST_SUM:
-            raise ConfigurationError(str(path), size, f"at most {LARGEST} bytes, and {LARGEST_SUM} in the whole folder")
+            raise ConfigurationError(str(path), size, Sentence("expected.size_of_all", most=LARGEST, sum=LARGEST_SUM))
         files[prefix + name.as_posix()] = StaticFile.of(name.name, path.read_bytes())
     return files
 
@@ -125,7 +126,7 @@ class FileCache:
             if kept is not None and kept[0] == seen:
                 return kept[1]
             if status.st_size > LARGEST:
-                raise ConfigurationError(str(path), status.st_size, f"at most {LARGEST} bytes")
+                raise ConfigurationError(str(path), status.st_size, Sentence("expected.size", most=LARGEST))
             file = StaticFile.of(path.name, path.read_bytes())
         except (FileNotFoundError, PermissionError):
             return None

@@ -20,6 +20,12 @@ class ConstructionTwinError(Exception):
         return self.args[0] if self.args and isinstance(self.args[0], Sentence) else str(self)
 
 
+def found_and_expected(where: str, value: object, expected: str) -> Sentence:
+    """Return the sentence of what stands somewhere, and what would have been accepted there; a value None: nothing."""
+    found = Sentence("expected.nothing") if value is None else repr(value)
+    return Sentence("motion.scene", where=where, found=found, expected=expected)
+
+
 class ConfigurationError(ConstructionTwinError):
     """A parameter, file or robot description does not make sense.
 
@@ -31,7 +37,7 @@ class ConfigurationError(ConstructionTwinError):
 
     def __init__(self, where: str, value: object, expected: str):
         self.where, self.value, self.expected = where, value, expected
-        super().__init__(f"{where}: found {'nothing' if value is None else repr(value)}, expected {expected}")
+        super().__init__(found_and_expected(where, value, expected))
 
 
 class EthernetXmlError(ConfigurationError):

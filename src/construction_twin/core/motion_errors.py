@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import ConstructionTwinError, found_and_expected
 from construction_twin.core.sentences import Quantity, Sentence, Value, both
 
 
@@ -119,8 +119,7 @@ class SceneError(ConstructionTwinError):
 
     def __init__(self, where: str, value: object, expected: str):
         self.where, self.value, self.expected = where, value, expected
-        found = "nothing" if value is None else repr(value)
-        super().__init__(Sentence("motion.scene", where=where, found=found, expected=expected))
+        super().__init__(found_and_expected(where, value, expected))
 
 
 class PlanningError(ConstructionTwinError):

@@ -23,6 +23,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.evaluation.recording import Recording, Stream
 
@@ -107,9 +108,7 @@ class TwinPath:
         newest = np.maximum.accumulate(twin.stamps)
         increasing = np.concatenate([[True], twin.stamps[1:] > newest[:-1]])
         if np.count_nonzero(increasing) < 2:
-            raise ConstructionTwinError(
-                "the twin's stamps do not increase; was the recording made with a stopped clock?"
-            )
+            raise ConstructionTwinError(Sentence("view.recording.stopped_clock"))
         self.dropped = int(np.count_nonzero(~increasing))
         self._times = (twin.stamps[increasing] - base).astype(float)
         self._positions = twin.positions[increasing]
@@ -160,9 +159,7 @@ def task_window(recording: Recording) -> Window:
     stamps = recording.twin.stamps, recording.physical.stamps
     start, end = max(int(s.min()) for s in stamps), min(int(s.max()) for s in stamps)
     if end <= start:
-        raise ConstructionTwinError(
-            "twin and physical samples do not overlap in time; were they recorded on one clock?"
-        )
+        raise ConstructionTwinError(Sentence("view.recording.apart"))
     return Window(start, end, end, False)
 
 
@@ -270,8 +267,6 @@ def _align_command(name: str, recording: Recording, window: Window, lag_ns: floa
 def _paired(name, stamps, times, measured, path: TwinPath, missing: int = 0) -> Alignment:
     covered = path.covers(times)
     if not covered.any():
-        raise ConstructionTwinError(
-            f"alignment {name}: no physical sample inside the evaluated time meets the twin's recording"
-        )
+        raise ConstructionTwinError(Sentence("view.recording.uncovered", name=name))
     errors = measured[covered] - path(times[covered])
     return Alignment(name, stamps[covered], errors, missing + int(np.count_nonzero(~covered)))

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.sentences import Sentence
 from construction_twin.evaluation.recording import (
     FeedbackStream,
     LinkSnapshot,
@@ -94,11 +95,12 @@ def check_definition(known: Mapping[str, str], topic: str, name: str, md5: str) 
         ConstructionTwinError: If the type is not among them, or its definition is another one.
     """
     if name not in known:
-        raise ConstructionTwinError(f"{topic} in the bag is a {name}; expected one of {', '.join(sorted(known))}")
+        raise ConstructionTwinError(
+            Sentence("view.bag.type_of", topic=topic, found=name, known=", ".join(sorted(known)))
+        )
     if md5 != known[name]:
         raise ConstructionTwinError(
-            f"{topic} in the bag was recorded with another definition of {name} (md5 {md5}, installed is {known[name]}); "
-            "evaluate it with the version of the package that recorded it"
+            Sentence("view.bag.definition", topic=topic, name=name, md5=md5, installed=known[name])
         )
 
 
@@ -111,14 +113,14 @@ def choose_robot(types: Mapping[str, str], namespace: str | None) -> str:
     """Return the namespace of the robot that is asked for, or of the only one; see `recording_of`."""
     robots = robots_in(types)
     if not robots:
-        raise ConstructionTwinError(f"the bag holds no topic .../{TWIN}; record at least .../{TWIN} and .../{PHYSICAL}")
+        raise ConstructionTwinError(Sentence("view.bag.no_topic", topic=TWIN, twin=TWIN, physical=PHYSICAL))
     if namespace is None:
         if len(robots) > 1:
-            raise ConstructionTwinError(f"the bag holds the robots {', '.join(robots)}; choose one with --robot")
+            raise ConstructionTwinError(Sentence("view.bag.robots", robots=", ".join(robots)))
         return robots[0]
     wanted = "/" + namespace.strip("/")
     if wanted not in robots:
-        raise ConstructionTwinError(f"the bag holds no robot {wanted}; it holds {', '.join(robots)}")
+        raise ConstructionTwinError(Sentence("view.bag.no_robot", robot=wanted, robots=", ".join(robots)))
     return wanted
 
 
@@ -132,7 +134,7 @@ def messages_of(bag: Bag, robot: str, wanted: Iterable[str] = TOPICS) -> dict[st
     for topic, name in relative.items():
         found = bag.types.get(topic)
         if found not in (None, TYPES[name]):
-            raise ConstructionTwinError(f"{topic} in the bag is a {found}; expected a {TYPES[name]}")
+            raise ConstructionTwinError(Sentence("view.bag.type", topic=topic, found=found, type=TYPES[name]))
     messages: dict[str, list[tuple[int, Any]]] = defaultdict(list)
     for topic, message, received in bag.messages(list(relative)):
         messages[relative[topic]].append((received, message))
@@ -154,7 +156,7 @@ class _Run:
         for name in (TWIN, PHYSICAL):
             if not messages[name]:
                 topic = f"{self._robot.rstrip('/')}/{name}"
-                raise ConstructionTwinError(f"the bag holds no messages on {topic}; is that side recorded?")
+                raise ConstructionTwinError(Sentence("view.bag.no_messages", topic=topic))
         reported = set(messages[PHYSICAL][0][1].name)
         self._joints = tuple(name for name in messages[TWIN][0][1].name if name in reported)
         return Recording(
@@ -192,13 +194,11 @@ class _Run:
             if names not in columns:
                 missing = [joint for joint in self._joints if joint not in names]
                 if missing:
-                    raise ConstructionTwinError(
-                        f"a message on {topic} lacks {', '.join(missing)}; each must name all joints"
-                    )
+                    raise ConstructionTwinError(Sentence("view.bag.no_joints", topic=topic, joints=", ".join(missing)))
                 columns[names] = [names.index(joint) for joint in self._joints]
             if len(message.position) != len(names):
                 raise ConstructionTwinError(
-                    f"a message on {topic} has {len(message.position)} positions for {len(names)} joints"
+                    Sentence("view.bag.count", topic=topic, found=len(message.position), count=len(names))
                 )
             rows.append([message.position[column] for column in columns[names]])
         return {
@@ -249,5 +249,5 @@ def _mock(messages: list) -> dict | None:
     try:
         status = json.loads(messages[-1][1].data)
     except json.JSONDecodeError as error:
-        raise ConstructionTwinError(f"the last message on {MOCK} is not JSON: {error}") from error
+        raise ConstructionTwinError(Sentence("view.bag.no_json", topic=MOCK, problem=str(error))) from error
     return status if isinstance(status, dict) else None

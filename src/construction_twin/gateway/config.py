@@ -19,6 +19,7 @@ from construction_twin.controller.port import Layout, Make
 from construction_twin.controller.tool import GatewayTool
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
+from construction_twin.core.sentences import Sentence
 
 #: Written into the file; another number means another meaning of its keys.
 FORMAT = 2
@@ -94,27 +95,29 @@ class GatewayConfig:
     def __post_init__(self):
         count = len(self.axes)
         if not count or not isinstance(self.axes, tuple) or not all(isinstance(axis, str) for axis in self.axes):
-            raise ConfigurationError("axes", self.axes, "at least one axis name")
+            raise ConfigurationError("axes", self.axes, Sentence("expected.at_least_one_axis"))
         for name in ("lower", "upper", "velocity", "acceleration"):
             values = getattr(self, name)
             if len(values) != count or not all(isinstance(v, (int, float)) and math.isfinite(v) for v in values):
-                raise ConfigurationError(name, values, f"{count} finite numbers, one per axis")
+                raise ConfigurationError(name, values, Sentence("expected.per_axis", count=count))
         if any(low >= high for low, high in zip(self.lower, self.upper)):
-            raise ConfigurationError("lower", self.lower, f"values below upper {self.upper}")
+            raise ConfigurationError("lower", self.lower, Sentence("expected.below_upper", upper=str(self.upper)))
         if min(self.velocity) <= 0 or min(self.acceleration) <= 0:
-            raise ConfigurationError("velocity, acceleration", (self.velocity, self.acceleration), "positive limits")
+            raise ConfigurationError(
+                "velocity, acceleration", (self.velocity, self.acceleration), Sentence("expected.positive_limits")
+            )
         if self.layout is None:
             object.__setattr__(self, "layout", make_of(DEFAULT).plain(self.axes))
         cycles = self.make.cycles
         if type(self.cycle) is not int or self.cycle not in cycles:
-            expected = f"{' or '.join(map(str, cycles))} ms: {self.make.words.cycles}"
+            expected = Sentence("expected.cycle_why", cycles=" or ".join(map(str, cycles)), why=self.make.words.cycles)
             raise ConfigurationError("cycle", self.cycle, expected)
         if type(self.decimals) is not int or not 1 <= self.decimals <= 6:
-            raise ConfigurationError("decimals", self.decimals, "1 to 6")
+            raise ConfigurationError("decimals", self.decimals, Sentence("expected.range", lowest=1, largest=6))
         if not isinstance(self.properties, bool):
-            raise ConfigurationError("properties", self.properties, "true or false")
+            raise ConfigurationError("properties", self.properties, Sentence("expected.true_or_false"))
         if type(self.smoothing_cycles) is not int or self.smoothing_cycles not in (0, *range(2, 11)):
-            raise ConfigurationError("smoothing_cycles", self.smoothing_cycles, "0 (off) or 2 to 10")
+            raise ConfigurationError("smoothing_cycles", self.smoothing_cycles, Sentence("expected.smoothing"))
         for name in (
             "start_tolerance",
             "start_tolerance_linear",
@@ -130,28 +133,30 @@ class GatewayConfig:
         ):
             value = getattr(self, name)
             if not isinstance(value, (int, float)) or not 0 < value < math.inf:
-                raise ConfigurationError(name, value, "a positive number")
+                raise ConfigurationError(name, value, Sentence("expected.positive"))
         if not self.playout_delay_min <= self.playout_delay <= self.playout_delay_max:
-            bounds = f"{self.playout_delay_min} (playout_delay_min) to {self.playout_delay_max} (playout_delay_max)"
+            bounds = Sentence("expected.playout", lowest=self.playout_delay_min, largest=self.playout_delay_max)
             raise ConfigurationError("playout_delay", self.playout_delay, bounds)
         if self.playout_delay_max >= self.max_age:
-            raise ConfigurationError("playout_delay_max", self.playout_delay_max, f"less than max_age, {self.max_age}")
+            raise ConfigurationError(
+                "playout_delay_max", self.playout_delay_max, Sentence("expected.below_max_age", max_age=self.max_age)
+            )
         fraction = self.speed_limit_silent
         if isinstance(fraction, bool) or not isinstance(fraction, (int, float)) or not 0 <= fraction <= 1:
-            raise ConfigurationError("speed_limit_silent", fraction, "a fraction of the velocity limits, 0 to 1")
+            raise ConfigurationError("speed_limit_silent", fraction, Sentence("expected.velocity_fraction"))
         self._check_rsi()
 
     def _check_rsi(self) -> None:
         if type(self.e1_sign) is not int or self.e1_sign not in (1, -1):
-            raise ConfigurationError("e1_sign", self.e1_sign, "1 or -1")
+            raise ConfigurationError("e1_sign", self.e1_sign, Sentence("expected.sign"))
         if not isinstance(self.e1_offset, (int, float)) or not math.isfinite(self.e1_offset):
-            raise ConfigurationError("e1_offset", self.e1_offset, "a finite number [rad] or [m]")
+            raise ConfigurationError("e1_offset", self.e1_offset, Sentence("expected.finite"))
         for name in ("e1_feedback_scale", "e1_correction_scale"):
             value = getattr(self, name)
             if not isinstance(value, (int, float)) or not 0 < value < math.inf:
-                raise ConfigurationError(name, value, "a positive number")
+                raise ConfigurationError(name, value, Sentence("expected.positive"))
         if not set(self.linear) <= set(self.axes):
-            raise ConfigurationError("linear", self.linear, f"some of the axes {', '.join(self.axes)}")
+            raise ConfigurationError("linear", self.linear, Sentence("expected.some_axes", axes=", ".join(self.axes)))
         self.make.check(self)
 
     @property
@@ -222,17 +227,17 @@ def parse_config(text: str, where: str) -> GatewayConfig:
         known = {field.name for field in fields(GatewayConfig)} - ({"tool"} - set(motion))
         make = make_of(motion.pop("make", DEFAULT))
         if document["format"] != FORMAT:
-            raise ConfigurationError(where, document["format"], f"format {FORMAT}; export it again")
+            raise ConfigurationError(where, document["format"], Sentence("expected.gateway_file.format", format=FORMAT))
         if set(motion) != known:
             difference = sorted(set(motion) ^ known)
-            raise ConfigurationError(where, difference, "no missing or unknown keys; export it again")
+            raise ConfigurationError(where, difference, Sentence("expected.gateway_file.keys"))
         layout = make.read_layout(_with_tuples(motion["layout"]))
         tool = GatewayTool.of_document(motion["tool"]) if "tool" in motion else None
         config = GatewayConfig(**motion | {"layout": layout, "tool": tool})
     except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
-        raise ConfigurationError(where, str(error), "a file written by export_gateway_config") from error
+        raise ConfigurationError(where, str(error), Sentence("expected.gateway_file")) from error
     if document.get("hash") != config.hash:
-        expected = f"hash {config.hash}; the file was edited, export it again"
+        expected = Sentence("expected.gateway_file.hash", hash=config.hash)
         raise ConfigurationError(where, document.get("hash"), expected)
     return config
 
@@ -246,8 +251,8 @@ def load_config(path: str) -> GatewayConfig:
     try:
         text = Path(path).read_text(encoding="utf-8")
     except OSError as error:
-        expected = "a readable file written by export_gateway_config"
+        expected = Sentence("expected.gateway_file.readable")
         raise ConfigurationError(path, error.strerror, expected) from error
     except UnicodeDecodeError as error:
-        raise ConfigurationError(path, str(error), "a file written by export_gateway_config") from error
+        raise ConfigurationError(path, str(error), Sentence("expected.gateway_file")) from error
     return parse_config(text, path)

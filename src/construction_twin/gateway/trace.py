@@ -19,6 +19,7 @@ from typing import BinaryIO
 
 from construction_twin.controller.telegram import stamp_step
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.states import State
 
 #: Begins every trace; the number is the format's.
@@ -53,7 +54,7 @@ def _open(path: str) -> tuple[str, BinaryIO]:
         raise ConfigurationError(
             "--trace",
             path,
-            "a regular file, or a path where none is yet; this is a device, a folder, a pipe or a socket",
+            Sentence("expected.trace.regular"),
         )
     # not with "w", which would take the blocks of a file that another gateway has mapped
     file = _locked(open(path, "r+b"), path)
@@ -67,7 +68,7 @@ def _locked(file: BinaryIO, path: str) -> BinaryIO:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         file.close()
-        raise ConfigurationError("--trace", path, "a file of its own; another gateway records in it") from error
+        raise ConfigurationError("--trace", path, Sentence("expected.trace.own")) from error
     except OSError:
         file.close()
         raise
@@ -121,7 +122,9 @@ class TraceWriter:
         try:
             made, self._file = _open(path)
         except OSError as error:
-            raise ConfigurationError("--trace", path, f"a file that can be written ({error.strerror})") from error
+            raise ConfigurationError(
+                "--trace", path, Sentence("expected.writable_but", problem=str(error.strerror))
+            ) from error
         try:
             os.posix_fallocate(self._file.fileno(), 0, self._end)
             self._memory = mmap.mmap(self._file.fileno(), self._end)
@@ -131,9 +134,7 @@ class TraceWriter:
             else:
                 self._file.truncate(0)
             self._file.close()
-            expected = (
-                f"a file on a disk with {self._end / 1e6:.1f} MB of room, reserved at the start ({error.strerror})"
-            )
+            expected = Sentence("expected.trace.room", room=self._end / 1e6, problem=str(error.strerror))
             raise ConfigurationError("--trace", path, expected) from error
         _HEADER.pack_into(self._memory, 0, MAGIC, axes, self._entry.size)
 
@@ -167,11 +168,11 @@ def read_trace(path: str | Path, since: int = 0) -> list[TraceEntry]:
     """
     data = Path(path).read_bytes()
     if len(data) < _HEADER.size or not data.startswith(MAGIC):
-        raise ConfigurationError(str(path), data[:16], "a file written by rsi_gateway --trace")
+        raise ConfigurationError(str(path), data[:16], Sentence("expected.trace.file"))
     _, axes, size = _HEADER.unpack_from(data)
     entry = _entry(axes)
     if size != entry.size:
-        raise ConfigurationError(str(path), size, f"entries of {entry.size} bytes")
+        raise ConfigurationError(str(path), size, Sentence("expected.trace.entries", bytes=entry.size))
     entries = []
     for at in range(_HEADER.size + since * size, len(data) - size + 1, size):
         ipoc, stamp, state, session, lost, *position = entry.unpack_from(data, at)

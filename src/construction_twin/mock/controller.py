@@ -28,6 +28,7 @@ from construction_twin.controller.port import ControllerStatus, MockStatus
 from construction_twin.controller.telegram import STAMP_WRAP, Reply, stamp_step
 from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.core.motion_errors import JointRangeError
+from construction_twin.core.sentences import Sentence
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.encoders import Encoders
 from construction_twin.mock.gripper import SimulatedTool
@@ -166,9 +167,7 @@ class MockController:
             JointRangeError: If `pose` lies outside the soft limits.
         """
         if self.pressed:
-            raise ConfigurationError(
-                "restart", "the emergency stop is pressed", "a released one: inject `estop` with `on` false"
-            )
+            raise ConfigurationError("restart", "the emergency stop is pressed", Sentence("expected.released"))
         if pose is None:
             pose = _clamp(self.reported, self.config.lower, self.config.upper)
         self._check_range(pose)
@@ -297,7 +296,7 @@ class MockController:
             JointRangeError: If the goal lies outside the range.
         """
         if self.pressed or self.ramp is not None and not self.ramp.done:
-            raise ConfigurationError("jog", tuple(goal), "an arm at rest whose emergency stop is not pressed")
+            raise ConfigurationError("jog", tuple(goal), Sentence("expected.jog"))
         self._check_range(goal)
         if not self.running:
             self.ramp = None

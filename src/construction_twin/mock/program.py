@@ -21,6 +21,7 @@ from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.controller.port import Layout
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.realtime import request_realtime
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
 from construction_twin.core.units import from_wire, radians, to_wire
 from construction_twin.core.validation import configuration_error
@@ -106,7 +107,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
     def listed(name: str) -> tuple[float, ...] | None:
         values = getattr(settings, name)
         if values and len(values) != len(robot.axes):
-            raise ConfigurationError(name, values, f"{len(robot.axes)} numbers, one per joint, or none")
+            raise ConfigurationError(name, values, Sentence("expected.per_joint_or_none", count=len(robot.axes)))
         return from_wire(values, robot.linear) if values else None
 
     config = MockConfig(
@@ -150,7 +151,7 @@ def gateway_address(settings: MockSettings) -> tuple[str, int]:
     if settings.gateway_port:
         return settings.gateway_host, settings.gateway_port
     if make.file is not None and not settings.ethernet_xml:
-        raise ConfigurationError("gateway_port", 0, f"a port, or {make.words.description} that names it")
+        raise ConfigurationError("gateway_port", 0, Sentence("expected.port_or_file", file=make.words.description))
     return settings.gateway_host, layout.port
 
 

@@ -82,7 +82,9 @@ class GateSettings:
         """
         foreign = [name for name in self.thresholds if name not in limits.names]
         if foreign:
-            raise ConfigurationError("thresholds", foreign[0], f"names of joints: {', '.join(limits.names)}")
+            raise ConfigurationError(
+                "thresholds", foreign[0], Sentence("expected.joint_names", names=", ".join(limits.names))
+            )
         threshold = tuple(
             self.thresholds.get(name, self.threshold_linear if slides else self.threshold)
             for name, slides in zip(limits.names, limits.linear)
@@ -206,13 +208,13 @@ class Gate:
         Raises ConfigurationError.
         """
         if self.mirrored:
-            raise ConfigurationError("the gate", "the arm leads", "an arm that does not: it can move at any moment")
+            raise ConfigurationError("the gate", "the arm leads", Sentence("expected.gate.not_led"))
         if not self.rests(now):
             raise ConfigurationError(
-                "the gate", "in motion", f"a command that has not changed for {REST / NANOSECONDS:g} s"
+                "the gate", "in motion", Sentence("expected.gate.still", seconds=REST / NANOSECONDS)
             )
         if self.state in HELD_STATES:
-            expected = "WAITING, IN_SYNC or STOPPED: settings must not open a gate that a violation has closed"
+            expected = Sentence("expected.gate.open")
             raise ConfigurationError("the gate", self.state.name, expected)
 
     def configure(self, settings: GateSettings, reason: str, now: int) -> None:

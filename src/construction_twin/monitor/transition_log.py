@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError, TransitionLogError
+from construction_twin.core.sentences import Sentence
 from construction_twin.monitor.states import Transition
 from construction_twin.review.chained_file import iso_time
 
@@ -67,7 +68,7 @@ class TransitionLog:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(self.path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
         except OSError as error:
-            raise ConfigurationError(str(self.path), str(error), "a transition log that can be written") from error
+            raise ConfigurationError(str(self.path), str(error), Sentence("expected.transition_log")) from error
         # a monitor that was killed while it wrote left half a line behind
         size = os.fstat(self._file).st_size
         self._begin = b"\n" if size and os.pread(self._file, 1, size - 1) != b"\n" else b""
@@ -105,5 +106,5 @@ class TransitionLog:
             raise TransitionLogError(str(self.path), str(error)) from error
         if written != len(data):
             self._begin = b"\n"
-            raise TransitionLogError(str(self.path), f"only {written} of {len(data)} bytes could be written")
+            raise TransitionLogError(str(self.path), Sentence("reason.file.cut", written=written, count=len(data)))
         self._begin = b""

@@ -48,12 +48,12 @@ class JointStringCodec:
         linear: Sequence[bool] = (),
     ):
         if not 1 <= decimals <= 6:
-            raise ConfigurationError("decimals", decimals, "1 to 6 decimals of a degree")
+            raise ConfigurationError("decimals", decimals, Sentence("expected.decimals"))
         if joints < 1:
-            raise ConfigurationError("joints", joints, "at least one joint")
+            raise ConfigurationError("joints", joints, Sentence("expected.at_least_one_joint"))
         for name, given in (("axes", axes), ("linear", linear)):
             if given and len(given) != joints:
-                raise ConfigurationError(name, tuple(given), f"one for each of {joints} joints")
+                raise ConfigurationError(name, tuple(given), Sentence("expected.one_per_joint", count=joints))
         self.joints = joints
         self.decimals = decimals
         self._mapping = mapping if mapping and any(entry != (1, 0.0) for entry in mapping) else None

@@ -64,9 +64,7 @@ class Topics:
     def __post_init__(self):
         for name in ("prefix", "robot"):
             if not _LEVEL.fullmatch(getattr(self, name)):
-                raise ConfigurationError(
-                    name, getattr(self, name), "letters, digits, - and _, because it becomes a topic level"
-                )
+                raise ConfigurationError(name, getattr(self, name), Sentence("expected.topic_level"))
 
     def _topic(self, name: str) -> str:
         return f"{self.prefix}/{self.robot}/{name}"

@@ -17,6 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 
 #: `previous` of the first line.
@@ -41,7 +42,7 @@ def verify(path: str | Path) -> LogState:
     lines = content.split(b"\n")
     if lines.pop():
         raise ConfigurationError(
-            f"{path} line {len(lines) + 1}", "a line without an end", "complete lines; the file was cut"
+            f"{path} line {len(lines) + 1}", "a line without an end", Sentence("expected.record.whole")
         )
     hashes = [BEGIN]
     for number, line in enumerate(lines, start=1):
@@ -65,7 +66,7 @@ def read_whole(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise ConfigurationError(str(path), str(error), "a file that can be read") from error
+        raise ConfigurationError(str(path), str(error), Sentence("expected.readable")) from error
 
 
 class ChainedFile:
@@ -130,19 +131,19 @@ class ChainedFile:
         try:
             there, here = os.stat(self.path), os.fstat(self._file)
         except OSError as error:
-            raise self._failure(str(self.path), f"the file is gone ({error})") from error
+            raise self._failure(str(self.path), Sentence("reason.file.gone", problem=str(error))) from error
         if (there.st_dev, there.st_ino) != (here.st_dev, here.st_ino):
-            raise self._failure(str(self.path), "the file was replaced by another")
+            raise self._failure(str(self.path), Sentence("reason.file.replaced"))
         if here.st_size != self._size:
             raise self._failure(
-                str(self.path), f"the file has {here.st_size} bytes, not {self._size}: another process wrote to it"
+                str(self.path), Sentence("reason.file.other_writer", found=here.st_size, count=self._size)
             )
 
     def _write(self, data: bytes) -> None:
         try:
             written = os.write(self._file, data)
             if written != len(data):
-                raise OSError(f"only {written} of {len(data)} bytes could be written")
+                raise OSError(Sentence("reason.file.cut", written=written, count=len(data)))
             os.fsync(self._file)
         except OSError as error:
             with contextlib.suppress(OSError):
@@ -164,12 +165,12 @@ def _open(path: Path, writer: str) -> int:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
     except OSError as error:
-        raise ConfigurationError(str(path), str(error), "a file that can be written") from error
+        raise ConfigurationError(str(path), str(error), Sentence("expected.writable")) from error
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         os.close(file)
-        raise ConfigurationError(str(path), str(error), f"a file that no other {writer} writes") from error
+        raise ConfigurationError(str(path), str(error), Sentence("expected.record.own", writer=writer)) from error
     return file
 
 
@@ -178,8 +179,10 @@ def _check_line(path: str | Path, number: int, line: bytes, previous: str) -> No
     try:
         fields = json.loads(line)
     except ValueError as error:
-        raise ConfigurationError(where, line[:80].decode(errors="replace"), f"a JSON object ({error})") from error
+        raise ConfigurationError(
+            where, line[:80].decode(errors="replace"), Sentence("expected.record.object", problem=str(error))
+        ) from error
     found = fields.get("previous") if isinstance(fields, dict) else None
     if found != previous:
         before = f"line {number - 1}" if number > 1 else "the beginning"
-        raise ConfigurationError(where, found, f"{previous}, the hash of {before}; one of the two was changed or moved")
+        raise ConfigurationError(where, found, Sentence("expected.record.hash", hash=previous, before=before))

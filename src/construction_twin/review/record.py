@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RecordError
+from construction_twin.core.sentences import Sentence
 from construction_twin.review.chained_file import ChainedFile, LogState, read_whole, verify
 from construction_twin.review.plan_under_review import APPROVED, Ending, Verdict
 from construction_twin.robot.plan import Plan
@@ -124,9 +125,7 @@ class ReviewLog:
 
     def __init__(self, path: str | Path, clock: Callable[[], int]):
         if not str(path).strip():
-            raise ConfigurationError(
-                "review file", str(path), "the path of a file: nothing is approved without a record"
-            )
+            raise ConfigurationError("review file", str(path), Sentence("expected.record.path"))
         self.path = Path(path).expanduser()
         self._clock = clock
         self._lock = threading.Lock()

@@ -14,6 +14,7 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import ScenarioError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import radians
 from construction_twin.core.validation import wrong_value
 from construction_twin.mock.faults import KINDS
@@ -147,7 +148,7 @@ def make_scenario(name: str, content: object) -> Scenario:
         ScenarioError: With the place, the value and what was expected.
     """
     if not isinstance(content, Mapping):
-        raise ScenarioError(f"{name}: the key `scenario` holds {content!r}; expected title, steps, expect")
+        raise ScenarioError(Sentence("view.scenario.no_mapping", name=name, found=repr(content)))
     try:
         return Scenario.model_validate({"name": name, **content})
     except pydantic.ValidationError as error:
@@ -164,7 +165,7 @@ def read_scenario(path: Path) -> Scenario:
         content = yaml.safe_load(path.read_text())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())
-        raise ScenarioError(f"{path}: cannot be read as YAML: {reason}") from error
+        raise ScenarioError(Sentence("view.scenario.unreadable", path=str(path), problem=reason)) from error
     if not isinstance(content, Mapping) or "scenario" not in content:
-        raise ScenarioError(f"{path}: expected the key `scenario`, as config/scenarios/stall_replan.yaml has it")
+        raise ScenarioError(Sentence("view.scenario.no_key", path=str(path)))
     return make_scenario(re.sub(r"[^a-z0-9_]", "_", path.stem.lower()), content["scenario"])

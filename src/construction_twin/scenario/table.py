@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from construction_twin.core.errors import ScenarioError
+from construction_twin.core.sentences import Sentence
 from construction_twin.scenario.judge import Judgement
 
 #: Lines between which a document holds the table.
@@ -53,7 +54,7 @@ def read_verdicts(folder: Path) -> dict[str, list[dict]]:
         verdict = json.loads(path.read_text())
         found[verdict["scenario"]].append(verdict)
     if not found:
-        raise ScenarioError(f"{folder}: no verdict.json below it; run `make scenarios`, or launch/scenario.launch")
+        raise ScenarioError(Sentence("view.scenario.no_verdict", folder=str(folder)))
     return dict(sorted(found.items()))
 
 
@@ -73,7 +74,7 @@ def put_into(text: str, table: str, where: str) -> str:
     before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not begin or not end:
-        raise ScenarioError(f"{where}: the lines {BEGIN!r} and {END!r} are not there")
+        raise ScenarioError(Sentence("view.scenario.no_lines", where=where, begin=repr(BEGIN), end=repr(END)))
     return f"{before}{BEGIN}\n{table}{END}{after}"
 
 

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 
 import shtab
 
+from construction_twin.core.sentences import Sentence
+
 #: Added to the completion that shtab makes of the parser: the short name `twin`, and for bash `rosrun construction_twin twin`. Any
 #: other `rosrun` is left to ROS's own completion.
 _PREAMBLE = {
@@ -319,26 +321,22 @@ def check(options: argparse.Namespace) -> str:
 
 def _finite(text: str) -> float:
     if _has_empty_field(text):
-        raise argparse.ArgumentTypeError(
-            f"{text.strip()!r} has an empty field at a comma: give a number for each joint or axis"
-        )
+        raise argparse.ArgumentTypeError(Sentence("view.argument.empty_field", text=repr(text.strip())))
     if "," in text:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} holds a comma: write decimals with a point, and separate numbers by spaces"
-        )
+        raise argparse.ArgumentTypeError(Sentence("view.argument.comma", text=repr(text)))
     try:
         value = float(text)
     except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number") from error
+        raise argparse.ArgumentTypeError(Sentence("view.argument.no_number", text=repr(text))) from error
     if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is no finite number")
+        raise argparse.ArgumentTypeError(Sentence("view.argument.not_finite", text=repr(text)))
     return value
 
 
 def _positive(text: str) -> float:
     value = _finite(text)
     if value <= 0.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not above 0")
+        raise argparse.ArgumentTypeError(Sentence("view.argument.not_positive", text=repr(text)))
     return value
 
 
@@ -350,12 +348,12 @@ def _percent(text: str) -> float:
 def _fraction(text: str) -> float:
     value = _percent(text)
     if value > 1.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is above 100 percent")
+        raise argparse.ArgumentTypeError(Sentence("view.argument.percent", text=repr(text)))
     return value
 
 
 def _rate(text: str) -> float:
     value = _positive(text)
     if value > 10.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is above 10 per second")
+        raise argparse.ArgumentTypeError(Sentence("view.argument.rate", text=repr(text)))
     return value

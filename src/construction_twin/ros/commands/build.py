@@ -21,6 +21,7 @@ from rich.table import Table
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused
 from construction_twin.core.files import check_writable
+from construction_twin.core.sentences import Sentence
 from construction_twin.link.goal_request import GoalRequest
 from construction_twin.link.remote_review import ReviewRequest
 from construction_twin.msg import Execution, Link, Plan, Sync, ToolState, WorkTask, WorkTasks
@@ -83,7 +84,7 @@ class Builder:
 
     def __init__(self, settings: Settings, console: Console):
         if settings.arm != "mock":
-            raise ConfigurationError("arm", settings.arm, "mock: nobody looks at the plans that this command approves")
+            raise ConfigurationError("arm", settings.arm, Sentence("expected.mock_arm"))
         self._settings, self._console = settings, console
         self._client = OperatorClient(rospy.get_namespace(), settings.timeout, PERSON)
         self._news = threading.Condition()
@@ -116,7 +117,7 @@ class Builder:
         results = Path(self._settings.results_dir).expanduser()
         check_writable(results)
         began = time.monotonic()
-        self._wait(self._ready, "the system to get ready")
+        self._wait(self._ready, Sentence("view.build.wait.ready"))
         self._wait_for_model(began)
         self._accept()
         self._say(f"{self._tasks.model}: {len(self._tasks.tasks)} tasks, ready after {time.monotonic() - began:.0f} s")
@@ -130,11 +131,19 @@ class Builder:
         # also of a session that a task ended
         files = self._report(results, wanted)
         if failure is not None:
-            raise ConstructionTwinError(f"{failure}; see {files[0]}") from failure
+            raise ConstructionTwinError(
+                Sentence("view.build.see", failure=str(failure), file=str(files[0]))
+            ) from failure
         missing = [self._row(task).name for task in wanted if self._row(task).state != "done"]
         if missing:
             raise ConstructionTwinError(
-                f"{len(missing)} of {len(wanted)} tasks are not done: {', '.join(missing)}; see {files[0]}"
+                Sentence(
+                    "view.build.not_done",
+                    missing=len(missing),
+                    count=len(wanted),
+                    tasks=", ".join(missing),
+                    file=str(files[0]),
+                )
             )
         return files
 
@@ -163,12 +172,16 @@ class Builder:
     def _plan_and_play(self, task: str, title: str) -> None:
         times = self._times.setdefault(task, _Times())
         if len(times.plans) >= _MOST_PLANS:
-            raise ConstructionTwinError(f"{title}: {self._row(task).name} is not done after {_MOST_PLANS} plans")
+            raise ConstructionTwinError(
+                Sentence("view.build.many_plans", title=title, task=self._row(task).name, plans=_MOST_PLANS)
+            )
         asked = time.monotonic()
         try:
             plan = self._client.plan(GoalRequest("work_task", task=task)).fields
         except RequestRefused as error:
-            raise ConstructionTwinError(f"{title}: {self._row(task).name} cannot be planned: {error}") from error
+            raise ConstructionTwinError(
+                Sentence("view.build.cannot_plan", title=title, task=self._row(task).name, problem=str(error))
+            ) from error
         times.planning, plan_id, plan_hash = time.monotonic() - asked, str(plan["plan_id"]), str(plan["plan_hash"])
         times.plans.append(plan_id)
         self._approve(plan_id, plan_hash)
@@ -177,13 +190,17 @@ class Builder:
         began = time.monotonic()
         held = self._held
         patience = self._settings.timeout + _SLOWER * self._duration(plan_id)
-        self._wait(lambda: self._execution.plan_id == plan_id and self._over(), f"plan {plan_id} to end", patience)
+        self._wait(
+            lambda: self._execution.plan_id == plan_id and self._over(),
+            Sentence("view.build.wait.end", plan=plan_id),
+            patience,
+        )
         times.motion = time.monotonic() - began
         if self._execution.outcome != "finished":
             # a hold that the executor did not show as a state of its own
             self._held += self._held == held
             self._say(f"{title}: {self._execution.outcome}: {self._execution.reason}")
-        self._wait(lambda: self._row(task).state not in _UNDER_WAY, f"the ledger to know what became of {task}")
+        self._wait(lambda: self._row(task).state not in _UNDER_WAY, Sentence("view.build.wait.known", task=task))
 
     def _approve(self, plan_id: str, plan_hash: str) -> None:
         """Approve a plan; repeated while it, which travels on a topic of its own, has not reached the executor."""
@@ -199,37 +216,37 @@ class Builder:
                 raise
             return True
 
-        self._wait(approved, f"plan {plan_id} to be approved")
+        self._wait(approved, Sentence("view.build.wait.approval", plan=plan_id))
 
     def _answer(self, row: WorkTask) -> None:
         """Answer as a person would who looks at the mock's gripper."""
         tool: ToolState = self._newest.get("tool")
         if tool is None or not tool.known:
-            raise ConstructionTwinError(f"{row.name}: {row.question}: what the gripper holds is not known")
+            raise ConstructionTwinError(Sentence("view.build.grip_unknown", task=row.name, question=row.question))
         answer = answer_of(
             dict(zip(tool.inputs, tool.input_values)), self._confirm, self._last.get(row.id, ""), row.answers
         )
         if not answer:
             raise ConstructionTwinError(
-                f"{row.name}: {row.question}: none of {', '.join(row.answers)} is known to be true"
+                Sentence("view.build.no_answer", task=row.name, question=row.question, answers=", ".join(row.answers))
             )
         self._say(f"asked: {row.question} Answer: {answer}")
         self._decide(row.id, "answer", answer)
         self._decided(f"answered {answer} for {row.name}: {row.question}")
-        self._wait(lambda: self._row(row.id).state != "asks", f"the answer to task {row.id} to be taken")
+        self._wait(lambda: self._row(row.id).state != "asks", Sentence("view.build.wait.answer", task=row.id))
 
     def _remove(self, row: WorkTask) -> None:
         """Say that what people take down is gone, as a person would who sees that nothing stands at a mock arm."""
         self._say(row.reason)
         self._decide(row.id, "removed")
         self._decided(f"said that {row.element_name} is gone: {row.name}")
-        self._wait(lambda: self._row(row.id).state == "done", f"task {row.id} to be done")
+        self._wait(lambda: self._row(row.id).state == "done", Sentence("view.build.wait.done", task=row.id))
 
     def _accept(self) -> None:
         if self._tasks.schedule == "proposed":
             self._decide("", "accept_schedule")
             self._decided(f"accepted the proposed schedule of {len(self._tasks.tasks)} tasks")
-            self._wait(lambda: self._tasks.schedule == "accepted", "the schedule to be accepted")
+            self._wait(lambda: self._tasks.schedule == "accepted", Sentence("view.build.wait.accepted"))
 
     def _decide(self, task: str, decision: str, answer: str = "") -> None:
         fields = {"task": task, "decision": decision, "answer": answer, "person": PERSON, "reason": "a mock arm"}
@@ -241,7 +258,7 @@ class Builder:
     def _wait_for_model(self, began: float) -> None:
         def pause() -> None:
             if rospy.is_shutdown():
-                raise ConstructionTwinError("interrupted")
+                raise ConstructionTwinError(Sentence("view.interrupted"))
             with self._news:
                 self._news.wait(_POLL)
 
@@ -265,7 +282,9 @@ class Builder:
         return next(one for one in self._tasks.tasks if one.id == task)
 
     def _duration(self, plan_id: str) -> float:
-        self._wait(lambda: self._newest.get("plan", Plan()).id == plan_id, f"plan {plan_id} to be told")
+        self._wait(
+            lambda: self._newest.get("plan", Plan()).id == plan_id, Sentence("view.build.wait.plan", plan=plan_id)
+        )
         return self._newest["plan"].duration
 
     def _over(self) -> bool:
@@ -310,12 +329,12 @@ class Builder:
         deadline = time.monotonic() + limit
         while not condition():
             if rospy.is_shutdown():
-                raise ConstructionTwinError("interrupted")
+                raise ConstructionTwinError(Sentence("view.interrupted"))
             if time.monotonic() > deadline:
                 tasks = self._tasks
-                said = tasks.reason if tasks is not None else "the work node says nothing"
+                said = tasks.reason if tasks is not None else Sentence("view.build.silent")
                 raise ConstructionTwinError(
-                    f"waited {limit:g} s in vain for {what}; executor: {self._execution.reason}; work: {said}"
+                    Sentence("view.build.in_vain", seconds=limit, what=what, executor=self._execution.reason, work=said)
                 )
             with self._news:
                 self._news.wait(_POLL)
@@ -358,11 +377,11 @@ def wait_for_model(
         if said is not None and said.schedule:
             return
         if said is not None and not said.reading:
-            raise ConstructionTwinError(f"the model cannot be read: {said.reason}")
+            raise ConstructionTwinError(Sentence("view.build.no_model", reason=said.reason))
         if said is not None and is_there():
             heard = now
         if now - heard > timeout:
-            raise ConstructionTwinError(f"waited {timeout:g} s in vain for a work node that reads the model")
+            raise ConstructionTwinError(Sentence("view.build.no_reader", seconds=timeout))
         tell()
         pause()
 

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import check_writable, write_whole
+from construction_twin.core.sentences import Sentence
 from construction_twin.evaluation.report import write_report
 from construction_twin.evaluation.tables import render_tables
 from construction_twin.planning.waypoint_file import format_plan
@@ -80,9 +81,7 @@ def _write_plans(options: argparse.Namespace, robot: RobotModel, directory: Path
     files: list[Path] = []
     for plan in read_plans(options.bag, options.robot):
         if plan.trajectory.joint_names != robot.joint_names:
-            raise ConstructionTwinError(
-                f"plan {plan.id} has other joints than {robot.name}; give --robot-xacro and --robot-config"
-            )
+            raise ConstructionTwinError(Sentence("view.evaluate.joints", plan=plan.id, robot=robot.name))
         files.append(directory / f"plan_{len(files) + 1}.csv")
         write_whole(files[-1], format_plan(plan, robot.linear))
     return tuple(files)

@@ -19,6 +19,7 @@ import yaml
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import check_writable
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.description import RobotModel, load_robot, read_robot_files
 from construction_twin.robot.new_robot import find_ends, new_description, robot_name, robot_yaml, with_home
 from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
@@ -97,7 +98,9 @@ def _make(options: argparse.Namespace, command: str) -> list[str]:
     """Write the files; return what to say."""
     if not 0 < options.full_speed_in < float("inf") or options.samples < 1:
         raise ConfigurationError(
-            "--full-speed-in, --samples", (options.full_speed_in, options.samples), "positive numbers"
+            "--full-speed-in, --samples",
+            (options.full_speed_in, options.samples),
+            Sentence("expected.positive_numbers"),
         )
     path = options.urdf.absolute()
     urdf = expand_xacro(path, xacro_arguments(options.xacro_args))
@@ -154,8 +157,7 @@ def _check_folder(folder: Path, files: Mapping[str, Path], force: bool) -> None:
     there = [file for file in files.values() if file.exists()]
     if there and not force:
         raise ConfigurationError(
-            "--output", str(there[0]), "a folder without these files: what a person has filled in would be lost; give another "
-            "one, or --force",
+            "--output", str(there[0]), Sentence("expected.new_arm.folder"),
         )  # fmt: skip
 
 
@@ -198,5 +200,5 @@ def _settle(robot: RobotModel, description: dict[str, Any], home: Home, scene: S
             return _Settled(robot, description, pairs, home)
         home = find_home(world, np.random.default_rng(SEED))
     raise ConfigurationError(
-        "home pose", home.q, f"a pose that {samples} samples leave free, within {_ATTEMPTS} attempts"
+        "home pose", home.q, Sentence("expected.new_arm.free", samples=samples, attempts=_ATTEMPTS)
     )

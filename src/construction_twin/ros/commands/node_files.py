@@ -181,9 +181,9 @@ def read_mapping(path: str, what: str) -> Values:
     try:
         content = yaml.safe_load(read_text(path))
     except yaml.YAMLError as error:
-        raise ConfigurationError(path, " ".join(str(error).split()), "a YAML file") from error
+        raise ConfigurationError(path, " ".join(str(error).split()), Sentence("expected.yaml_file")) from error
     if not isinstance(content, dict):
-        raise ConfigurationError(path, content, f"a mapping: {what}")
+        raise ConfigurationError(path, content, Sentence("expected.mapping", what=what))
     return content
 
 

@@ -81,7 +81,7 @@ def _check_estimates(given: Given, robot: RobotModel) -> None:
         raise ConfigurationError(
             "estimates",
             list(robot.estimates),
-            f"none with arm:=real: put in the right values of {keys}, then take the words out",
+            Sentence("expected.no_estimates", keys=keys),
         )
 
 
@@ -101,7 +101,7 @@ def _check_controller_file(given: Given, robot: RobotModel) -> None:
     if path != NONE:
         _make(given).form_of(path).load(path)
     elif form is not None:
-        raise ConfigurationError("path", path, f"that of the controller's {form.name}")
+        raise ConfigurationError("path", path, Sentence("expected.form", file=form.name))
     settings = read_mapping(str(_package() / "config" / "gateway.yaml"), "link settings")
     given_here = {"decimals": int(given.get("decimals", "3"))} | controller_settings(given)
     gateway_config(robot, settings | given_here | tool_settings(given))
@@ -122,13 +122,17 @@ def _check_work(given: Given, robot: RobotModel) -> None:
         raise ConfigurationError("its path", given["work_model"], Sentence("preflight.expected.file"))
     cell = given.get("work_cell", "")
     if not readable(cell):
-        raise ConfigurationError("work_cell", cell, "the absolute path of a cell file")
+        raise ConfigurationError("work_cell", cell, Sentence("expected.cell_path"))
     site = read_site(cell)
     for name, named in (("tool", site.file.tool), ("scene", site.file.scene)):
         wanted = (Path(cell).resolve().parent / named).resolve()
         given_path = given.get(name, "")
         if not given_path.startswith("/") or Path(given_path).resolve() != wanted:
-            raise ConfigurationError(name, given_path, f"{wanted}, as {cell} says; give {name}:={wanted}")
+            raise ConfigurationError(
+                name,
+                given_path,
+                Sentence("expected.as_cell", wanted=str(wanted), cell=cell, name=name, path=str(wanted)),
+            )
 
 
 def _check_scene(given: Given, robot: RobotModel) -> None:
@@ -185,15 +189,15 @@ def _check_trace(given: Given, robot: RobotModel) -> None:
         return
     path = ros_home() / given["gateway_trace"]
     if path.is_dir():
-        raise ConfigurationError(str(path), "a folder", "the path of a file in it")
+        raise ConfigurationError(str(path), "a folder", Sentence("expected.path_in"))
     if not os.path.lexists(path.parent):
-        raise ConfigurationError(str(path.parent), "no such folder", "one that is there, make it first")
+        raise ConfigurationError(str(path.parent), "no such folder", Sentence("expected.folder_there"))
     check_writable(path.parent)
     path = path.resolve()
     there = path.stat().st_blocks * 512 if path.is_file() else 0
     needed, free = trace_room(len(robot.joint_names)), shutil.disk_usage(path.parent).free + there
     if free < needed:
-        found, expected = f"{free / 1e6:.1f} MB of room", f"a disk with {needed / 1e6:.1f} MB, reserved at the start"
+        found, expected = f"{free / 1e6:.1f} MB of room", Sentence("expected.room", room=needed / 1e6)
         raise ConfigurationError(str(path.parent), found, expected)
 
 
@@ -202,10 +206,10 @@ def _check_console(given: Given, _robot: RobotModel) -> None:
     if not is_true(given, "console"):
         return
     if importlib.util.find_spec("websockets") is None:
-        raise ConfigurationError("the Python package websockets", "missing", "installed; run setup/setup.sh console")
+        raise ConfigurationError("the Python package websockets", "missing", Sentence("expected.websockets"))
     page = given.get("console_page", "none")
     if page != "none" and not (page.startswith("/") and Path(page, "index.html").is_file()):
-        expected = "the absolute path of the page's folder; run setup/setup.sh console, which builds it, or give none"
+        expected = Sentence("expected.page")
         raise ConfigurationError("console_page", page, expected)
     if is_true(given, "console_files"):
         check_writable(ros_home() / "construction_twin" / "console")

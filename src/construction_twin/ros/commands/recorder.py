@@ -13,6 +13,7 @@ import rosgraph
 import roslib.packages
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.sentences import Sentence
 
 
 class Recorder:
@@ -32,7 +33,7 @@ class Recorder:
     def __init__(self, path: Path, topics: Sequence[str], name: str):
         programs = roslib.packages.find_node("rosbag", "record")
         if not programs:
-            raise ConstructionTwinError("rosbag's recorder is not installed; install the package python3-rosbag")
+            raise ConstructionTwinError(Sentence("view.recorder.missing"))
         self.path = path
         self._topics = tuple(topics)
         self._name = name
@@ -59,7 +60,7 @@ class Recorder:
         """
         if self._process.poll() is not None:
             status = self._process.returncode
-            raise ConstructionTwinError(f"the recorder of {self.path} ended with status {status}; is the disk full?")
+            raise ConstructionTwinError(Sentence("view.recorder.ended", path=str(self.path), status=status))
         try:
             publishers, subscribers, _ = self._master.getSystemState()
             subscribed = {topic for topic, nodes in subscribers if self._name in nodes}
@@ -90,8 +91,10 @@ class Recorder:
         """
         self._end(signal.SIGINT, timeout)
         if not self.path.exists():
-            remedy = "`rosbag reindex` can repair the .active file"
-            raise ConstructionTwinError(f"{self.path} was not closed within {timeout:g} s; {remedy}")
+            remedy = Sentence("view.recorder.reindex")
+            raise ConstructionTwinError(
+                Sentence("view.recorder.not_closed", path=str(self.path), seconds=timeout, remedy=remedy)
+            )
 
     def _end(self, number: signal.Signals, timeout: float = 10.0) -> None:
         if self._process.poll() is None:

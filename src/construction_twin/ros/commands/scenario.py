@@ -22,6 +22,7 @@ from std_srvs.srv import Trigger
 from construction_twin.core.errors import ConstructionTwinError, ScenarioError
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import from_wire
 from construction_twin.gateway.trace import read_trace
 from construction_twin.msg import Execution, Link, Plan, Sync, Transition
@@ -147,10 +148,10 @@ class ScenarioDriver:
         if when == "now":
             return self._since
         if when == "rest":
-            self._wait(lambda: self._rest.at_rest, "the arm to stand", deadline)
+            self._wait(lambda: self._rest.at_rest, Sentence("view.scenario.wait.stand"), deadline)
             return rospy.Time.now().to_nsec()
         if when == "motion":
-            self._wait(self._moving, "the motion to start", deadline)
+            self._wait(self._moving, Sentence("view.scenario.wait.motion"), deadline)
             return self._execution.plan_start.to_nsec()
         topic, state = when.split(" ")
         self._wait(lambda: self.now(topic) == state or self._entered(topic, state), when, deadline)
@@ -175,7 +176,7 @@ class ScenarioDriver:
         self._check("plan_to_joints", answer)
 
     def _approve(self, deadline: float) -> None:
-        plan = self._wait(self._new_plan, "a plan to approve", deadline)
+        plan = self._wait(self._new_plan, Sentence("view.scenario.wait.plan"), deadline)
         review = rospy.ServiceProxy("review_plan", ReviewPlan)
 
         def answered():
@@ -183,7 +184,7 @@ class ScenarioDriver:
             answer = review(plan.id, plan.hash, True, "scenario", self._scenario.name)
             return answer if answer.success or "is not under review" not in answer.message else None
 
-        answer = self._wait(answered, "the executor to know the plan", min(deadline, time.monotonic() + 2.0))
+        answer = self._wait(answered, Sentence("view.scenario.wait.known"), min(deadline, time.monotonic() + 2.0))
         self._approved = plan.id
         self._note("approve", plan.id)
         self._check("review_plan", answer)
@@ -211,9 +212,11 @@ class ScenarioDriver:
         while not (found := condition()):
             if time.monotonic() > deadline:
                 states = ", ".join(f"{topic} {self.now(topic)}" for topic in STATES)
-                raise ScenarioError(f"waited in vain for {what}; {states}: {self._reasons()}")
+                raise ScenarioError(
+                    Sentence("view.scenario.in_vain", what=what, states=states, reasons=self._reasons())
+                )
             if rospy.is_shutdown():
-                raise ScenarioError("interrupted")
+                raise ScenarioError(Sentence("view.interrupted"))
             time.sleep(_POLL)
         return found
 
@@ -259,7 +262,7 @@ def run_scenario(settings: ScenarioSettings, content: dict, console: Console) ->
         deadline = time.monotonic() + _READY
         while not recorder.connected():
             if time.monotonic() > deadline:
-                raise ScenarioError(f"the recording did not start within {_READY:g} s")
+                raise ScenarioError(Sentence("view.scenario.no_recording", seconds=_READY))
             time.sleep(_POLL)
         failure = driver.run()
         rospy.sleep(0.6)  # the mock's next report belongs to the recording

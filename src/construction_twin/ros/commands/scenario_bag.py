@@ -12,6 +12,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.sentences import Sentence
 from construction_twin.msg import Execution, Link, Sync, Transition
 from construction_twin.ros.commands.bag import read_recording
 from construction_twin.ros.shared.known_bag import open_bag
@@ -58,7 +59,7 @@ def read_run(folder: Path, namespace: str | None = None) -> Run:
             messages.setdefault(wanted[topic], []).append(message)
     for name in ("sync", "execution", MOCK, ARM):
         if name not in messages:
-            raise ConstructionTwinError(f"{path} holds no {prefix}/{name}; was the mock controller recorded?")
+            raise ConstructionTwinError(Sentence("view.bag.not_there", path=str(path), topic=f"{prefix}/{name}"))
     reports = [json.loads(message.data) for message in messages[MOCK]]
     transitions = messages.get("transitions", [])
     changes += [*_states("sync", messages["sync"][:1]), *_transitions(transitions)]

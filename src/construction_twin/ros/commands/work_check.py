@@ -24,6 +24,7 @@ from rich.table import Table
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import check_writable, write_whole
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.commands.evaluate import package_file
@@ -242,14 +243,14 @@ def _arm(options: argparse.Namespace) -> Arm:
 def _processes(text: str) -> int:
     value = int(text)
     if not 1 <= value <= 64:
-        raise argparse.ArgumentTypeError(f"{value}: expected 1 to 64")
+        raise argparse.ArgumentTypeError(Sentence("view.argument.range", value=value, lowest=1, largest=64))
     return value
 
 
 def _seconds(text: str) -> float:
     value = float(text)
     if not 0.0 <= value <= 3600.0:
-        raise argparse.ArgumentTypeError(f"{value}: expected 0 to 3600")
+        raise argparse.ArgumentTypeError(Sentence("view.argument.range", value=value, lowest=0, largest=3600))
     return value
 
 

@@ -52,11 +52,7 @@ def control_messages() -> ModuleType:
     Raises:
         ConfigurationError: When there is none, or its action is another one; with what to do.
     """
-    to_do = (
-        "the package of ROS (apt-get install ros-noetic-control-msgs), or ours: "
-        "cp -r $(rospack find construction_twin)/setup/control_msgs into the src folder of your workspace, and catkin_make; "
-        "or follow_joint_trajectory:=false"
-    )
+    to_do = Sentence("expected.control_msgs")
     try:
         messages = importlib.import_module("control_msgs.msg")
     except ImportError as error:

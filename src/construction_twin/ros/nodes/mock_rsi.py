@@ -184,7 +184,7 @@ class MockRsiNode:
         """Return the request in the controller's axes."""
         names, axes = self._robot.joint_names, self._robot.axes
         if request.joint and request.joint not in names:
-            raise ConfigurationError(request.fault, request.joint, f"one of {', '.join(names)}")
+            raise ConfigurationError(request.fault, request.joint, Sentence("expected.one_of", known=", ".join(names)))
         axis = axes[names.index(request.joint)] if request.joint else None
         kind, values = KINDS.get(request.fault), tuple(request.value)
         if kind is not None and kind.shift and axis is not None:

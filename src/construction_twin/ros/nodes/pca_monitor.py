@@ -186,11 +186,9 @@ class PcaMonitorNode:
         try:
             with self._lock:
                 if not request.operator.strip():
-                    raise ConfigurationError(
-                        "operator", request.operator, "the name of a person: the change is recorded"
-                    )
+                    raise ConfigurationError("operator", request.operator, Sentence("expected.gate.person"))
                 if self._executing:
-                    raise ConfigurationError("the executor", self._executing, "no plan that is being executed")
+                    raise ConfigurationError("the executor", self._executing, Sentence("expected.gate.no_plan"))
                 # before the text is read: whatever reading it costs, it costs at rest
                 self._gate.check_rest(now)
                 behaviour = self._behaviour.changed(request.settings)

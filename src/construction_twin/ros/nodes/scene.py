@@ -16,6 +16,7 @@ from visualization_msgs.msg import MarkerArray
 
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.sentences import Sentence
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg
@@ -147,7 +148,7 @@ class SceneNode:
     def _add(self, request) -> tuple[Scene, str]:
         item = object_from_msg(request.object)
         if item.link:
-            raise SceneError(f"object {item.name!r} link", item.link, "an empty one; attach it once it is in the scene")
+            raise SceneError(f"object {item.name!r} link", item.link, Sentence("expected.no_link"))
         if self._frames.tf_name(request.frame_id) != self._frames.base:
             item = item.moved(product(self._frames.in_base(request.frame_id, rospy.Time(0)), item.pose))
         known = item.name in self._world.scene.names
@@ -258,7 +259,7 @@ def _scene_file(start: Scene) -> SceneFile:
     """Return the file of this run's edits: one per node and ROS master, so that two masters of one user do not meet in it."""
     run = rospy.get_param("/run_id", "")
     if not run:
-        raise ConfigurationError("/run_id", run, "the id of this run, as roscore and roslaunch set it")
+        raise ConfigurationError("/run_id", run, Sentence("expected.run_id"))
     name = re.sub(r"\W+", "_", f"{rosgraph.get_master_uri()} {rospy.get_name()}")
     return SceneFile(ros_home() / f"{name}_edits.json", run, start)
 

@@ -215,7 +215,7 @@ class ToolMarkerNode:
         self._place = pose
         try:
             if scene is None:
-                raise SceneError("the scene", None, "one on the topic scene; is the scene node running?")
+                raise SceneError("the scene", None, Sentence("expected.scene_topic"))
             seed = self._twin.pose(self._settings.max_pose_age)
             self._verdict = judge_pose(pose, seed, self._solver, self._world_of(scene))
         except ConstructionTwinError as error:

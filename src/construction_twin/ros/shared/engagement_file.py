@@ -34,7 +34,7 @@ class EngagementFile:
         except FileNotFoundError:
             return None
         except (OSError, UnicodeDecodeError) as error:
-            expected = "a file of an executor, or none when the arm is free"
+            expected = Sentence("expected.engagement_file")
             raise ConfigurationError(str(self._path), str(error), expected) from error
         return from_text(str(self._path), text, self._joint_names)
 

@@ -12,6 +12,7 @@ import rospy
 from construction_twin.controller.makes import DEFAULT, make_of
 from construction_twin.controller.tool import GatewayTool, ToolOutput
 from construction_twin.core.errors import ConfigurationError, PayloadError
+from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel
@@ -32,14 +33,14 @@ def config_from_parameters(namespace: str = "", needs_file: bool = True) -> Gate
     """
     name = namespace + "gateway"
     if not rospy.has_param(name):
-        raise ConfigurationError(rospy.resolve_name(name), None, "link settings, as launch/bringup.launch loads them")
+        raise ConfigurationError(rospy.resolve_name(name), None, Sentence("expected.link_settings"))
     settings = rospy.get_param(name)
     form = make_of(settings.get("make", DEFAULT)).file
     if "ethernet_xml" not in settings and needs_file and form is not None:
         raise ConfigurationError(
             rospy.resolve_name(f"{name}/ethernet_xml"),
             None,
-            f"the controller's {form.name}, as launch/bringup.launch loads it",
+            Sentence("expected.form_loaded", file=form.name),
         )
     return gateway_config(robot_from_parameters(namespace), settings)
 
@@ -67,7 +68,7 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
         settings["tool"] = gateway_tool(tool_of(tool, "tool"))
     timeout, cycle = settings.pop("timeout", TIMEOUT), settings.get("cycle", 4)
     if type(timeout) is not int or timeout < 1:
-        expected = f"a whole number of cycles, 1 or more, as {make.words.timeout}"
+        expected = Sentence("expected.timeout", words=make.words.timeout)
         raise ConfigurationError("timeout", timeout, expected)
     ends = [
         sorted((axis.sign * low + axis.offset, axis.sign * high + axis.offset))
@@ -87,7 +88,7 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
             **settings,
         )
     except TypeError as error:
-        raise ConfigurationError("gateway", settings, f"the keys of config/gateway.yaml ({error})") from error
+        raise ConfigurationError("gateway", settings, Sentence("expected.gateway_keys", problem=str(error))) from error
     _check_format(robot, config)
     return config
 
@@ -106,5 +107,5 @@ def _check_format(robot: RobotModel, config: GatewayConfig) -> None:
             codec.encode(q)
         except PayloadError as error:
             raise ConfigurationError(
-                f"{end} limits of {robot.name}", q, f"a range the wire can carry ({error})"
+                f"{end} limits of {robot.name}", q, Sentence("expected.wire_range", problem=str(error))
             ) from error

@@ -11,6 +11,7 @@ import pydantic
 import rospy
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import configuration_error
 from construction_twin.robot.description import RobotModel, load_robot
 
@@ -64,7 +65,7 @@ def robot_from_parameters(namespace: str = "") -> RobotModel:
     names = [namespace + name for name in ("robot_description", "robot")]
     for name in names:
         if not rospy.has_param(name):
-            raise ConfigurationError(rospy.resolve_name(name), None, "a robot, as launch/robot.launch loads it")
+            raise ConfigurationError(rospy.resolve_name(name), None, Sentence("expected.robot_loaded"))
     return load_robot(*map(rospy.get_param, names))
 
 

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.files import write_whole
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.shown_urdf import shown_urdf
 from construction_twin.scene.mesh_file import binary_stl, parse_mesh
 from construction_twin.scene.objects import Scene, read_mesh_file
@@ -42,7 +43,7 @@ class PrivateFiles:
         try:
             shown = shown_urdf(urdf, MESHES)
         except ElementTree.ParseError as error:
-            raise ConfigurationError("robot_description", str(error), "a URDF") from error
+            raise ConfigurationError("robot_description", str(error), Sentence("expected.urdf")) from error
         for name, contents in shown.meshes.items():
             self._keep(f"mesh/{name}", contents)
         self._write(f"{self._robot}/robot.urdf", shown.text)
@@ -85,4 +86,4 @@ class PrivateFiles:
 
     def _refused(self, error: OSError) -> ConfigurationError:
         found = f"{error.filename or self._folder}: {error.strerror}"
-        return ConfigurationError("private", found, "a folder that files can be written into")
+        return ConfigurationError("private", found, Sentence("expected.writable_folder"))
