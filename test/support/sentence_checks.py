@@ -34,6 +34,11 @@ def expects(key: str, where: str = "", /, **values: Value) -> Callable[[Configur
     return check
 
 
+def holds(part: str, key: str, /) -> Callable[[ConstructionTwinError], bool]:
+    """Return the check that a part of what an error says is the sentence of a key."""
+    return lambda error: key_of(error.sentence.values[part]) == key
+
+
 def because(key: str, /, **values: Value) -> Callable[[TaskPlanningError], bool]:
     """Return the same check of the reason why a task cannot be planned."""
     return lambda error: key_of(error.reason) == key and values.items() <= error.reason.values.items()

@@ -17,6 +17,7 @@ from xml.etree import ElementTree
 
 import pytest
 from PIL import Image
+from sentence_checks import expects, says
 
 from construction_twin.broker import certificates
 from construction_twin.broker.certificates import Authority, expiry
@@ -501,13 +502,15 @@ def test_a_program_that_is_missing_is_named(tmp_path, monkeypatch, capsys, progr
 
 
 def test_a_tool_that_fails_is_told_with_its_last_words(tmp_path):
-    with pytest.raises(ConstructionTwinError, match="openssl x509 failed with 1: .+"):
+    with pytest.raises(
+        ConstructionTwinError, check=says("view.site.program_failed", program="openssl", step="x509", status=1)
+    ):
         expiry(tmp_path / "missing")
 
 
 def test_half_a_ca_is_not_mended_by_making_another(folder):
     (folder / "ca/ca.key").unlink()
-    with pytest.raises(ConstructionTwinError, match="only one of ca.key and ca.crt"):
+    with pytest.raises(ConstructionTwinError, check=says("view.site.half_ca", folder=str(folder / "ca"))):
         Authority(folder / "ca", "x", ())
 
 
@@ -526,18 +529,18 @@ def account_file(tmp_path: Path, **document) -> Path:
 
 
 @pytest.mark.parametrize(
-    "document, said",
+    "document, where, key",
     [
-        ({"user": "x"}, "password_file"),
-        ({"password_file": "x"}, "user"),
-        ({"ca_file": "ca", "cert_file": "x"}, "key_file"),
-        ({"cert_file": "x", "key_file": "y"}, "needs TLS"),
-        ({"user": "x", "password": "secret"}, "no other keys"),
-        ({"user": 5, "password_file": "x"}, "texts as values"),
+        ({"user": "x"}, "account.json: password_file", "pair"),
+        ({"password_file": "x"}, "account.json: user", "pair"),
+        ({"ca_file": "ca", "cert_file": "x"}, "account.json: key_file", "pair"),
+        ({"cert_file": "x", "key_file": "y"}, "account.json: ca_file", "ca"),
+        ({"user": "x", "password": "secret"}, "account.json", "keys"),
+        ({"user": 5, "password_file": "x"}, "account.json", "texts"),
     ],
 )
-def test_an_account_file_that_makes_no_sense_is_refused(tmp_path, document, said):
-    with pytest.raises(ConfigurationError, match=said):
+def test_an_account_file_that_makes_no_sense_is_refused(tmp_path, document, where, key):
+    with pytest.raises(ConfigurationError, check=expects(f"expected.account.{key}", where)):
         load_account(account_file(tmp_path, **document))
 
 
@@ -556,7 +559,7 @@ def test_files_that_are_missing_or_not_what_they_should_be_are_named(tmp_path):
     with pytest.raises(ConfigurationError, match=r"/ca\.crt: "):
         account.context()
     (tmp_path / "ca.crt").write_text("no certificate")
-    with pytest.raises(ConfigurationError, match=r"/ca\.crt: .*PEM"):
+    with pytest.raises(ConfigurationError, check=expects("expected.account.ca_file", "/ca.crt")):
         account.context()
 
 
@@ -564,18 +567,18 @@ def test_files_that_are_missing_or_not_what_they_should_be_are_named(tmp_path):
 def test_a_secret_that_others_may_read_is_refused(folder, mode):
     account = load_account(folder / "accounts/kr120-bridge/account.json")
     Path(account.password_file).chmod(mode)
-    with pytest.raises(ConfigurationError, match="chmod 600"):
+    with pytest.raises(ConfigurationError, check=expects("expected.account.secret", path=account.password_file)):
         account.password()
     account = load_account(folder / "accounts/kr120-bridge/certificate.json")
     Path(account.key_file).chmod(mode)
-    with pytest.raises(ConfigurationError, match="chmod 600"):
+    with pytest.raises(ConfigurationError, check=expects("expected.account.secret", path=account.key_file)):
         account.context()
 
 
 def test_a_key_of_somebody_else_does_not_fit_the_certificate(folder):
     key = folder / "accounts/kr120-bridge/client.key"
     key.write_bytes((folder / "accounts/kr120-viewer/client.key").read_bytes())
-    with pytest.raises(ConfigurationError, match="fits its key"):
+    with pytest.raises(ConfigurationError, check=expects("expected.account.certificate")):
         load_account(folder / "accounts/kr120-bridge/certificate.json").context()
 
 

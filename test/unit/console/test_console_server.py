@@ -25,6 +25,7 @@ from typing import ClassVar
 import pytest
 from evaluation_samples import run
 from mqtt_packets import connect, packet, text
+from sentence_checks import expects
 from websockets.asyncio.client import connect as websocket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
@@ -623,7 +624,7 @@ def test_what_would_send_passwords_in_the_clear_is_refused(tmp_path, capsys, arg
 
 
 def test_a_page_that_is_not_there_is_told(tmp_path):
-    with pytest.raises(ConfigurationError, match="expected a folder"):
+    with pytest.raises(ConfigurationError, check=expects("expected.folder", "console files")):
         read_folder(tmp_path / "nothing")
 
 

@@ -8,6 +8,7 @@ import random
 
 import pytest
 from gateway_cell import START, Cell, following, slow
+from sentence_checks import expects
 
 from construction_twin.controller.last_resort import LONGEST_GAP_MS
 from construction_twin.core.errors import ConfigurationError
@@ -175,7 +176,10 @@ def test_the_session_lasts_through_gaps_of_the_controllers_own_timeout():
 
 @pytest.mark.parametrize("cycle", [0, 8, 12.0, "12", True, None])
 def test_only_the_cycles_of_rsi_are_taken(cycle):
-    with pytest.raises(ConfigurationError, match="cycle: .*expected 4 or 12 ms: RSI_ON with #IPO_FAST or #IPO"):
+    with pytest.raises(
+        ConfigurationError,
+        check=expects("expected.cycle_why", "cycle", cycles="4 or 12", why="RSI_ON with #IPO_FAST or #IPO"),
+    ):
         Cell(cycle=cycle)
 
 

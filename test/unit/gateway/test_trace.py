@@ -13,6 +13,7 @@ import sys
 
 import pytest
 from gateway_cell import CONFIG, START, following
+from sentence_checks import expects
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.udp import bind
@@ -105,7 +106,7 @@ def test_what_is_no_regular_file_is_refused_unopened_and_stays(tmp_path, monkeyp
     link.symlink_to(there)
     before = os.lstat(there)
     monkeypatch.setattr("builtins.open", lambda *given, **named: pytest.fail(f"opened: {given}"))
-    with pytest.raises(ConfigurationError, match="--trace.* regular file.* device"):
+    with pytest.raises(ConfigurationError, check=expects("expected.trace.regular", "--trace")):
         TraceWriter(str(link if linked else there), 1)
     after = os.lstat(there)
     assert (after.st_mode, after.st_ino, after.st_rdev) == (before.st_mode, before.st_ino, before.st_rdev)
@@ -124,7 +125,7 @@ def test_a_refused_start_removes_only_the_file_that_it_made(tmp_path, monkeypatc
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "posix_fallocate", no_room)
-    with pytest.raises(ConfigurationError, match="No space left"):
+    with pytest.raises(ConfigurationError, check=expects("expected.trace.room", problem="No space left on device")):
         TraceWriter(str(link if linked else there), 1)
     assert link.is_symlink() and there.exists() is existed
     if existed:

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mock_cell import CONFIG, HOME, ZERO, Cell, step
+from sentence_checks import expects
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import CYCLE, radians
@@ -80,7 +81,7 @@ def test_what_makes_no_sense_is_refused_and_changes_nothing(fault):
 def test_what_is_not_on_cannot_be_switched_off():
     bench = Bench()
     bench.faults.inject(Fault("stall", "A1"))
-    with pytest.raises(ConfigurationError, match="stall A1"):
+    with pytest.raises(ConfigurationError, check=expects("expected.fault.on", faults="stall A1")):
         bench.faults.end(Fault("stall", "A2"))
 
 
@@ -183,7 +184,7 @@ def test_an_emergency_stop_brakes_all_axes_together_within_their_limits():
     # A1 needs longest: 20 deg/s at 155.8 deg/s^2
     assert ramp.cycles == math.ceil(20.0 / 155.8 / CYCLE)
     assert bench.mock.measured == bench.mock.setpoint
-    with pytest.raises(ConfigurationError, match="emergency stop"):
+    with pytest.raises(ConfigurationError, check=expects("expected.released", "restart")):
         bench.mock.restart()
     bench.faults.end(Fault("estop"))
     bench.mock.restart()

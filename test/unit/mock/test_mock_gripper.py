@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from mock_cell import Cell
 from processes import ROOT
+from sentence_checks import says
 from tool_cell import GRIPPER, LAYOUT
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
@@ -55,7 +56,7 @@ def test_a_mock_without_a_tool_has_no_gripper_to_fail():
     cell = Cell()
     assert cell.mock.tool is None
     for name in ("grip_fails", "grip_lost", "opened_by_hand", "no_read_back"):
-        with pytest.raises(ConstructionTwinError, match="the Ethernet XML with channels of a tool"):
+        with pytest.raises(ConstructionTwinError, check=says("reason.no_tool_channels", fault=name)):
             FaultBoard(cell.mock, 0).inject(Fault(name))
 
 

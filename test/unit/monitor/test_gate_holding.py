@@ -7,6 +7,7 @@ import math
 
 import pytest
 from gate_bench import CODEC, LIMITS, SETTINGS, START, Bench, moved, states
+from sentence_checks import expects
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
@@ -75,7 +76,7 @@ class TestThresholds:
         if stopped:
             gate.stay_stopped("by an earlier monitor", gate.held_stamp)
         gate.mirror(True, gate.held_stamp)
-        with pytest.raises(ConfigurationError, match="the arm leads"):
+        with pytest.raises(ConfigurationError, check=expects("expected.gate.not_led", "the gate")):
             gate.configure(GateSettings(threshold=0.3), "Ada", gate.held_stamp)
         assert gate.settings is before
 
@@ -196,7 +197,7 @@ class TestPolicy:
         command = gate.pass_next(stamp, moved(START, 1e-5), stamp)
         assert command != START and gate.state is SyncState.IN_SYNC
         for now in (stamp, stamp + REST - 1):
-            with pytest.raises(ConfigurationError, match="in motion"):
+            with pytest.raises(ConfigurationError, check=expects("expected.gate.still", "the gate")):
                 gate.configure(dataclasses.replace(gate.settings, threshold=0.3), "Ada", now)
         gate.configure(dataclasses.replace(gate.settings, threshold=0.3), "Ada", stamp + REST)
         assert gate.settings.threshold == 0.3

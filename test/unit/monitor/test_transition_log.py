@@ -8,7 +8,7 @@ import math
 import os
 
 import pytest
-from sentence_checks import says
+from sentence_checks import expects, holds, says
 
 from construction_twin.core.errors import ConfigurationError, TransitionLogError
 from construction_twin.monitor import transition_log as sync_log
@@ -93,7 +93,7 @@ def test_keeps_what_the_disk_refuses(tmp_path, monkeypatch):
         log.flush()
     assert (log.lost, log.written) == (2, 0)
     monkeypatch.setattr(sync_log.os, "write", lambda file, data: write(file, data[:10]))
-    with pytest.raises(TransitionLogError, match="only 10 of"):
+    with pytest.raises(TransitionLogError, check=holds("problem", "reason.file.cut")):
         log.flush()
     monkeypatch.setattr(sync_log.os, "write", write)
     log.flush()
@@ -103,5 +103,5 @@ def test_keeps_what_the_disk_refuses(tmp_path, monkeypatch):
 
 
 def test_a_file_that_cannot_be_written_is_named(tmp_path):
-    with pytest.raises(ConfigurationError, match="transition log"):
+    with pytest.raises(ConfigurationError, check=expects("expected.transition_log")):
         TransitionLog(tmp_path, NAMES)

@@ -304,7 +304,7 @@ def test_a_prefix_of_ones_own_stands_in_every_rule():
         ({"prefix": "a/b"}, "--prefix"),
         ({"port": 65535}, "--port"),
         ({"folder": "/a b"}, "--broker-folder"),
-        ({"robots": ("a", "a-reviewer"), "reviewers": ("reviewer-x", "x")}, "a name of its own"),
+        ({"robots": ("a", "a-reviewer"), "reviewers": ("reviewer-x", "x")}, "--robot and the names of people"),
     ],
 )
 def test_a_name_that_could_change_the_rules_is_refused(changes, said):

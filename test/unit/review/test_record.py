@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from memory import size
 from plan_samples import make_plan
-from sentence_checks import says
+from sentence_checks import expects, holds, says
 
 from construction_twin.core.errors import ConfigurationError, RecordError
 from construction_twin.review import record as review_log
@@ -180,17 +180,17 @@ class TestContinuation:
             ReviewLog(written, lambda: NOW)
 
     def test_two_writers_of_one_file_are_refused(self, log, path):
-        with pytest.raises(ConfigurationError, match="no other executor writes"):
+        with pytest.raises(ConfigurationError, check=expects("expected.record.own", writer="executor")):
             ReviewLog(path, lambda: NOW)
 
     @pytest.mark.parametrize("empty", ["", "  "])
     def test_no_file_is_refused(self, empty):
-        with pytest.raises(ConfigurationError, match="nothing is approved without a record"):
+        with pytest.raises(ConfigurationError, check=expects("expected.record.path")):
             ReviewLog(empty, lambda: NOW)
 
     def test_a_folder_that_cannot_be_made_is_refused(self, tmp_path):
         (tmp_path / "file").write_text("")
-        with pytest.raises(ConfigurationError, match="can be written"):
+        with pytest.raises(ConfigurationError, check=expects("expected.writable")):
             ReviewLog(tmp_path / "file" / "reviews.jsonl", lambda: NOW)
 
     def test_the_home_folder_can_be_written_as_a_tilde(self, tmp_path, monkeypatch):
@@ -304,7 +304,7 @@ class TestWriting:
         write = os.write
         with monkeypatch.context() as patch:
             patch.setattr(os, "write", lambda file, data: write(file, data[: len(data) // 2]))
-            with pytest.raises(RecordError, match="bytes could be written"):
+            with pytest.raises(RecordError, check=holds("problem", "reason.file.cut")):
                 log.append(verdict())
         assert path.read_bytes() == b""
 
@@ -314,15 +314,15 @@ class TestWriting:
             (lambda path: path.unlink(), "gone"),
             (lambda path: path.rename(path.with_name("moved")), "gone"),
             (lambda path: (path.unlink(), path.write_text("")), "replaced"),
-            (lambda path: os.truncate(path, 10), "another process"),
-            (lambda path: path.open("a").write("{}\n"), "another process"),
+            (lambda path: os.truncate(path, 10), "other_writer"),
+            (lambda path: path.open("a").write("{}\n"), "other_writer"),
         ],
         ids=["removed", "moved", "replaced", "cut", "written to"],
     )
     def test_a_file_that_somebody_touched_takes_no_more_records(self, log, path, change, problem):
         log.append(verdict())
         change(path)
-        with pytest.raises(RecordError, match=problem):
+        with pytest.raises(RecordError, check=holds("problem", f"reason.file.{problem}")):
             log.append(verdict())
 
     def test_deferred_records_come_first_with_the_time_they_were_deferred_at(self, path):

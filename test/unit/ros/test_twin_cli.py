@@ -13,6 +13,7 @@ import pytest
 import rosgraph
 import yaml
 from ros_master import Node, ros_master
+from sentence_checks import holds
 
 from construction_twin.core.errors import ConfigurationError, SilenceError
 from construction_twin.robot.urdf import expand_xacro
@@ -40,7 +41,7 @@ def test_a_port_without_anybody_is_no_master(monkeypatch):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    with pytest.raises(SilenceError, match="no ROS master answers"):
+    with pytest.raises(SilenceError, check=holds("problem", "view.silent.no_master")):
         connect(monkeypatch, f"http://127.0.0.1:{port}")
 
 
@@ -48,7 +49,7 @@ def test_somebody_who_takes_the_call_and_says_nothing_is_no_master(monkeypatch):
     with socket.socket() as mute:
         mute.bind(("127.0.0.1", 0))
         mute.listen()
-        with pytest.raises(SilenceError, match="no ROS master answers"):
+        with pytest.raises(SilenceError, check=holds("problem", "view.silent.no_master")):
             connect(monkeypatch, f"http://127.0.0.1:{mute.getsockname()[1]}")
     assert socket.getdefaulttimeout() is None
 

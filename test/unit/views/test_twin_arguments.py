@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plan_samples import make_plan
 from scene_samples import kr120, track7
+from sentence_checks import expects
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
@@ -124,7 +125,10 @@ def test_joint_goals_in_deg_and_mm():
     track = track7()
     q = joint_goal([1500.0, *[10.0] * 6], track)
     assert track.linear[0] and q[0] == pytest.approx(1.5) and q[1] == pytest.approx(math.radians(10.0))
-    with pytest.raises(ConfigurationError, match="expected 6 values, one for each of joint_a1"):
+    with pytest.raises(
+        ConfigurationError,
+        check=expects("expected.values_of", "--joints", count=6, names=", ".join(kr120().joint_names)),
+    ):
         joint_goal([1.0], kr120())
 
 

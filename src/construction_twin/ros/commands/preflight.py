@@ -206,7 +206,9 @@ def _check_console(given: Given, _robot: RobotModel) -> None:
     if not is_true(given, "console"):
         return
     if importlib.util.find_spec("websockets") is None:
-        raise ConfigurationError("the Python package websockets", "missing", Sentence("expected.websockets"))
+        raise ConfigurationError(
+            "the Python package websockets", "missing", Sentence("expected.installed", command="setup/setup.sh console")
+        )
     page = given.get("console_page", "none")
     if page != "none" and not (page.startswith("/") and Path(page, "index.html").is_file()):
         expected = Sentence("expected.page")
