@@ -10,23 +10,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.reports import EngagementReport
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 
 _FREE = "or free the arm by hand and call release_engagement"
-
-
-@dataclass(frozen=True)
-class Left:
-    """Where an arm was left engaged, as the topic `engagement` tells.
-
-    Attributes:
-        scenes: Hashes of the scenes in which it may go back; they change with the tool's inputs.
-    """
-
-    plan: str
-    segment: str
-    scenes: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +44,7 @@ class Due:
 
 
 def due(
-    left: Left,
+    left: EngagementReport,
     scene: Scene,
     steps: Sequence[Step],
     earlier: Iterable[Scene] = (),
@@ -81,7 +69,7 @@ def due(
         wanted = _wanted(base, left.scenes, changes, element, alternatives)
         if wanted is not None:
             return _lead(left, scene, wanted, mine)
-    known = "" if steps else f"plan {left.plan} is not known any more, and "
+    known = "" if steps else f"plan {left.plan_id} is not known any more, and "
     return Due(
         sentence=f"{_where(left)}; {known}no change of the work's objects makes the present scene {scene.hash[:12]} the one in "
         f"which it may go back ({' or '.join(each[:12] for each in left.scenes) or 'none is known'}): look at what hangs on the "
@@ -89,7 +77,7 @@ def due(
     )
 
 
-def confirmed(left: Left, step: Step) -> bool:
+def confirmed(left: EngagementReport, step: Step) -> bool:
     """Return whether the engagement says that what a segment switches at its end has happened, so that its change is due."""
     return step.after != step.before and set(left.scenes) == {step.after}
 
@@ -120,7 +108,7 @@ def _wanted(
     return None
 
 
-def _lead(left: Left, scene: Scene, wanted: Scene, mine: set[str]) -> Due:
+def _lead(left: EngagementReport, scene: Scene, wanted: Scene, mine: set[str]) -> Due:
     """Return the change from the present scene to a wanted one, or what of it is not the work's to change."""
     there, then = ({item.name: item for item in one.objects} for one in (scene, wanted))
     put = [item for name, item in then.items() if name not in there or _differ(there[name], item)]
@@ -163,8 +151,8 @@ def _differ(one: SceneObject, other: SceneObject) -> bool:
     return one.contents() != other.contents()
 
 
-def _where(left: Left) -> str:
-    return f"the arm was left in engaged segment {left.segment!r} of plan {left.plan}"
+def _where(left: EngagementReport) -> str:
+    return f"the arm was left in engaged segment {left.segment!r} of plan {left.plan_id}"
 
 
 def _names(names: Sequence[str]) -> str:

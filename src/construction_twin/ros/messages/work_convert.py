@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from construction_twin.msg import Engagement, Execution
 from construction_twin.msg import Segment as SegmentMsg
 from construction_twin.msg import WorkSegment as WorkSegmentMsg
-from construction_twin.ros.messages.convert import signal_to_msg, switch_from_msg, switch_to_msg, trajectory_to_msg
-from construction_twin.ros.messages.scene_convert import object_from_msg, object_to_msg
-from construction_twin.scene.scene_change import SceneChange
-from construction_twin.work.engaged_scene import Left, Step
-from construction_twin.work.following import Report, SegmentEnd
+from construction_twin.ros.messages.convert import (
+    change_from_msg,
+    signal_to_msg,
+    switch_from_msg,
+    switch_to_msg,
+    trajectory_to_msg,
+)
+from construction_twin.ros.messages.scene_convert import object_to_msg
+from construction_twin.work.engaged_scene import Step
+from construction_twin.work.following import SegmentEnd
 from construction_twin.work.jobs import WorkSegment
 
 
@@ -32,35 +36,10 @@ def step_from_msg(segment: SegmentMsg) -> Step:
     Raises:
         SceneError: When an object cannot be read.
     """
-    put = tuple(map(object_from_msg, segment.put))
-    return Step(segment.scene, segment.scene_after, SceneChange(put, tuple(segment.remove)))
+    return Step(segment.scene, segment.scene_after, change_from_msg(segment))
 
 
 def end_from_msg(segment: SegmentMsg) -> SegmentEnd:
     """Return what the end of a published plan's segment does to the grip."""
     carries = any(item.link for item in segment.put)
     return SegmentEnd(tuple(map(switch_from_msg, segment.switches)), carries, segment.engaged)
-
-
-def is_playing(message: Execution) -> bool:
-    """Return whether the executor says that a plan is under way, paused or held included."""
-    return message.state not in (Execution.WAITING, Execution.IDLE)
-
-
-def report_from_msg(message: Execution) -> Report:
-    """Return what the executor says of its plan; an outcome counts only when nothing is under way any more."""
-    playing = is_playing(message)
-    return Report(
-        plan=message.plan_id,
-        playing=playing,
-        outcome="" if playing else message.outcome,
-        segment=message.segment,
-        at_boundary=message.at_boundary,
-        wants_scene=message.wants_scene,
-        reason=message.reason,
-    )
-
-
-def left_from_msg(message: Engagement) -> Left:
-    """Return how an arm was left engaged."""
-    return Left(message.plan_id, message.segment, tuple(message.scenes))
