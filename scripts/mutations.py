@@ -18,11 +18,13 @@ import shutil
 import signal
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
+from multiprocessing.connection import wait
 from pathlib import Path
 from queue import SimpleQueue
 from xml.etree import ElementTree
@@ -40,6 +42,9 @@ LEFT_OUT = shutil.ignore_patterns(".git", ".ws", "results", "node_modules")
 FORKS = multiprocessing.get_context("forkserver")
 LIBRARIES = "pytest hypothesis numpy scipy.spatial pydantic yaml paho.mqtt.client pinocchio rospy".split()
 FORKS.set_forkserver_preload(LIBRARIES)
+#: Starting a process also asks every other one whether it has ended, and the end is told once: two threads that ask at a time may
+#: both be answered, one of them with 255 for a process that ended with 0.
+_ASKING = threading.Lock()
 #: How the message of a failure begins that is an answer to the mutation: pytest's assertions, and this package's own refusals.
 ANSWERS = ("assert ", "AssertionError", "Failed: ", f"{PACKAGE}.")
 #: Longest quotation of a failure [characters].
@@ -123,13 +128,15 @@ class Copy:
         result, output = self._folder / "result.xml", self._folder / "output.txt"
         result.unlink(missing_ok=True)
         process = FORKS.Process(target=_run_pytest, args=(self._folder, test, result, output, keep_compiled))
-        process.start()
-        process.join(self._time_limit)
-        if process.is_alive():
+        with _ASKING:
+            process.start()
+        if not wait([process.sentinel], self._time_limit):
             os.killpg(process.pid, signal.SIGKILL)
-            process.join()
+            wait([process.sentinel])
             return Outcome(f"it took more than {self._time_limit:g} s")
-        if process.exitcode == 0:
+        with _ASKING:
+            code = process.exitcode
+        if code == 0:
             return Outcome("")
         lines = output.read_text(errors="replace").strip().splitlines() or ["no output"]
         return _failure(result) or Outcome(next((line for line in lines if line.startswith("ERROR")), lines[-1])[:LINE])

@@ -12,7 +12,7 @@ Each tool of scripts/lint.py counts as one test. Unit tests run under pytest, th
 pytest of the venv that drives a browser, each `test/integration/*.test` under rostest with a ROS master of its own. A rostest that
 yields no result counts as one failure.
 
-Lint, the unit tests that need no real time and those of the page run beside each other, the unit tests in a process per core
+Lint, the unit tests that need no real time and those of the page run beside each other, the unit tests in two processes per core
 (pytest-xdist), the file that took longest last time first: what each took is kept in `.ws/test_durations.json`. A file stays in one
 process, because its tests may share a broker, a port or what a fixture made. Whatever runs at 250 Hz has the machine to
 itself, and a probe per core (benchmarks/machine.py) watches it: if the machine runs no process for `HALT`, arm and gateway brake as
@@ -54,8 +54,9 @@ FAILED: list[str] = []
 DISTURBED: list[str] = []
 #: What each file of tests took in this run [s], by its path; of a file that was run again, the last run.
 TOOK: dict[str, float] = {}
-#: Most processes of unit tests beside each other.
-MOST = 4
+#: Processes of unit tests per core: a third of their time is waiting, for a program to start or for a silence to be noticed. And
+#: most of them at all, for the memory that each takes.
+PER_CORE, MOST = 2, 6
 #: pytest-xdist hands out whole files, in the order in which they are given.
 IN_ORDER = ("--dist", "loadfile", "--no-loadscope-reorder")
 #: Result files of this family say of each test in which file it stands.
@@ -133,7 +134,7 @@ def unit_files() -> tuple[list[Path], list[Path]]:
 
 
 def run_beside(files: list[Path], browser: list[Path]) -> list[tuple[int, int]]:
-    """Run what needs no real time beside each other: the unit tests in a process per core, the page's in one.
+    """Run what needs no real time beside each other: the unit tests in some processes, the page's in one.
 
     Returns (passed, failed) of each.
     """
@@ -147,8 +148,8 @@ def run_beside(files: list[Path], browser: list[Path]) -> list[tuple[int, int]]:
 
 
 def workers() -> int:
-    """Return in how many processes unit tests run: one per core, but no more than `MOST`, for the memory that each takes."""
-    return min(len(os.sched_getaffinity(0)), MOST)
+    """Return in how many processes unit tests run."""
+    return min(PER_CORE * len(os.sched_getaffinity(0)), MOST)
 
 
 def run_alone(files: list[Path], probe: MachineProbe) -> list[tuple[int, int]]:

@@ -17,14 +17,28 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 from construction_twin.core.records import ZERO
 from construction_twin.core.reports import WorkReport
+from construction_twin.link.remote_review import PlanView
 from construction_twin.link.remote_view import VERSION, View
+from construction_twin.mqtt.requests import IK, PLAN_REQUEST, REVIEW, STOP, Answer, RequestKind
 from construction_twin.views.scene_view import SceneView
+from construction_twin.views.status_line import Line
 
 _TYPES = {str: "string", bool: "boolean", int: "integer", float: "number", NoneType: "null"}
 _ATTRIBUTES = "\n\nAttributes:\n"
 _WIDTH = 132
-#: What the page checks, by the name of the constant in web/src/schemas.js.
-CHECKED = {"VIEW": View, "WORK": WorkReport, "SCENE": SceneView}
+#: What the page checks, by the name of the constant in web/src/schemas.js; of a kind of request its answer. `pause/ack` is as
+#: `stop/ack`.
+CHECKED: dict[str, Any] = {
+    "VIEW": View,
+    "WORK": WorkReport,
+    "SCENE": SceneView,
+    "SCREEN": Sequence[Line],
+    "PLAN": PlanView,
+    "REVIEW_ACK": REVIEW,
+    "STOP_ACK": STOP,
+    "PLAN_REQUEST_ACK": PLAN_REQUEST,
+    "IK_ACK": IK,
+}
 
 
 def schema(kind: Any, words: bool = True) -> dict[str, Any]:
@@ -42,8 +56,13 @@ def schema(kind: Any, words: bool = True) -> dict[str, Any]:
         return made | {"type": [made["type"], "null"]}
     if get_origin(kind) is Literal:
         return {"enum": list(get_args(kind))}
+    if isinstance(kind, RequestKind):
+        answer = schema(Answer, words)
+        return answer | {"properties": {name: answer["properties"][name] for name in kind.answer}}
     if is_dataclass(kind):
         return _record(kind, words)
+    if kind is Any:
+        return {}
     if get_origin(kind) is not None and issubclass(get_origin(kind), Mapping):
         return {"type": "object", "additionalProperties": schema(get_args(kind)[1], words)}
     if get_origin(kind) is not None and issubclass(get_origin(kind), Sequence):
@@ -100,10 +119,17 @@ def view_schema() -> str:
 def page_schemas() -> str:
     """Return the text of web/src/schemas.js."""
     constants = [
-        f"/** {schema(kind)['description'].partition('.')[0]}. */\nexport const {name} = {_text(schema(kind, words=False))};\n"
+        f"/** {_about(kind)}. */\nexport const {name} = {_text(schema(kind, words=False))};\n"
         for name, kind in CHECKED.items()
     ]
     return "\n".join(["// Made from the records by scripts/make_reference.py; check.js reads it.\n", *constants])
+
+
+def _about(kind: Any) -> str:
+    if isinstance(kind, RequestKind):
+        return f"A message on <prefix>/<robot>/{kind.ack.format('<account>')}"
+    made = schema(kind)
+    return made.get("items", made)["description"].partition(".")[0]
 
 
 def _text(value: Any, indent: str = "", before: int = 0) -> str:

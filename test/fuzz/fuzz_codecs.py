@@ -12,13 +12,13 @@ from mqtt_mutations import Message, Target, message, mutate
 from rsi_mutations import mutate as mutate_telegram
 
 from construction_twin.core.errors import PayloadError, TelegramError
-from construction_twin.link.json_fields import read_document
-from construction_twin.link.remote_request import MAX_BYTES, IkRequest, RemoteRequest, parse_ik, parse_plan_request
+from construction_twin.link.goal_request import MAX_BYTES, GoalRequest, IkRequest, parse_ik, parse_plan_request
 from construction_twin.link.remote_review import parse_review
 from construction_twin.link.remote_trajectory import Joints, parse_trajectory
 from construction_twin.link.status_values import status_values
 from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP, parse_intervention
 from construction_twin.mqtt.joint_string import JointStringCodec
+from construction_twin.mqtt.json_fields import read_document
 from construction_twin.mqtt.messages import (
     account_of,
     parse_control,
@@ -123,12 +123,12 @@ def _wish(data: bytes) -> object:
     return _finite(parse_plan_request(read_document(data, False, "plan_request", MAX_BYTES), JOINTS))
 
 
-def _finite(asked: RemoteRequest | IkRequest) -> object:
+def _finite(asked: GoalRequest | IkRequest) -> object:
     """What is taken for a wish has only numbers in it that a planner can compute with."""
     values = [*asked.position, *asked.orientation]
     values += (
         [*asked.joints, asked.speed, asked.speed_scale, asked.acceleration_scale]
-        if isinstance(asked, RemoteRequest)
+        if isinstance(asked, GoalRequest)
         else asked.seed
     )
     assert all(map(math.isfinite, values)), asked
@@ -163,10 +163,10 @@ def rsi_codecs(telegram: bytes, count: int, seed: int, progress: Callable[[int],
     for done in range(count):
         if done % 4:
             read = tally.run(lambda: robot.parse(mutate_telegram(telegram, seed + done)[:LARGEST]), TelegramError)
-            values = () if read is None else (*(read.measured or ()), *(read.setpoint or ()), read.stamp)
+            values = () if read is None else (*(read.measured or ()), *(read.setpoint or ()), read.controller_ms)
         else:
             read = tally.run(lambda: sensor.parse(mutate_telegram(SENSOR, seed + done)[:LARGEST]), TelegramError)
-            values = () if read is None else (*read.target, read.stamp)
+            values = () if read is None else (*read.target, read.controller_ms)
         assert all(map(math.isfinite, values))
         progress(done + 1)
     return tally

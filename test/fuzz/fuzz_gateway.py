@@ -131,8 +131,8 @@ class Arm:
             except TimeoutError:
                 break
             read = parse_sensor(reply, "ImFree", AXES)
-            demand(not any(read.target), f"IPOC {read.stamp} was answered with a motion: {read.target}")
-            if read.stamp == self.controller.stamp:
+            demand(not any(read.target), f"IPOC {read.controller_ms} was answered with a motion: {read.target}")
+            if read.controller_ms == self.controller.stamp:
                 self.controller.receive(reply)
                 self.answered += 1
                 return True

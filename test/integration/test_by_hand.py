@@ -4,8 +4,10 @@
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
+import rospkg
 import rospy
 import rostest
 from construction_twin.msg import Review
@@ -15,11 +17,12 @@ from visualization_msgs.msg import InteractiveMarkerFeedback, InteractiveMarkerI
 from construction_twin.core.units import radians
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.robot.frames import rotation_to_abc
-from construction_twin.ros.shared.operator_client import pose_to_msg
+from construction_twin.ros.messages.convert import pose_to_msg
 
 #: Cycles over which an arm that must not move is watched.
 WATCH = 200
 FRAME = "kr120/twin/base_link"
+TWIN = Path(rospkg.RosPack().get_path("construction_twin")) / "nodes" / "twin"
 
 
 class Rviz:
@@ -128,8 +131,8 @@ class ByHandTest(RobotTest):
         self.rviz.go_back()
 
     def twin(self, *words: str) -> subprocess.CompletedProcess:
-        """Run the command line as a script would: without a terminal."""
-        command = ["rosrun", "construction_twin", "twin", "--robot", "kr120", *map(str, words)]
+        """Run the command line as a script would: without a terminal; and without `rosrun`, which searches for it each time."""
+        command = [sys.executable, str(TWIN), "--robot", "kr120", *map(str, words)]
         return subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=120.0)
 
     def done(self, *words: str) -> str:

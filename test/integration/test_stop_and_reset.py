@@ -21,7 +21,7 @@ from construction_twin.mqtt.messages import Topics
 TOPICS = Topics("twin", "kr120")
 #: Between the call of `reset` and the stop [s]: from before anything is sent to long after everything is accepted. Every 10 ms of
 #: it is tested on a simulated clock: unit/link/test_reset_and_stop.py, TestEveryMoment.
-MOMENTS = (0.0, 0.02, 0.06, 0.15, 1.0)
+MOMENTS = (0.0, 0.06, 1.0)
 #: How long a stop is watched [s].
 WATCHED = 2.5
 #: How often a stop may be earlier at the bridge than the call that was made before it. The call goes to the bridge by way of the
@@ -153,7 +153,7 @@ class StopAndResetTest(RobotTest):
 
     def test_a_second_gateway_is_named_and_nothing_is_armed_until_it_is_gone(self):
         client, run = self.client, self.status["run"]
-        end = time.monotonic() + 4.0
+        end = time.monotonic() + 2.0
         while time.monotonic() < end:
             other = self.status | {
                 "run": "second",

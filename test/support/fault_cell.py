@@ -392,7 +392,7 @@ def judge_arm(packets, limits: MotionLimits) -> ArmReport:
     shows the pose of the one before it.
     """
     measured = np.array([packet.measured for packet in packets])
-    ipoc = np.array([packet.stamp for packet in packets])
+    ipoc = np.array([packet.controller_ms for packet in packets])
     missed = np.array([packet.missed > 0 for packet in packets])
     # AIPos has 6 decimals of a degree: a step is the difference of two rounded values
     largest = (np.array(limits.acceleration) + limits.allowances(6)) * CYCLE**2 + np.deg2rad(1e-6)

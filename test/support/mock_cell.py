@@ -62,7 +62,7 @@ class Cell:
         packet = parse_robot(data, AXES)
         self.packets.append(packet)
         if correction is not None:
-            self.mock.receive((encoder or self.encoder).encode(correction, packet.stamp + ipoc_offset))
+            self.mock.receive((encoder or self.encoder).encode(correction, packet.controller_ms + ipoc_offset))
         return packet
 
     def cycles(self, count, correction=ZERO):

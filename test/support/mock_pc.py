@@ -46,8 +46,8 @@ class Pc(threading.Thread):
             packet = parse_robot(data, AXES)
             if self.answering:
                 time.sleep(self.after.get(len(self.received) + 1, 0) / 1e9)
-                self.socket.sendto(self._encoder.encode(ZERO, packet.stamp), source)
-                self.answered[packet.stamp] = time.monotonic_ns()
+                self.socket.sendto(self._encoder.encode(ZERO, packet.controller_ms), source)
+                self.answered[packet.controller_ms] = time.monotonic_ns()
             self.received.append((now, packet, source))
 
     def close(self):

@@ -21,9 +21,8 @@ from construction_twin.core.motion_errors import KinematicsError
 from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
-from construction_twin.link.json_fields import read_document
-from construction_twin.link.remote_request import MAX_BYTES, parse_ik, parse_plan_request
-from construction_twin.link.remote_review import PlanView, parse_review
+from construction_twin.link.goal_request import MAX_BYTES, parse_ik, parse_plan_request
+from construction_twin.link.remote_review import ClearanceView, PlanView, UseView, parse_review
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
     ClosestView,
@@ -35,6 +34,7 @@ from construction_twin.link.remote_view import (
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.interventions import parse_intervention
+from construction_twin.mqtt.json_fields import read_document
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import EXECUTOR, GATEWAY, RequestKind
 from construction_twin.robot.description import RobotModel, read_robot_files
@@ -253,11 +253,11 @@ class ScriptedRobot:
         use = report.usage
         return PlanView(
             id=plan_id, hash=trajectory.content_hash(), source=source, planner="none", scene="0" * 64, frame="base_link",
-            created_ns=time.time_ns(), duration=trajectory.duration, planning_time=0.1, joint_names=self._names,
+            created_ns=time.time_ns(), duration=trajectory.duration, planning_time=0.1, joints=self._names,
             start=tuple(trajectory.positions[0]), goal=tuple(trajectory.positions[-1]),
-            tool_path=[self.tool(row) for row in trajectory.positions],
-            clearance={"distance": 0.213, "time": 1.0, "between": ["link_4", "table"], "point": [1.0, 0.2, 0.9]},
-            use={"velocity": use.velocity, "acceleration": use.acceleration, "jerk": use.jerk},
+            waypoints=len(trajectory.positions), tool_path=[self.tool(row) for row in trajectory.positions],
+            clearance=ClearanceView(0.213, 1.0, ["link_4", "table"], (1.0, 0.2, 0.9)),
+            use=UseView(use.velocity, use.acceleration, use.jerk),
             trajectory={
                 "times": trajectory.times.tolist(), "positions": trajectory.positions.tolist(),
                 "velocities": trajectory.velocities.tolist(), "accelerations": trajectory.accelerations.tolist(),
@@ -337,14 +337,14 @@ class ScriptedRobot:
             sentence = f"plan {review.plan_id} with this hash is not under review"
             self._answer(requests.REVIEW, account, False, sentence, **known)
             return
-        if review.approves and (problem := self._too_old(review.moment)):
+        if review.approve and (problem := self._too_old(review.moment)):
             self._answer(requests.REVIEW, account, False, f"the approval is {problem}", expired=True, **known)
             return
         self.verdicts.append((review.reviewer, review.verdict, review.plan_id))
         self.plan = None
         self._answer(requests.REVIEW, account, True, f"{review.verdict} by {review.reviewer}", **known)
         self._publish(self._topics.plan, b"", retain=True)
-        if review.approves:
+        if review.approve:
             self.state, self._outcome, self._playing, self._elapsed, self._rate = "PLAYING", "", plan.id, 0.0, 1.0
 
     def _on_intervention(self, verb: str, account: str, payload: bytes, retained: bool) -> None:

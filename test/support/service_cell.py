@@ -70,7 +70,7 @@ class Controller(threading.Thread):
         if self._ended.is_set():
             return None
         reply = parse_sensor(data, "ImFree", AXES)
-        assert reply.stamp == self.ipoc
+        assert reply.controller_ms == self.ipoc
         return reply.target
 
     def cycle(self):

@@ -296,12 +296,12 @@ class SimulatedChain:
             tool.note(self._reader.tool(packet))
         correction = self.gateway.on_telegram(telegram, "controller", self.now)
         if correction is not None:
-            self.corrections.append((telegram.stamp, correction))
+            self.corrections.append((telegram.controller_ms, correction))
             stop, switched = True if self.gateway.ends else None, ()
             if tool is not None:
                 switched = tool.channels(self.gateway.ends)
                 self.switched.append((self._played, switched))
-            reply = self._encoder.encode(correction, telegram.stamp, stop, switched)
+            reply = self._encoder.encode(correction, telegram.controller_ms, stop, switched)
             self._carry(self.faults.to_controller, reply, self._take_reply)
         if tool is not None and self.gateway.take_change():
             status = self.gateway.status()

@@ -112,7 +112,7 @@ class ToolCell:
             stop = True if self.gateway.ends else None
             if not self.delivering:
                 continue
-            self.controller.receive(self.encoder.encode(correction, telegram.stamp, stop, values))
+            self.controller.receive(self.encoder.encode(correction, telegram.controller_ms, stop, values))
 
     def restart(self):
         """End RSI and switch it on again, in another session."""

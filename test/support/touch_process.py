@@ -23,7 +23,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import product
 from construction_twin.work import processes
 from construction_twin.work.jobs import WorkPlan
-from construction_twin.work.motions import Failed, Part, Search
+from construction_twin.work.motions import Failed, PlanBuilder, Search
 from construction_twin.work.process import Process
 from construction_twin.work.recipe import SHARED, Finite, Length, Override, Recipe, numbers
 from construction_twin.work.site import inverse, pose_of
@@ -112,16 +112,14 @@ def _planned(search: Search, before: np.ndarray, at: Pose, above: Pose, name: st
     back = search.line(down.positions[-1], above, scale, scene, BACK, name)
     free = search.free(search.start, before, scale, scene, TO_POINT, name)
     empty = search.tool.tool.release.signals()
-    parts = [
-        Part(TO_POINT, free.trajectory, False, empty, (), scene, scene, free.clearance),
-        Part(TOUCH, down, True, empty, (), scene, scene),
-        Part(BACK, back, True, empty, (), scene, scene),
-    ]
+    made = PlanBuilder(search, scene)
+    made.add(TO_POINT, free.trajectory, False, empty, (), scene, free.clearance)
+    made.add(TOUCH, down, True, empty, (), scene)
+    made.add(BACK, back, True, empty, (), scene)
     if search.end is not None:
         home = search.free(back.positions[-1], search.end, scale, scene, HOME, name)
-        parts.append(Part(HOME, home.trajectory, False, empty, (), scene, scene, home.clearance))
-    segments = tuple(part.segment() for part in parts)
-    return WorkPlan(search.job, name, segments, search.clock() - search.began, search.clearance(parts))
+        made.add(HOME, home.trajectory, False, empty, (), scene, home.clearance)
+    return made.plan(name)
 
 
 PROCESS = Process(

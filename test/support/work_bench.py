@@ -27,29 +27,22 @@ from unplugged import ask, over_the_wire
 
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.review.plan_under_review import Ending, Verdict
 from construction_twin.review.record import ReviewLog
 from construction_twin.robot.plan import Plan, content_hash
 from construction_twin.robot.segments import Segment, Signal, Switch
-from construction_twin.ros.messages.convert import (
-    change_from_msg,
-    plan_to_msg,
-    signal_from_msg,
-    switch_from_msg,
-    trajectory_from_msg,
-)
+from construction_twin.ros.messages.convert import plan_to_msg, work_segment_from_msg
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_to_msg
 from construction_twin.ros.nodes import work as module
 from construction_twin.ros.shared.work_listener import WorkListener
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work.events import Entry
-from construction_twin.work.jobs import WorkSegment
 from construction_twin.work.ledger import read_entries
 from construction_twin.work.racks import Slot, StockPlan
 from construction_twin.work.schedule import Job, Schedule
-from construction_twin.work.shared_board import SharedBoard
-from construction_twin.work.task_board import ElementFacts, Prepared
+from construction_twin.work.task_board import ElementFacts, Prepared, TaskBoard
 
 TASK, ELEMENT = "T1", "E1"
 _CHAIN = Chain(ROBOT)
@@ -68,15 +61,15 @@ FETCH, GRIP, CARRY, LEAVE = range(4)
 def prepared() -> Prepared:
     """Return a model of one element, which one task places."""
     goal, stock = (product(_CHAIN.forward(q), HELD) for q in (AT_GOAL, AT_STOCK))
-    facts = ElementFacts("stud", "IfcMember", "", (BODY,), goal, np.zeros((1, 3, 3)))
+    facts = ElementFacts("stud", (BODY,), goal, np.zeros((1, 3, 3)))
     schedule = Schedule((Job(TASK, TASK, "Place stud", ELEMENT, (), ()),), (), (), False)
     slots = StockPlan({ELEMENT: Slot(ELEMENT, "rack", 1, 0, stock, "")})
     tool = work_samples.tool().tool
     return Prepared("panel.ifc", "a" * 64, "/cell.yaml", schedule, "s" * 64, {ELEMENT: facts}, slots, tool, (POST,))
 
 
-def segments(scene: Scene) -> tuple[WorkSegment, ...]:
-    """Return what the worker plans in a scene: fetch, grip, carry and let go, leave."""
+def segments() -> tuple[WorkSegment, ...]:
+    """Return what the worker plans: fetch, grip, carry and let go, leave."""
     close = Switch("vacuum", True, (Signal("vacuum_reached", True),), 3.0)
     open_ = Switch("vacuum", False, (Signal("vacuum_reached", False),), 3.0)
     above = tuple(0.5 * (a + b) for a, b in zip(HOME, AT_STOCK))
@@ -87,10 +80,7 @@ def segments(scene: Scene) -> tuple[WorkSegment, ...]:
         ("carry", AT_STOCK, AT_GOAL, True, (open_,), (PLACED,)),
         ("leave", AT_GOAL, HOME, False, (), ()),
     ):
-        after = SceneChange(put).apply(scene)
-        motion = reach(begin, end, 1.0, 9)
-        made.append(WorkSegment(name, motion, engaged, (), switches, put, (), scene, after))
-        scene = after
+        made.append(WorkSegment(name, reach(begin, end, 1.0, 9), engaged, (), switches, SceneChange(put)))
     return tuple(made)
 
 
@@ -138,14 +128,12 @@ class Bench:
             folder="work", arm="mock", max_pose_age=0.5, service_timeout=1.0, listen_time=0.02, retry_time=0.01,
         ).model_copy(update=files)  # fmt: skip
         refuse = self.refuse
-        self.board = SharedBoard("the model is being read")
         self.heard = WorkListener(self.publishers.__getitem__, lambda: False, self.review_file, refuse)
         self.node = module.WorkNode(
             settings,
             ROBOT,
             {},
             worker or SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=self._planned),
-            self.board,
             self.heard,
             module.Inputs(lambda: HOME, lambda: self.arm_pose(), lambda *_: None),
             module.Outputs(
@@ -168,9 +156,14 @@ class Bench:
 
     def kill(self) -> None:
         """End the node where it stands; what it had heard is lost, the ledger is not."""
-        self.board.opened().ledger.close()
+        self.board.ledger.close()
         self.noted.clear()
         self.tasks.clear()
+
+    @property
+    def board(self) -> TaskBoard:
+        """The node's board of tasks."""
+        return self.node._opened().board
 
     def run(self, times: int = 8) -> Bench:
         """Let the node do what follows from all it has heard, and try again what does not work."""
@@ -286,8 +279,8 @@ class Bench:
 
     # -- the neighbours
 
-    def _planned(self, *_, scene: Scene, **__) -> SimpleNamespace:
-        return SimpleNamespace(method="top", segments=segments(scene), tool0_T_element=HELD)
+    def _planned(self, *_, **__) -> SimpleNamespace:
+        return SimpleNamespace(method="top", segments=segments(), tool0_T_element=HELD)
 
     def _edit_scene(self, request) -> tuple[str, EditSceneResponse | None]:
         request = over_the_wire(request)
@@ -307,17 +300,14 @@ class Bench:
         self._note("plan_work")
         if self.planner_dies == "before":
             return "the planner does not answer", None
-        motion = joined(*(trajectory_from_msg(segment.trajectory) for segment in request.segments))
-        scene, end, parts, changes = self.scene, 0.0, [], []
-        for segment in request.segments:
-            changes.append(change_from_msg(segment))
-            end, after = end + segment.trajectory.points[-1].time_from_start.to_sec(), changes[-1].apply(scene)
-            requires, switches = map(signal_from_msg, segment.requires), map(switch_from_msg, segment.switches)
-            parts.append(
-                Segment(segment.name, end, segment.engaged, tuple(requires), tuple(switches), scene.hash, after.hash)
-            )
+        work = [work_segment_from_msg(segment) for segment in request.segments]
+        scene, end, parts = self.scene, 0.0, []
+        for each in work:
+            end, after = end + each.trajectory.duration, each.change.apply(scene)
+            parts.append(Segment(each.name, end, each.engaged, each.requires, each.switches, scene.hash, after.hash))
             scene = after
-        self._publish_plan(motion, request.source, request.task, tuple(parts), tuple(changes))
+        motion = joined(*(each.trajectory for each in work))
+        self._publish_plan(motion, request.source, request.task, tuple(parts), [each.change for each in work])
         if self.planner_dies == "node":
             raise Killed
         if self.planner_dies == "after":

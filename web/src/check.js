@@ -34,6 +34,7 @@ const RULES = [
   ["type", (value, wanted) => [wanted].flat().some((type) => IS[type](value)), (wanted) => [wanted].flat().join(" or ")],
   ["minimum", (value, wanted) => typeof value !== "number" || value >= wanted, (wanted) => `at least ${wanted}`],
   ["maximum", (value, wanted) => typeof value !== "number" || value <= wanted, (wanted) => `at most ${wanted}`],
+  ["minLength", (value, wanted) => typeof value !== "string" || value.length >= wanted, (wanted) => `at least ${wanted} characters`],
   ["minItems", (value, wanted) => !Array.isArray(value) || value.length >= wanted, (wanted) => `at least ${wanted} of them`],
   ["maxItems", (value, wanted) => !Array.isArray(value) || value.length <= wanted, (wanted) => `at most ${wanted} of them`],
   ["pattern", (value, wanted) => typeof value !== "string" || new RegExp(wanted).test(value), (wanted) => `a text like ${wanted}`],

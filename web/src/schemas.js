@@ -200,3 +200,175 @@ export const SCENE = {
     }
   }
 };
+
+/** One line of <prefix>/<robot>/screen: the status line. */
+export const SCREEN = {
+  "type": "array",
+  "items": {
+    "type": "object",
+    "additionalProperties": false,
+    "required": ["topic", "sentence"],
+    "properties": {
+      "topic": {"type": "string"},
+      "state": {"type": "string"},
+      "words": {"type": "string"},
+      "values": {"type": "object", "additionalProperties": {"type": "string"}},
+      "level": {"type": "integer"},
+      "sentence": {"type": "string"},
+      "reason": {"type": "string"},
+      "said": {"type": ["object", "null"], "additionalProperties": {}},
+      "waits_for": {"type": "string"},
+      "who": {"type": "string"},
+      "todo": {"type": "string"},
+      "page": {"type": "string"}
+    }
+  }
+};
+
+/** A message on <prefix>/<robot>/plan: the plan under review. */
+export const PLAN = {
+  "type": "object",
+  "additionalProperties": false,
+  "required": [
+    "id", "hash", "source", "planner", "scene", "frame", "created_ns", "duration", "planning_time", "joints", "start", "goal",
+    "waypoints", "tool_path", "clearance", "use", "trajectory"
+  ],
+  "properties": {
+    "id": {"type": "string", "minLength": 1},
+    "hash": {"type": "string"},
+    "source": {"type": "string"},
+    "planner": {"type": "string"},
+    "scene": {"type": "string"},
+    "frame": {"type": "string"},
+    "created_ns": {"type": "integer"},
+    "duration": {"type": "number"},
+    "planning_time": {"type": "number"},
+    "joints": {"type": "array", "items": {"type": "string"}},
+    "start": {"type": "array", "items": {"type": "number"}},
+    "goal": {"type": "array", "items": {"type": "number"}},
+    "waypoints": {"type": "integer"},
+    "tool_path": {"type": "array", "items": {"type": "array", "items": {"type": "number"}}},
+    "tool_path_deviation": {"type": "number"},
+    "clearance": {
+      "type": ["object", "null"],
+      "additionalProperties": false,
+      "required": ["distance", "time", "between", "point"],
+      "properties": {
+        "distance": {"type": ["number", "null"]},
+        "time": {"type": "number"},
+        "between": {"type": "array", "items": {"type": "string"}},
+        "point": {"type": "array", "items": {"type": "number"}}
+      }
+    },
+    "use": {
+      "type": "object",
+      "additionalProperties": false,
+      "required": ["velocity", "acceleration", "jerk"],
+      "properties": {
+        "velocity": {"type": "array", "items": {"type": "number"}},
+        "acceleration": {"type": "array", "items": {"type": "number"}},
+        "jerk": {"type": "array", "items": {"type": "number"}}
+      }
+    },
+    "trajectory": {"type": ["object", "null"], "additionalProperties": {}},
+    "task": {"type": ["string", "null"]},
+    "content": {"type": ["string", "null"]},
+    "segments": {
+      "type": ["array", "null"],
+      "items": {
+        "type": "object",
+        "additionalProperties": false,
+        "required": ["name", "end", "tool_path_end", "engaged", "requires", "switches", "scene", "scene_after", "put", "remove"],
+        "properties": {
+          "name": {"type": "string"},
+          "end": {"type": "number"},
+          "tool_path_end": {"type": "integer"},
+          "engaged": {"type": "boolean"},
+          "requires": {"type": "object", "additionalProperties": {"type": "boolean"}},
+          "switches": {
+            "type": "array",
+            "items": {
+              "type": "object",
+              "additionalProperties": false,
+              "required": ["output", "value", "confirm", "timeout"],
+              "properties": {
+                "output": {"type": "string"},
+                "value": {"type": "boolean"},
+                "confirm": {"type": "object", "additionalProperties": {"type": "boolean"}},
+                "timeout": {"type": "number"}
+              }
+            }
+          },
+          "scene": {"type": "string"},
+          "scene_after": {"type": "string"},
+          "put": {"type": "array", "items": {"type": "string"}},
+          "remove": {"type": "array", "items": {"type": "string"}}
+        }
+      }
+    }
+  }
+};
+
+/** A message on <prefix>/<robot>/review/ack. */
+export const REVIEW_ACK = {
+  "type": "object",
+  "additionalProperties": false,
+  "required": [],
+  "properties": {
+    "plan_id": {"type": "string"},
+    "plan_hash": {"type": "string"},
+    "verdict": {"type": "string"},
+    "reviewer": {"type": "string"},
+    "account": {"type": "string"},
+    "ok": {"type": "boolean"},
+    "reason": {"type": "string"},
+    "expired": {"type": "boolean"}
+  }
+};
+
+/** A message on <prefix>/<robot>/stop/ack. */
+export const STOP_ACK = {
+  "type": "object",
+  "additionalProperties": false,
+  "required": [],
+  "properties": {
+    "id": {"type": "string"},
+    "account": {"type": "string"},
+    "ok": {"type": "boolean"},
+    "reason": {"type": "string"},
+    "by": {"type": "string"},
+    "expired": {"type": "boolean"}
+  }
+};
+
+/** A message on <prefix>/<robot>/plan_request/ack. */
+export const PLAN_REQUEST_ACK = {
+  "type": "object",
+  "additionalProperties": false,
+  "required": [],
+  "properties": {
+    "id": {"type": "string"},
+    "account": {"type": "string"},
+    "kind": {"type": "string"},
+    "ok": {"type": "boolean"},
+    "reason": {"type": "string"},
+    "plan_id": {"type": "string"},
+    "plan_hash": {"type": "string"},
+    "duration": {"type": "number"},
+    "expired": {"type": "boolean"}
+  }
+};
+
+/** A message on <prefix>/<robot>/ik/ack/<account>. */
+export const IK_ACK = {
+  "type": "object",
+  "additionalProperties": false,
+  "required": [],
+  "properties": {
+    "id": {"type": "string"},
+    "reach": {"type": "string"},
+    "joints": {"type": ["object", "null"], "additionalProperties": {"type": "number"}},
+    "sentence": {"type": "string"},
+    "between": {"type": "array", "items": {"type": "string"}}
+  }
+};

@@ -5,7 +5,7 @@
  */
 import sentences from "../../src/construction_twin/core/sentences.json" with {type: "json"};
 
-const PLACE = /\{(\w+)(?::(?:\.(\d))?([fgqps]))?\}/g;
+const PLACE = /\{(\w+)(?::(?:\.(\d))?([fgqpst]))?\}/g;
 const UNITS = {rad: [180 / Math.PI, "deg"], m: [1e3, "mm"]};
 
 /** Languages that there are. */
@@ -17,7 +17,7 @@ export function wordsOf(key, language) {
 }
 
 /** Beginnings of the keys of reasons and answers. */
-const REASONS = ["reason.", "executor.", "review.", "link.", "gateway."];
+const REASONS = ["reason.", "executor.", "review.", "link.", "gateway.", "motion.", "work.", "startup."];
 const isReason = (key) => REASONS.some((each) => key.startsWith(each));
 
 /** Whether what came from a robot is key and values of a reason, with a value of the right kind in every place. */
@@ -54,22 +54,23 @@ export function fill(template, values, said = {value: String, unit: (unit) => un
 // -- reasons that come as text, as `understood` of core/sentences.py finds them
 
 /** What a place in a text may be, by its form; others are one word. */
-const READ = {s: "(.+?)", p: "(\\S+ \\S+?)", q: "(\\S+ \\S+?)"};
+const READ = {s: "(.+?)", t: "((?:'.*?'|\".*?\") \\(\\S+\\)|\\S+?)", p: "(\\S+ \\S+?)", q: "(\\S+ \\S+?)"};
 const escaped = (text) => text.replace(/[\\^$.*+?()[\]{}|]/g, "\\$&");
 
-/** Key, places and pattern of each reason, and its own words; the one with the most of them first. */
+/** Key, places and pattern of each reason, its own words and their longest piece; the one with the most words first. */
 const PATTERNS = Object.keys(sentences).filter(isReason).map((key) => {
   const words = sentences[key].en;
   const places = [...words.matchAll(PLACE)].map(([, name, , form]) => ({name, form}));
   const own = words.split(PLACE).filter((_, k) => k % 4 === 0);
   const pattern = own.slice(1).reduce((text, each, k) => text + (READ[places[k].form] ?? "(\\S+?)") + escaped(each), escaped(own[0]));
-  return {key, places, own: own.join(""), pattern: new RegExp(`^${pattern}$`, "s")};
+  const longest = own.reduce((one, other) => (other.length > one.length ? other : one));
+  return {key, places, own: own.join(""), longest, pattern: new RegExp(`^${pattern}$`, "s")};
 }).sort((one, other) => other.own.length - one.own.length);
 
 /** Return key and values of the reason whose English text this is, to the letter; null: none reads so. */
 export function understood(text) {
-  for (const {key, places, own, pattern} of PATTERNS) {
-    const found = pattern.exec(text);
+  for (const {key, places, own, longest, pattern} of PATTERNS) {
+    const found = text.includes(longest) ? pattern.exec(text) : null;
     if (found === null) continue;
     const values = Object.fromEntries(places.map(({name, form}, k) => [name, read(form, found[k + 1])]));
     const said = {key, values};

@@ -41,7 +41,8 @@ export function heardBroker(press, id, word) {
 export function answered(press, answer, account) {
   if (press.verb === "" || answer.id !== press.id || answer.account !== account) return press;
   const others = press.answers.filter(({by}) => by !== answer.by);
-  return {...press, answers: [...others, {by: String(answer.by), ok: answer.ok === true, reason: String(answer.reason ?? ""), expired: answer.expired === true}]};
+  const {by, ok = false, reason = "", expired = false} = answer;
+  return {...press, answers: [...others, {by, ok, reason, expired}]};
 }
 
 /** Return the record at a time: after a second without an answer it is late. */

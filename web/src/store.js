@@ -31,7 +31,7 @@
  */
 import {check} from "./check.js";
 import {checkPlan} from "./plan_hash.js";
-import {SCENE, VIEW, WORK} from "./schemas.js";
+import {IK_ACK, PLAN, PLAN_REQUEST_ACK, REVIEW_ACK, SCENE, SCREEN, STOP_ACK, VIEW, WORK} from "./schemas.js";
 
 /** A view is old after so long [ms]. */
 export const OLD_AFTER = 1000;
@@ -50,9 +50,13 @@ export const TOPICS = Object.keys(KINDS).map((topic) => ({topic, qos: topic === 
 /** Kinds whose newest value is kept. An answer is told once. */
 const KEPT = ["view", "screen", "scene", "plan", "tasks", "playback", "goal", "handle", "picked", "drawn"];
 const FROM_BROKER = ["view", "screen", "scene", "plan", "tasks"];
-
-const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
-const isText = (value) => typeof value === "string";
+/** What the broker stores; without a value: there is none any more. Of anything else that it has stored the age is not known. */
+const STORED = ["plan", "scene", "tasks"];
+/** What a message must be, but a view: of that by its version. */
+const SCHEMAS = {
+  screen: SCREEN, scene: SCENE, plan: PLAN, tasks: WORK,
+  review_ack: REVIEW_ACK, stop_ack: STOP_ACK, pause_ack: STOP_ACK, plan_request_ack: PLAN_REQUEST_ACK, ik_ack: IK_ACK,
+};
 
 function expect(is, sentence) {
   if (!is) throw new TypeError(sentence);
@@ -70,13 +74,6 @@ function checkView(view) {
   for (const part of ["twin", "arm"]) {
     expect(view[part] === null || view[part].positions.length === names.length, `view whose ${part} has not one position per joint`);
   }
-}
-
-function checkScreen(screen) {
-  const lines = Array.isArray(screen) ? screen : screen.lines;
-  expect(Array.isArray(lines) && lines.every((line) => isObject(line) && isText(line.topic) && isText(line.sentence)),
-    "screen that is no list of lines with topic and sentence");
-  return lines;
 }
 
 /**
@@ -174,7 +171,6 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
       put(robot, "plan", null);
       return Promise.resolve();
     }
-    expect(isText(plan.id) && plan.id !== "" && isText(plan.hash) && Array.isArray(plan.joints), "plan without id, hash or joints");
     // what is under review now is not the plan before any more
     if (robot.plan !== null && (robot.plan.id !== plan.id || robot.plan.hash !== plan.hash)) put(robot, "plan", null);
     return checkHash(plan).then((checked) => {
@@ -279,24 +275,16 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
     async take(name, topic, text, retained = false) {
       const kind = KINDS[topic] ?? (topic.startsWith("ik/ack/") ? "ik_ack" : undefined);
       if (kind === undefined || !robots.has(name) && robots.size >= MOST_ROBOTS) return;
-      // stored by whom and when is not known: only what is meant to be stored counts
-      if (retained && !["plan", "scene", "tasks"].includes(kind)) return;
+      if (retained && !STORED.includes(kind)) return;
       const robot = record(name);
       try {
         const value = text === "" ? null : JSON.parse(text);
-        if (value === null && !["plan", "scene", "tasks"].includes(kind)) throw new TypeError(`an empty ${kind}`);
-        expect(value === null || typeof value === "object", `${kind} that is no JSON object`);
+        expect(value !== null || STORED.includes(kind), `an empty ${kind}`);
+        if (kind !== "view" && value !== null) check(SCHEMAS[kind], value, kind);
         if (kind === "view") takeView(robot, value);
         else if (kind === "plan") await takePlan(robot, value);
-        else if (kind === "screen") put(robot, kind, checkScreen(value));
-        else if (KEPT.includes(kind)) {
-          if (kind === "scene" && value !== null) check(SCENE, value, "scene");
-          if (kind === "tasks" && value !== null) check(WORK, value, "tasks");
-          put(robot, kind, value);
-        } else {
-          expect(isObject(value), `${kind} that is no JSON object`);
-          tell(kind, name, value);
-        }
+        else if (KEPT.includes(kind)) put(robot, kind, value);
+        else tell(kind, name, value);
       } catch (error) {
         if (!(error instanceof SyntaxError || error instanceof TypeError)) throw error;
         // the plan before is not under review any more either

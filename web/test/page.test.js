@@ -6,7 +6,7 @@ import * as playback from "../src/panels/playback.js";
 import * as status from "../src/panels/status.js";
 import * as stop from "../src/panels/stop.js";
 import * as verdict from "../src/panels/verdict.js";
-import {fakePage, view} from "./support/fake.js";
+import {fakePage, plan, view} from "./support/fake.js";
 
 /** A page with these panels in its areas; `reported` holds the exceptions. */
 function framed(panels, options = {}) {
@@ -100,8 +100,7 @@ test("a verdict panel that has failed takes no presses, and lets go of the one t
     }
   };
   await it.hear("kr120", "view", view({plan: "p1"}));
-  await it.hear("kr120", "plan", {id: "p1", hash: "h1", source: "", planner: "", scene: "s", duration: 1, joints: ["a"], clearance: null,
-    trajectory: {times: [0, 1], positions: [[0], [1]], velocities: [[0], [0]], accelerations: [[0], [0]]}}, true);
+  await it.hear("kr120", "plan", plan(), true);
   it.store.set("looked", "kr120", {what: "checks", hash: "h1"});
   await pass(1500);
   it.find(".verdict-approve").dispatchEvent(new it.window.Event("pointerdown"));

@@ -9,6 +9,7 @@ import * as runs from "../src/panels/runs.js";
 import * as tasks from "../src/panels/tasks.js";
 import {readListing} from "../src/runs/listing.js";
 import {counts, group, isAskable, nextTask, stateOfElement, taskOfElement, waitsFor} from "../src/work/task_list.js";
+import {makeTexts} from "../src/texts.js";
 import {fakePage, view} from "./support/fake.js";
 
 const URDF = readFileSync(new URL("support/track.urdf", import.meta.url), "utf8");
@@ -276,8 +277,8 @@ const work = (changes = {}) => ({
   ...changes,
 });
 
-async function tasksPanel(value = work(), account = "kr120-planner-ada") {
-  const page = fakePage({account});
+async function tasksPanel(value = work(), account = "kr120-planner-ada", language = "en") {
+  const page = fakePage({account, language});
   page.time = 0;
   tasks.make(page.parent, page.store, page.connection, page.texts, {now: () => page.time});
   await page.hear("kr120", "view", view());
@@ -382,6 +383,24 @@ test("deviations and questions are shown", async () => {
   assert.match(page.find(".tasks-detail").textContent, /0\.4 mm and 0\.05° off the model/);
   page.click(page.items()[3]);
   assert.match(page.find(".tasks-detail").textContent, /Where is stud 4\? \(in_stock, placed\)/);
+});
+
+test("what a task waits for and what is asked of it is said in the page's language", async () => {
+  const said = (key, values) => ({
+    en: makeTexts("en")(key, values), de: makeTexts("de")(key, values),
+  });
+  const reason = said("work.task.waits", {tasks: "'Place 2' (2)"});
+  const question = said("work.question.where", {element: "stud 4", known: {key: "work.known.carried", values: {}}});
+  const whole = said("work.can_plan", {task: "'Place 2' (2)"});
+  const asked = work({reason: whole.en, tasks: [task("3", "waiting", {reason: reason.en}), task("4", "asks", {question: question.en})]});
+  for (const language of ["en", "de"]) {
+    const page = await tasksPanel(asked, undefined, language);
+    assert.equal(page.find(".tasks-reason").textContent, whole[language]);
+    page.click(page.items()[0]);
+    assert.ok(page.find(".tasks-detail").textContent.includes(reason[language]));
+    page.click(page.items()[1]);
+    assert.ok(page.find(".tasks-detail").textContent.includes(question[language]));
+  }
 });
 
 test("an engaged arm is offered the way back only", async () => {

@@ -1,9 +1,7 @@
 import assert from "node:assert/strict";
 import {test} from "node:test";
 import {makeStore} from "../src/store.js";
-import {fakePage, view, work} from "./support/fake.js";
-
-const plan = (changes = {}) => ({id: "p1", hash: "h1", joints: ["joint_a1"], ...changes});
+import {fakePage, plan, view, work} from "./support/fake.js";
 
 test("a robot that is heard is there and the first one is selected", async () => {
   const {store, hear} = fakePage();
@@ -183,4 +181,61 @@ test("tasks that are none are refused with a sentence, and the last ones stay", 
   assert.equal(store.robot("r").tasks.model, "wall.ifc");
   await hear("r", "work/tasks", null);
   assert.equal(store.robot("r").tasks, null);
+});
+
+const ANSWERS = ["review/ack", "stop/ack", "pause/ack", "plan_request/ack", "ik/ack/kr120-planner-ada"];
+
+/** Hear messages of a topic, of which each must be refused, and told in a sentence that is no exception's own. */
+async function refuses({store, hear}, topic, values) {
+  const told = [];
+  const end = store.on("refused", (_, {sentence}) => told.push(sentence));
+  for (const value of values) {
+    const before = told.length;
+    await hear("r", topic, value, topic === "plan");
+    assert.equal(told.length, before + 1, JSON.stringify(value));
+    assert.doesNotMatch(told.at(-1), /undefined|reading|is not a function/);
+  }
+  end();
+}
+
+test("a status line that is none is refused, and the last one stays", async () => {
+  const page = fakePage();
+  await page.hear("r", "view", view());
+  const line = {topic: "sync", state: "IN_SYNC", sentence: "Twin and arm agree."};
+  await page.hear("r", "screen", [line]);
+  await refuses(page, "screen", [
+    null, 3, "lines", true, {}, {lines: 3}, {lines: null}, {lines: [3]}, [null], [3], [[]], ["a"], [line, null], [{...line, topic: undefined}],
+    [{...line, sentence: undefined}], [{...line, topic: 3}], [{...line, sentence: null}], [{...line, sentence: ["a"]}], [line, {}],
+  ]);
+  assert.deepEqual(page.store.robot("r").screen, [line]);
+});
+
+test("a plan whose form is not a plan's is refused, and then none is under review", async () => {
+  const bad = [
+    3, "p1", true, [], [plan()], {}, plan({id: undefined}), plan({id: ""}), plan({id: 1}), plan({id: null}), plan({hash: undefined}),
+    plan({hash: 1}), plan({hash: null}), plan({joints: undefined}), plan({joints: null}), plan({joints: "joint_a1"}), plan({joints: {}}),
+    plan({joints: [1]}), plan({duration: "1"}), plan({clearance: {}}), plan({use: {velocity: []}}), plan({goal: null}), plan({tool_path: [0]}),
+    plan({trajectory: 7}), plan({segments: [{name: "go"}]}), plan({content: {}}),
+  ];
+  for (const value of bad) {
+    const page = fakePage();
+    await page.hear("r", "plan", plan(), true);
+    assert.equal(page.store.robot("r").plan.id, "p1");
+    await refuses(page, "plan", [value]);
+    assert.equal(page.store.robot("r").plan, null, JSON.stringify(value));
+  }
+});
+
+test("an answer that is no object, or of which a field is of another type, is refused and reaches nobody", async () => {
+  const page = fakePage();
+  const told = [];
+  for (const kind of ["review_ack", "stop_ack", "pause_ack", "plan_request_ack", "ik_ack"]) page.store.on(kind, (_, value) => told.push([kind, value]));
+  const [review, stop, pause, request, ik] = ANSWERS;
+  for (const topic of ANSWERS) await refuses(page, topic, [null, 3, "yes", true, [], [{id: "1", ok: true}]]);
+  for (const topic of [stop, pause, request, ik]) await refuses(page, topic, [{id: 1}, {id: null}]);
+  for (const topic of [review, stop, pause, request]) await refuses(page, topic, [{ok: 1}, {ok: "yes"}, {reason: null}, {account: 1}]);
+  await refuses(page, review, [{verdict: true}, {plan_id: null}, {plan_hash: 1}, {reviewer: []}]);
+  await refuses(page, request, [{duration: "2"}, {plan_id: 1}, {expired: 1}]);
+  await refuses(page, ik, [{reach: null}, {joints: []}, {joints: {joint_a1: null}}, {between: "wall"}, {sentence: 1}]);
+  assert.deepEqual(told, []);
 });

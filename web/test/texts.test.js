@@ -54,7 +54,7 @@ test("what it has said without a key of the page, or with values that do not fit
 });
 
 const reasons = Object.keys(JSON.parse(readFileSync(new URL("../../src/construction_twin/core/sentences.json", import.meta.url), "utf8")))
-  .filter((key) => /^(reason|executor|review|link|gateway)\./.test(key));
+  .filter((key) => /^(reason|executor|review|link|gateway|motion|work|startup)\./.test(key));
 
 test("a reason that came as text is found in it again, and said in the page's language", () => {
   const de = makeTexts("de");

@@ -129,7 +129,7 @@ class Setup(Protocol[_LayoutOut]):
         ...
 
 
-class Said(Protocol):
+class ControllerStatus(Protocol):
     """What a controller says of itself: its mode, its program, what stops or limits the arm."""
 
     @property
@@ -148,13 +148,13 @@ class Reader:
 
     Attributes:
         parse: A datagram as telegram, or TelegramError with the reason why it is none.
-        said: Of a datagram that is a telegram: what the controller says of itself, and how many of its channels cannot be read.
+        status: Of a datagram that is a telegram: what the controller says of itself, and how many of its channels cannot be read.
             None: it says nothing.
         tool: The same for a tool's outputs and inputs; it returns None when they are not told clearly. None: no tool.
     """
 
     parse: Callable[[bytes], Telegram]
-    said: Callable[[bytes], tuple[Said, int]] | None = None
+    status: Callable[[bytes], tuple[ControllerStatus, int]] | None = None
     tool: Callable[[bytes], ToolReading | None] | None = None
 
 
@@ -184,7 +184,7 @@ class SessionRules(Protocol):
 
     Attributes:
         follows: Whether corrections are relative to the programmed position, and so move with it.
-        drifted: Ends a sentence on how far an axis is off where it was programmed.
+        drifted: Key of the sentence on how far an axis is off where it was programmed; its value is ``distance``.
     """
 
     follows: bool
@@ -243,7 +243,7 @@ class MockSetup(Protocol[_LayoutOut]):
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class MockStatus:
     """What a mock controller is to say of itself, in the make's numbers; None: what is.
 
     Attributes:
@@ -270,7 +270,7 @@ class TelegramEncoder(Protocol):
         measured_pose: Sequence[float],
         followed_pose: Sequence[float],
         missed: int,
-        told: Told,
+        status: MockStatus,
         outputs: Mapping[str, bool] | None,
         inputs: Mapping[str, bool],
         /,
@@ -294,14 +294,14 @@ class ControllerSide:
         decode: A reply, or TelegramError; None: no reply is expected.
         holds: Length n. Whether an axis keeps its target when a reply is missed, or falls back to the start pose.
         holds_stop: The same for the end of the program.
-        said: What a telegram says of the controller.
+        status: What a telegram says of the controller.
     """
 
     encode: TelegramEncoder
     decode: Callable[[bytes], Reply] | None
     holds: tuple[bool, ...]
     holds_stop: bool
-    said: Callable[[Told], Said]
+    status: Callable[[MockStatus], ControllerStatus]
 
 
 @dataclass(frozen=True)
@@ -378,7 +378,7 @@ class Make(Generic[LayoutT]):
         name: As `makes` knows it, and `Layout.make`.
         absolute: True: replies carry positions of the axes; False: corrections to an origin.
         cycles: Those that it has [ms], each with its name on the controller.
-        nothing_said: What it says of itself before the first telegram.
+        no_status: What it says of itself before the first telegram.
         plain: The layout of an arm without a file, from its axes.
         read_layout: The layout from what `Layout.document` returned; TypeError when it is none.
         check: Raises ConfigurationError when the arm cannot be served as configured.
@@ -392,7 +392,7 @@ class Make(Generic[LayoutT]):
     absolute: bool
     cycles: Mapping[int, str]
     words: Words
-    nothing_said: Said
+    no_status: ControllerStatus
     plain: Callable[[Sequence[str]], LayoutT]
     read_layout: Callable[[dict[str, Any]], LayoutT]
     check: Callable[[Setup[LayoutT]], None]

@@ -18,14 +18,14 @@ class Telegram:
     """One telegram of a controller.
 
     Attributes:
-        stamp: Controller time [ms], 0 to 2^64 - 1, which the reply answers. How far it is on: `stamp_step`.
+        controller_ms: Controller time [ms], 0 to 2^64 - 1, which the reply answers. How far it is on: `stamp_step`.
         measured: Length n. Where the axes are [rad] ([m] for a linear axis); None when the telegram does not tell.
         setpoint: Length n. What the axes follow without corrections; constant while it is only corrected. Where it takes absolute
             targets: the one that it follows.
         missed: The controller's count of cycles without a valid reply.
     """
 
-    stamp: int
+    controller_ms: int
     measured: tuple[float, ...] | None
     setpoint: tuple[float, ...] | None
     missed: int | None
@@ -36,13 +36,13 @@ class Reply:
     """One reply, as a controller reads it.
 
     Attributes:
-        stamp: Of the telegram that it answers.
+        controller_ms: Of the telegram that it answers [ms].
         target: Length n. Positions of the axes, or corrections to an origin, as the make has it [rad] ([m] for a linear axis).
         stop: Whether it ends the controller's program; None when it does not say.
         switched: Channels of a tool, in the order of `Layout.switched`.
     """
 
-    stamp: int
+    controller_ms: int
     target: tuple[float, ...]
     stop: bool | None
     switched: tuple[bool, ...] = ()

@@ -9,6 +9,7 @@ import numpy as np
 
 from construction_twin.coordination.conflict import Claim, Conflict, OwnPath, gives_way
 from construction_twin.coordination.path_sweep import PlanPosition
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
@@ -109,7 +110,7 @@ class PathJudge:
         self, plan: Plan, scene: Scene | None, others: Others, own: Claim, poses: tuple | None, horizon: float
     ) -> Judgement:
         if scene is None:
-            return Judgement(True, 0.0, "our own scene, with what the arm carries, was not received")
+            return Judgement(True, 0.0, Sentence("reason.neighbour.no_scene"))
         path = self._path(plan, scene)
         row = self._present_row(path, poses) if own.since and poses is not None else 0
         check = path.check(others.obstacles, self._padding + scene.padding, row, horizon, BUDGET)
@@ -117,7 +118,7 @@ class PathJudge:
         if check.conflict is None:
             if (check.fraction < 1.0 or not others.complete) and (poses is None or lost):
                 return Judgement(True, 0.0, self._so_far(check.fraction, others))
-            return Judgement(False, -1.0, "its path is free")
+            return Judgement(False, -1.0, Sentence("reason.neighbour.free"))
         # without our own position on the path, the time until the conflict is unknown
         conflict = Conflict(0.0, check.conflict.between) if lost else check.conflict
         blocked = gives_way(conflict, own, others.claim, self._horizon)
@@ -139,16 +140,17 @@ class PathJudge:
         return self._paths[plan.id]
 
     def _so_far(self, fraction: float, others: Others) -> str:
-        against = self._neighbour if others.complete else f"the first part of {self._neighbour}'s path"
-        return f"{min(fraction, 0.99):.0%} of its path has been checked against {against} so far, wait a moment"
+        key = "reason.neighbour.checking" if others.complete else "reason.neighbour.checking_first_part"
+        return Sentence(key, percent=round(min(fraction, 0.99) * 100.0), neighbour=self._neighbour)
 
     def _sentence(self, conflict: Conflict, others: Others, blocked: bool) -> str:
         mine, theirs = conflict.between
+        seconds, neighbour = conflict.time, self._neighbour
         if others.unknown:
-            return f"{mine} would come within the whole reach of {self._neighbour} in {conflict.time:.1f} s, and {others.unknown}"
-        contact = f"{mine} would come too close to {theirs} in {conflict.time:.1f} s"
+            unknown = others.unknown
+            key = "reason.neighbour.whole_reach"
+            return Sentence(key, mine=mine, neighbour=neighbour, seconds=seconds, unknown=unknown)
+        contact = Sentence("reason.neighbour.too_close", mine=mine, theirs=theirs, seconds=seconds)
         if not blocked:
-            return f"{contact}; {self._neighbour} began later and gives way"
-        if others.claim is None:
-            return f"{contact}, which stands there"
-        return f"{contact}, which follows an approved plan"
+            return Sentence("reason.neighbour.gives_way", contact=contact, neighbour=neighbour)
+        return Sentence(f"reason.neighbour.{'stands' if others.claim is None else 'follows_plan'}", contact=contact)

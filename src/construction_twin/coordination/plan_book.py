@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.sentences import Sentence
 from construction_twin.execution.states import ACTIVE, ExecutorState
 from construction_twin.robot.plan import Plan
 
@@ -55,11 +56,11 @@ class PlanBook:
             PlanUnknownError: If the arm's plan is not known.
         """
         if self._state is None:
-            raise PlanUnknownError("its executor has said nothing yet")
+            raise PlanUnknownError(Sentence("reason.neighbour.executor_silent"))
         if self._state not in ACTIVE:
             return None
         if self._followed not in self._plans:
-            raise PlanUnknownError(f"it follows plan {self._followed}, which came before this node was started")
+            raise PlanUnknownError(Sentence("reason.neighbour.earlier_plan", plan=self._followed))
         return self._plans[self._followed]
 
 

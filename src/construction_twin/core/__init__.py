@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from construction_twin.core.exports import lazy_exports
 
 if TYPE_CHECKING:
-    from construction_twin.core.beside import Beside as Beside
     from construction_twin.core.clock import MONOTONIC as MONOTONIC
     from construction_twin.core.clock import Clock as Clock
     from construction_twin.core.errors import ConfigurationError as ConfigurationError
@@ -75,6 +74,7 @@ if TYPE_CHECKING:
     from construction_twin.core.motion_errors import UnreachableOrientationError as UnreachableOrientationError
     from construction_twin.core.motion_errors import WaypointsError as WaypointsError
     from construction_twin.core.motion_errors import WaypointTimesError as WaypointTimesError
+    from construction_twin.core.rate_limit import Pace as Pace
     from construction_twin.core.rate_limit import RollingWindow as RollingWindow
     from construction_twin.core.rate_limit import SenderLimits as SenderLimits
     from construction_twin.core.rate_limit import TokenBucket as TokenBucket
@@ -89,6 +89,7 @@ if TYPE_CHECKING:
     from construction_twin.core.reports import ToolReport as ToolReport
     from construction_twin.core.reports import WorkReport as WorkReport
     from construction_twin.core.share import share_file as share_file
+    from construction_twin.core.side_effects import SideEffects as SideEffects
     from construction_twin.core.speed_limit import LimitState as LimitState
     from construction_twin.core.speed_limit import SpeedLimit as SpeedLimit
     from construction_twin.core.state_table import Machine as Machine

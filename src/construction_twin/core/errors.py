@@ -75,7 +75,7 @@ class TransitionLogError(ConstructionTwinError):
 
     def __init__(self, path: str, problem: str):
         self.path = path
-        super().__init__(f"{path}: {problem}; transitions are kept in memory until the file can be written")
+        super().__init__(Sentence("reason.transitions_kept", path=path, problem=problem))
 
 
 class ExecutionError(ConstructionTwinError):
@@ -142,10 +142,8 @@ class PoseUnknownError(ConstructionTwinError):
 
     def __init__(self, topic: str, age: float, oldest: float):
         self.topic, self.age, self.oldest = topic, age, oldest
-        found = "nothing was received" if age == float("inf") else f"the last one is {age:.3f} s old"
-        super().__init__(
-            f"the pose on {topic} is not known: {found}; expected one at most {oldest:g} s old, check that the twin runs"
-        )
+        found = "none" if age == float("inf") else "old"
+        super().__init__(Sentence(f"reason.pose_unknown.{found}", topic=topic, age=age, oldest=oldest))
 
 
 class RequestRefused(ConstructionTwinError):
@@ -161,7 +159,8 @@ class ServiceSilentError(ConstructionTwinError):
 
     def __init__(self, service: str, problem: object, program: str):
         self.service = service
-        super().__init__(f"{service} does not answer: {problem}; does {program} run?")
+        problem = problem if isinstance(problem, Sentence) else str(problem)
+        super().__init__(Sentence("reason.service_silent", service=service, problem=problem, program=program))
 
 
 class SilenceError(ConstructionTwinError):
@@ -173,7 +172,7 @@ class SilenceError(ConstructionTwinError):
 
     def __init__(self, where: str, problem: str, to_do: str):
         self.where = where
-        super().__init__(f"{where}: {problem}; {to_do}")
+        super().__init__(Sentence("view.silent", where=where, problem=problem, to_do=to_do))
 
 
 class ScenarioError(ConstructionTwinError):

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from construction_twin.core.errors import MotionRefused
+from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import CYCLE, NANOSECONDS, format_allowance, last_digit
 
 #: Slack of the range check [rad], [m]: what a conversion of units may add at a range's end.
@@ -87,7 +88,8 @@ def distance_off(
     off = outside_tolerance(q, reference, tolerances)
     if off is None:
         return ""
-    return f"{limits.names[off]} is {q[off] - reference[off]:.6f} {'m' if limits.linear[off] else 'rad'}"
+    distance = Quantity(q[off] - reference[off], "m" if limits.linear[off] else "rad")
+    return Sentence("reason.off", joint=limits.names[off], distance=distance)
 
 
 def braking_distance(step: float, deceleration: float) -> float:

@@ -1,15 +1,14 @@
 """Exceptions of kinematics, scene and planning: a branch of the tree in `errors`, kept apart because the gateway needs none of it.
 
-Messages say what, where, the value, what was expected and what to do.
+Each message is the sentence of a key, with the error's data as its values: what, where, the value, what was expected, what to do.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.units import for_people
+from construction_twin.core.sentences import Quantity, Sentence, Value, both
 
 
 class KinematicsError(ConstructionTwinError):
@@ -27,8 +26,7 @@ class UnreachableError(KinematicsError):
     def __init__(self, missing: float, too_close: bool = False):
         self.missing = missing
         self.too_close = too_close
-        where, to_do = ("too close to the arm", "away from") if too_close else ("out of the arm's reach", "closer to")
-        super().__init__(f"the target is {where} by {missing * 1e3:.6g} mm; move it {to_do} the base")
+        super().__init__(Sentence(f"motion.{'too_close' if too_close else 'out_of_reach'}", missing=missing * 1e3))
 
 
 class JointRangeError(KinematicsError):
@@ -39,17 +37,13 @@ class JointRangeError(KinematicsError):
         linear: The joint is prismatic.
     """
 
+    _key = "motion.joint_range"
+
     def __init__(self, joint: str, value: float, lower: float, upper: float, linear: bool = False):
         self.joint, self.value, self.lower, self.upper, self.linear = joint, value, lower, upper, linear
-        super().__init__(f"{joint} is {self.outside}")
-
-    @property
-    def outside(self) -> str:
-        """Value and range in words, in deg or mm."""
-        value, lower, upper = (
-            for_people(number, "m" if self.linear else "rad") for number in (self.value, self.lower, self.upper)
-        )
-        return f"{value}, outside its range {lower} to {upper}"
+        numbers = {"value": value, "lower": lower, "upper": upper}
+        unit = "m" if linear else "rad"
+        super().__init__(Sentence(self._key, joint=joint, **{name: Quantity(at, unit) for name, at in numbers.items()}))
 
 
 class PoseRangeError(JointRangeError):
@@ -64,17 +58,13 @@ class PoseRangeError(JointRangeError):
 class PositionRangeError(PoseRangeError):
     """The wrist cannot get where the target needs it within the joint ranges."""
 
-    def __init__(self, joint: str, value: float, lower: float, upper: float, linear: bool = False):
-        super().__init__(joint, value, lower, upper, linear)
-        self.args = (f"the target's position needs {joint} at {self.outside}; move the target",)
+    _key = "motion.position_range"
 
 
 class OrientationError(PoseRangeError):
     """The target's position can be reached, but not with its orientation within the joint ranges."""
 
-    def __init__(self, joint: str, value: float, lower: float, upper: float, linear: bool = False):
-        super().__init__(joint, value, lower, upper, linear)
-        self.args = (f"the target's orientation needs {joint} at {self.outside}; turn the target",)
+    _key = "motion.orientation_range"
 
 
 class BranchError(KinematicsError):
@@ -85,20 +75,18 @@ class BranchError(KinematicsError):
         available: What could have been asked for; empty if the arm has no named configurations.
     """
 
-    def __init__(self, asked: str, available: tuple[str, ...], reason: str):
-        self.asked = asked
-        self.available = available
-        choice = f"choose one of: {', '.join(available)}" if available else "leave the choice open"
-        super().__init__(f"configuration {asked!r} {reason}; {choice}")
+    def __init__(self, asked: str, available: tuple[str, ...], problem: str, **values: str):
+        self.asked, self.available = asked, available
+        if available:
+            values["available"] = ", ".join(available)
+        super().__init__(Sentence(f"motion.branch.{problem}", asked=repr(asked), **values))
 
 
 class UnreachableOrientationError(KinematicsError):
     """The target's position can be reached, but not with its orientation, whatever the joint ranges."""
 
     def __init__(self) -> None:
-        super().__init__(
-            "the target cannot be reached with its orientation, whatever the joint ranges; its position can, turn the target"
-        )
+        super().__init__(Sentence("motion.orientation"))
 
 
 class NotFoundError(KinematicsError):
@@ -114,16 +102,10 @@ class NotFoundError(KinematicsError):
     def __init__(self, tried: int, budget_s: float, residual_m: float, residual_rad: float, hint: str = ""):
         self.tried, self.budget_s, self.hint = tried, budget_s, hint
         self.residual_m, self.residual_rad = residual_m, residual_rad
-        seen = (
-            [f"the best attempt was {residual_m * 1e3:.3f} mm and {math.degrees(residual_rad):.4f} deg away"]
-            if residual_m < 1e3
-            else []
-        )
-        seen += [hint] if hint else []
-        super().__init__(
-            f"no joint solution was found in the time given ({budget_s:.3g} s, {tried} starting points); it may still be "
-            f"reachable, because this was searched, not computed: {'; '.join([*seen, 'allow more time or turn the target'])}"
-        )
+        best = {"away": Quantity(residual_m, "m"), "turned": Quantity(residual_rad, "rad")}
+        seen = Sentence("motion.not_found.best", **best) if residual_m < 1e3 else ""
+        seen = both(seen, hint, Sentence("motion.not_found.todo"))
+        super().__init__(Sentence("motion.not_found", seconds=f"{budget_s:.3g}", tried=tried, seen=seen))
 
 
 class SceneError(ConstructionTwinError):
@@ -137,7 +119,8 @@ class SceneError(ConstructionTwinError):
 
     def __init__(self, where: str, value: object, expected: str):
         self.where, self.value, self.expected = where, value, expected
-        super().__init__(f"{where}: found {'nothing' if value is None else repr(value)}, expected {expected}")
+        found = "nothing" if value is None else repr(value)
+        super().__init__(Sentence("motion.scene", where=where, found=found, expected=expected))
 
 
 class PlanningError(ConstructionTwinError):
@@ -154,7 +137,7 @@ class NoPathError(PlanningError):
     def __init__(self, planner: str, budget: float):
         self.planner = planner
         self.budget = budget
-        super().__init__(f"{planner} found no path within {budget:.3g} s; allow more time or choose another goal")
+        super().__init__(Sentence("motion.no_path", planner=planner, seconds=f"{budget:.3g}"))
 
 
 class CollisionError(PlanningError):
@@ -169,10 +152,7 @@ class CollisionError(PlanningError):
         self.between = tuple(between)
         self.where = where
         first, second = between
-        super().__init__(
-            f"{first} touches {second} ({where}), or comes closer than the padding; expected no contact, "
-            "choose another pose or change the scene"
-        )
+        super().__init__(Sentence("motion.collision", first=first, second=second, where=where))
 
 
 class DurationError(PlanningError):
@@ -185,22 +165,20 @@ class DurationError(PlanningError):
     def __init__(self, requested: float, minimum: float):
         self.requested = requested
         self.minimum = minimum
-        super().__init__(
-            f"a duration of {requested:.3f} s breaks the joint limits; the shortest possible is {minimum:.3f} s"
-        )
+        super().__init__(Sentence("motion.duration", requested=requested, minimum=minimum))
 
 
 class PlanSizeError(PlanningError):
     """A plan would be larger than this planner makes.
 
     Attributes:
-        quantity: ``duration`` [s], ``waypoints`` or ``length of the tool's path`` [m].
+        quantity: ``duration`` [s], ``waypoints`` or ``length`` of the tool's path [m].
     """
 
-    def __init__(self, quantity: str, value: float, limit: float, unit: str, to_do: str):
+    def __init__(self, quantity: str, value: float, limit: float):
         self.quantity, self.value, self.limit = quantity, value, limit
-        found, most = (for_people(number, "m") if unit == " m" else f"{number:.6g}{unit}" for number in (value, limit))
-        super().__init__(f"the plan's {quantity} would be {found}; this planner takes at most {most}, {to_do}")
+        found, most = (Quantity(number, "m") if quantity == "length" else number for number in (value, limit))
+        super().__init__(Sentence(f"motion.size.{quantity}", value=found, limit=most))
 
 
 class FarWaypointError(PlanningError):
@@ -214,10 +192,8 @@ class FarWaypointError(PlanningError):
     def __init__(self, waypoint: int, what: str, distance: float, reach: float):
         self.waypoint, self.distance, self.reach = waypoint, distance, reach
         away = f"{distance * 1e3:.0f}" if distance < 1e6 else f"{distance * 1e3:.6g}"
-        super().__init__(
-            f"waypoint {waypoint}: {what} is {away} mm from the arm, which reaches {reach * 1e3:.0f} mm; expected a "
-            "place near the arm, in the frame of the request: are unit and frame right?"
-        )
+        reaches = f"{reach * 1e3:.0f}"
+        super().__init__(Sentence("motion.far", waypoint=waypoint, what=what, away=away, reach=reaches))
 
 
 class NoSceneError(PlanningError):
@@ -229,7 +205,7 @@ class NoSceneError(PlanningError):
 
     def __init__(self, source: str):
         self.source = source
-        super().__init__(f"no scene was received on {source}; the scene node is not running, start it and ask again")
+        super().__init__(Sentence("motion.no_scene", source=source))
 
 
 class SceneChangedError(PlanningError):
@@ -242,9 +218,7 @@ class SceneChangedError(PlanningError):
     def __init__(self, planned: str, present: str):
         self.planned = planned
         self.present = present
-        super().__init__(
-            f"the scene changed while planning, from {planned[:8]} to {present[:8]}; the plan was dropped, ask again"
-        )
+        super().__init__(Sentence("motion.scene_changed", planned=planned[:8], present=present[:8]))
 
 
 class NeighbourUnknownError(PlanningError):
@@ -256,9 +230,7 @@ class NeighbourUnknownError(PlanningError):
 
     def __init__(self, neighbour: str, problem: str):
         self.neighbour = neighbour
-        super().__init__(
-            f"where {neighbour} is, or goes, is not known: {problem}; start it, or start this robot without a neighbour"
-        )
+        super().__init__(Sentence("motion.neighbour", neighbour=neighbour, problem=problem))
 
 
 class LimitError(PlanningError):
@@ -274,8 +246,8 @@ class LimitError(PlanningError):
         self.where, self.joint, self.quantity = where, joint, quantity
         self.value, self.limit = value, limit
         unit = ("m" if linear else "rad") + {"velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}.get(quantity, "")
-        found, allowed = for_people(value, unit), for_people(limit, unit)
-        super().__init__(f"{where}: {joint} has a {quantity} of {found}; its limit is {allowed}; plan again")
+        values = {"value": Quantity(value, unit), "limit": Quantity(limit, unit)}
+        super().__init__(Sentence(f"motion.limit.{quantity}", where=where, joint=joint, **values))
 
 
 class CartesianPathError(PlanningError):
@@ -294,9 +266,13 @@ class CartesianPathError(PlanningError):
     ):
         self.reason, self.cause = reason, cause
         self.fraction, self.distance, self.waypoint = fraction, distance, waypoint
-        super().__init__(
-            f"the path ends {distance * 1e3:.1f} mm along, on the way to waypoint {waypoint} (fraction {fraction:.4f}): {what}"
-        )
+        values: dict[str, Value] = {
+            "distance": Quantity(distance, "m"),
+            "waypoint": waypoint,
+            "fraction": fraction,
+            "what": what,
+        }
+        super().__init__(Sentence("motion.path", **values))
 
 
 class SegmentError(PlanningError):
@@ -309,7 +285,7 @@ class SegmentError(PlanningError):
 
     def __init__(self, number: int, name: str, cause: ConstructionTwinError):
         self.number, self.name, self.cause = number, name, cause
-        super().__init__(f"segment {number} ({name[:80]!r}): {cause}")
+        super().__init__(Sentence("motion.segment", number=number, name=repr(name[:80]), cause=cause.sentence))
 
 
 class FrameError(PlanningError):
@@ -320,10 +296,11 @@ class FrameError(PlanningError):
 
     def __init__(self, frame: str, base: str, cause: str, known: Sequence[str]):
         self.frame = frame
-        more = f" and {len(known) - self.LISTED} more" if len(known) > self.LISTED else ""
-        super().__init__(
-            f"no transform from frame {frame!r} to {base!r}: {cause}; known are {', '.join(known[: self.LISTED])}{more}"
-        )
+        values = {"frame": repr(frame), "base": repr(base), "cause": cause, "known": ", ".join(known[: self.LISTED])}
+        if len(known) > self.LISTED:
+            super().__init__(Sentence("motion.frames", **values, count=len(known) - self.LISTED))
+        else:
+            super().__init__(Sentence("motion.frame", **values))
 
 
 class EngagedError(PlanningError):
@@ -335,11 +312,11 @@ class EngagedError(PlanningError):
 
     def __init__(self, task: str, segment: str, reason: str):
         self.task, self.segment = task, segment
-        super().__init__(
-            f"the arm was left in {segment!r} of task {task}{f' ({reason})' if reason else ''}: only the way back along the path "
-            "that it executed can be planned, with plan_way_back (twin back), until it has come to its end, or a person says with "
-            "release_engagement that the arm is free"
-        )
+        values = {"segment": repr(segment), "task": task}
+        if reason:
+            super().__init__(Sentence("motion.engaged_because", **values, reason=reason))
+        else:
+            super().__init__(Sentence("motion.engaged", **values))
 
 
 class WaypointsError(PlanningError):

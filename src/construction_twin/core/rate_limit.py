@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 from construction_twin.core.units import NANOSECONDS
@@ -67,16 +68,20 @@ class TokenBucket:
 
 
 class RollingWindow:
-    """At most so many in any second: a bucket of that size would let twice as many pass in its first one."""
+    """At most so many in any span of time: a bucket of that size would let twice as many pass in its first one.
 
-    __slots__ = ("_most", "_times")
+    Args:
+        span: [ns]
+    """
 
-    def __init__(self, most: int):
-        self._most = most
+    __slots__ = ("_most", "_span", "_times")
+
+    def __init__(self, most: int, span: int = NANOSECONDS):
+        self._most, self._span = most, span
         self._times: deque[int] = deque()
 
     def _forget(self, now: int) -> None:
-        while self._times and now - self._times[0] >= NANOSECONDS:
+        while self._times and now - self._times[0] >= self._span:
             self._times.popleft()
 
     def take(self, now: int) -> bool:
@@ -90,12 +95,12 @@ class RollingWindow:
     def wait(self, now: int) -> float:
         """Return how long none may pass from `now` on [ns]."""
         self._forget(now)
-        return NANOSECONDS - (now - self._times[0]) if len(self._times) >= self._most else 0
+        return self._span - (now - self._times[0]) if len(self._times) >= self._most else 0
 
     def rest(self, now: int) -> float:
         """Return how long one that has passed still counts from `now` on [ns]."""
         self._forget(now)
-        return NANOSECONDS - (now - self._times[-1]) if self._times else 0
+        return self._span - (now - self._times[-1]) if self._times else 0
 
 
 class SenderLimits:
@@ -127,3 +132,18 @@ class SenderLimits:
         """Return how long it may not happen for a sender from `now` on [ns]; 0: it may."""
         limit = self._limit(sender, now)
         return min(known.rest(now) for known in self._limits.values()) if limit is None else limit.wait(now)
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How often each sender may do something: `most` times in any `seconds`."""
+
+    most: int
+    seconds: float = 1.0
+
+    def __str__(self) -> str:
+        return f"{self.most} in {self.seconds:g} s"
+
+    def limits(self) -> SenderLimits:
+        """Return what keeps it, by any clock [ns]."""
+        return SenderLimits(lambda: RollingWindow(self.most, round(self.seconds * NANOSECONDS)))

@@ -228,12 +228,18 @@ class EngagementReport:
 
 
 class SwitchState(Enum):
-    """What became of a switch that was asked for; values are those of `ToolState.msg`."""
+    """States of a switch at the gateway; values are those of `ToolState.msg`."""
 
-    ARMED = 0
-    FIRED = 1
-    VOID = 2
+    PENDING = -1  # not judged yet: never reported, and no message has this number
+    ARMED = 0  # acknowledged; fires when the playout passes its stamp
+    FIRED = 1  # the output was changed
+    VOID = 2  # did not fire, and will not any more
     REFUSED = 3
+
+    @property
+    def word(self) -> str:
+        """As the gateway's `status` has it."""
+        return self.name.lower()
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ A place in braces is a named value, and is written as its format says; `web/src/
 
     {name}                a text or a whole number, as it is; in a reason one word
     {name:s}              in a reason, a text of several words, or another sentence
+    {name:t}              in a reason, a task: its name in quotes with its id behind in parentheses, or one word
     {name:.3f}            a number with three decimals
     {name:g}              a number with at most six digits
     {name:.6q}            a `Quantity` with six decimals, in its own unit
@@ -19,19 +20,19 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
 from pathlib import Path
 from typing import Any
 
 from construction_twin.core.records import document
 from construction_twin.core.units import for_people, from_people, to_people
 
-_PLACE = re.compile(r"\{(\w+)(?::(?:\.(\d))?([fgqps]))?\}")
+_PLACE = re.compile(r"\{(\w+)(?::(?:\.(\d))?([fgqpst]))?\}")
 _ENGLISH: dict[str, str] = {
     key: words["en"] for key, words in json.loads(Path(__file__).with_name("sentences.json").read_bytes()).items()
 }
 #: Beginnings of the keys of what nodes give as reasons and answers: `understood` finds these.
-REASONS = ("reason.", "executor.", "review.", "link.", "gateway.")
+REASONS = ("reason.", "executor.", "review.", "link.", "gateway.", "motion.", "work.", "startup.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +79,12 @@ class Sentence(str):
             "key": self.key,
             "values": {name: said_in(value) or document(value) for name, value in self.values.items()},
         }
+
+
+def both(*sentences: str) -> str:
+    """Return sentences one after the other; those that are empty are left out."""
+    said = [sentence for sentence in sentences if sentence]
+    return reduce(lambda first, second: Sentence("executor.both", first=first, second=second), said) if said else ""
 
 
 def replaced(text: str, part: str, other: str) -> str:
@@ -133,8 +140,8 @@ def understood(text: str) -> Sentence | None:
         The sentence whose text this is, character by character; None: no reason of `sentences.json` reads so. What has no words of
         its own, as ``{first:s}; {second:s}``, is found around another one only.
     """
-    for key, pattern, names, has_words in _patterns():
-        found = pattern.fullmatch(text)
+    for key, longest, pattern, names, has_words in _patterns():
+        found = pattern.fullmatch(text) if longest in text else None
         if found is not None:
             try:
                 values = {name: _read(form, part) for (name, form), part in zip(names, found.groups())}
@@ -147,7 +154,7 @@ def understood(text: str) -> Sentence | None:
 
 
 def _read(form: str | None, part: str) -> Value:
-    if form is None:
+    if form in (None, "t"):
         return part
     if form == "s":
         return understood(part) or part
@@ -158,18 +165,19 @@ def _read(form: str | None, part: str) -> Value:
 
 
 #: What places with other values than one word may hold.
-_READ = {"s": "(.+?)", "p": r"(\S+ \S+?)", "q": r"(\S+ \S+?)"}
-_Pattern = tuple[str, re.Pattern[str], list[tuple[str, str | None]], bool]
+_READ = {"s": "(.+?)", "t": r"""((?:'.*?'|".*?") \(\S+\)|\S+?)""", "p": r"(\S+ \S+?)", "q": r"(\S+ \S+?)"}
+_Pattern = tuple[str, str, re.Pattern[str], list[tuple[str, str | None]], bool]
 
 
 @lru_cache(maxsize=1)
 def _patterns() -> list[_Pattern]:
-    """Return key, pattern, places, and whether there are other words, of each reason; the one with the most of its own first."""
+    """Return of each reason key, longest piece of its own words, pattern, places, and whether it has words; most words first."""
     reasons = {key: words for key, words in _ENGLISH.items() if key.startswith(REASONS)}
     own = {key: _PLACE.sub("", words) for key, words in reasons.items()}
     return [
         (
             key,
+            max(re.split(r"\{.*?\}", reasons[key]), key=len),
             re.compile("".join(_pieces(reasons[key])), re.DOTALL),
             _names(reasons[key]),
             any(letter.isalpha() for letter in own[key]),

@@ -83,15 +83,13 @@ class SpeedLimit:
         # written so that a nan does not pass
         if not 0.0 <= fraction <= 1.0:
             raise PayloadError(
-                "speed_limit", f"{name} sent the speed limit {fraction}; expected a fraction from 0 to 1"
+                "speed_limit", Sentence("executor.refused.limit_fraction", sender=name, fraction=fraction)
             )
         if not name:
-            raise PayloadError(
-                "speed_limit_source", "a speed limit came without its sender's name; expected a node's name"
-            )
+            raise PayloadError("speed_limit_source", Sentence("executor.refused.limit_unnamed"))
         if name != self.name and self.is_heard(now):
             raise PayloadError(
-                "speed_limit_source", f"{name} sent a speed limit while {self.name} does; let only one of them"
+                "speed_limit_source", Sentence("executor.refused.limit_two", sender=name, other=self.name)
             )
         self.hear(fraction, name, now)
         self._words, self.reason = words.strip() or Sentence("executor.speed.no_words"), ""

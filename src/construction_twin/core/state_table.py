@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Generic, TypeVar
 
+from construction_twin.core.sentences import Sentence, both
+
 S = TypeVar("S", bound=Enum)
 E = TypeVar("E", bound=Enum)
 G = TypeVar("G", bound=Enum)
@@ -108,7 +110,7 @@ class Machine(Generic[S, E, G, A, Occ]):
         state, reason: The first ones.
         guards: From the occasion to what speaks against the row, in a sentence; "" for nothing. See `conditions`.
         actions: Takes row and occasion; returns the sentence with which the next state is entered, None for the occasion's own.
-        name: The machine's, for what is said about an event that its state does not take.
+        refusal: Key of the sentence about an event that its state does not take; its values are ``state`` and ``reason``.
         after: Takes row and occasion, when a row has been applied.
 
     Attributes:
@@ -125,7 +127,7 @@ class Machine(Generic[S, E, G, A, Occ]):
         reason: str,
         guards: Mapping[G, Callable[[Occ], str]],
         actions: Mapping[A, Callable[[Row[S, E, G, A], Occ], str | None]],
-        name: str = "it",
+        refusal: str = "reason.in_state",
         after: Callable[[Row[S, E, G, A], Occ], None] | None = None,
     ):
         self.state = state
@@ -133,7 +135,7 @@ class Machine(Generic[S, E, G, A, Occ]):
         self.changed = True
         self._rows = rows
         self._guards, self._actions = dict(guards), dict(actions)
-        self._name, self._after = name, after
+        self._refusal, self._after = refusal, after
         for row in (row for of_cause in rows.values() for row in of_cause):
             if not row.guard.value:
                 self._guards.setdefault(row.guard, _always)
@@ -171,11 +173,11 @@ class Machine(Generic[S, E, G, A, Occ]):
                 if self._after is not None:
                     self._after(row, occasion)
                 return ""
-        return refusal or f"{self._name} is {_name(self.state)}: {self.reason}"
+        return refusal or Sentence(self._refusal, state=_name(self.state), reason=self.reason)
 
     def add(self, note: str) -> None:
         """Add to the reason for which the present state was entered, in place of what was added before."""
-        self.reason = f"{self._entered_for}; {note}"
+        self.reason = both(self._entered_for, note)
 
     def drop(self) -> None:
         """Take back what was added."""

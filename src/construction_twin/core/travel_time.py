@@ -8,6 +8,7 @@ PayloadError, whose reason is the counter's name.
 from __future__ import annotations
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 
 #: A sequence number may be this far ahead: one second of states.
@@ -93,7 +94,7 @@ class SequenceCheck:
         if not last or 0 < seq - last <= MAX_JUMP:
             self.lost += seq - last - 1 if last else 0
         elif not self._is_confirmed(seq):
-            raise PayloadError("sequence", f"seq {seq} after {last}")
+            raise PayloadError("sequence", Sentence("gateway.command.behind", seq=seq, last=last))
         elif seq < last:
             restarted = True
         else:
@@ -134,11 +135,11 @@ class FreshnessCheck:
         excess = self._travel.excess(stamp, received)
         if excess < -self._limit and self._early < CONFIRMATIONS:
             self._early += 1
-            raise PayloadError("early", f"state travelled {-excess / NANOSECONDS:.3f} s less than the quickest one")
+            raise PayloadError("early", Sentence("link.refused.early", seconds=-excess / NANOSECONDS))
         self._early = 0
         self._travel.take(stamp, received)
         if excess > self._limit:
-            raise PayloadError("stale", f"state is {excess / NANOSECONDS:.3f} s older than the freshest one")
+            raise PayloadError("stale", Sentence("link.refused.stale", seconds=excess / NANOSECONDS))
 
 
 class StateCheck:

@@ -6,6 +6,7 @@ Messages say what, where, the value, what was expected and what to do.
 from __future__ import annotations
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.sentences import Sentence
 
 
 class WorkError(ConstructionTwinError):
@@ -60,9 +61,8 @@ class TaskPlanningError(WorkError):
 
     def __init__(self, task: str, reason: str, stage: str = "", method: str = ""):
         self.task, self.reason, self.stage, self.method = task, reason, stage, method
-        where = f", {stage}" if stage else ""
-        how = f" with {method!r}" if method else ""
-        super().__init__(f"task {task}{where}{how}: {reason}")
+        at = {**({"stage": stage} if stage else {}), **({"method": repr(method)} if method else {})}
+        super().__init__(Sentence(f"work.cannot.{'_'.join(at) or 'task'}", task=task, reason=reason, **at))
 
 
 class LedgerError(WorkError):

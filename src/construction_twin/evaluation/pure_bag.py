@@ -21,6 +21,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.bag import TYPES, Bag, check_definition, recording_of
@@ -82,10 +83,8 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
             yield PureBag(reader)
     except (*_DAMAGED, OSError) as error:
         if "not indexed" in str(error):
-            raise ConstructionTwinError(
-                f"{path} was not closed properly; run `rosbag reindex {path}` and try again"
-            ) from error
-        raise ConstructionTwinError(f"{path} cannot be read as a rosbag: {error}") from error
+            raise ConstructionTwinError(Sentence("view.bag.unclosed", path=str(path))) from error
+        raise ConstructionTwinError(Sentence("view.bag.unreadable", path=str(path), problem=str(error))) from error
 
 
 @cache

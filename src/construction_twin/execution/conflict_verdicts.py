@@ -56,8 +56,13 @@ class ConflictVerdicts:
         if not -AHEAD <= age <= VERDICT_TIMEOUT:
             raise PayloadError(
                 "conflict_age",
-                f"a verdict on plan {plan_id} is {age / NANOSECONDS:.3f} s old; expected {-AHEAD / NANOSECONDS:g} to "
-                f"{VERDICT_TIMEOUT / NANOSECONDS:g} s, is this machine overloaded, or was its clock set?",
+                Sentence(
+                    "executor.refused.conflict_age",
+                    plan=plan_id,
+                    age=age / NANOSECONDS,
+                    least=-AHEAD / NANOSECONDS,
+                    most=VERDICT_TIMEOUT / NANOSECONDS,
+                ),
             )
         self._verdicts.pop(plan_id, None)
         self._verdicts[plan_id] = _Known(now - max(0, age), problem)

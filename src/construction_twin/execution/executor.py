@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from construction_twin.core.beside import Beside
 from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.reports import ToolReport
 from construction_twin.core.sentences import Quantity, Sentence, Value, replaced
+from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.state_table import Machine, Occasion, conditions
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.boundary import ToolOrder
@@ -85,12 +85,12 @@ class Executor:
         tool: What is known of the tool; set by `on_tool`.
         segment_run: The present or last execution of a work plan; None when the plan played last is none.
         reason: Why the state was entered, and what the speed limit makes of it now.
-        beside: Runs what tells of a stop, a pause or a rejection: it can fail none of them.
+        side_effects: Runs what tells of a stop, a pause or a rejection: it can fail none of them.
     """
 
     def __init__(self, robot: RobotModel):
         self._robot = robot
-        self.beside = Beside()
+        self.side_effects = SideEffects()
         self.lag = 0.0
         self.neighbour = ConflictVerdicts()
         self.queue = PlanUnderReview()
@@ -293,7 +293,7 @@ class Executor:
         if not self.engagement.engaged or present is None:
             raise ExecutionError(Sentence("executor.release.nothing"))
         if self.state in ACTIVE:
-            raise ExecutionError(self._said("executor.release.active", state=self.state.name))
+            raise ExecutionError(self._answer("executor.release.active", state=self.state.name))
         return present
 
     def check_start(self, plan: Plan) -> None:
@@ -374,7 +374,7 @@ class Executor:
         waiting = self.queue.void(now)
         is_active = self.state in ACTIVE
         sentence = self._stop(reason) if is_active else Sentence("executor.stop.nothing", state=self.state.name)
-        self.beside.do("the verdict on a waiting plan", self.tell_withdrawn, waiting, reason)
+        self.side_effects.run("the verdict on a waiting plan", self.tell_withdrawn, waiting, reason)
         return sentence
 
     def stop_plan(self, plan_id: str, reason: str) -> str:
@@ -397,14 +397,14 @@ class Executor:
     def _stop(self, reason: str) -> str:
         if self.plan_start == 0:
             self._on(ExecutorEvent.STOP, Sentence("executor.stopped_unbegun"))
-            return self._said("executor.stop.unbegun")
+            return self._answer("executor.stop.unbegun")
         brakes = self.state is ExecutorState.STOPPING
         self._on(ExecutorEvent.STOP, reason)
         if brakes:
-            return self._said("executor.stop.again")
-        return self._said(f"executor.stop.{'braking' if self.state is ExecutorState.STOPPING else 'at_rest'}")
+            return self._answer("executor.stop.again")
+        return self._answer(f"executor.stop.{'braking' if self.state is ExecutorState.STOPPING else 'at_rest'}")
 
-    def _said(self, key: str, **values: Value) -> Sentence:
+    def _answer(self, key: str, **values: Value) -> Sentence:
         """Return a sentence about the present plan."""
         return Sentence(key, plan=self._played.plan.id, **values)
 
@@ -425,13 +425,13 @@ class Executor:
             self.queue.void_coming(now)
         self._on(ExecutorEvent.PAUSE, Sentence("executor.pause_asked"))
         if self.segment_run is not None and before is ExecutorState.AT_BOUNDARY:
-            where = self.beside.do("where a pause rests", lambda work: work.where, self.segment_run)
-            return self._said("executor.pause.boundary", where=where or Sentence("executor.where.boundary"))
+            where = self.side_effects.run("where a pause rests", lambda work: work.where, self.segment_run)
+            return self._answer("executor.pause.boundary", where=where or Sentence("executor.where.boundary"))
         if before is ExecutorState.HELD:
-            return self._said("executor.pause.held")
+            return self._answer("executor.pause.held")
         if before is not ExecutorState.PLAYING:
-            return self._said("executor.pause.again", state=before.name)
-        return self._said("executor.pause.coming")
+            return self._answer("executor.pause.again", state=before.name)
+        return self._answer("executor.pause.coming")
 
     def resume(self, may_wait: int = LIFETIME) -> str:
         """Go on along the same path; return one sentence. The approval that started the plan covers it.
@@ -449,10 +449,10 @@ class Executor:
         if self._unarmed:
             raise ExecutionError(Sentence("executor.resume.unarmed", reason=self._unarmed))
         if problem := self.neighbour.problem(self._played.plan.id):
-            raise ExecutionError(self._said("executor.resume.refused", reason=problem))
+            raise ExecutionError(self._answer("executor.resume.refused", reason=problem))
         self._begin_by = self._now + may_wait
         self._on(ExecutorEvent.RESUME, Sentence("executor.resumed"))
-        return self._said("executor.resume.done", rest=self._played.plan.trajectory.duration - self._played.elapsed)
+        return self._answer("executor.resume.done", rest=self._played.plan.trajectory.duration - self._played.elapsed)
 
     # -- output
 
@@ -577,7 +577,7 @@ class Executor:
         def carry_out(row: Row, occasion: Occasion) -> str:
             act(row)
             # what a state is entered for is said of a change that takes place: the arm brakes without the sentence, too
-            sentence = self.beside.do("the executor's sentence", self._sentence, row, occasion.reason)
+            sentence = self.side_effects.run("the executor's sentence", self._sentence, row, occasion.reason)
             sentence = sentence or occasion.reason
             if row.action in OUTCOMES:
                 sentence = self._end_work(row.action, sentence)
@@ -645,13 +645,15 @@ class Executor:
         if work is None:
             return sentence
         if action is not Action.FINISH:
-            where = self.beside.do("where a work plan ends", lambda: work.where) or Sentence("executor.where.unknown")
+            where = self.side_effects.run("where a work plan ends", lambda: work.where) or Sentence(
+                "executor.where.unknown"
+            )
             sentence = Sentence("executor.end.dropped", reason=sentence, where=where)
         was_engaged = self.engagement.engaged
         self._orders += work.end(action is Action.FINISH, self._played.elapsed, sentence)
         if self.engagement.engaged and not was_engaged:
             waiting = self.queue.clear()
-            self.beside.do("the verdict on a waiting plan", self._withdraw_other, waiting)
+            self.side_effects.run("the verdict on a waiting plan", self._withdraw_other, waiting)
         if action is Action.FINISH:
             return sentence
         return Sentence(f"executor.end.{'engaged' if self.engagement.engaged else 'look'}", end=sentence)
@@ -665,7 +667,7 @@ class Executor:
             if row.state is ExecutorState.STOPPING:
                 return Sentence("executor.both", first=self.cause, second=reason)
             if row.action is Action.LOSE:
-                return self._said("executor.held_elsewhere", hold=reason)
+                return self._answer("executor.held_elsewhere", hold=reason)
             return Sentence("executor.held", hold=reason, elapsed=self._played.elapsed)
         if row.target is ExecutorState.AT_BOUNDARY:
             where = self._run_at_boundary.where

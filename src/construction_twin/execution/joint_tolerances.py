@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from construction_twin.core.errors import GoalError, GoalJointsError
-from construction_twin.core.units import for_people
+from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.robot.description import RobotModel
 
 #: What a tolerance bounds, with what stands behind the joint's unit.
@@ -67,17 +67,16 @@ class Tolerances:
         for one in asked:
             if one.joint not in robot.joint_names:
                 known = ", ".join(robot.joint_names)
-                raise GoalJointsError(f"{name} names the joint {one.joint!r}; expected only {known}")
+                raise GoalJointsError(Sentence("reason.goal.tolerance_joint", field=name, joint=one.joint, known=known))
             if one.joint in named:
-                raise GoalError(f"{name} names {one.joint} twice; expected once")
+                raise GoalError(Sentence("reason.goal.tolerance_twice", field=name, joint=one.joint))
             named.add(one.joint)
             index = robot.joint_names.index(one.joint)
             for quantity, column in columns.items():
                 value = getattr(one, quantity)
                 if math.isnan(value):
-                    raise GoalError(
-                        f"{name}: the {quantity} of {one.joint} is nan; expected a number, 0 for the default, below 0 for no bound"
-                    )
+                    what = Sentence(f"reason.goal.quantity.{quantity}")
+                    raise GoalError(Sentence("reason.goal.tolerance_nan", field=name, quantity=what, joint=one.joint))
                 if value:
                     column[index] = value if value > 0.0 else math.inf
         return Tolerances(*(tuple(column) for column in columns.values()))
@@ -95,9 +94,12 @@ class Tolerances:
                 # written so that a nan does not pass
                 if not abs(error) <= bound:
                     unit = ("m" if robot.linear[index] else "rad") + per
-                    return (
-                        f"the {quantity} of {robot.joint_names[index]} is off by {for_people(abs(error), unit)}; "
-                        f"its tolerance is {for_people(bound, unit)}"
+                    return Sentence(
+                        "reason.goal.off",
+                        quantity=Sentence(f"reason.goal.quantity.{quantity}"),
+                        joint=robot.joint_names[index],
+                        error=Quantity(abs(error), unit),
+                        bound=Quantity(bound, unit),
                     )
         return ""
 
@@ -111,9 +113,9 @@ def check_joint_names(robot: RobotModel, names: Sequence[str]) -> None:
     known = ", ".join(robot.joint_names)
     for name in names:
         if name not in robot.joint_names:
-            raise GoalJointsError(f"the goal names the joint {name!r}; expected each of {known} once")
+            raise GoalJointsError(Sentence("reason.goal.joint_unknown", joint=name, known=known))
         if list(names).count(name) > 1:
-            raise GoalJointsError(f"the goal names the joint {name} twice; expected each of {known} once")
+            raise GoalJointsError(Sentence("reason.goal.joint_twice", joint=name, known=known))
     for name in robot.joint_names:
         if name not in names:
-            raise GoalJointsError(f"the goal does not name the joint {name}; expected each of {known} once")
+            raise GoalJointsError(Sentence("reason.goal.joint_missing", joint=name, known=known))

@@ -30,9 +30,7 @@ class PlayRate:
             return False
         # written so that a nan does not pass
         if not 0.0 <= fraction <= 1.0:
-            raise ExecutionError(
-                f"a rate of {fraction} was asked for; expected a fraction of the planned speed, 0 to 1"
-            )
+            raise ExecutionError(Sentence("executor.refused.rate", fraction=fraction))
         self.fraction, self.reason = fraction, reason
         return True
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from construction_twin.core.errors import ExecutionError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.execution.path_progress import Progress
 from construction_twin.execution.stopping import StoppingForecast, distance_along
@@ -113,7 +114,7 @@ class Playback:
             ExecutionError: When the lag is negative: an arm is never ahead of its setpoints.
         """
         if lag < 0.0:
-            raise ExecutionError(f"a lag of {lag:.3f} s, expected 0 or more: it was measured on a clock that was set")
+            raise ExecutionError(Sentence("executor.refused.lag", lag=lag))
         cycles = min(-int(-lag * NANOSECONDS // CYCLE_NS), len(self._history) - 1)
         in_flight = [elapsed for _, elapsed in list(self._history)[len(self._history) - 1 - cycles :]]
         return StopForecaster(self._progress.copy(), in_flight, lag)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
+from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.state_table import Machine, Occasion, conditions
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.goal_states import ROWS, Action, GoalEvent, GoalState, Guard, Row
@@ -29,7 +30,8 @@ STOPPED = 10 * NANOSECONDS
 NOTABLE = 0.001
 #: Plans that were turned down are known for as many more, should the planner's answer be slower than the verdict.
 VERDICTS = 20
-UNKNOWN_REST = "the twin is not known to be at rest"
+UNKNOWN_REST = Sentence("reason.goal.twin_rest_unknown")
+REPLACED = Sentence("reason.goal.replaced")
 #: States in which the executor plays the goal's plan, or has just played it to its end.
 PLAYED = (GoalState.MOVING, GoalState.BRAKING, GoalState.SETTLING)
 
@@ -204,9 +206,10 @@ class TrajectoryGoals:
     def describe(self) -> str:
         """Return the state as one sentence, for operators."""
         if self.state is GoalState.FREE:
-            return "no goal"
-        plan = f", plan {self._plan.id}" if self._plan else ""
-        return f"goal of {self._client} is {self.state.value}{plan}"
+            return Sentence("reason.goal.none")
+        if self._plan is None:
+            return Sentence("reason.goal.state", client=self._client, state=self.state.value)
+        return Sentence("reason.goal.state_with_plan", client=self._client, state=self.state.value, plan=self._plan.id)
 
     # -- what clients ask
 
@@ -219,27 +222,24 @@ class TrajectoryGoals:
         """Take a goal without points: it cancels what the same client has asked for, and is done."""
         ours = [each for each in (self.goal, self._next) if each is not None and each.client == goal.client]
         if not ours:
-            sentence = (
-                "the trajectory has no points, and no goal of yours is there to be stopped; give at least one point"
-            )
+            sentence = Sentence("reason.goal.nothing_to_stop")
             self._effects.append(End(goal.id, Ending.REJECTED, ResultCode.INVALID_GOAL, sentence))
             return
-        self._effects.append(Accept(goal.id, "no points: your other goal is cancelled"))
+        self._effects.append(Accept(goal.id, Sentence("reason.goal.stands_still")))
         for each in reversed(ours):
             self.on_cancel(each.id, now)
-        sentence = "no points: your other goal is cancelled, and ends when the arm is at rest"
+        sentence = Sentence("reason.goal.stands_still_at_rest")
         self._effects.append(End(goal.id, Ending.SUCCEEDED, ResultCode.SUCCESSFUL, sentence))
 
     def on_cancel(self, goal_id: str, now: int) -> None:
         """Take a request to cancel a goal; one that has ended is left alone."""
         if self._next is not None and self._next.id == goal_id:
-            self._end(
-                self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, "cancelled before it was planned"
-            )
+            sentence = Sentence("reason.goal.cancelled_early")
+            self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, sentence)
             self._next = None
         elif self.goal is not None and self.goal.id == goal_id:
             if not self._why:
-                self._why = "cancelled by its client"
+                self._why = Sentence("reason.goal.cancelled")
             self._on(GoalEvent.CANCEL, now)
 
     # -- what the planner answers
@@ -264,10 +264,10 @@ class TrajectoryGoals:
         """Take a verdict on a plan; an approval counts when the executor begins."""
         if approved:
             if self._plan is not None and plan_id == self._plan.id and self.state is GoalState.REVIEW:
-                self._tell(f"plan {plan_id} was approved by {reviewer}")
+                self._tell(Sentence("reason.goal.approved", plan=plan_id, reviewer=reviewer))
             return
-        what = f"withdrawn by the {EXECUTOR}" if reviewer == EXECUTOR else f"rejected by {reviewer}"
-        sentence = f"plan {plan_id} was {what}{': ' if reason else ''}{reason}"
+        key = f"reason.goal.{'withdrawn' if reviewer == EXECUTOR else 'rejected'}{'_because' if reason else ''}"
+        sentence = Sentence(key, plan=plan_id, reviewer=reviewer, reason=reason)
         self._turned_down[plan_id] = sentence
         if len(self._turned_down) > VERDICTS:
             del self._turned_down[next(iter(self._turned_down))]
@@ -285,7 +285,7 @@ class TrajectoryGoals:
             if moving and self.state is GoalState.MOVING and before.state is not state:
                 self._tell(f"{state.name}: {reason}")
         elif self.state in PLAYED:
-            self._on(GoalEvent.LOST, now, f"the executor no longer plays plan {self._plan.id}: {reason}")
+            self._on(GoalEvent.LOST, now, Sentence("reason.goal.lost", plan=self._plan.id, reason=reason))
 
     def on_call_failed(self, now: int) -> None:
         """Take that a call of `stop_plan` or `review_plan` did nothing: it is made again, while it is still needed."""
@@ -307,7 +307,7 @@ class TrajectoryGoals:
             self._retry_at = 0
             self._repeat()
         if self.state is GoalState.WITHDRAWING and now - self._since > WITHDRAWAL:
-            self._why = f"{self._why}; the executor does not say that plan {self._planned.id} is withdrawn: reject it"
+            self._why = Sentence("reason.goal.not_withdrawn", why=self._why, plan=self._planned.id)
             self._on(GoalEvent.TOO_LATE, now)
         if at_rest:
             self._on(GoalEvent.STILL, now)
@@ -326,11 +326,11 @@ class TrajectoryGoals:
         error = sample.error
         problem = self.goal.path.violation(self._robot, error.position, error.velocity, error.acceleration)
         if problem:
-            self._on(GoalEvent.OFF_PATH, now, f"on the path {problem}")
+            self._on(GoalEvent.OFF_PATH, now, Sentence("reason.goal.off_path", problem=problem))
 
     def _check_goal(self, sample: Sample | None, now: int) -> None:
         assert self.goal is not None  # it settles
-        problem = "twin and arm are not known to be at rest"
+        problem: str = Sentence("reason.goal.rest_unknown")
         if sample is not None:
             # the twin rests at the path's end, and the arm answers to that: what they show is the goal, and how far off it is
             error = sample.error
@@ -338,7 +338,8 @@ class TrajectoryGoals:
         if not problem:
             self._on(GoalEvent.AT_GOAL, now)
         elif now - self._since > self.goal.time_tolerance * NANOSECONDS:
-            self._on(GoalEvent.TOO_LATE, now, f"{self.goal.time_tolerance:g} s after the plan's end {problem}")
+            late = Sentence("reason.goal.not_in_time", seconds=self.goal.time_tolerance, problem=problem)
+            self._on(GoalEvent.TOO_LATE, now, late)
 
     # -- the table
 
@@ -384,32 +385,28 @@ class TrajectoryGoals:
         self._effects.append(Ask(self.goal))
 
     def _turn_away(self, _reason: str) -> None:
-        has = f"{self._client} has the arm ({self.describe()})"
-        self._reject_coming(f"{has}; cancel that goal, or send this one when it has ended")
+        self._reject_coming(Sentence("reason.goal.taken", client=self._client, state=self.describe()))
 
     def _turn_away_busy(self, _reason: str) -> None:
-        report = self._report
-        self._reject_coming(
-            f"the arm follows plan {report.plan_id}, which is of no goal of this action; wait for its end"
-        )
+        self._reject_coming(Sentence("reason.goal.busy", plan=self._report.plan_id))
 
     def _line_up(self, _reason: str) -> None:
         if self._next is not None:
-            self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, "replaced by a newer goal")
+            self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, REPLACED)
         self._next, self._coming = self._coming, None
 
     def _replace(self, _reason: str) -> None:
-        self._why = "replaced by a newer goal"
+        self._why = REPLACED
         self._cancel("")
         self._line_up("")
 
     def _withdraw(self, _reason: str) -> None:
         plan = self._planned
-        self._effects.append(Withdraw(plan.id, plan.hash, self._client, self._why or "no longer wanted by its client"))
-        self._tell(f"{self._why}; plan {plan.id} is being withdrawn")
+        self._effects.append(Withdraw(plan.id, plan.hash, self._client, self._why or Sentence("reason.goal.unwanted")))
+        self._tell(Sentence("reason.goal.withdrawing", why=self._why, plan=plan.id))
 
     def _withdraw_for_next(self, _reason: str) -> None:
-        self._why = self._why or "replaced by a newer goal"
+        self._why = self._why or REPLACED
         self._withdraw("")
         self._line_up("")
 
@@ -417,10 +414,10 @@ class TrajectoryGoals:
         assert self.goal is not None  # it was planned
         plan = self._planned
         late = plan.asked and plan.duration > plan.asked + NOTABLE
-        instead = f" instead of {plan.asked:.3f} s" if late else ""
-        why = f"; timed anew, because {plan.retimed}" if plan.retimed else ""
-        decides = f"a person gives or refuses it by {self._reviewed_by}"
-        waits = f"plan {plan.id} of {plan.duration:.3f} s{instead} waits for approval; {decides}{why}"
+        key = "reason.goal.waits_longer" if late else "reason.goal.waits"
+        waits = Sentence(key, plan=plan.id, seconds=plan.duration, asked=plan.asked, service=self._reviewed_by)
+        if plan.retimed:
+            waits = Sentence("reason.goal.retimed", waits=waits, why=plan.retimed)
         self._effects.append(Accept(self.goal.id, waits))
 
     def _refuse(self, reason: str) -> None:
@@ -438,35 +435,36 @@ class TrajectoryGoals:
     def _abort_path(self, _reason: str) -> None:
         report = self._report
         code = ResultCode.PATH_TOLERANCE_VIOLATED if report.outcome == "held" else ResultCode.GOAL_TOLERANCE_VIOLATED
-        self._finish(Ending.ABORTED, code, f"plan {self._planned.id} ended as {report.outcome}: {report.reason}")
+        ended = Sentence("reason.goal.ended", plan=self._planned.id, outcome=report.outcome, reason=report.reason)
+        self._finish(Ending.ABORTED, code, ended)
 
     def _abort_goal(self, reason: str) -> None:
         self._finish(Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED, reason)
 
     def _end_stopped(self, _reason: str) -> None:
-        self._end_where("the arm is at rest on its path" if self._report.reason else "the arm is at rest")
+        self._end_where(Sentence("reason.goal.on_its_path" if self._report.reason else "reason.goal.at_rest"))
 
     def _give_up(self, _reason: str) -> None:
         self._end_where(UNKNOWN_REST)
         if self._next is not None:
-            after = f"{STOPPED // NANOSECONDS} s after the stop {UNKNOWN_REST}"
-            sentence = f"not planned: {after}; see whether it runs, and send the goal again"
+            seconds = STOPPED // NANOSECONDS
+            sentence = Sentence("reason.goal.next_not_planned", seconds=seconds, unknown=UNKNOWN_REST)
             self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, sentence)
             self._next = None
 
     def _end_where(self, where: str) -> None:
-        where = f"{where}; {self._report.reason}" if self._report.reason else where
+        where = both(where, self._report.reason)
         if self._off_path:
-            self._finish(Ending.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED, f"{self._why}; {where}")
+            self._finish(Ending.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED, both(self._why, where))
         else:
             self._cancel(where)
 
     def _brake(self, _reason: str) -> None:
         self._effects.append(Brake(self._planned.id))
-        self._tell(f"{self._why}; brakes on the path")
+        self._tell(Sentence("reason.goal.brakes", why=self._why))
 
     def _brake_for_next(self, _reason: str) -> None:
-        self._why = self._why or "replaced by a newer goal"
+        self._why = self._why or REPLACED
         self._brake("")
         self._line_up("")
 
@@ -478,9 +476,8 @@ class TrajectoryGoals:
         self._tell(f"{self._report.state.name}: {self._report.reason}")
 
     def _succeed(self, _reason: str) -> None:
-        self._finish(
-            Ending.SUCCEEDED, ResultCode.SUCCESSFUL, f"plan {self._planned.id} was executed; the arm is at the goal"
-        )
+        reached = Sentence("reason.goal.reached", plan=self._planned.id)
+        self._finish(Ending.SUCCEEDED, ResultCode.SUCCESSFUL, reached)
 
     def _repeat(self) -> None:
         """Make a call again that failed and is still needed."""
@@ -492,8 +489,7 @@ class TrajectoryGoals:
     # -- what clients are told
 
     def _cancel(self, where: str) -> None:
-        sentence = f"{self._why}; {where}" if where else self._why
-        self._finish(Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, sentence)
+        self._finish(Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, both(self._why, where))
 
     def _finish(self, ending: Ending, code: ResultCode, sentence: str) -> None:
         """End the goal that has the arm; while its plan is being withdrawn, there may be none."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.limits import MotionCheck, outside_tolerance
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_stream import Command, CommandStream
 from construction_twin.gateway.config import GatewayConfig
@@ -18,11 +19,12 @@ class StreamBroken(Exception):
 
     Attributes:
         event: ``STREAM_SILENT``, ``SPEED_IGNORED`` or ``REPLIES_LOST``: what the gateway brakes for.
+        reason: Why, in one sentence.
     """
 
-    def __init__(self, event: Event, reason: str):
+    def __init__(self, event: Event, reason: Sentence):
         super().__init__(reason)
-        self.event = event
+        self.event, self.reason = event, reason
 
 
 class CommandIntake:
@@ -48,21 +50,32 @@ class CommandIntake:
         """Read a command; PayloadError when it is not one."""
         if isinstance(properties, PayloadError):
             raise properties
-        if self._config.properties and properties is None:
-            raise PayloadError("properties", "command without session, seq and stamp")
         return self._stream.read(payload, properties, now)
 
-    def start(self, held: tuple[float, ...], stamp: int, q: tuple[float, ...]) -> None:
-        """Take the first command of a stream; MotionRefused when it is out of range, or away from the `held` pose (``start``)."""
+    def start(self, held: tuple[float, ...], stamp: int, q: tuple[float, ...], waited: int, now: int) -> None:
+        """Take the first command of a stream.
+
+        Args:
+            held: Shape (n,). The pose that the gateway holds [rad].
+            stamp: [ns]
+            q: Shape (n,). [rad]
+            waited: Time since the last telegram [ns].
+            now: [ns]
+
+        Raises:
+            MotionRefused: When it is out of range, or away from the pose that is held (``start``).
+        """
         self._limits.check_range(q)
         tolerances = self._config.start_tolerances
         off = outside_tolerance(q, held, tolerances)
         if off is not None:
             raise self._limits.refused("start", off, q[off] - held[off], tolerances[off])
         self._check.start(stamp, q)
+        self._player.learn_from_stall(self.session if self._config.properties else None, now)
+        self._push(stamp, q, waited)
 
-    def go_on(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
-        """Check a command that follows another.
+    def take(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
+        """Take a command that follows another.
 
         Args:
             stamp: [ns]
@@ -83,23 +96,18 @@ class CommandIntake:
         hole = player.hole(stamp)
         if hole:
             # too long to guess what the motion was in between
-            raise StreamBroken(Event.STREAM_SILENT, f"{hole:.3f} s of the stream are missing")
+            raise StreamBroken(Event.STREAM_SILENT, Sentence("gateway.stream.hole", seconds=hole))
         behind = player.backlog
         if behind > self._config.speed_limit_backlog:
+            backlog = {"behind": behind, "most": self._config.speed_limit_backlog}
             if player.stood:
-                raise StreamBroken(
-                    Event.REPLIES_LOST,
-                    f"the arm is {behind:.3f} s behind its stream, at most {self._config.speed_limit_backlog:g} s are put off: it "
-                    f"has stood {player.stood} times because telegrams or replies did not arrive in time",
-                )
-            raise StreamBroken(
-                Event.SPEED_IGNORED,
-                f"the sender does not obey the speed limit of {player.fraction:g}: it is {behind:.3f} s ahead of the arm, "
-                f"at most {self._config.speed_limit_backlog:g} s are put off",
-            )
+                found = Sentence("gateway.stream.replies", count=player.stood, **backlog)
+                raise StreamBroken(Event.REPLIES_LOST, found)
+            found = Sentence("gateway.stream.speed", fraction=player.fraction, **backlog)
+            raise StreamBroken(Event.SPEED_IGNORED, found)
         self._check.accept(stamp, q)
+        self._push(stamp, q, waited)
 
-    def push(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
-        """Give a command that was checked to the player."""
+    def _push(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
         self._stream.last_stamp = stamp
         self._player.push(stamp, q, waited)

@@ -17,7 +17,7 @@ from construction_twin.core.udp import address_of, bind
 from construction_twin.gateway.config import GatewayConfig, load_config
 from construction_twin.gateway.log import log_beside_the_loop
 from construction_twin.gateway.service import GatewayService
-from construction_twin.gateway.states import Mode, note
+from construction_twin.gateway.states import Mode, noted
 from construction_twin.gateway.trace import TraceWriter
 from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import Broker
@@ -131,7 +131,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if config.layout.not_filled:
         log.info("channels that no reply fills, so they stay as they are: %s", ", ".join(config.layout.not_filled))
     if service.gateway.mode is not Mode.NORMAL:
-        log.warning("mode %s%s", service.gateway.mode.value, note(service.gateway.mode, words))
+        log.warning("%s", noted(f"mode {service.gateway.mode.value}", service.gateway.mode, words))
     log.info("%s; %s", request_realtime(arguments.realtime), lock_memory())
     # a full collection over everything imported would take longer than the controller waits
     gc.freeze()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
@@ -77,15 +78,17 @@ class CommandStream:
             q = self._codec.decode(payload)
             return Command(self._arrival_stamp(now, q), q, 0)
         if properties is None:
-            raise PayloadError("properties", "command without session, seq and stamp")
+            raise PayloadError("properties", Sentence("gateway.command.properties"))
         if properties.session != self.session:
-            raise PayloadError("session", f"command of session {properties.session!r}; armed is {self.session!r}")
+            names = {"session": repr(properties.session), "armed": repr(self.session)}
+            raise PayloadError("session", Sentence("gateway.command.session", **names))
         step = properties.seq - self._sequence
         if step <= 0:
             raise self._why_behind(properties.seq, -step)
         if step > FARTHEST and self.last_stamp:
             # nor would the count of what was lost mean anything
-            raise PayloadError("sequence", f"seq {properties.seq} after {self._sequence}: no stream loses so many")
+            found = Sentence("gateway.command.far", seq=properties.seq, last=self._sequence)
+            raise PayloadError("sequence", found)
         q = self._codec.decode(payload)
         self._check_age(properties.stamp, now)
         self._sequence = properties.seq
@@ -93,18 +96,18 @@ class CommandStream:
         return Command(properties.stamp, q, step - 1)
 
     def _why_behind(self, seq: int, behind: int) -> PayloadError:
-        text = f"seq {seq} after {self._sequence}"
+        numbers = {"seq": seq, "last": self._sequence}
         if behind >= REMEMBERED or seq < 1:
-            return PayloadError("sequence", text)
+            return PayloadError("sequence", Sentence("gateway.command.behind", **numbers))
         if self._taken >> behind & 1:
-            return PayloadError("duplicate", f"{text}: it was taken before")
-        return PayloadError("reordered", f"{text}: a newer one came first")
+            return PayloadError("duplicate", Sentence("gateway.command.again", **numbers))
+        return PayloadError("reordered", Sentence("gateway.command.reordered", **numbers))
 
     def _check_age(self, stamp: int, now: int) -> None:
         # a command that is late leaves the reference as it is, so it may be taken before it is judged
         late = self._travel_time.take(stamp, now) / NANOSECONDS
         if late > self._config.max_age:
-            raise PayloadError("stale", f"command is {late:.3f} s older than the freshest")
+            raise PayloadError("stale", Sentence("gateway.command.stale", late=late))
 
     def _arrival_stamp(self, now: int, q: tuple[float, ...]) -> int:
         """Return a stamp for a command without one: the sender's 4 ms grid, begun anew after a gap in which it was given up.

@@ -9,11 +9,13 @@ of arrival in ns.
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from statistics import median
 
 from construction_twin.controller.port import Make
 from construction_twin.controller.telegram import STAMP_NS, stamp_step
+from construction_twin.core.sentences import Sentence, Value
 
 #: A session is measured for this long before it is first judged [ms of it, at the expected cycle].
 FIRST = 400
@@ -42,6 +44,8 @@ PIECES, SPAN = 30, 3
 OFF, RIGHT = 0.001, 0.0008
 #: What the playout follows in motion, however long (docs/conventions.md, section Playout).
 FOLLOWED = 0.005
+#: Figures in a sentence about the clock that are measured.
+_MEASURED = re.compile(r"\d+\.\d+")
 
 
 class ControllerClock:
@@ -85,6 +89,8 @@ class ControllerClock:
         self.off_sentence = ""
         # whether it was judged to be another clock: then that is told, and enough
         self._refused = False
+        # what was judged last, without figures that waver
+        self._judged = ""
 
     def note(self, stamp: int, arrived: int) -> None:
         """Take a telegram, also one that is not answered.
@@ -158,6 +164,11 @@ class ControllerClock:
         self._refused = True
         return self._sentence(step, rate)
 
+    def is_new(self, wrong: str) -> bool:
+        """Take note of what `judge` has returned; return whether it is another thing: a measured rate that wavers makes none."""
+        before, self._judged = self._judged, _MEASURED.sub("", wrong)
+        return self._judged != before
+
     def measure_rate(self) -> bool:
         """Measure how far the clock is off; return whether `off_sentence` came or went. It costs something once a second only."""
         if not self._piece_closed or len(self._pieces) < PIECES:
@@ -204,21 +215,16 @@ class ControllerClock:
 
     @staticmethod
     def _off_sentence(off: float) -> str:
-        word, harm, stop = ("fast", "faster", "silence") if off > 0.0 else ("slow", "slower", "lead")
-        ends = f", and a long motion ends in a stop ({stop}): it cannot be followed" if abs(off) > FOLLOWED else ""
-        return (
-            f"the controller's clock is {100.0 * abs(off):.2f} % {word} against this PC's: the arm is as much {harm} than planned"
-            f"{ends}; right clocks agree within 0.02 %, so one of them is simulated, virtual, or being set"
-        )
+        too, word = "too_" if abs(off) > FOLLOWED else "", "fast" if off > 0.0 else "slow"
+        return Sentence(f"gateway.clock.{too}{word}", percent=100.0 * abs(off))
 
     def _sentence(self, step: float, rate: float) -> str:
         cycle, stamp = self._cycle, self._words.stamp
         if step != cycle and abs(rate - 1.0) <= FAR_OFF:
-            other = f"; or set the gateway's cycle to {step:g} (rsi_cycle:={step:g})" if step in self._modes else ""
-            found = f"the controller's cycle is {step:g} ms ({stamp} steps of {step:g})"
-            return f"{found}; expected {cycle} ms: {self._words.cycle.format(self._modes[cycle])}{other}"
-        every = f", a telegram every {step / rate:.1f} ms" if rate else ""
-        return (
-            f"the controller's clock runs {rate:.2f} times as fast as real time ({stamp} steps of {step:g}{every}); expected "
-            f"{stamp} to count milliseconds, {cycle} per telegram: what sends is no controller in real time"
-        )
+            setting = self._words.cycle.format(self._modes[cycle])
+            found = Sentence("gateway.clock.cycle", step=step, stamp=stamp, expected=cycle, setting=setting)
+            return Sentence("gateway.clock.cycle_or", cycle=found, step=step) if step in self._modes else found
+        values: dict[str, Value] = {"rate": rate, "stamp": stamp, "step": step, "expected": cycle}
+        if not rate:
+            return Sentence("gateway.clock.rate", **values)
+        return Sentence("gateway.clock.rate_every", **values, every=step / rate)

@@ -6,14 +6,37 @@ Standard library only; rad and ns.
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import dataclass
 
 from construction_twin.controller.telegram import STAMP_NS, Telegram, stamp_step
 from construction_twin.core.limits import distance_off
+from construction_twin.core.sentences import Sentence, Value
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 
 #: A controller that was heard this recently is alive, and its session its own [ns].
 ALIVE = NANOSECONDS // 10
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """What a telegram means for its session.
+
+    Attributes:
+        elapsed: Controller time since the telegram before [ns]; a cycle for the first one.
+        begins: It is the first one of a session.
+        refusal: Why this session must not be answered, in the telegram that shows it; "" when it may be.
+        missed: Since the telegram before the controller has missed a reply, for whatever reason.
+        lost: The controller says that the last answer did not arrive in time.
+        drifted_to: Shape (n,). Where it is programmed, if that is elsewhere than at the origin [rad]; () where it is not.
+    """
+
+    elapsed: int
+    begins: bool
+    refusal: str
+    missed: bool
+    lost: bool
+    drifted_to: tuple[float, ...]
 
 
 class ControllerSession:
@@ -47,57 +70,65 @@ class ControllerSession:
         #: The last step of the clock that was not a cycle [ms].
         self.jump_ms = 0
         self._source: object = None
+        self._answered = config.layout.answered
+        self._refused = False
         self._last_missed = 0
+        # what most telegrams mean
+        self._regular = Taken(self._cycle, False, "", False, False, ())
 
     def accepts(self, source: object, now: int) -> bool:
         """Return whether a datagram from `source` may be read: while a controller is alive, only its own are."""
         return source == self._source or not (self.alive and now - self.heard_at <= ALIVE)
 
-    def is_repeated(self, stamp: int, source: object) -> bool:
-        """Return whether a telegram came twice, or behind a newer one: it was answered, or an answer comes too late."""
-        behind = stamp_step(stamp, self.stamp, self._timeout_ms)
-        return self.alive and 0 <= behind <= self._timeout_ms and source == self._source
-
     def is_silent(self, now: int) -> bool:
         """Return whether the controller has been silent for its timeout."""
         return self.alive and now - self.heard_at > self._timeout
 
-    def hear(
-        self,
-        telegram: Telegram,
-        source: object,
-        now: int,
-        correction: tuple[float, ...] = (),
-        moving: bool = False,
-    ) -> int | None:
-        """Take note of a telegram, and of whether it belongs to the session.
+    def take(
+        self, telegram: Telegram, source: object, now: int, sent: tuple[float, ...] = (), moving: bool = False
+    ) -> Taken | None:
+        """Take a telegram; None when it came twice, or behind a newer one: it was answered, or an answer comes too late.
 
         Args:
             source: Where it came from.
             now: [ns]
-            correction: Shape (n,). What the last answer carried [rad]; () for nothing.
+            sent: Shape (n,). The correction that the last answer carried [rad]; () for nothing.
             moving: Whether that correction is being changed.
-
-        Returns:
-            Controller time since the last telegram [ns]; None when another session begins.
         """
-        elapsed = self._elapsed(telegram.stamp, source)
-        if elapsed is None:
-            self._rules.begin()
-        elif elapsed != self._cycle:
-            sign = self._rules.restarted(telegram, self.origin, correction, moving)
-            if sign:
-                self.began = f"{sign}, {self.jump_ms} ms on: {self._words.protocol} was switched on anew"
-                elapsed = None
-            self._counters["sessions_by_restart" if sign else "ipoc_steps_irregular"] += 1
-        self.stamp, self._source, self.heard_at = telegram.stamp, source, now
-        return elapsed
+        step = stamp_step(self.stamp, telegram.controller_ms, self._timeout_ms)
+        goes_on = self.alive and source == self._source
+        if goes_on and -self._timeout_ms <= step <= 0:
+            return None
+        elapsed = step * STAMP_NS
+        begins = False
+        if not goes_on or elapsed != self._cycle:
+            begins = self._is_another(goes_on, step) or self._is_restarted(telegram, sent, moving)
+        if begins:
+            self._begin(telegram)
+            elapsed = self._cycle
+        self.stamp, self._source, self.heard_at = telegram.controller_ms, source, now
+        missed = elapsed > self._cycle or (telegram.missed is not None and telegram.missed > self._last_missed)
+        refusal, lost = "", False
+        drifted_to: tuple[float, ...] = ()
+        if not self._answered:
+            self.take_measured(telegram)
+        elif not self._refused:
+            if not self.origin:
+                self.origin, refusal = self._rules.origin(telegram)
+                self._refused = bool(refusal)
+            # before the count of missed replies is taken over
+            if telegram.missed != self._last_missed or elapsed != self._cycle:
+                lost = self._is_reply_lost(telegram.missed, elapsed)
+            drifted_to = self._take_poses(telegram)
+        if elapsed == self._cycle and not (begins or missed or refusal or lost or drifted_to):
+            return self._regular
+        return Taken(elapsed, begins, refusal, missed, lost, drifted_to)
 
-    def begin(self, telegram: Telegram) -> None:
-        """Begin a session with its first telegram."""
+    def _begin(self, telegram: Telegram) -> None:
         self.alive = True
         # what was measured in the session before says nothing about this one
         self.origin = self.measured = ()
+        self._refused = False
         # what was missed before the first telegram belongs to the session's start, before anybody could answer
         self._last_missed = telegram.missed or 0
         self._counters["rsi_sessions"] += 1
@@ -107,43 +138,29 @@ class ControllerSession:
         self.alive = False
         self.origin = self.measured = ()
 
-    def find_origin(self, telegram: Telegram) -> str:
-        """Take the origin from a telegram; where that is impossible it stays unknown.
+    def take_measured(self, telegram: Telegram) -> None:
+        """Take the measured pose of a telegram, where it has one."""
+        if telegram.measured is not None:
+            self.measured = telegram.measured
 
-        Returns:
-            Why this session must not be answered; "" when it may be.
-        """
-        self.origin, refusal = self._rules.origin(telegram)
-        return refusal
-
-    def counts_missed(self, telegram: Telegram) -> bool:
-        """Return whether the controller has counted more late replies than in the last telegram that was noted."""
-        return telegram.missed is not None and telegram.missed > self._last_missed
-
-    def is_reply_lost(self, telegram: Telegram, elapsed: int) -> bool:
-        """Return whether the controller says that the last answer did not arrive in time; call it before `note`.
+    def _is_reply_lost(self, count: int | None, elapsed: int) -> bool:
+        """Return whether the controller says that the last answer did not arrive in time.
 
         The count has then risen by every cycle since: so it does whether it counts the misses in a row, and falls back with a
         reply, or all of a session, and does not. A number that it cannot have is counted: a higher one is a reply that is lost, a
         lower one is not (docs/rsi.md, section 5).
-
-        Args:
-            elapsed: Controller time since the telegram that was answered last [ns].
         """
-        told, before = telegram.missed, self._last_missed
-        if told == before and elapsed == self._cycle:
-            return False
-        if told is None:
+        if count is None:
             self._counters["telegrams_without_delay"] += 1
             return False
         cycles = max(1, elapsed // self._cycle)
-        missed = told - before
-        if missed > cycles or (missed < cycles and cycles - 1 not in (missed, told)):
+        missed = count - self._last_missed
+        if missed > cycles or (missed < cycles and cycles - 1 not in (missed, count)):
             self._counters["delay_irregular"] += 1
         return missed >= cycles
 
-    def note(self, telegram: Telegram) -> bool:
-        """Take a telegram's poses and its count of late replies; return whether it is programmed elsewhere than at the origin."""
+    def _take_poses(self, telegram: Telegram) -> tuple[float, ...]:
+        """Take a telegram's poses and its count of late replies; return where it is programmed off the origin."""
         missed = telegram.missed
         if missed is not None and missed != self._last_missed:
             self._counters["late_replies"] += max(0, missed - self._last_missed)
@@ -151,17 +168,17 @@ class ControllerSession:
         if telegram.measured is None or telegram.setpoint is None:
             self._counters["telegrams_without_pose"] += 1
         if telegram.measured is None or not self.origin:
-            return False
+            return ()
         self.measured = telegram.measured
         if telegram.setpoint is None or telegram.setpoint == self.origin or not self._follows:
-            return False
+            return ()
         self._counters["reference_drifts"] += 1
-        return True
+        return telegram.setpoint
 
     def drift(self, setpoint: tuple[float, ...]) -> str:
         """Return in one sentence how far a programmed position [rad] is off the origin; "" within the start tolerance."""
         distance = self.distance_off(setpoint, self.origin)
-        return distance and f"{distance} {self._rules.drifted}"
+        return distance and Sentence(self._rules.drifted, distance=distance)
 
     def distance_off(self, q: tuple[float, ...], reference: tuple[float, ...], tolerances: float = 1.0) -> str:
         """Return how far the first axis is off that is further than so many start tolerances, for people; "" when none is."""
@@ -178,20 +195,27 @@ class ControllerSession:
         self.origin = setpoint
         return tuple([start + value for start, value in zip(setpoint, correction)])
 
-    def _elapsed(self, stamp: int, source: object) -> int | None:
+    def _is_another(self, goes_on: bool, step: int) -> bool:
+        """Return whether a telegram so many ms on begins another session, by what every make has."""
         if not self.alive:
-            self.began = "the first telegram after silence"
-            return None
-        if source != self._source:
-            self.began = "telegrams come from another source"
+            self.began = Sentence("gateway.began.first")
+        elif not goes_on:
+            self.began = Sentence("gateway.began.source")
             self._counters["sessions_by_source"] += 1
-            return None
-        step = stamp_step(self.stamp, stamp, self._timeout_ms)
-        elapsed = step * STAMP_NS
-        if elapsed != self._cycle:
+        else:
             self.jump_ms = step
-            if not 0 < elapsed <= self._timeout:
-                self.began = f"{self._words.stamp} jumped by {self.jump_ms} ms"
-                self._counters["sessions_by_ipoc_jump"] += 1
-                return None
-        return elapsed
+            if 0 < step * STAMP_NS <= self._timeout:
+                return False
+            self.began = Sentence("gateway.began.jump", stamp=self._words.stamp, jump=step)
+            self._counters["sessions_by_ipoc_jump"] += 1
+        self._rules.begin()
+        return True
+
+    def _is_restarted(self, telegram: Telegram, sent: tuple[float, ...], moving: bool) -> bool:
+        """Return whether the make's own signs show that a session was ended and begun anew while cycles are missing."""
+        sign = self._rules.restarted(telegram, self.origin, sent, moving)
+        if sign:
+            values: dict[str, Value] = {"sign": sign, "jump": self.jump_ms, "protocol": self._words.protocol}
+            self.began = Sentence("gateway.began.again", **values)
+        self._counters["sessions_by_restart" if sign else "ipoc_steps_irregular"] += 1
+        return bool(sign)

@@ -7,17 +7,18 @@ actions do. Standard library only; rad and ns.
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
-from construction_twin.controller.port import Said
+from construction_twin.controller.port import ControllerStatus
 from construction_twin.controller.telegram import Telegram
-from construction_twin.core.beside import Beside
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
-from construction_twin.core.rate_limit import SenderLimits, TokenBucket
+from construction_twin.core.records import document
+from construction_twin.core.sentences import Sentence, Value
+from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.state_table import Machine
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
@@ -27,9 +28,10 @@ from construction_twin.gateway.controller_session import ControllerSession
 from construction_twin.gateway.ownership import Ownership
 from construction_twin.gateway.part_steps import PartSteps
 from construction_twin.gateway.player import Player
-from construction_twin.gateway.refusals import Refusals
+from construction_twin.gateway.refusals import Refusals, UnreadReport
+from construction_twin.gateway.replies import Replies, moved
 from construction_twin.gateway.speed_limit import SpeedLimit
-from construction_twin.gateway.states import CAUSES, ROWS, Action, Event, Guard, Mode, Occasion, Row, State, note
+from construction_twin.gateway.states import CAUSES, ROWS, Action, Event, Guard, Mode, Occasion, Row, State, noted
 from construction_twin.gateway.status import StateReport, Status
 from construction_twin.gateway.stop_report import StopReport
 from construction_twin.gateway.tool_switches import ToolSwitches, stamp_of
@@ -44,19 +46,14 @@ from construction_twin.mqtt.messages import (
     other_protocol,
     protocol_of,
 )
+from construction_twin.mqtt.requests import answer_limits
 
 #: States in which nothing is commanded, and the held pose follows what a program of the controller does.
 HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
 #: An arm may begin a session this many start tolerances away from the held pose: its first command may be one away from either.
 DISPLACED = 2.0
-#: What could not be read is told until nothing more of it has come for this long [s].
-UNREAD_QUIET = 10.0
-#: Messages on `stop/<account>` are answered with this time between them [ns], and so many at once.
-STOP_PERIOD, STOPS_AT_ONCE = NANOSECONDS // 10, 10
 #: Why no switch is armed, and armed ones are void.
-_SPEED_0 = "the speed limit is 0"
-#: Figures in a sentence about the clock that are measured.
-_MEASURED = re.compile(r"\d+\.\d+")
+_SPEED_0 = Sentence("gateway.speed.zero")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +67,18 @@ class Answer:
 
     ok: bool
     reason: str
+
+
+@lru_cache(maxsize=len(State))
+def _is(state: State) -> Sentence:
+    # every command of a stream that goes on after a stop is refused with it
+    return Sentence("gateway.is", state=state.value)
+
+
+@lru_cache(maxsize=4)
+def _not_answered(protocol: str, reason: str) -> Sentence:
+    # the same with every telegram
+    return Sentence("gateway.not_answered", protocol=protocol, reason=reason)
 
 
 class Gateway:
@@ -87,16 +96,8 @@ class Gateway:
         self.run = run
         self.mode = Mode.of(config, commissioning)
         self._words = config.make.words
-        self._note = note(self.mode, self._words)
         self._absolute = config.make.absolute
-        # a reply carries the correction as it is
-        self._plain = self.mode is Mode.NORMAL and not self._absolute
-        #: The last correction, as it would be without commissioning mode [rad], [m].
-        self.correction: tuple[float, ...] = ()
-        # the one that the controller had before it, and kept if the last one did not arrive
-        self._kept: tuple[float, ...] = ()
-        # how long no reply has arrived while telegrams went on [ns]
-        self._unanswered = 0
+        self._replies = Replies(self._absolute, self.mode is not Mode.NORMAL)
         self.codec = JointStringCodec.of_config(config)
         self.counters: Counter[str] = Counter()
         #: What was refused, and why; inbox and service, which stand before the gateway, count here too.
@@ -106,7 +107,7 @@ class Gateway:
         #: Number of the last stop or fault of this run, but of one by silence; 0 before the first. A `reset` must name it.
         self.fault_number = 0
         #: What tells of a stop, and cannot fail it.
-        self.beside = Beside()
+        self.side_effects = SideEffects()
         #: Called with every answered telegram: its stamp, number of the session, state, stamp of the target [ns] (0: none),
         #: position [rad], which is origin plus correction, whether the reply before this one did not arrive. None costs nothing.
         self.trace: Callable[[int, int, State, int, tuple[float, ...], bool], None] | None = None
@@ -114,18 +115,12 @@ class Gateway:
         self.clock = ControllerClock(config.make, config.cycle)
         self._measures = measures
         self._began = ""
-        # what was said of the controller's clock, without figures that waver
-        self._clock_told = ""
-        # why telegrams could not be read, as told last, and when [ns]
-        self._unread_told = ""
-        self._unread_told_at = -NANOSECONDS
-        # how many they were then, and since when [ns]
-        self._unread_count = self._unread_since = 0
+        self._unread = UnreadReport(self.refusals)
         self._controller = ControllerSession(config, self.counters)
         self._owners = Ownership()
-        self._stop_pace = SenderLimits(lambda: TokenBucket(NANOSECONDS // STOP_PERIOD, STOPS_AT_ONCE))
+        self._stop_pace = answer_limits()
         self._player = Player(config, self.counters)
-        self._stream = CommandIntake(config, self.codec, self._player)
+        self._intake = CommandIntake(config, self.codec, self._player)
         #: How fast the arm may move, as the source of `speed_limit` asks.
         self.speed = SpeedLimit(config)
         self._stopping = StopReport(config.limits.linear)
@@ -135,14 +130,14 @@ class Gateway:
         self._silence = round(config.silence * NANOSECONDS)
         self._cycle = config.cycle_ns
         self._parts = PartSteps(config.cycle_ns)
-        self._answered_stamp = 0
+        self._command_stamp = 0
         self._ending = False
         #: What the controller says of itself, where its telegrams tell.
-        self._said: Said = config.make.nothing_said
+        self._status: ControllerStatus = config.make.no_status
         self._machine = Machine(
             ROWS,
             State.NO_CONTROLLER,
-            "no telegram yet",
+            Sentence("gateway.no_telegram_yet"),
             {
                 Guard.ANSWERS: lambda occasion: "read-only" if self.mode is Mode.READ_ONLY else "",
                 Guard.READS_ONLY: lambda occasion: "" if self.mode is Mode.READ_ONLY else "answered",
@@ -163,7 +158,7 @@ class Gateway:
                 Action.RESET: self._on_reset,
                 Action.LAST_RESORT: self._on_fault,
             },
-            name="gateway",
+            refusal="gateway.in_state",
         )
 
     @property
@@ -177,9 +172,16 @@ class Gateway:
         return self._machine.reason
 
     @property
+    def _sentence(self) -> Sentence:
+        return Sentence("gateway.in_state", state=self.state.value, reason=self.reason)
+
+    def _noted(self, sentence: Sentence) -> str:
+        return noted(sentence, self.mode, self._words)
+
+    @property
     def session(self) -> str:
         """Id of the session that may command; "" for none."""
-        return "" if self._machine.state is State.FAILED else self._stream.session
+        return "" if self._machine.state is State.FAILED else self._intake.session
 
     # -- the controller's side
 
@@ -197,53 +199,37 @@ class Gateway:
         Returns:
             Shape (n,). Position, or position minus origin, as the make takes it [rad]; None when it must not be answered.
         """
-        controller = self._controller
-        if controller.is_repeated(telegram.stamp, source):
+        controller, machine, player, replies = self._controller, self._machine, self._player, self._replies
+        moving = machine.state is State.FOLLOWING or machine.state is State.BRAKING
+        taken = controller.take(telegram, source, now, replies.sent, moving)
+        if taken is None:
             self.counters["telegrams_repeated"] += 1
             return None
-        sent = self.correction if self.mode is Mode.NORMAL else ()
-        machine = self._machine
-        moving = machine.state is State.FOLLOWING or machine.state is State.BRAKING
-        elapsed = controller.hear(telegram, source, now, sent, moving)
-        if elapsed is None:
+        if taken.begins:
             self._begin_session(telegram)
-            elapsed = self.config.cycle_ns
-        state = machine.state
+        if taken.refusal:
+            machine.on(Event.ORIGIN_REFUSED, Occasion(taken.refusal))
+        state, elapsed = machine.state, taken.elapsed
         if self.tool is not None:
-            missed = elapsed > self._cycle or controller.counts_missed(telegram)
-            unanswered = (
-                f"this {self._words.protocol} session is not answered: {machine.reason}"
-                if state is State.JOINED
-                else ""
-            )
-            self.tool.hear(unanswered, missed)
+            unanswered = state is State.JOINED
+            self.tool.hear(_not_answered(self._words.protocol, machine.reason) if unanswered else "", taken.missed)
         if state is State.JOINED or state is State.READ_ONLY or state is State.FAILED:
             self.counters["telegrams_unanswered"] += 1
-            if state is not State.JOINED and telegram.measured is not None:
-                controller.measured = telegram.measured
             return None
-        player = self._player
-        if player.follower is None:
-            self._find_origin(telegram)
-        lost = controller.is_reply_lost(telegram, elapsed)
-        drifted = controller.note(telegram)
-        follower = player.follower
-        if follower is None:
-            # without an origin the only target that is known is the correction of none
-            refused = machine.state is State.JOINED or self._absolute
-            self.counters["telegrams_unanswered" if refused else "telegrams"] += 1
-            return None if refused else (0.0,) * len(self.config.axes)
-        if drifted and telegram.setpoint is not None:
-            follower = self._note_drift(follower, telegram.setpoint)
-        if lost:
-            self._unanswered += elapsed
-        else:
-            self._kept, self._unanswered = self.correction, 0
+        if not controller.origin:
+            # the only target that is known is the correction of none
+            self.counters["telegrams_unanswered" if self._absolute else "telegrams"] += 1
+            return None if self._absolute else (0.0,) * len(self.config.axes)
+        follower = player.follower or player.place(controller.origin)
+        if taken.drifted_to:
+            follower = self._note_drift(follower, taken.drifted_to)
+        lost = taken.lost
+        replies.note(lost, elapsed)
         if lost or elapsed > self._cycle:
             # HOLDON kept the arm where it was: going on at the speed of before would be a step from standstill
             follower, elapsed = self._stand(follower, elapsed, lost)
         # where nothing has arrived for so long, nothing is played: the gate is to compare with the present
-        self._answered_stamp = player.stamp if self._unanswered <= self._silence else 0
+        self._command_stamp = player.stamp if replies.lost_for <= self._silence else 0
         self.counters["telegrams"] += 1
         if elapsed < self._cycle or self._parts.interpolated:
             position = self._move_in_parts(follower, elapsed)
@@ -252,42 +238,37 @@ class Gateway:
         if self.tool is not None and machine.state is State.FOLLOWING and player.braking is None:
             self.tool.play(player.stamp)
         if self.trace is not None:
-            self.trace(telegram.stamp, self.counters["rsi_sessions"], machine.state, player.stamp, position, lost)
-        self.correction = tuple([value - start for value, start in zip(position, controller.origin)])
-        return self.correction if self._plain else self._target(self.correction)
+            self.trace(
+                telegram.controller_ms, self.counters["rsi_sessions"], machine.state, player.stamp, position, lost
+            )
+        return replies.answer(position, controller.origin)
 
-    def _target(self, correction: tuple[float, ...]) -> tuple[float, ...]:
-        """Return what a reply carries for a correction, which is zero in commissioning mode."""
-        if self.mode is not Mode.NORMAL:
-            correction = (0.0,) * len(correction)
-        if not self._absolute:
-            return correction
-        return tuple([start + value for start, value in zip(self._controller.origin, correction)])
-
-    def note_status(self, said: Said, unreadable: int) -> None:
+    def note_status(self, status: ControllerStatus, unreadable: int) -> None:
         """Take what a telegram says on its optional channels, and how many of these cannot be read; it changes no answer."""
-        self._said = said
+        self._status = status
         if unreadable:
             self.counters["status_channels_unreadable"] += unreadable
 
     @property
     def kept(self) -> tuple[float, ...]:
         """The target that the controller has until the last answer arrives, as it was sent [rad], [m]; () before the first."""
-        return self._kept if self._plain else self._target(self._kept)
+        return self._replies.target(self._replies.kept, self._controller.origin)
+
+    @property
+    def correction(self) -> tuple[float, ...]:
+        """The last correction, as it would be without commissioning mode [rad], [m]; () before the first."""
+        return self._replies.correction
 
     def observe(self, telegram: Telegram, target: tuple[float, ...], lost: bool) -> None:
         """Take note of a telegram that the last resort answered with `target` [rad]: the arm's pose is still reported.
 
         `lost` says whether the reply before it did not arrive.
         """
-        if telegram.measured is not None:
-            self._controller.measured = telegram.measured
-        self._answered_stamp = 0
+        self._controller.take_measured(telegram)
+        self._command_stamp = 0
         if self.trace is not None:
-            position = target
-            if not self._absolute:
-                position = tuple([start + value for start, value in zip(self._controller.origin, target)])
-            self.trace(telegram.stamp, self.counters["rsi_sessions"], self.state, 0, position, lost)
+            position = target if self._absolute else moved(self._controller.origin, target)
+            self.trace(telegram.controller_ms, self.counters["rsi_sessions"], self.state, 0, position, lost)
 
     def poll(self, now: int) -> None:
         """Notice silence, of the controller or of a speed limit's source, and what its clock shows; call it at least every 0.1 s.
@@ -298,9 +279,9 @@ class Gateway:
         if self._measures and self.clock.measure_rate():
             self._machine.changed = True
         if self._controller.is_silent(now):
-            said = self._said.sentence
-            last = f"; the last one said: {said}" if said else ""
-            self._machine.on(Event.CONTROLLER_SILENT, Occasion(f"no telegram for {self.config.timeout:g} s{last}"))
+            said, silent = self._status.sentence, {"seconds": self.config.timeout}
+            why = Sentence("gateway.silent_said", **silent, said=said) if said else Sentence("gateway.silent", **silent)
+            self._machine.on(Event.CONTROLLER_SILENT, Occasion(why))
         state = self._machine.state
         if state is State.MEASURING or state is State.OTHER_CYCLE:
             self._judge_clock()
@@ -310,33 +291,24 @@ class Gateway:
             if self.clock.changed and self._measures:
                 self._brake(Event.CYCLE_REFUSED, self.clock.changed)
         elif state is State.NO_CONTROLLER and self.refusals.unread:
-            self._tell_unread(now)
+            self._report_unread(now)
         elif state is State.READ_ONLY and self._measures:
-            self._tell_clock()
+            self._report_clock()
 
-    def _tell_unread(self, now: int) -> None:
-        """Say that something sends of which nothing can be read: once a second, and as a change when it is for another reason."""
-        if now < self._unread_told_at + NANOSECONDS:
+    def _report_unread(self, now: int) -> None:
+        report = self._unread.take(now)
+        if report is None:
             return
-        refusals = self.refusals
-        if refusals.unread == self._unread_count:
-            if now > self._unread_since + round(UNREAD_QUIET * NANOSECONDS):
-                # it sends no more: what is wrong now is not that
-                refusals.unread = self._unread_count = 0
-                self._unread_told = ""
-                self._machine.drop()
-            return
-        self._unread_count, self._unread_since = refusals.unread, now
-        last = refusals.last_unread
-        self._machine.add(f"datagrams refused: {refusals.unread}, the last one for {last.reason}: {last.why}")
-        if last.reason != self._unread_told:
-            self._machine.changed = True
-        self._unread_told, self._unread_told_at = last.reason, now
+        if report.sentence:
+            self._machine.add(report.sentence)
+            self._machine.changed = self._machine.changed or report.is_new
+        else:
+            self._machine.drop()
 
-    def _tell_clock(self) -> None:
+    def _report_clock(self) -> None:
         """Say of a controller that takes no corrections whether its clock is another one: the next program may take some."""
         wrong = self.clock.judge()
-        if wrong is None or not self._note_clock(wrong):
+        if wrong is None or not self.clock.is_new(wrong):
             return
         if wrong:
             self._machine.add(wrong)
@@ -344,16 +316,11 @@ class Gateway:
         else:
             self._machine.drop()
 
-    def _note_clock(self, wrong: str) -> bool:
-        """Take note of a sentence about the clock; return whether it is another one: a measured rate that wavers makes none."""
-        before, self._clock_told = self._clock_told, _MEASURED.sub("", wrong)
-        return self._clock_told != before
-
     def _judge_clock(self) -> None:
         wrong = self.clock.judge()
         if wrong is None:
             return
-        if self._note_clock(wrong) or not wrong:
+        if self.clock.is_new(wrong) or not wrong:
             event = Event.CYCLE_REFUSED if wrong else Event.CYCLE_FITS
             self._machine.on(event, Occasion(wrong or self._began))
 
@@ -362,7 +329,7 @@ class Gateway:
         wrong = self.clock.judge(rates=False)
         wrong = self._changed_cycle if wrong is None else wrong
         if wrong:
-            self._note_clock(wrong)
+            self.clock.is_new(wrong)
             self._machine.on(Event.CYCLE_REFUSED, Occasion(wrong))
 
     @property
@@ -375,18 +342,21 @@ class Gateway:
         Args:
             stamp: The gateway's own time, for the receiver's freshness check [ns].
         """
-        return self._states.message(self._controller.measured, self._answered_stamp, stamp)
+        return self._states.message(self._controller.measured, self._command_stamp, stamp)
 
     def _begin_session(self, telegram: Telegram) -> None:
         controller, words = self._controller, self._words
-        controller.begin(telegram)
-        self._began = (
-            f"{words.protocol} session began at {words.stamp} {telegram.stamp}: {controller.began}{self._note}"
-        )
+        began: dict[str, Value] = {
+            "protocol": words.protocol,
+            "stamp": words.stamp,
+            "value": telegram.controller_ms,
+            "why": controller.began,
+        }
+        self._began = self._noted(Sentence("gateway.session_began", **began))
         self._machine.on(Event.SESSION_BEGAN, Occasion(self._began))
         if self._machine.state is State.MEASURING:
             if self._measures:
-                self._machine.add("measuring the controller's cycle")
+                self._machine.add(Sentence("gateway.measuring"))
             else:
                 self._machine.on(Event.CYCLE_FITS, Occasion(self._began))
 
@@ -396,27 +366,19 @@ class Gateway:
             self.tool.begin_session()
         self._disarm(occasion.reason)
         self._ending = False
-        self.correction = self._kept = ()
-        self._unanswered = 0
+        self._replies.begin()
         self.clock.restart()
         self._parts.restart()
-        self._unread_told, self._unread_count, self._clock_told = "", 0, ""
+        self._unread.restart()
 
     def _on_session_ended(self, row: Row, occasion: Occasion) -> None:
         self._controller.end()
         self.clock.restart()
-        self._said = self.config.make.nothing_said
+        self._status = self.config.make.no_status
         self._player.remove()
         if self.tool is not None:
             self.tool.end_session(occasion.reason)
         self._disarm(occasion.reason)
-
-    def _find_origin(self, telegram: Telegram) -> None:
-        refusal = self._controller.find_origin(telegram)
-        if refusal:
-            self._machine.on(Event.ORIGIN_REFUSED, Occasion(refusal))
-        elif self._controller.origin:
-            self._player.place(self._controller.origin)
 
     def _note_drift(self, follower: Follower, setpoint: tuple[float, ...]) -> Follower:
         state = self._machine.state
@@ -436,9 +398,7 @@ class Gateway:
         if self._parts.interpolated:
             # it stands within a step, not at its end
             self._parts.restart()
-            follower = self._player.place(
-                tuple([start + value for start, value in zip(self._controller.origin, self._kept)])
-            )
+            follower = self._player.place(moved(self._controller.origin, self._replies.kept))
         elif lost:
             follower.take_back()
         else:
@@ -466,19 +426,20 @@ class Gateway:
             overdue = self._player.overdue
             if overdue > self._silence:
                 self._player.give_up(self.session, self._controller.heard_at)
-                why = f"no command for {overdue / NANOSECONDS:.3f} s beyond the newest one"
+                why = Sentence("gateway.no_command", seconds=overdue / NANOSECONDS)
                 self._brake(Event.STREAM_SILENT, why)
             return position
         if machine.state is State.BRAKING:
             position = follower.brake()
-            self.beside.do("the way to rest", self._stopping.advance, follower, elapsed)
+            self.side_effects.run("the way to rest", self._stopping.advance, follower, elapsed)
             if follower.at_rest:
                 machine.on(Event.AT_REST, Occasion(machine.reason))
             return position
         return follower.position
 
     def _brake(self, event: Event, reason: str, account: str = "", ending: bool = False) -> None:
-        self._machine.on(event, Occasion(f"{CAUSES[event]}: {reason}", account=account, ending=ending))
+        why = Sentence(f"gateway.brake.{CAUSES[event]}", reason=reason)
+        self._machine.on(event, Occasion(why, account=account, ending=ending))
 
     def _on_brake(self, row: Row, occasion: Occasion) -> None:
         cause, state, follower = CAUSES[row.event], row.state, self._player.follower
@@ -489,7 +450,9 @@ class Gateway:
             begun = self._player.braking if cause == "silence" else None
             follows = self.mode is Mode.NORMAL and state is State.FOLLOWING and cause != "drift"
             measured = self._controller.measured if follows else ()
-            self.beside.do("the way to rest", self._stopping.begin, cause, follower, measured, begun, occasion.account)
+            self.side_effects.run(
+                "the way to rest", self._stopping.begin, cause, follower, measured, begun, occasion.account
+            )
         self._disarm(occasion.reason)
 
     def _on_brake_to_fault(self, row: Row, occasion: Occasion) -> None:
@@ -518,22 +481,33 @@ class Gateway:
             properties: What was beside it: None without MQTT 5 properties, the error when they could not be read.
             now: [ns]
         """
+        machine = self._machine
+        state = machine.state
         try:
-            stamp, q = self._read_command(payload, properties, now)
+            if state is not State.FOLLOWING and state is not State.ARMED:
+                raise PayloadError("not_armed", _is(state))
+            stamp, q, lost = self._intake.read(payload, properties, now)
         except PayloadError as error:
             self.refusals.message(error.reason, error, follows=error.reason == "not_armed")
             if error.reason in ("session", "not_armed"):
                 self._note_stranger(properties.session if isinstance(properties, CommandProperties) else None, now)
             return
         try:
-            self._take(stamp, q, now)
+            if state is State.ARMED:
+                why = Sentence("gateway.stream_began", session=self.session)
+                machine.on(Event.STREAM_BEGAN, Occasion(why, now, stamp=stamp, q=q))
+            else:
+                if lost:
+                    self.counters["commands_lost"] += lost
+                self._intake.take(stamp, q, now - self._controller.heard_at)
+            self.counters["commands_received"] += 1
         except MotionRefused as refusal:
             self.refusals.message(refusal.reason, refusal)
-            if self._machine.state is State.FOLLOWING:
+            if machine.state is State.FOLLOWING:
                 self.refusals.stopped()
-            self._brake(Event.COMMAND_REFUSED, str(refusal))
+            self._brake(Event.COMMAND_REFUSED, refusal.sentence)
         except StreamBroken as broken:
-            self._brake(broken.event, str(broken))
+            self._brake(broken.event, broken.reason)
 
     def _note_stranger(self, session: str | None, now: int) -> None:
         if session is not None and self.session and not self._owners.knows(session):
@@ -541,31 +515,10 @@ class Gateway:
         else:
             self._player.learn_from_stall(session, now)
 
-    def _read_command(
-        self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int
-    ) -> tuple[int, tuple[float, ...]]:
-        state = self._machine.state
-        if state is not State.FOLLOWING and state is not State.ARMED:
-            raise PayloadError("not_armed", f"gateway is {state.value}")
-        stamp, q, lost = self._stream.read(payload, properties, now)
-        if lost and state is State.FOLLOWING:
-            self.counters["commands_lost"] += lost
-        return stamp, q
-
-    def _take(self, stamp: int, q: tuple[float, ...], now: int) -> None:
-        waited = now - self._controller.heard_at
-        machine = self._machine
-        if machine.state is State.ARMED:
-            machine.on(Event.STREAM_BEGAN, Occasion(f"stream of session {self.session} began", stamp=stamp, q=q))
-            self._player.learn_from_stall(self.session if self.config.properties else None, now)
-        else:
-            self._stream.go_on(stamp, q, waited)
-        self._stream.push(stamp, q, waited)
-        self.counters["commands_received"] += 1
-
     def _on_stream_began(self, row: Row, occasion: Occasion) -> None:
         assert self._player.follower is not None  # an armed gateway has one
-        self._stream.start(self._player.follower.position, occasion.stamp, occasion.q)
+        held, now = self._player.follower.position, occasion.now
+        self._intake.start(held, occasion.stamp, occasion.q, now - self._controller.heard_at, now)
 
     # -- control
 
@@ -583,10 +536,10 @@ class Gateway:
             "switch": lambda switch: self._switch(switch, now),
         }
         if control.verb not in verbs:
-            return self._refuse("verb", f"unknown verb {control.verb!r}")
+            return self._refuse("verb", Sentence("gateway.verb", verb=repr(control.verb)))
         if control.verb != "stop" and self._owners.is_repeated(control):
-            why = f"message {control.id!r} of session {control.session!r} was answered before"
-            return self._refuse("repeated", why)
+            names = {"id": repr(control.id), "session": repr(control.session)}
+            return self._refuse("repeated", Sentence("gateway.answered", **names))
         answer = verbs[control.verb](control)
         return answer if answer.ok else self._refuse(control.verb, answer.reason)
 
@@ -603,13 +556,13 @@ class Gateway:
         fraction = float(control.value)  # type: ignore[arg-type]  # `refusal` has found a number
         # a lower limit counts even with an old number: its source may count anew, and a recording of it can only slow the arm
         if self.speed.is_repeated(control) and fraction >= self.speed.given:
-            why = f"speed limit {control.id} of session {control.session!r}, or a later one, came before"
+            why = Sentence("gateway.speed.again", id=control.id, session=repr(control.session))
             self._refuse("repeated", why)
             return Answer(False, "")
         if self.speed.give(fraction, control.session, now):
             self._machine.changed = True
         self._poll_speed_limit(now)
-        return Answer(True, f"speed at most {fraction:g} of the limits")
+        return Answer(True, Sentence("gateway.speed.taken", fraction=fraction))
 
     def _poll_speed_limit(self, now: int) -> None:
         if self.speed.poll(now):
@@ -628,11 +581,11 @@ class Gateway:
             if refusal:
                 self._owners.refuse(control.session)
                 return Answer(False, refusal)
-            return Answer(True, "already armed for this session")
+            return Answer(True, Sentence("gateway.arm.already"))
         refusal = another or self._refusal_of_session(control.session)
-        why = f"armed for session {control.session}{self._note}"
+        why = self._noted(Sentence("gateway.arm.armed_for", session=control.session))
         refusal = refusal or self._machine.on(Event.ARM, Occasion(why, session=control.session))
-        return Answer(False, refusal) if refusal else Answer(True, f"armed{self._note}")
+        return Answer(False, refusal) if refusal else Answer(True, self._noted(Sentence("gateway.arm.armed")))
 
     def _refusal_of_value(self, value: object) -> str:
         """Return in one sentence why the value of an `arm` does not mean this configuration and run; "" when it does."""
@@ -640,18 +593,18 @@ class Gateway:
             return refusal
         named = value if isinstance(value, dict) else {"hash": value}
         if named.get("hash") != self.config.hash:
-            return f"configuration hash {named.get('hash')!r} is not the gateway's {self.config.hash}"
+            return Sentence("gateway.arm.hash", found=repr(named.get("hash")), present=self.config.hash)
         if set(named) != {"hash", "run", "protocol"}:
-            return "arm must name hash, run and protocol of the gateway's status, and nothing else"
+            return Sentence("gateway.arm.names")
         if named["run"] != self.run:
-            return f"run {named['run']!r} is not the gateway's present one: it was started again, or a recording is being replayed"
+            return Sentence("gateway.arm.run", run=repr(named["run"]))
         return ""
 
     def _refusal_of_session(self, session: str) -> str:
         if not is_session(session):
-            return f"session {session!r} cannot be armed; expected 1 to 64 letters, digits, - and _"
+            return Sentence("gateway.arm.session", session=repr(session))
         if self.fault and self.state is not State.FAILED:
-            return "stopped since the last reset; reset first"
+            return Sentence("gateway.arm.stopped")
         return ""
 
     def _refusal_of_arm(self, occasion: Occasion) -> str:
@@ -662,50 +615,50 @@ class Gateway:
         measured, follower = self._controller.measured, self._player.follower
         distance = measured and follower and self._controller.distance_off(measured, follower.position, DISPLACED)
         if distance:
-            return (
-                f"{distance} off the pose that the gateway holds: the controller moved the arm, or it is still moving; "
-                "reset, and if that does not help start the controller's program again"
-            )
+            return Sentence("gateway.arm.displaced", distance=distance)
         if self._owners.knows(occasion.session):
-            return f"session {occasion.session} has had its turn; begin another"
+            return Sentence("gateway.arm.had_its_turn", session=occasion.session)
         return ""
 
     def _on_armed(self, row: Row, occasion: Occasion) -> None:
         self._owners.begin(occasion.session)
-        self._stream.begin(occasion.session)
+        self._intake.begin(occasion.session)
         self.refusals.forgive()
 
     def _refusal_of_second_session(self, occasion: Occasion) -> str:
-        return "" if occasion.session == self.session else f"armed for session {self.session}; stop and reset first"
+        return "" if occasion.session == self.session else Sentence("gateway.arm.other", session=self.session)
 
     def _refusal_without_origin(self, occasion: Occasion) -> str:
-        return f"gateway is {self.state.value}: {self.reason}" if self._player.follower is None else ""
+        return self._sentence if self._player.follower is None else ""
 
     def _switch(self, control: Control, now: int) -> Answer:
         if self.tool is None:
-            return Answer(False, "tool: the configuration has none: no switch is possible")
+            return Answer(False, Sentence("gateway.tool.none"))
         stamp, waited = stamp_of(control.value), now - self._controller.heard_at
         lead = None if stamp is None else self._player.lead(stamp) - waited / NANOSECONDS
         refusal = self.tool.arm(control.value, lead, self._obstacle_of_switch(control.session))
-        return Answer(not refusal, refusal or "armed")
+        return Answer(not refusal, refusal or Sentence("gateway.arm.armed"))
 
     def _obstacle_of_switch(self, session: str) -> str:
         """Return why nothing may be switched now; "" for nothing."""
         if self.state is not State.FOLLOWING:
-            return f"no stream is followed, the gateway is {self.state.value}: {self.reason}"
+            return Sentence("gateway.tool.no_stream", state=self.state.value, reason=self.reason)
         if session != self.session:
-            return f"session {session} does not command, session {self.session} does"
+            return Sentence("gateway.tool.other_session", session=session, present=self.session)
         if self.mode is Mode.COMMISSIONING:
-            return "commissioning mode: nothing is switched, as nothing moves"
+            return Sentence("gateway.tool.commissioning")
         return "" if self.speed.given else _SPEED_0
 
     def _void(self, control: Control) -> Answer:
-        count = self.tool.void("asked for by " + (control.session or "somebody without a session")) if self.tool else 0
-        return Answer(True, f"{count} armed switch{'es are' if count != 1 else ' is'} void")
+        session = control.session
+        why = Sentence("gateway.asked.by", session=session) if session else Sentence("gateway.asked.void")
+        count = self.tool.void(why) if self.tool else 0
+        return Answer(True, Sentence(f"gateway.void.{'one' if count == 1 else 'many'}", count=count))
 
     def _stop(self, control: Control) -> Answer:
-        self.stop(f"asked for {f'by {control.session}' if control.session else 'without a session'}")
-        return Answer(True, f"gateway is {self.state.value}")
+        session = control.session
+        self.stop(Sentence("gateway.asked.by", session=session) if session else Sentence("gateway.asked.nobody"))
+        return Answer(True, _is(self.state))
 
     def stop(self, reason: str, account: str = "", ending: bool = False) -> None:
         """Brake, whatever the state, and stay stopped until a `reset`: also a stop of an arm at rest must not be forgotten."""
@@ -718,25 +671,29 @@ class Gateway:
         was just answered several times, is only counted (``stops_repeated``): its answer has no reason.
         """
         # what cannot tell how often an account was answered must not refuse its stop
-        if self.beside.do("the pace of answers", self._stop_pace.take, stop.account, now) is False and self.fault:
+        if (
+            self.side_effects.run("the pace of answers", self._stop_pace.take, stop.account, now) is False
+            and self.fault
+        ):
             self.counters["stops_repeated"] += 1
             # it changes nothing now, and yet a reset that is under way does not know of it
             self.fault_number += 1
             return Answer(True, "")
-        self.stop(f"asked for by account {stop.account}", stop.account)
-        return Answer(True, f"gateway is {self.state.value}")
+        self.stop(Sentence("gateway.asked.account", account=stop.account), stop.account)
+        return Answer(True, _is(self.state))
 
     def refuse_stop(self, account: str, error: PayloadError, now: int) -> Answer:
         """Count a message on `stop/<account>` that is no stop; the answer has no reason where none is due."""
         self.refusals.message(error.reason, error)
-        return Answer(False, str(error) if self._stop_pace.take(account, now) else "")
+        return Answer(False, error.sentence if self._stop_pace.take(account, now) else "")
 
     def _end(self, control: Control) -> Answer:
         if not self.config.layout.stop:
             return Answer(False, self._words.no_stop)
         if self._player.follower is None or self.state is State.FAILED:
-            return Answer(False, f"gateway is {self.state.value}: {self.reason}")
-        self.end(f"end asked for {f'by {control.session}' if control.session else 'without a session'}")
+            return Answer(False, self._sentence)
+        session = control.session
+        self.end(Sentence("gateway.asked.end_by", session=session) if session else Sentence("gateway.asked.end"))
         return Answer(True, self._words.ends)
 
     def end(self, reason: str, program: bool = False) -> None:
@@ -754,9 +711,10 @@ class Gateway:
         return self._ending and self.state in (State.HOLDING, State.MEASURING, State.OTHER_CYCLE)
 
     def _reset(self, control: Control) -> Answer:
-        occasion = Occasion(f"reset{self._note}", session=control.session, value=control.value)
+        done = Sentence("gateway.reset.done")
+        occasion = Occasion(self._noted(done), session=control.session, value=control.value)
         refusal = self._machine.on(Event.RESET, occasion)
-        return Answer(False, refusal) if refusal else Answer(True, "reset")
+        return Answer(False, refusal) if refusal else Answer(True, done)
 
     def _refusal_of_reset(self, occasion: Occasion) -> str:
         follower = self._player.follower
@@ -764,29 +722,29 @@ class Gateway:
             return self._refusal_without_origin(occasion)
         if refusal := self._refusal_of_number(occasion.value):
             return refusal
-        return "" if follower.at_rest else "the arm is still moving; stop it first"
+        return "" if follower.at_rest else Sentence("gateway.reset.moves")
 
     def _refusal_of_number(self, value: object) -> str:
         """Return in one sentence why the value of a `reset` does not mean the newest stop of this run; "" when it does."""
         if refusal := other_protocol(PROTOCOL, protocol_of(value)):
             return refusal
         if not isinstance(value, dict) or set(value) != {"run", "fault_number", "protocol"}:
-            return "reset must name run, fault_number and protocol of the gateway's status, and nothing else"
+            return Sentence("gateway.reset.names")
         run, number = value["run"], value["fault_number"]
         if run != self.run:
-            return f"run {run!r} is not the gateway's present one: it was started again since the reset was asked for"
+            return Sentence("gateway.reset.run", run=repr(run))
         if type(number) is not int or number != self.fault_number:
-            return f"reset names fault_number {number!r}, the last stop is number {self.fault_number}: look at it, and reset again"
+            return Sentence("gateway.reset.number", found=repr(number), number=self.fault_number)
         return ""
 
     def _refusal_of_owner_reset(self, occasion: Occasion) -> str:
         if occasion.session != self.session:
             # also the owner's own next session asks too early sometimes: no intruder yet
-            return f"session {self.session} commands; stop it, or wait until its stream has ended"
+            return Sentence("gateway.reset.owner", session=self.session)
         return self._refusal_of_reset(occasion)
 
     def _on_reset(self, row: Row, occasion: Occasion) -> None:
-        self._disarm("reset")
+        self._disarm(Sentence("gateway.reset.done"))
         self.fault = self._ending = False
         self.refusals.forgive()
         if self.mode is Mode.COMMISSIONING or not any(self.correction):
@@ -797,8 +755,8 @@ class Gateway:
     def _disarm(self, why: str) -> None:
         if self.tool is not None:
             self.tool.void(why)
-        self._stream.begin("")
-        self._answered_stamp = 0
+        self._intake.begin("")
+        self._command_stamp = 0
         self._player.clear()
 
     # -- status
@@ -812,18 +770,17 @@ class Gateway:
         """Return the content of the `status` topic."""
         config, owners = self.config, self._owners
         failure = self.reason if self.state is State.FAILED else ""
-        tool = {"tool": self.tool.report(failure)} if self.tool is not None else {}
-        return (
-            tool
-            | Status(
+        return document(
+            Status(
+                tool=self.tool.report(failure) if self.tool is not None else None,
                 state=self.state.value,
                 reason=self.reason,
                 session=self.session,
                 fault=self.fault,
                 fault_number=self.fault_number,
                 mode=self.mode.value,
-                correction=list(self.correction),
-                controller=self._said.report(),
+                correction=self.correction,
+                controller=self._status.report(),
                 last_ipoc_jump_ms=self._controller.jump_ms,
                 cycle=self.clock.report(),
                 run=self.run,
@@ -837,6 +794,6 @@ class Gateway:
                 intruder={"session": owners.intruder, "count": owners.intrusions},
                 last_refusal=self.refusals.last,
                 later_refusal=self.refusals.later,
-                counters=dict(self.counters) | self.beside.counts("failed_beside"),
-            ).to_dict()
+                counters=dict(self.counters) | self.side_effects.counts("failed_beside"),
+            )
         )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from construction_twin.controller.telegram import Telegram, stamp_step
 from construction_twin.core.errors import TelegramError
+from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.gateway import Gateway
 
 #: Datagrams read before anything else gets its turn: a flood must not stop the loop.
@@ -50,7 +51,7 @@ class TelegramInbox:
         self._clock = clock
         self._controller = controller
         reader = gateway.config.make.reader(gateway.config)
-        self._parse, self._said, self._tool = reader.parse, reader.said, reader.tool
+        self._parse, self._status, self._tool = reader.parse, reader.status, reader.tool
         self._timeout_ms = round(gateway.config.timeout * 1000)
 
     def newest(self) -> Arrival | None:
@@ -73,11 +74,11 @@ class TelegramInbox:
             telegram = self._read(data, source)
             if telegram is None:
                 continue
-            self._gateway.clock.note(telegram.stamp, arrived)
-            if self._said is not None:
-                self._gateway.note_status(*self._said(data))
+            self._gateway.clock.note(telegram.controller_ms, arrived)
+            if self._status is not None:
+                self._gateway.note_status(*self._status(data))
             if newest is not None:
-                behind = stamp_step(telegram.stamp, newest.telegram.stamp, self._timeout_ms)
+                behind = stamp_step(telegram.controller_ms, newest.telegram.controller_ms, self._timeout_ms)
                 if source == newest.source and 0 <= behind <= self._timeout_ms:
                     counters["telegrams_repeated"] += 1
                     continue
@@ -90,13 +91,11 @@ class TelegramInbox:
     def _read(self, data: bytes, source: tuple) -> Telegram | None:
         refusals = self._gateway.refusals
         if self._controller is not None and source[0] != self._controller:
-            why = f"datagrams from {source[0]} are not read, because --controller is {self._controller}"
+            why = Sentence("gateway.datagram.address", source=source[0], controller=self._controller)
             refusals.telegram("address", why)
             return None
         if not self._gateway.accepts(source, self._clock()):
-            refusals.telegram(
-                "source", f"a datagram from {source[0]}:{source[1]} while another sender's session is alive"
-            )
+            refusals.telegram("source", Sentence("gateway.datagram.source", source=f"{source[0]}:{source[1]}"))
             return None
         try:
             telegram = self._parse(data)

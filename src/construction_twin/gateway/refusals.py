@@ -5,6 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import NANOSECONDS
+
+#: Datagrams that cannot be read are reported until no more of them has come for this long [s].
+UNREAD_QUIET = 10.0
 #: What is quoted of a refused message in `status` [characters]: the status stays small, whatever was sent.
 LONGEST_REFUSAL = 300
 
@@ -74,3 +79,47 @@ class Refusals:
             self.later = said
         else:
             self.last = said
+
+
+@dataclass(frozen=True, slots=True)
+class UnreadNote:
+    """What is to be reported of datagrams that cannot be read.
+
+    Attributes:
+        sentence: "" where no more of them come: what is wrong now is not that.
+        is_new: They are refused for another reason than those reported before.
+    """
+
+    sentence: str = ""
+    is_new: bool = False
+
+
+class UnreadReport:
+    """Reports that something sends of which nothing can be read: once a second, while it sends."""
+
+    def __init__(self, refusals: Refusals):
+        self._refusals = refusals
+        self._reported_at = -NANOSECONDS
+        self._counted_at = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """A telegram could be read."""
+        self._reason = ""
+        self._count = 0
+
+    def take(self, now: int) -> UnreadNote | None:
+        """Return what is to be reported at `now` [ns]; None for nothing."""
+        if now < self._reported_at + NANOSECONDS:
+            return None
+        refusals, last = self._refusals, self._refusals.last_unread
+        if refusals.unread == self._count:
+            if now <= self._counted_at + round(UNREAD_QUIET * NANOSECONDS):
+                return None
+            refusals.unread = 0
+            self.restart()
+            return UnreadNote()
+        self._count, self._counted_at, self._reported_at = refusals.unread, now, now
+        before, self._reason = self._reason, last.reason
+        sentence = Sentence("gateway.unread", count=refusals.unread, reason=last.reason, why=last.why)
+        return UnreadNote(sentence, last.reason != before)

@@ -13,6 +13,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
@@ -23,6 +24,8 @@ from construction_twin.core.errors import (
     PayloadError,
 )
 from construction_twin.core.histogram import Histogram
+from construction_twin.core.records import SPACED, dumped
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.udp import receive
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway
@@ -44,6 +47,7 @@ from construction_twin.mqtt.messages import (
     PROTOCOL,
     VERBS,
     CommandProperties,
+    ControlAnswer,
     Topics,
     account_of,
     parse_control,
@@ -62,6 +66,20 @@ _LAST_STOP = 0.1
 _LONGEST_FAILURE = 300
 
 _Result = TypeVar("_Result")
+
+
+#: Until the failure's own sentence is made: nothing is looked up while it is taken note of.
+_FAILED = Sentence("gateway.has_failed")
+
+
+@dataclass(frozen=True, slots=True)
+class _LoggedState:
+    """What stands in the log of the gateway."""
+
+    state: State | None = None
+    reason: str = ""
+    limit_silent: bool = False
+    clock_off: bool = False
 
 
 class GatewayService:
@@ -121,7 +139,7 @@ class GatewayService:
         self._lines = LineLimiter()
         self._speed_answer: tuple = ()
         self._held_channels: tuple[bool, ...] = ()
-        self._said: tuple = (None, "", False, False)
+        self._logged = _LoggedState()
         self._running = True
 
     def run(self) -> None:
@@ -132,7 +150,7 @@ class GatewayService:
         try:
             while self._running:
                 self._turn()
-            self.guarded(self.gateway.end, "the gateway is ending", True)
+            self.guarded(self.gateway.end, Sentence("gateway.ending"), True)
             self._last_resort.ending = self.gateway.config.layout.stop
             deadline = time.monotonic() + _LONGEST_BRAKING
             while self._braking and time.monotonic() < deadline:
@@ -185,7 +203,7 @@ class GatewayService:
             self.gateway.counters["failures"] += 1
             return
         self._last_resort.take_over()
-        self.failure = "the gateway has failed"
+        self.failure = _FAILED
         self.gateway.counters["failures"] += 1
         # told after the next reply: the controller waits neither for a sentence nor for a log line
         self._cause = error
@@ -199,9 +217,7 @@ class GatewayService:
             frame = frame.tb_next
         where = f" in {frame.tb_frame.f_code.co_name}" if frame is not None else ""
         what = f"{type(error).__name__}{where}: {error}"[:_LONGEST_FAILURE]
-        self.failure = (
-            f"{what}; the gateway has failed: it brakes, holds and takes no command; see its log, start it again"
-        )
+        self.failure = Sentence("gateway.failed", what=what)
         # a thread of its own, because a traceback is formatted from source files, and a disk may take longer than a cycle
         threading.Thread(
             target=log.critical, args=("%s", self.failure), kwargs={"exc_info": error}, daemon=True
@@ -272,10 +288,10 @@ class GatewayService:
             self._publish_status()
         elif self._status.is_due(now, answered):
             self._publish_status()
-        if self.gateway.beside.untold:
+        if self.gateway.side_effects.unwritten:
             # a thread of its own, as of a failure: a traceback is formatted from source files
-            told = log.error, self.gateway.beside.take()
-            threading.Thread(target=self.gateway.beside.tell, args=told, daemon=True).start()
+            told = log.error, self.gateway.side_effects.take()
+            threading.Thread(target=self.gateway.side_effects.write, args=told, daemon=True).start()
 
     def _is_readable(self, events: list) -> bool:
         return any(key.data is self._mqtt and mask & selectors.EVENT_READ for key, mask in events)
@@ -286,23 +302,22 @@ class GatewayService:
 
     def _log_change(self) -> None:
         gateway = self.gateway
-        silent, off = gateway.speed.source == "silence", bool(gateway.clock.off_sentence)
-        before, self._said = self._said, (gateway.state, gateway.reason, silent, off)
-        if self._said[:2] != before[:2]:
+        limit_silent, clock_off = gateway.speed.source == "silence", bool(gateway.clock.off_sentence)
+        before, now = self._logged, _LoggedState(gateway.state, gateway.reason, limit_silent, clock_off)
+        self._logged = now
+        if (now.state, now.reason) != (before.state, before.reason):
             # what cannot be read is logged under its own key; otherwise the rate limit would suppress the line after
             # 'controller gone'
-            unread = before[0] is gateway.state is State.NO_CONTROLLER and gateway.refusals.unread > 0
-            wrong = unread or gateway.state is State.OTHER_CYCLE
+            unread = before.state is now.state is State.NO_CONTROLLER and gateway.refusals.unread > 0
+            wrong = unread or now.state is State.OTHER_CYCLE
             kind = "no telegram can be read" if unread else gateway.state.value
-            self._log(logging.WARNING if wrong else logging.INFO, kind, gateway.reason)
-        if self._said[3] != before[3]:
-            level = logging.WARNING if self._said[3] else logging.INFO
-            self._log(level, "controller's clock", gateway.clock.off_sentence or "nothing is wrong with it any more")
-        if self._said[2] and not before[2]:
+            self._log(logging.WARNING if wrong else logging.INFO, kind, now.reason)
+        if now.clock_off != before.clock_off:
+            level = logging.WARNING if now.clock_off else logging.INFO
+            self._log(level, "controller's clock", gateway.clock.off_sentence or Sentence("gateway.clock.right"))
+        if now.limit_silent and not before.limit_silent:
             fraction = gateway.speed.given
-            self._log(
-                logging.WARNING, "speed limit", f"its source is silent; {fraction:g} of the limits until it speaks"
-            )
+            self._log(logging.WARNING, "speed limit", Sentence("gateway.speed.silent", fraction=fraction))
 
     def _log(self, level: int, kind: str, text: str) -> None:
         note = self._lines.note(kind, time.monotonic_ns())
@@ -326,8 +341,8 @@ class GatewayService:
         if target is not None and self._encoder is not None:
             stop = True if self.gateway.ends else None
             switched = self._switched(self._encoder) if self.gateway.tool is not None else ()
-            self._answer(self._encoder.encode(target, telegram.stamp, stop, switched), source)
-            self._last_resort.sent(telegram.stamp, source, target, self.gateway.kept, telegram.missed)
+            self._answer(self._encoder.encode(target, telegram.controller_ms, stop, switched), source)
+            self._last_resort.sent(telegram.controller_ms, source, target, self.gateway.kept, telegram.missed)
             self.reply_time.add((time.time_ns() - newest.arrived) / 1e3)
         self._publish_state()
         return True
@@ -381,7 +396,7 @@ class GatewayService:
         self.gateway.on_command(payload, properties, time.monotonic_ns())
 
     def _refuse_retained(self, name: str) -> None:
-        self.gateway.refusals.message("retained", f"a message on {name} with the retain flag: its age is unknown")
+        self.gateway.refusals.message("retained", Sentence("gateway.retained", name=name))
 
     def _on_control(self, client, userdata, message: paho.MQTTMessage) -> None:
         if message.retain:
@@ -404,20 +419,20 @@ class GatewayService:
                 return
         verb = control.verb if control.verb in VERBS else "unknown verb"
         kind = verb if ok else f"refused {verb}"
-        beside = self.gateway.beside
+        side_effects = self.gateway.side_effects
         # the status first: a reader of the answer must not act on an older status
-        beside.do("the status", self._publish_status_of_stop if control.verb == "stop" else self._publish_status)
-        answer = {"id": control.id, "verb": control.verb, "ok": ok, "reason": reason, "session": control.session}
-        beside.do("the answer", self._publish_answer, self._topics.control_ack, json.dumps(answer))
+        side_effects.run("the status", self._publish_status_of_stop if control.verb == "stop" else self._publish_status)
+        answer = dumped(ControlAnswer(control.id, control.verb, ok, reason, control.session), marks=SPACED)
+        side_effects.run("the answer", self._publish_answer, self._topics.control_ack, answer)
         level = logging.INFO if ok else logging.WARNING
-        beside.do("the log", self._log, level, kind, f"session {control.session}: {reason}")
+        side_effects.run("the log", self._log, level, kind, f"session {control.session}: {reason}")
 
-    def _publish_answer(self, topic: str, answer: str | bytes) -> None:
+    def _publish_answer(self, topic: str, answer: bytes) -> None:
         self._mqtt.client.publish(topic, answer, qos=1)
 
     def _on_stop(self, client, userdata, message: paho.MQTTMessage) -> None:
         now, account, id_ = time.monotonic_ns(), "", ""
-        beside = self.gateway.beside
+        side_effects = self.gateway.side_effects
         try:
             account = account_of(message.topic)
             if not account:
@@ -432,11 +447,11 @@ class GatewayService:
             line = logging.INFO, "stop by a person", f"account {account}: {done.reason or 'again'}"
         if done.reason:
             # the status first: a reader of the answer must not act on an older status
-            beside.do("the status", self._publish_status_of_stop)
+            side_effects.run("the status", self._publish_status_of_stop)
             known = {"id": id_, "account": account, "ok": done.ok, "reason": done.reason, "by": requests.GATEWAY}
             answer = requests.STOP.payload(**known)
-            beside.do("the answer", self._publish_answer, self._topics.stop_ack, answer)
-        beside.do("the log", self._log, *line)
+            side_effects.run("the answer", self._publish_answer, self._topics.stop_ack, answer)
+        side_effects.run("the log", self._log, *line)
 
     def _publish_state(self) -> None:
         if not self._mqtt.connected:
@@ -461,7 +476,7 @@ class GatewayService:
             return None
         status = document() | {"connection": self._number}
         if final:
-            status |= {"state": "offline", "reason": "gateway stopped"}
+            status |= {"state": "offline", "reason": Sentence("gateway.stopped")}
         return self._mqtt.client.publish(self._topics.status, json.dumps(status), qos=1, retain=True)
 
     def _document(self) -> dict:

@@ -11,6 +11,7 @@ from enum import Enum
 
 from construction_twin.controller.port import Words
 from construction_twin.core import state_table
+from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.config import GatewayConfig
 
 
@@ -29,13 +30,13 @@ class Mode(Enum):
         return cls.COMMISSIONING if commissioning else cls.NORMAL
 
 
-def note(mode: Mode, words: Words) -> str:
-    """Return what is added to a reason, so that an arm at rest is not taken for a fault."""
+def noted(sentence: str, mode: Mode, words: Words) -> str:
+    """Return a sentence with what the mode means for the arm, so that one at rest is not taken for a fault."""
     if mode is Mode.NORMAL:
-        return ""
+        return sentence
     if mode is Mode.COMMISSIONING:
-        return "; commissioning: every correction is sent as zero, the arm does not move"
-    return f"; {words.read_only}, so nothing is answered and no motion can be commanded"
+        return Sentence("gateway.commissioning", what=sentence)
+    return Sentence("gateway.read_only", what=sentence, why=words.read_only)
 
 
 class State(Enum):

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.records import left_out
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import StateProperties
 
@@ -17,17 +19,18 @@ from construction_twin.mqtt.messages import StateProperties
 QUIET = 0.05
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
     """The content of the `status` topic, key by key; each is explained in docs/reference/mqtt.md."""
 
+    tool: dict | None = left_out()
     state: str
     reason: str
     session: str
     fault: bool
     fault_number: int
     mode: str
-    correction: list[float]
+    correction: Sequence[float]
     controller: dict
     last_ipoc_jump_ms: int
     cycle: dict
@@ -44,10 +47,6 @@ class Status:
     later_refusal: str
     counters: dict[str, int]
 
-    def to_dict(self) -> dict:
-        """Return the document as it is sent."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
-
 
 class StateReport:
     """Makes the messages of the `state` topic.
@@ -63,13 +62,13 @@ class StateReport:
         self._properties = properties
 
     def message(
-        self, measured: tuple[float, ...], answered_stamp: int, stamp: int
+        self, measured: tuple[float, ...], command_stamp: int, stamp: int
     ) -> tuple[bytes, StateProperties] | None:
         """Return a pose's joint string and what goes beside it; None without a pose, or when it does not fit the format.
 
         Args:
             measured: Shape (n,). [rad]; () for none.
-            answered_stamp: Stamp of the target in the reply before this telegram [ns]; 0 for none.
+            command_stamp: Stamp of the target in the reply before this telegram [ns]; 0 for none.
             stamp: The gateway's own time [ns].
         """
         if not measured:
@@ -80,7 +79,7 @@ class StateReport:
             self._counters[f"state_refused_{error.reason}"] += 1
             return None
         self._counters["states_sent"] += 1
-        return payload, StateProperties(self._counters["states_sent"], stamp, answered_stamp if self._properties else 0)
+        return payload, StateProperties(self._counters["states_sent"], stamp, command_stamp if self._properties else 0)
 
 
 class StatusClock:

@@ -19,12 +19,14 @@ from enum import Enum
 from construction_twin.controller.port import Layout
 from construction_twin.controller.tool import ENABLE, GatewayTool, ToolReading
 from construction_twin.core import state_table
+from construction_twin.core.reports import SwitchState
+from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.units import NANOSECONDS
 
 #: A switch further ahead of the playout than this is refused [s]: it would be one for a motion that nobody sees yet.
 MOST_AHEAD = 2.0
 #: Switches that are told, and so many may wait.
-MOST_TOLD = 16
+MOST_REPORTED = 16
 #: Longest id of a switch, and name of an output [characters].
 LONGEST_TEXT = 160
 #: Ids of switches that are remembered: one is used once.
@@ -36,15 +38,7 @@ ROUND_TRIP = 5
 #: Inputs that chatter are told no more often than this [s].
 SHORTEST_PAUSE = 0.05
 
-
-class SwitchState(Enum):
-    """States of a switch; the words are those of `status`."""
-
-    ASKED = "asked"  # not judged yet: never told
-    ARMED = "armed"  # acknowledged; fires when the playout passes its stamp
-    FIRED = "fired"  # the output was changed
-    VOID = "void"  # did not fire, and will not any more
-    REFUSED = "refused"
+_NOT_TOLD, _FIRED = Sentence("gateway.tool.not_told"), Sentence("gateway.tool.fired")
 
 
 class SwitchEvent(Enum):
@@ -73,8 +67,8 @@ rows = state_table.Rows(SwitchState, SwitchEvent, SwitchGuard, SwitchAction)
 
 #: Every change of a switch. What no row names changes nothing: fired, void and refused are final.
 SWITCH_TABLE = (
-    *rows(SwitchState.ASKED, SwitchEvent.ACCEPTED, SwitchState.ARMED),
-    *rows(SwitchState.ASKED, SwitchEvent.DECLINED, SwitchState.REFUSED),
+    *rows(SwitchState.PENDING, SwitchEvent.ACCEPTED, SwitchState.ARMED),
+    *rows(SwitchState.PENDING, SwitchEvent.DECLINED, SwitchState.REFUSED),
     *rows(SwitchState.ARMED, SwitchEvent.PASSED, SwitchState.FIRED, SwitchAction.SWITCH),
     *rows(SwitchState.ARMED, SwitchEvent.VOIDED, SwitchState.VOID),
 )
@@ -92,7 +86,7 @@ class ToolSwitch:
     def __init__(self, id: str, output: str, value: bool, stamp: int, fire: Callable[[ToolSwitch], None]):
         self.id, self.output, self.value, self.stamp = id, output, value, stamp
         fires = {SwitchAction.SWITCH: lambda row, occasion: fire(self)}
-        self._machine = state_table.Machine(_ROWS, SwitchState.ASKED, "", {}, fires)
+        self._machine = state_table.Machine(_ROWS, SwitchState.PENDING, "", {}, fires)
 
     def on(self, event: SwitchEvent, reason: str) -> None:
         """Take an event; in one that is final it changes nothing."""
@@ -105,7 +99,7 @@ class ToolSwitch:
             "output": self.output,
             "value": self.value,
             "stamp": self.stamp,
-            "state": self._machine.state.value,
+            "state": self._machine.state.word,
             "reason": self._machine.reason,
         }
 
@@ -128,14 +122,14 @@ class ToolSwitches:
         self._longest_difference = round(LONGEST_DIFFERENCE * NANOSECONDS) // cycle_ns
         self._pause = -(-round(SHORTEST_PAUSE * NANOSECONDS) // cycle_ns)
         self._armed: list[ToolSwitch] = []
-        self._reported: deque[ToolSwitch] = deque(maxlen=MOST_TOLD)
+        self._reported: deque[ToolSwitch] = deque(maxlen=MOST_REPORTED)
         self._used: deque[str] = deque(maxlen=MEMORY)
         #: Changes since the last call of `take_change`: one that is told at once, one that may wait for others.
         self._news = True
         self._changed = False
         self._telegrams = self._reported_at = 0
         self._latest: ToolReading | None = None
-        self._begin("no telegram yet")
+        self._begin(Sentence("gateway.no_telegram_yet"))
 
     def _begin(self, why: str) -> None:
         self._reading: ToolReading | None = None
@@ -161,12 +155,13 @@ class ToolSwitches:
         """Which outputs read back as something else than commanded, in one sentence; "" for none, or not for long."""
         if self._differs <= self._longest_difference or self._reading is None:
             return ""
-        words = ("off", "on")
         pairs = zip(self._names, self._reading.outputs, self._commanded)
-        found = [
-            f"{name} reads back {words[read]}, commanded {words[told]}" for name, read, told in pairs if read != told
+        differ = [
+            Sentence(f"gateway.tool.reads_{'on' if read else 'off'}", name=name)
+            for name, read, told in pairs
+            if read != told
         ]
-        return f"{'; '.join(found)}, for more than {LONGEST_DIFFERENCE:g} s"
+        return Sentence("gateway.tool.differs", found=both(*differ), seconds=LONGEST_DIFFERENCE)
 
     def note(self, reading: ToolReading | None) -> None:
         """Take what the newest telegram tells; None when it cannot be read."""
@@ -174,8 +169,8 @@ class ToolSwitches:
 
     def begin_session(self) -> None:
         """Forget what was read back: another RSI session has begun."""
-        self.void("another RSI session began")
-        self._begin("nothing read back yet in this RSI session")
+        self.void(Sentence("gateway.tool.new_session"))
+        self._begin(Sentence("gateway.tool.nothing_read"))
         self._news = True
 
     def end_session(self, why: str) -> None:
@@ -194,12 +189,12 @@ class ToolSwitches:
         """
         self._telegrams += 1
         reading = self._latest
-        why = obstacle or ("" if reading is not None else "telegrams do not tell Out and In, each channel as 0 or 1")
+        why = obstacle or ("" if reading is not None else _NOT_TOLD)
         if why != self._unknown:
             self._unknown, self._news = why, True
             if why:
                 self._counters["tool_read_back_lost"] += 1
-                self.void(f"the outputs are not read back: {why}")
+                self.void(Sentence("gateway.tool.not_read", why=why))
         if reading is not None and reading is not self._reading:
             self._compare(reading)
         if self._enabled:
@@ -235,9 +230,7 @@ class ToolSwitches:
             self._command(
                 tuple(value and name not in dropped for name, value in zip(self._names, self._commanded)),
             )
-            self._dropped = (
-                f"{', '.join(dropped)} went off with a missed reply, and stays off until it is switched on anew"
-            )
+            self._dropped = Sentence("gateway.tool.dropped", names=", ".join(dropped))
             self._counters["tool_outputs_dropped"] += len(dropped)
             self.void(self._dropped)
             self._news = True
@@ -253,7 +246,7 @@ class ToolSwitches:
     def play(self, stamp: int) -> None:
         """Fire what is due: the playout plays the setpoint of `stamp` [ns] in this reply."""
         while self._armed and self._armed[0].stamp <= stamp:
-            self._armed.pop(0).on(SwitchEvent.PASSED, "fired")
+            self._armed.pop(0).on(SwitchEvent.PASSED, _FIRED)
 
     def _fire(self, switch: ToolSwitch) -> None:
         self._enabled = True
@@ -295,41 +288,36 @@ class ToolSwitches:
         """
         switch = _switch_of(value, self._fire)
         if switch is None:
-            return (
-                f"tool: a switch must have a new id (1 to {LONGEST_TEXT} printable characters), output, value (true or false) "
-                "and stamp (whole number of ns), and nothing else"
-            )
+            return Sentence("gateway.tool.form", longest=LONGEST_TEXT)
         if switch.id in self._used:
-            return f"tool: switch {switch.id!r} was asked for before"
+            return Sentence("gateway.tool.again", id=repr(switch.id))
         self._used.append(switch.id)
         self._reported.append(switch)
         why = obstacle or self._refusal(switch, lead)
         self._news = True
         if why:
-            refusal = f"tool: {why}"
+            refusal = Sentence("gateway.tool.refused", why=why)
             switch.on(SwitchEvent.DECLINED, refusal)
             return refusal
-        switch.on(SwitchEvent.ACCEPTED, f"fires with the setpoint of {switch.stamp}")
+        switch.on(SwitchEvent.ACCEPTED, Sentence("gateway.tool.waits", stamp=switch.stamp))
         self._armed.append(switch)
         self._armed.sort(key=lambda waiting: waiting.stamp)
         return ""
 
     def _refusal(self, switch: ToolSwitch, lead: float | None) -> str:
         if self._unknown:
-            return f"the outputs are not known: {self._unknown}"
+            return Sentence("gateway.tool.unknown", why=self._unknown)
         if self.difference:
-            return (
-                f"{self.difference}; switch it back where it was switched, or end the RSI program and start it anew: a new "
-                "session takes the outputs as they read"
-            )
+            return Sentence("gateway.tool.switch_back", difference=self.difference)
         if switch.output not in self._names:
-            return f"{self.tool.name} has no output {switch.output!r}; it has {', '.join(self._names)}"
+            names = {"output": repr(switch.output), "names": ", ".join(self._names)}
+            return Sentence("gateway.tool.no_output", tool=self.tool.name, **names)
         if lead is None or lead <= 0.0:
-            return f"the playout has passed the stamp {switch.stamp} already, by {-(lead or 0.0):.3f} s"
+            return Sentence("gateway.tool.late", stamp=switch.stamp, seconds=-(lead or 0.0))
         if lead > MOST_AHEAD:
-            return f"the stamp lies {lead:.3f} s ahead of the playout; at most {MOST_AHEAD:g} s"
-        if len(self._armed) >= MOST_TOLD:
-            return f"{MOST_TOLD} switches wait already"
+            return Sentence("gateway.tool.early", seconds=lead, most=MOST_AHEAD)
+        if len(self._armed) >= MOST_REPORTED:
+            return Sentence("gateway.tool.full", count=MOST_REPORTED)
         return ""
 
     def void(self, why: str) -> int:

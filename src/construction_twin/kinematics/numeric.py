@@ -19,7 +19,7 @@ from construction_twin.core.motion_errors import (
     NotFoundError,
     UnreachableError,
 )
-from construction_twin.core.units import for_people
+from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.kinematics.chain import Chain, Pose, to_frame
 from construction_twin.kinematics.ranges import TURN
 from construction_twin.kinematics.solution import (
@@ -308,13 +308,12 @@ class _Search:
             nearest = min(self._outside, key=lambda q: inverse.ranges.excesses(q).max())
             joint = int(inverse.ranges.excesses(nearest).argmax())
             unit = "m" if robot.linear[joint] else "rad"
-            at, low, high = (
-                for_people(value, unit) for value in (nearest[joint], robot.lower[joint], robot.upper[joint])
-            )
-            return f"with {robot.joint_names[joint]} at {at} it would be, outside its range {low} to {high}"
+            numbers = {"value": float(nearest[joint]), "lower": robot.lower[joint], "upper": robot.upper[joint]}
+            values = {name: Quantity(value, unit) for name, value in numbers.items()}
+            return Sentence("motion.hint.outside", joint=robot.joint_names[joint], **values)
         missing = inverse.missing_position(self._pose, self._seed)
         if self._settings.tolerance_m < missing < math.inf:
-            return f"the nearest position found was {missing * 1e3:.3f} mm away, in any orientation"
+            return Sentence("motion.hint.position", missing=Quantity(missing, "m"))
         return ""
 
 

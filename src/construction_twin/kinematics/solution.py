@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.core.motion_errors import BranchError, KinematicsError
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.ranges import Ranges
 from construction_twin.robot.description import JointValues
@@ -60,9 +61,9 @@ class Configuration:
         chosen = {}
         for word in text.split():
             if word not in _WORDS:
-                raise BranchError(text, tuple(_WORDS), f"has the unknown word {word!r}")
+                raise BranchError(text, tuple(_WORDS), "word", word=repr(word))
             if _WORDS[word] in chosen:
-                raise BranchError(text, tuple(_WORDS), f"chooses the {_WORDS[word]} twice")
+                raise BranchError(text, tuple(_WORDS), "twice", part=_WORDS[word])
             chosen[_WORDS[word]] = word
         return cls(**chosen)
 
@@ -238,14 +239,12 @@ def check_pose(pose: Pose) -> None:
     if _is_rigid(rotation.tolist()) and all(map(math.isfinite, position.tolist())):
         return
     if not (np.isfinite(position).all() and np.isfinite(rotation).all()):
-        raise KinematicsError(
-            f"pose is position {position.tolist()}, rotation {rotation.tolist()}; expected finite numbers"
-        )
+        values = {"position": str(position.tolist()), "rotation": str(rotation.tolist())}
+        raise KinematicsError(Sentence("motion.pose.values", **values))
     error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if error > _ORTHONORMAL or np.linalg.det(rotation) < 0.0:
-        raise KinematicsError(
-            f"the pose's rotation {rotation.tolist()} is {error:.3g} off a rotation; expected orthonormal, right-handed axes"
-        )
+        found = {"rotation": str(rotation.tolist()), "error": f"{error:.3g}"}
+        raise KinematicsError(Sentence("motion.pose.rotation", **found))
 
 
 def _is_rigid(rows: list[list[float]]) -> bool:
@@ -316,7 +315,7 @@ def refuse_configuration(configuration: Configuration | None) -> None:
         BranchError: If it does.
     """
     if configuration is not None and configuration != Configuration():
-        raise BranchError(str(configuration), (), "has no meaning for an arm without a spherical wrist of the OPW kind")
+        raise BranchError(str(configuration), (), "meaningless")
 
 
 def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8, within: bool = True) -> np.ndarray:

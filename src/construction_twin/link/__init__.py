@@ -10,13 +10,13 @@ from construction_twin.core.exports import lazy_exports
 
 if TYPE_CHECKING:
     from construction_twin.link.bare_supervisor import BareSupervisor as BareSupervisor
-    from construction_twin.link.remote_request import IkRequest as IkRequest
-    from construction_twin.link.remote_request import RemoteRequest as RemoteRequest
-    from construction_twin.link.remote_request import parse_ik as parse_ik
-    from construction_twin.link.remote_request import parse_plan_request as parse_plan_request
+    from construction_twin.link.goal_request import GoalRequest as GoalRequest
+    from construction_twin.link.goal_request import IkRequest as IkRequest
+    from construction_twin.link.goal_request import parse_ik as parse_ik
+    from construction_twin.link.goal_request import parse_plan_request as parse_plan_request
     from construction_twin.link.remote_review import PlanBoard as PlanBoard
     from construction_twin.link.remote_review import PlanView as PlanView
-    from construction_twin.link.remote_review import RemoteReview as RemoteReview
+    from construction_twin.link.remote_review import ReviewRequest as ReviewRequest
     from construction_twin.link.remote_review import SegmentView as SegmentView
     from construction_twin.link.remote_review import parse_review as parse_review
     from construction_twin.link.remote_trajectory import TrajectoryRequest as TrajectoryRequest

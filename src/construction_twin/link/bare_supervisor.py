@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from construction_twin.core.errors import ReviewError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.state_table import Occasion
 from construction_twin.link.observations import FRESH, LinkObservations
 from construction_twin.link.states import BARE_ROWS, Action, LinkEvent, LinkState, Row
@@ -16,15 +17,9 @@ from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.messages import OFFLINE, PLC
 
 #: What is not checked with a bare PLC, one sentence each; `docs/broker.md` says what follows from it.
-NOT_CHECKED = (
-    "configuration: whether the PLC has the same joint ranges, speeds and accelerations, is not compared",
-    "session: the PLC takes strings from every client that may write on `command`",
-    "sequence: strings that are lost, doubled or reordered are not noticed, in neither direction",
-    "age: a string that travelled too long counts as new, in both directions",
-    "answers: a stop is not confirmed; why the PLC stopped, and how far the arm goes on, is not known",
-    "speed limit: it is not sent to the PLC; the executor alone obeys it",
-    "controller: what stands behind the PLC (RSI, servo, brakes) is not known",
-    "comparison: the gate compares at the present moment, so the whole round trip counts as lag",
+NOT_CHECKED = tuple(
+    Sentence(f"link.not_checked.{what}")
+    for what in ("configuration", "session", "sequence", "age", "answers", "speed_limit", "controller", "comparison")
 )
 #: How a person arms; with --robot where the robot is not the command's default.
 ARM_COMMAND = "rosrun construction_twin twin arm --responsible NAME"
@@ -51,19 +46,16 @@ class BareObservations(LinkObservations):
     def obstacle(self, now: int, mirrors: bool) -> tuple[LinkEvent, str] | None:
         """Return what is missing for a link that commands, or in mirror mode for one that follows, and one sentence."""
         if not self._connected:
-            return LinkEvent.BROKER_LOST, "not connected to the broker"
+            return LinkEvent.BROKER_LOST, Sentence("link.no_broker")
         if self.status.get("kind", PLC) != PLC and self.gateway != OFFLINE:
-            return (
-                LinkEvent.MISMATCHED,
-                "rsi_gateway answers on the broker, no bare PLC: start with gateway_kind:=rsi, or stop that gateway",
-            )
+            return LinkEvent.MISMATCHED, Sentence("link.gateway_there")
         if not self.status:
-            return LinkEvent.GATEWAY_LOST, "no PLC has said `ready` on its `status` topic, retained"
+            return LinkEvent.GATEWAY_LOST, Sentence("link.plc.silent")
         if self.offline_heard or self.gateway == OFFLINE:
-            return LinkEvent.GATEWAY_LOST, "the PLC says `offline`: it takes no strings; see to the PLC"
+            return LinkEvent.GATEWAY_LOST, Sentence("link.plc.offline")
         if self._pose is None or now - self._pose_at >= FRESH:
-            why = self.why_no_pose(now) or "no joint string comes on its `state` topic"
-            return LinkEvent.CONTROLLER_LOST, f"the PLC says `ready`, but {why}"
+            why = self.why_no_pose(now) or Sentence("link.plc.no_string")
+            return LinkEvent.CONTROLLER_LOST, Sentence("link.plc.no_pose", why=why)
         return None
 
 
@@ -85,7 +77,7 @@ class BareSupervisor(LinkSupervisor):
         return super()._actions() | {
             Action.BEGIN_NAMED_SESSION: lambda row, at: self._begin_session(at.reason),
             Action.NOTE_RESPONSIBLE: lambda row, at: self._responsible_sentence,
-            Action.TELL_PERSON: lambda row, at: f"a bare PLC is armed by a person, by name: {ARM_COMMAND}",
+            Action.TELL_PERSON: lambda row, at: Sentence("link.plc.by_name", command=ARM_COMMAND),
         }
 
     def poll(self, now: int) -> None:
@@ -110,21 +102,17 @@ class BareSupervisor(LinkSupervisor):
         """
         name = name.strip()
         if not name or len(name) > _LONGEST_NAME or not name.isprintable():
-            raise ReviewError(
-                f"a bare PLC is armed in a person's name, {name[:_LONGEST_NAME]!r} is none: {ARM_COMMAND} (at most {_LONGEST_NAME} "
-                "characters in one line)"
-            )
+            shown = repr(name[:_LONGEST_NAME])
+            raise ReviewError(Sentence("link.plc.no_name", name=shown, command=ARM_COMMAND, longest=_LONGEST_NAME))
         if self.state in (LinkState.RESYNC, LinkState.ARMED):
-            raise ReviewError(f"{self.responsible} is responsible already: {self.reason}; halt ends it")
+            raise ReviewError(Sentence("link.plc.taken", name=self.responsible, reason=self.reason))
         if self.state is not LinkState.NEEDS_RESET:
-            raise ReviewError(f"cannot arm: {self.state.name}, {self.reason}")
+            raise ReviewError(Sentence("link.cannot.arm", why=self.sentence))
         unrest = self.inputs.why_not_at_rest(now)
         if unrest:
-            raise ReviewError(f"cannot arm: {unrest}")
+            raise ReviewError(Sentence("link.cannot.arm", why=unrest))
         self.responsible = name
-        self.take(
-            LinkEvent.RESPONSIBILITY_TAKEN, now, f"{name} has taken the responsibility; twin and arm take the same pose"
-        )
+        self.take(LinkEvent.RESPONSIBILITY_TAKEN, now, Sentence("link.plc.taken_now", name=name))
 
     def withdraw_responsibility(self, reason: str) -> None:
         """Give up arming, because the poses do not meet in time: it must not happen later, when the person is gone."""
@@ -145,20 +133,20 @@ class BareSupervisor(LinkSupervisor):
     def end_mirror(self, now: int) -> str:
         """Stop following the arm, on a person's request. Return one sentence; ReviewError as `LinkSupervisor.end_mirror`."""
         if not self._mirror.active:
-            raise ReviewError(f"the arm does not lead: {self.state.name}, {self.reason}")
+            raise ReviewError(Sentence("link.mirror.not_on", why=self.sentence))
         self._mirror.end(now)
-        return f"mirror mode has ended; a person arms the PLC again: {ARM_COMMAND}"
+        return Sentence("link.plc.mirror_ended", command=ARM_COMMAND)
 
     def _refuse(self, verb: str, now: int) -> None:
-        without_name = f"cannot {verb} a bare PLC without a name: {ARM_COMMAND}"
+        refusal = Sentence("link.plc.cannot", verb=verb, command=ARM_COMMAND)
         if self.state in (LinkState.RESYNC, LinkState.ARMED):
-            raise ReviewError(f"{without_name}; first end what {self.responsible} has armed, with halt")
+            raise ReviewError(Sentence("link.plc.cannot_armed", refusal=refusal, name=self.responsible))
         problem = self.inputs.why_no_pose(now)
         if self.state is not LinkState.NEEDS_RESET:
             problem = self.reason
-        raise ReviewError(f"{without_name}{f'; now it could not either: {problem}' if problem else ''}")
+        raise ReviewError(Sentence("link.plc.cannot_anyhow", refusal=refusal, problem=problem) if problem else refusal)
 
     @property
     def _responsible_sentence(self) -> str:
         topics = ", ".join(sentence.partition(":")[0] for sentence in self.not_checked)
-        return f"bare PLC, session {self.session}; {self.responsible} is responsible for what is not checked: {topics}"
+        return Sentence("link.plc.armed", session=self.session, name=self.responsible, topics=topics)

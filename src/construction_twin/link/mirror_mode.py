@@ -6,9 +6,8 @@ Pure: time is an argument [ns].
 from __future__ import annotations
 
 from construction_twin.core.errors import ReviewError
+from construction_twin.core.sentences import Sentence
 from construction_twin.link.observations import LinkObservations
-
-_LEADS = "the arm leads, the twin follows; nothing is commanded"
 
 
 class MirrorMode:
@@ -35,15 +34,12 @@ class MirrorMode:
         # a gateway that only reads is enough
         obstacle = self._inputs.obstacle(now, mirrors=True)
         if obstacle is not None:
-            raise ReviewError(f"cannot mirror: {obstacle[1]}")
+            raise ReviewError(Sentence("link.cannot.mirror", why=obstacle[1]))
         unrest = self._inputs.why_not_at_rest(now)
         if unrest:
-            raise ReviewError(f"cannot mirror: {unrest}")
+            raise ReviewError(Sentence("link.cannot.mirror", why=unrest))
         if self._inputs.stream_may_move(now):
-            raise ReviewError(
-                "cannot mirror: the command stream still moves, or has just begun; stop or pause the plan and wait until it is at "
-                "rest"
-            )
+            raise ReviewError(Sentence("link.cannot.mirror", why=Sentence("link.mirror.stream_moves")))
         self.active, self.ended_session = True, session
 
     def end(self, now: int) -> None:
@@ -54,20 +50,21 @@ class MirrorMode:
         """
         obstacle = self._inputs.obstacle(now, mirrors=True)
         if obstacle is not None:
-            raise ReviewError(f"cannot leave mirror mode: {obstacle[1]}")
+            raise ReviewError(Sentence("link.cannot.leave_mirror", why=obstacle[1]))
         unrest = self._inputs.why_not_at_rest(now)
         if unrest:
-            raise ReviewError(f"cannot leave mirror mode: {unrest}")
+            raise ReviewError(Sentence("link.cannot.leave_mirror", why=unrest))
         self.active = False
 
     @property
     def sentence(self) -> str:
         """What a person reads of mirror mode, and what the gateway does meanwhile."""
+        leads = Sentence("link.mirror.leads")
         if self._inputs.reads_only:
-            return f"{_LEADS}; the gateway is read-only"
+            return Sentence("link.mirror.leads_read_only", leads=leads)
         if self._inputs.fault:
-            return f"{_LEADS}; the gateway was stopped and is {self._inputs.gateway}"
-        return _LEADS
+            return Sentence("link.mirror.leads_stopped", leads=leads, state=self._inputs.gateway)
+        return leads
 
     @property
     def old_session_commands(self) -> bool:

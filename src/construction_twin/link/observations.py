@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from construction_twin.core.limits import outside_tolerance
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.states import LinkEvent
 from construction_twin.mqtt.messages import OFFLINE, PLC, PROTOCOL, other_protocol, protocol_of
@@ -96,22 +97,21 @@ class LinkObservations:
         if not self.status or self.gateway == OFFLINE or now - self._status_at > STATUS_TIMEOUT:
             return ""
         if status.get("kind") == PLC and self.status.get("kind") != PLC:
-            said = f"a bare PLC's word `{status['state']}` on `status`, while rsi_gateway answers there"
-            return f"{said}: see to who else writes on it"
+            return Sentence("link.status.plc_word", word=status["state"])
         run = _run_of(status)
         if self.status.get("kind") == PLC or not self.run:
             return ""
         if run != self.run:
             if status.get("state") == OFFLINE:
-                return f"the last will of run {run!r}, while run {self.run!r} answers: it changes nothing"
-            return f"status of run {run!r}, while run {self.run!r} answers too"
+                return Sentence("link.status.other_will", run=repr(run), present=repr(self.run))
+            return Sentence("link.status.other_run", run=repr(run), present=repr(self.run))
         former, present = status.get("connection"), self.status.get("connection")
         if status.get("state") == OFFLINE and type(former) is type(present) is int and former < present:
-            return f"the last will of a former connection of run {run!r}, which answers over another one: it changes nothing"
+            return Sentence("link.status.former_will", run=repr(run))
         number, known = status.get("fault_number"), self.fault_number
         if type(number) is int and known is not None and number < known:
             # a client sends again what was not acknowledged, behind what is newer
-            return f"an old status: it tells of stop {number}, and stop {known} was told before"
+            return Sentence("link.status.old", number=number, known=known)
         return ""
 
     def _note_run(self, run: str, speaks: bool, now: int) -> None:
@@ -225,50 +225,30 @@ class LinkObservations:
     def obstacle(self, now: int, mirrors: bool) -> tuple[LinkEvent, str] | None:
         """Return what is missing for a link that commands, or in mirror mode for one that follows, and one sentence."""
         if not self._connected:
-            return LinkEvent.BROKER_LOST, "not connected to the broker"
+            return LinkEvent.BROKER_LOST, Sentence("link.no_broker")
         if self.status.get("kind") == PLC and self.gateway != OFFLINE:
-            return (
-                LinkEvent.MISMATCHED,
-                "a bare PLC answers on the broker, no rsi_gateway: start with gateway_kind:=plc, and read in docs/broker.md what "
-                "is not checked then",
-            )
+            return LinkEvent.MISMATCHED, Sentence("link.plc_there")
         if self.gateway == "offline" or now - self._status_at > STATUS_TIMEOUT:
-            return LinkEvent.GATEWAY_LOST, "no gateway answers on the broker; start rsi_gateway on the cell PC"
+            return LinkEvent.GATEWAY_LOST, Sentence("link.no_gateway")
         others = sorted(run for run, heard in self._other_runs.items() if now - heard <= STATUS_TIMEOUT)
         if others:
             runs = " and ".join(
                 [f"run {run}" if run else "one that names no run" for run in sorted([self.run, *others])]
             )
-            return (
-                LinkEvent.MISMATCHED,
-                f"more than one gateway answers on the broker: {runs} (each logs its run when it starts): end all but one; nothing "
-                "is armed until one is left",
-            )
+            return LinkEvent.MISMATCHED, Sentence("link.gateways", runs=runs)
         if sentence := other_protocol(protocol_of(self.status), PROTOCOL):
             return LinkEvent.MISMATCHED, sentence
         if self.status.get("decimals") != self._decimals:
-            return (
-                LinkEvent.MISMATCHED,
-                f"gateway uses {self.status.get('decimals')} decimals, the bridge {self._decimals}: give both the same number",
-            )
+            decimals = str(self.status.get("decimals"))
+            return LinkEvent.MISMATCHED, Sentence("link.decimals", gateway=decimals, bridge=self._decimals)
         if self.status.get("hash") != self._hash:
-            return (
-                LinkEvent.MISMATCHED,
-                "gateway runs another configuration (its hash differs); export it again with `rosrun construction_twin "
-                "export_gateway_config` and restart the gateway",
-            )
+            return LinkEvent.MISMATCHED, Sentence("link.hash")
         if not self.status.get("run"):
-            return (
-                LinkEvent.MISMATCHED,
-                "gateway names no run in its status: it is older than the bridge; install the same version on both sides",
-            )
+            return LinkEvent.MISMATCHED, Sentence("link.no_run")
         if self.fault_number is None:
-            return (
-                LinkEvent.MISMATCHED,
-                "gateway names no fault_number in its status: it is older than the bridge; install the same version on both sides",
-            )
+            return LinkEvent.MISMATCHED, Sentence("link.no_fault_number")
         if self.gateway in NO_SESSION or (self.gateway in ONLY_POSES and not mirrors):
-            return LinkEvent.CONTROLLER_LOST, f"gateway has no RSI session to command: {self.gateway_reason}"
+            return LinkEvent.CONTROLLER_LOST, Sentence("link.no_session", reason=self.gateway_reason)
         return None
 
     # -- arm and stream
@@ -278,20 +258,19 @@ class LinkObservations:
         return self._pose is not None and now - self._pose_at < FRESH and now - self._moved_at >= REST
 
     def why_not_at_rest(self, now: int) -> str:
-        """Return why the arm does not count as at rest, as the rest of a sentence; empty when it does.
+        """Return why the arm does not count as at rest; empty when it does.
 
         Strings that come and are refused are no pose: then the reason is theirs.
         """
         if self.at_rest(now):
             return ""
-        refused = self.why_no_pose(now)
-        return refused or "the arm's pose is unknown or still changing; wait until it is at rest"
+        return self.why_no_pose(now) or Sentence("link.unrest")
 
     def why_no_pose(self, now: int) -> str:
         """Return why the strings that come from the arm are not its pose; empty when they are, or when none come."""
         if not self._refusals or now - self._refused_at >= REFUSED_RECENTLY:
             return ""
-        return f"the arm's pose is unknown, because its strings are refused ({self._refusals} of them): {self._refusal}"
+        return Sentence("link.pose_refused", count=self._refusals, reason=self._refusal)
 
     def stream_may_move(self, now: int) -> bool:
         """Return whether commands come that have not been the same for `REST`: they move, or it is not known yet.

@@ -6,37 +6,36 @@ SI: m, rad, s. An approval repeats the newest moment that its screen had receive
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Annotated, Any
 
-from construction_twin.core import records
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import parse_moment
-from construction_twin.mqtt.messages import demand_live, parse_object
+from construction_twin.core.records import SPACED, decimals, dumped, left_out
+from construction_twin.core.sentences import Sentence
+from construction_twin.mqtt.json_fields import Reader, read_fields
+from construction_twin.mqtt.messages import demand_live, parse_object, shown_keys
 
 #: Longest review that is read [bytes].
 MAX_REVIEW_BYTES = 2048
-_KEYS = ("plan_id", "plan_hash", "verdict", "reviewer")
-_MAX_TEXT = {"plan_id": 64, "plan_hash": 64, "verdict": 16, "reviewer": 64, "reason": 500, "moment": 64}
 #: Most numbers of a trajectory that a plan carries, about 5000 waypoints of six joints: brokers limit a message (a site's: 4 MiB).
 MAX_TRAJECTORY_NUMBERS = 100_000
-#: What a trajectory tells by waypoint and joint, in the order in which its hash covers it.
-_ROWS = ("positions", "velocities", "accelerations")
 #: Longest text of a plan that is shown whole.
 _MAX_SHOWN = 200
 #: Most names of objects that are shown of a segment's change of the scene.
 _MOST_OBJECTS = 20
-#: Decimals of lengths that are only displayed: 0.1 mm.
-_DECIMALS = 4
+#: Decimals of lengths that are only displayed, 0.1 mm, and of times [s] and deviations [m].
+_DISPLAYED, _MICRO = 4, 6
 
 Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class RemoteReview:
-    """A verdict that came by MQTT.
+class ReviewRequest:
+    """A verdict on a plan, by MQTT or from the command line.
 
     Attributes:
         verdict: ``approved`` or ``rejected``.
@@ -56,12 +55,12 @@ class RemoteReview:
     moment: str = ""
 
     @property
-    def approves(self) -> bool:
+    def approve(self) -> bool:
         """True for an approval."""
         return self.verdict == "approved"
 
 
-def parse_review(payload: bytes, retained: bool, account: str = "") -> RemoteReview:
+def parse_review(payload: bytes, retained: bool, account: str = "") -> ReviewRequest:
     """Return the verdict in a message on `review/<account>`, or on `review`.
 
     Args:
@@ -75,31 +74,49 @@ def parse_review(payload: bytes, retained: bool, account: str = "") -> RemoteRev
     """
     demand_live(retained, "review")
     document = parse_object(payload, "review", MAX_REVIEW_BYTES)
-    needed = _KEYS[:-1] if account else _KEYS
-    if not set(needed) <= set(document) <= {*_KEYS, "reason", "moment"}:
-        raise PayloadError(
-            "review",
-            f"review with keys {[key[:32] for key in sorted(document)[:8]]}; expected {', '.join(needed)}, moment and reason",
-        )
-    for key, value in document.items():
-        if not isinstance(value, str) or len(value) > _MAX_TEXT[key] or not value.isprintable():
-            raise PayloadError(
-                "review", f"review whose {key} is not a text of at most {_MAX_TEXT[key]} characters in one line"
-            )
-    for key in ("plan_id", "plan_hash", "reviewer"):
-        if key in document and not document[key].strip():
-            raise PayloadError("review", f"review without {key}: say which plan was looked at, and by whom")
-    if document["verdict"] not in ("approved", "rejected"):
-        raise PayloadError("review", f"review with verdict {document['verdict']!r}; expected approved or rejected")
-    if document["verdict"] == "approved":
-        parse_moment(document.get("moment"))
+    needed = ("plan_id", "plan_hash", "verdict", *(() if account else ("reviewer",)))
+    if not set(needed) <= set(document) <= set(_READERS):
+        found = Sentence("link.payload.review_keys", found=shown_keys(document), needed=", ".join(needed))
+        raise PayloadError("review", found)
+    fields = read_fields(document, _READERS)
+    if fields["verdict"] == "approved":
+        parse_moment(fields.get("moment"))
     if not account:
-        return RemoteReview(**document)
-    says = document.pop("reviewer", account)
-    return RemoteReview(**document, reviewer=account, account=account, says="" if says == account else says)
+        return ReviewRequest(**fields)
+    says = fields.pop("reviewer", account)
+    return ReviewRequest(**fields, reviewer=account, account=account, says="" if says == account else says)
 
 
-def recorded_reason(review: RemoteReview) -> str:
+def _text(most: int, value: object, key: str) -> str:
+    if not isinstance(value, str) or len(value) > most or not value.isprintable():
+        raise PayloadError("review", Sentence("link.payload.review_text", key=key, longest=most))
+    return value
+
+
+def _name(value: object, key: str) -> str:
+    found = _text(64, value, key)
+    if not found.strip():
+        raise PayloadError("review", Sentence("link.payload.review_without", key=key))
+    return found
+
+
+def _verdict(value: object, key: str) -> str:
+    found = _text(16, value, key)
+    if found not in ("approved", "rejected"):
+        raise PayloadError("review", Sentence("link.payload.review_verdict", found=repr(found)))
+    return found
+
+
+#: What reads each key of a review.
+_READERS: Mapping[str, Reader] = {
+    **dict.fromkeys(("plan_id", "plan_hash", "reviewer"), _name),
+    "verdict": _verdict,
+    "reason": partial(_text, 500),
+    "moment": partial(_text, 64),
+}
+
+
+def recorded_reason(review: ReviewRequest) -> str:
     """Return the reviewer's words as they are recorded: what came by MQTT was not said at this machine."""
     who = f"by MQTT, which says it is {review.says!r}" if review.says else "by MQTT"
     return f"{who}: {review.reason}" if review.reason else who
@@ -145,41 +162,71 @@ class SegmentView:
 
 
 @dataclass(frozen=True)
-class PlanView:
-    """What is shown of a plan.
+class ClearanceView:
+    """How close the arm comes to something else.
 
     Attributes:
-        id, hash, source, planner, scene, frame: `frame` is that of all points.
-        created_ns: ROS time [ns].
-        duration, planning_time: [s]
-        start, goal: Joint positions [rad].
-        tool_path: Of tool0 at the waypoints [m].
-        clearance: ``distance`` [m], ``time`` [s], ``between``, ``point`` [m]; None when it was not measured.
-        use: Largest fraction of the limits per joint: ``velocity``, ``acceleration``, ``jerk``; empty lists when not measured.
-        content: Of a work plan: the text whose SHA-256 is its hash.
-        trajectory: What the trajectory's hash covers besides the joints' names: ``times`` [s], and by waypoint ``positions``,
-            ``velocities`` and ``accelerations`` [rad, m, s].
+        distance: [m]; inf, which JSON has as null: there is nothing to touch.
+        time: Of the plan [s].
+        between: Links or objects.
+        point: In the plan's `frame` [m].
     """
 
-    id: str
+    distance: Annotated[float, {"type": ["number", "null"]}]
+    time: float
+    between: Sequence[str]
+    point: Point
+
+
+@dataclass(frozen=True)
+class UseView:
+    """Largest fraction of the limits per joint; empty: not measured."""
+
+    velocity: Sequence[float]
+    acceleration: Sequence[float]
+    jerk: Sequence[float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanView:
+    """A message on <prefix>/<robot>/plan: the plan under review.
+
+    Attributes:
+        scene: Its hash.
+        frame: Of all points.
+        created_ns: ROS time [ns].
+        duration, planning_time: [s]
+        start, goal: Joint positions [rad, m].
+        waypoints: How many points the whole tool path has.
+        tool_path: Of tool0 [m]; at the waypoints until it is thinned.
+        tool_path_deviation: How far the thinned path is off at most [m].
+        clearance: None when it was not measured.
+        trajectory: What the trajectory's hash covers besides the joints' names: ``times`` [s], and by waypoint ``positions``,
+            ``velocities`` and ``accelerations`` [rad, m, s]; None when it is too long. Who checks the hash reads the numbers.
+        task, content, segments: Of a work plan only. `content` is the text whose SHA-256 is its hash.
+    """
+
+    id: Annotated[str, {"minLength": 1}]
     hash: str
     source: str
     planner: str
     scene: str
     frame: str
     created_ns: int
-    duration: float
-    planning_time: float
-    joint_names: Sequence[str]
+    duration: float = decimals(_MICRO)
+    planning_time: float = decimals(_MICRO)
+    joints: Sequence[str]
     start: Sequence[float]
     goal: Sequence[float]
-    tool_path: Sequence[Point]
-    clearance: Mapping | None
-    use: Mapping[str, Sequence[float]]
-    task: str = ""
-    segments: Sequence[SegmentView] = ()
-    content: str = ""
-    trajectory: Mapping[str, Sequence] = field(default_factory=dict)
+    waypoints: int
+    tool_path: Sequence[Point] = decimals(_DISPLAYED)
+    tool_path_deviation: float = decimals(_MICRO, 0.0)
+    clearance: ClearanceView | None
+    use: UseView
+    trajectory: Mapping[str, Any] | None
+    task: str | None = left_out()
+    content: str | None = left_out()
+    segments: Sequence[SegmentView] | None = left_out()
 
     def to_json(self, points: int) -> bytes:
         """Return the payload for `plan`.
@@ -188,42 +235,28 @@ class PlanView:
             points: The tool path is thinned to at most so many points, both ends among them; of a work plan the ends of the
                 segments are kept besides.
         """
-        path, deviation, ends = thinned(self.tool_path, points, [segment.tool_path_end for segment in self.segments])
-        document = {
-            "id": self.id,
-            "hash": self.hash,
-            "source": shown(self.source),
-            "planner": shown(self.planner),
-            "scene": shown(self.scene),
-            "frame": shown(self.frame),
-            "created_ns": self.created_ns,
-            "duration": round(self.duration, 6),
-            "planning_time": round(self.planning_time, 6),
-            "joints": list(self.joint_names),
-            "start": list(self.start),
-            "goal": list(self.goal),
-            "waypoints": len(self.tool_path),
-            "tool_path": [[round(value, _DECIMALS) for value in point] for point in path],
-            "tool_path_deviation": round(deviation, 6),
-            "clearance": self.clearance,
-            "use": {name: list(values) for name, values in self.use.items()},
-            "trajectory": self._sent_trajectory(),
-        }
-        if self.segments:
-            document["task"], document["content"] = self.task, self.content
-            document["segments"] = [
-                replace(segment, tool_path_end=end, put=_named(segment.put))
-                for segment, end in zip(self.segments, ends)
-            ]
-        return json.dumps(records.document(document), allow_nan=False).encode()
+        segments = self.segments or ()
+        path, deviation, ends = thinned(self.tool_path, points, [segment.tool_path_end for segment in segments])
+        sent = [
+            replace(segment, tool_path_end=end, put=_object_names(segment.put)) for segment, end in zip(segments, ends)
+        ]
+        message = replace(
+            self,
+            source=shown(self.source),
+            planner=shown(self.planner),
+            scene=shown(self.scene),
+            frame=shown(self.frame),
+            tool_path=path,
+            tool_path_deviation=deviation,
+            trajectory=None if self._is_too_long() else self.trajectory,
+            segments=sent or None,
+        )
+        return dumped(message, marks=SPACED)
 
-    def _sent_trajectory(self) -> dict[str, list] | None:
-        """Return the trajectory for JSON, whose numbers are read to the same bits; None when it is too long."""
-        numbers = len(self.trajectory.get("times", ())) * (1 + 3 * len(self.joint_names))
-        if not self.trajectory or numbers > MAX_TRAJECTORY_NUMBERS:
-            return None
-        sent = {name: [list(row) for row in self.trajectory[name]] for name in _ROWS}
-        return {"times": list(self.trajectory["times"]), **sent}
+    def _is_too_long(self) -> bool:
+        """Return whether the trajectory has more numbers than a message may carry."""
+        times = self.trajectory["times"] if self.trajectory is not None else ()
+        return len(times) * (1 + 3 * len(self.joints)) > MAX_TRAJECTORY_NUMBERS
 
 
 def shown(text: str) -> str:
@@ -231,10 +264,10 @@ def shown(text: str) -> str:
     return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
 
 
-def _named(names: Sequence[str]) -> list[str]:
+def _object_names(names: Sequence[str]) -> list[str]:
     """Return the first names of many; the last entry says how many more there are."""
-    told = [shown(name) for name in names[:_MOST_OBJECTS]]
-    return told if len(names) <= _MOST_OBJECTS else [*told, f"and {len(names) - _MOST_OBJECTS} more"]
+    found = [shown(name) for name in names[:_MOST_OBJECTS]]
+    return found if len(names) <= _MOST_OBJECTS else [*found, f"and {len(names) - _MOST_OBJECTS} more"]
 
 
 def thinned(path: Sequence[Point], points: int, keep: Sequence[int] = ()) -> tuple[list[Point], float, list[int]]:

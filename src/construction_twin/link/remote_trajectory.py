@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.json_fields import (
+from construction_twin.mqtt.json_fields import (
     LARGEST,
     fraction,
     keys,
@@ -31,6 +32,7 @@ COMPAS_TYPE = "compas_fab.robots/JointTrajectory"
 #: `joint_types` of COMPAS: revolute and continuous, prismatic.
 _COMPAS_LINEAR = {0: False, 1: False, 2: True}
 _FACTORS = {"angle": {"rad": 1.0, "deg": math.pi / 180.0}, "length": {"m": 1.0, "mm": 1e-3}, "time": {"s": 1.0}}
+_UNITS = '{"angle": "rad" or "deg", "length": "m" or "mm", "time": "s"}'
 _SCALES = ("speed_scale", "acceleration_scale")
 _ENVELOPE = ("id", "source", *_SCALES)
 #: What reads each key of an envelope.
@@ -53,8 +55,6 @@ _COMPAS_DATA = (
 _COMPAS_POINT = (
     "joint_values", "joint_types", "joint_names", "velocities", "accelerations", "effort", "time_from_start",
 )  # fmt: skip
-#: What is said about zeros that compas_fab fills in where nothing was given.
-ZEROS = "all {} are zero, which compas_fab writes where none are given: read as not given"
 
 Values = tuple[float, ...]
 
@@ -127,11 +127,7 @@ def parse_trajectory(document: Mapping[str, Any], joints: Joints) -> TrajectoryR
         keys(document, "trajectory message", ("id", "trajectory"), (*_ENVELOPE, "trajectory"))
         inner = document["trajectory"]
         if not isinstance(inner, dict) or "dtype" not in inner:
-            raise PayloadError(
-                "format",
-                f"key trajectory holds {shown(inner)}; expected a COMPAS object of dtype {COMPAS_TYPE}; without COMPAS "
-                "joint_names, points and units stand beside id",
-            )
+            raise PayloadError("format", Sentence("link.payload.trajectory", found=shown(inner), dtype=COMPAS_TYPE))
         return _compas_request(document, inner, joints)
     return _plain_request(document, joints)
 
@@ -149,7 +145,7 @@ def _plain_request(document: Mapping[str, Any], joints: Joints) -> TrajectoryReq
         keys(point, f"point {index}", ("positions",), _POINT)
         values = [_values(point.get(name, []), f"point {index}: {name}", order, scales) for name in _POINT[:3]]
         if not values[0]:
-            raise PayloadError("values", f"point {index} has no positions; expected one for each joint")
+            raise PayloadError("values", Sentence("link.payload.no_values", index=index, what="positions"))
         time_ns = _seconds(point.get("time_from_start", 0.0), index)
         points.append(TrajectoryPoint(values[0], values[1], values[2], time_ns))
     _check_points(points)
@@ -158,19 +154,18 @@ def _plain_request(document: Mapping[str, Any], joints: Joints) -> TrajectoryReq
 
 
 def _factors(units: object) -> dict[str, float]:
-    expected = '{"angle": "rad" or "deg", "length": "m" or "mm", "time": "s"}; units are said, never guessed'
     if not isinstance(units, dict) or set(units) != set(_FACTORS):
-        raise PayloadError("units", f"units are {shown(units)}; expected {expected}")
+        raise PayloadError("units", Sentence("link.payload.units", found=shown(units), expected=_UNITS))
     for kind, unit in units.items():
         if not isinstance(unit, str) or unit not in _FACTORS[kind]:
-            raise PayloadError("units", f"the unit of {kind} is {shown(unit)}; expected {expected}")
+            raise PayloadError("units", Sentence("link.payload.unit", kind=kind, found=shown(unit), expected=_UNITS))
     return {kind: _FACTORS[kind][unit] for kind, unit in units.items()}
 
 
 def _seconds(value: object, index: int) -> int:
     seconds = number(value, f"point {index}: time_from_start")
     if seconds < 0.0:
-        raise PayloadError("values", f"point {index}: time_from_start is {seconds:g} s; expected 0 or later")
+        raise PayloadError("values", Sentence("link.payload.time", index=index, seconds=seconds))
     return round(seconds * NANOSECONDS)
 
 
@@ -178,18 +173,12 @@ def _all_or_none(points: Sequence[TrajectoryPoint]) -> None:
     for name in ("velocities", "accelerations"):
         given = [bool(getattr(point, name)) for point in points]
         if any(given) and not all(given):
-            raise PayloadError(
-                "values",
-                f"point {given.index(False)} has no {name}, others have; expected them in every point or in none",
-            )
+            raise PayloadError("values", Sentence("link.payload.some", index=given.index(False), what=name))
 
 
 def _check_points(points: Sequence[TrajectoryPoint]) -> None:
     if len(points) < 2:
-        raise PayloadError(
-            "values",
-            f"{len(points)} points; expected at least two, the first where the twin is: a goal alone does not say from where",
-        )
+        raise PayloadError("values", Sentence("link.payload.too_few", count=len(points)))
     _all_or_none(points)
 
 
@@ -200,10 +189,7 @@ def _is_timed(points: Sequence[TrajectoryPoint]) -> bool:
 def _check_timed(points: Sequence[TrajectoryPoint]) -> None:
     """Refuse velocities of a motion without times: it is timed here, and they would be dropped."""
     if not _is_timed(points) and any(point.velocities or point.accelerations for point in points):
-        raise PayloadError(
-            "values",
-            "velocities or accelerations without times; expected time_from_start in the points, or neither of them",
-        )
+        raise PayloadError("values", Sentence("link.payload.untimed"))
 
 
 # -- compas_fab's form
@@ -212,7 +198,7 @@ def _check_timed(points: Sequence[TrajectoryPoint]) -> None:
 def _compas_request(envelope: Mapping[str, Any], document: Mapping[str, Any], joints: Joints) -> TrajectoryRequest:
     keys(document, "COMPAS object", ("dtype", "data"), _COMPAS)
     if document["dtype"] != COMPAS_TYPE:
-        raise PayloadError("format", f"COMPAS object of dtype {shown(document['dtype'])}; expected {COMPAS_TYPE}")
+        raise PayloadError("format", Sentence("link.payload.dtype", found=shown(document["dtype"]), dtype=COMPAS_TYPE))
     data = document["data"]
     keys(data, "compas_fab trajectory", ("points", "joint_names"), _COMPAS_DATA)
     _check_fraction(data.get("fraction"))
@@ -226,7 +212,7 @@ def _compas_request(envelope: Mapping[str, Any], document: Mapping[str, Any], jo
         # compas_fab cannot say "none": it fills in zeros
         if not any(any(getattr(point, name)) for point in points):
             if _is_timed(points) and getattr(points[0], name):
-                notes.append(ZEROS.format(name))
+                notes.append(Sentence("link.payload.zeros", what=name))
             points = tuple(_without(point, name) for point in points)
     _check_timed(points)
     if envelope is document:
@@ -236,12 +222,8 @@ def _compas_request(envelope: Mapping[str, Any], document: Mapping[str, Any], jo
 
 
 def _check_fraction(fraction: object) -> None:
-    if fraction is not None and number(fraction, "fraction") != 1.0:
-        raise PayloadError(
-            "values",
-            f"fraction is {fraction:g}: compas_fab's planner followed only a part of what was asked for; plan again, or cut "
-            "the path there and say fraction 1",
-        )
+    if fraction is not None and (followed := number(fraction, "fraction")) != 1.0:
+        raise PayloadError("values", Sentence("link.payload.followed", fraction=followed))
 
 
 def _compas_names(names: object, rows: Sequence[Any]) -> Sequence[object]:
@@ -252,9 +234,8 @@ def _compas_names(names: object, rows: Sequence[Any]) -> Sequence[object]:
         own = list_of(point.get("joint_names", []), f"point {index}: joint_names")
         names = names or own
         if own and own != names:
-            raise PayloadError(
-                "joints", f"point {index} names its joints {shown(own)}; expected {shown(names)}, as before"
-            )
+            found = Sentence("link.payload.other_names", index=index, found=shown(own), names=shown(names))
+            raise PayloadError("joints", found)
     return names
 
 
@@ -263,26 +244,23 @@ def _compas_point(
 ) -> TrajectoryPoint:
     kinds = list_of(point["joint_types"], f"point {index}: joint_types")
     if len(kinds) != len(names):
-        raise PayloadError(
-            "joints", f"point {index} has {len(kinds)} joint_types for {len(names)} joints; expected as many"
-        )
+        found = Sentence("link.payload.types", index=index, found=len(kinds), count=len(names))
+        raise PayloadError("joints", found)
     for robots, place in enumerate(order):
         linear = _COMPAS_LINEAR.get(kinds[place]) if type(kinds[place]) is int else None
         if linear is not joints.linear[robots]:
-            expected = "2, prismatic [m]" if joints.linear[robots] else "0 or 1, revolute [rad]"
-            raise PayloadError(
-                "joints",
-                f"point {index}: joint_types says {shown(kinds[place])} of {joints.names[robots]}; expected {expected}",
-            )
+            key = f"link.payload.{'prismatic' if joints.linear[robots] else 'revolute'}"
+            found = Sentence(key, index=index, found=shown(kinds[place]), joint=joints.names[robots])
+            raise PayloadError("joints", found)
     scales = (1.0,) * len(order)
     values = [
         _values(point.get(name, []), f"point {index}: {name}", order, scales)
         for name in ("joint_values", "velocities", "accelerations", "effort")
     ]
     if not values[0]:
-        raise PayloadError("values", f"point {index} has no joint_values; expected one for each joint")
+        raise PayloadError("values", Sentence("link.payload.no_values", index=index, what="joint_values"))
     if any(values[3]):
-        raise PayloadError("values", f"point {index} has efforts; the arm takes positions only: leave them out, or 0")
+        raise PayloadError("values", Sentence("link.payload.efforts", index=index))
     return TrajectoryPoint(values[0], values[1], values[2], _duration(point, index))
 
 
@@ -294,7 +272,9 @@ def _duration(point: Mapping[str, Any], index: int) -> int:
     for name, end in (("secs", int(LARGEST)), ("nsecs", NANOSECONDS - 1)):
         part = time[name]
         if type(part) is not int or not 0 <= part <= end:
-            raise PayloadError("values", f"{place}: {name} is {shown(part)}; expected a whole number from 0 to {end}")
+            raise PayloadError(
+                "values", Sentence("link.payload.whole", place=place, key=name, found=shown(part), end=end)
+            )
         parts.append(part)
     return parts[0] * NANOSECONDS + parts[1]
 
@@ -315,7 +295,7 @@ def _request(
     said = read_fields(envelope, _READERS)
     for key in _SCALES:
         if said.get(key) and _is_timed(points):
-            raise PayloadError("values", f"{key} is for a motion without times; leave it out, or time_from_start")
+            raise PayloadError("values", Sentence("link.payload.scale", key=key))
     return TrajectoryRequest(points=points, notes=notes, **said)
 
 
@@ -323,9 +303,8 @@ def _order(names: object, joints: Joints) -> list[int]:
     """Return for each joint of the robot where it stands among `names`."""
     given = list_of(names, "joint_names")
     if not all(isinstance(name, str) for name in given) or sorted(given) != sorted(joints.names):
-        raise PayloadError(
-            "joints", f"joint_names are {shown(given)}; expected each of {', '.join(joints.names)} once, in any order"
-        )
+        found = Sentence("link.payload.names", found=shown(given), joints=", ".join(joints.names))
+        raise PayloadError("joints", found)
     return [given.index(name) for name in joints.names]
 
 
@@ -335,5 +314,5 @@ def _values(row: object, place: str, order: Sequence[int], scales: Sequence[floa
     if not values:
         return ()
     if len(values) != len(order):
-        raise PayloadError("values", f"{place}: {len(values)} values; expected {len(order)}, one for each joint")
+        raise PayloadError("values", Sentence("link.payload.row", place=place, found=len(values), count=len(order)))
     return tuple(number(values[index], place) * scale for index, scale in zip(order, scales))

@@ -6,6 +6,7 @@ import math
 import re
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.sentences import Sentence
 
 #: Objects of the status whose values are shown, each under its own name and theirs.
 _GROUPS = ("controller", "cycle", "playout", "speed_limit", "stop", "intruder")
@@ -42,7 +43,7 @@ def status_values(status: dict) -> dict[str, str]:
     for group in _GROUPS:
         members = status.get(group, {})
         if not isinstance(members, dict) or len(members) > 32 or any(len(name) > 64 for name in members):
-            raise PayloadError("status", f"status message whose {group} is not what the interface says")
+            raise PayloadError("status", Sentence("link.status.not_as_agreed", name=group))
         values |= {f"{group}_{name}": _text(f"{group}.{name}", value) for name, value in members.items()}
     return values
 
@@ -63,7 +64,7 @@ def _text(name: str, value: object) -> str:
         return ""
     if isinstance(value, list) and name in _LISTS and len(value) <= _MOST_AXES:
         if not all(isinstance(member, (int, float)) for member in value):
-            raise PayloadError("status", f"status message whose {name} is not a list of numbers")
+            raise PayloadError("status", Sentence("link.status.no_numbers", name=name))
         return " ".join([_text(name, member) for member in value])
     if isinstance(value, str):
         return value[:_LONGEST]
@@ -72,4 +73,4 @@ def _text(name: str, value: object) -> str:
         return f"{value:.9g}"
     if isinstance(value, float) and math.isfinite(value):
         return f"{value:.9g}"
-    raise PayloadError("status", f"status message whose {name} is {str(value)[:80]!r}: no number, text or null")
+    raise PayloadError("status", Sentence("link.status.no_value", name=name, found=repr(str(value)[:80])))

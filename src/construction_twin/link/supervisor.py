@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from construction_twin.core.errors import ReviewError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.state_table import Machine, Occasion, conditions
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
@@ -22,6 +23,8 @@ from construction_twin.mqtt.messages import RSI, Control, arm_value, reset_value
 #: Pause before an unanswered control message is sent again [ns].
 RETRY = NANOSECONDS // 2
 
+#: How a sentence ends after which only a person leads on.
+_CALL_RESET = Sentence("link.call_reset", reason="").removeprefix("; ")
 _NO_ARM = (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.NO_CONTROLLER, LinkState.MISMATCH)
 
 
@@ -94,7 +97,7 @@ class LinkSupervisor:
         self.machine = Machine(
             self._rows,
             LinkState.DISCONNECTED,
-            "not connected to the broker yet",
+            Sentence("link.no_broker_yet"),
             conditions(self._guards()),
             self._actions(),
         )
@@ -118,6 +121,11 @@ class LinkSupervisor:
         return self.machine.reason
 
     @property
+    def sentence(self) -> Sentence:
+        """State and reason, as the rest of a refusal."""
+        return Sentence("link.in_state", state=self.state.name, reason=self.reason)
+
+    @property
     def status(self) -> dict:
         """The gateway's last status; empty while there is none."""
         return self.inputs.status
@@ -136,8 +144,8 @@ class LinkSupervisor:
         if not self.sends_control:
             return ""
         stop = self.inputs.stop_told
-        told = f"gateway was stopped before this bridge was started again ({stop}); call reset" if stop else ""
-        return self._halted or told or self._under_way
+        told = Sentence("link.stopped_before_bridge", reason=stop) if stop else ""
+        return self._halted or (told and Sentence("link.call_reset", reason=told)) or self._under_way
 
     # -- what comes in
 
@@ -174,7 +182,7 @@ class LinkSupervisor:
         verb, self._unanswered = self._pending.verb, False
         if not answer.get("ok"):
             # stays pending: asked again after the usual pause, not with every poll
-            self.machine.reason = f"gateway refused {verb}: {answer.get('reason')}"
+            self.machine.reason = Sentence("link.gateway_refused", verb=verb, reason=str(answer.get("reason")))
             self._arm_refused = verb == "arm"
             return
         self._pending = None
@@ -192,14 +200,12 @@ class LinkSupervisor:
             ReviewError: When the arm leads, the gateway's program has failed, the arm's pose is not known, or it moves.
         """
         if self._mirror.active:
-            raise ReviewError(
-                "cannot reset: the arm leads (mirror mode); call mirror with false, which ends in the same"
-            )
+            raise ReviewError(Sentence("link.cannot.reset", why=Sentence("link.mirror.reset")))
         if self.state in _NO_ARM or self.inputs.gateway_failed:
-            raise ReviewError(f"cannot reset: {self.reason}")
+            raise ReviewError(Sentence("link.cannot.reset", why=self.reason))
         unrest = self.inputs.why_not_at_rest(now)
         if unrest:
-            raise ReviewError(f"cannot reset: {unrest}")
+            raise ReviewError(Sentence("link.cannot.reset", why=unrest))
         self._want_session()
 
     def request_arm(self, now: int) -> None:
@@ -210,16 +216,14 @@ class LinkSupervisor:
                 rest within the start tolerance.
         """
         if self.state is not LinkState.NEEDS_RESET:
-            raise ReviewError(f"nothing to arm: {self.state.name}, {self.reason}")
+            raise ReviewError(Sentence("link.nothing_to_arm", why=self.sentence))
         if self.inputs.gateway_failed:
-            raise ReviewError(f"cannot arm: {self.reason}")
+            raise ReviewError(Sentence("link.cannot.arm", why=self.reason))
         refused = self.inputs.why_no_pose(now)
         if refused:
-            raise ReviewError(f"cannot arm: {refused}")
+            raise ReviewError(Sentence("link.cannot.arm", why=refused))
         if not (self.inputs.within_tolerance(now) and self.inputs.at_rest(now)):
-            raise ReviewError(
-                "twin and arm are not at rest within the start tolerance of each other; call reset instead"
-            )
+            raise ReviewError(Sentence("link.apart"))
         self._want_session()
 
     def _want_session(self) -> None:
@@ -238,7 +242,9 @@ class LinkSupervisor:
             reason: One sentence.
         """
         if request == self.requests and self._halted is None:
-            self.take(LinkEvent.WITHDRAWN, 0, reason if reason.endswith("call reset") else f"{reason}; call reset")
+            if not reason.endswith(_CALL_RESET):
+                reason = Sentence("link.call_reset", reason=reason)
+            self.take(LinkEvent.WITHDRAWN, 0, reason)
 
     def take_responsibility(self, name: str, now: int) -> None:
         """Arm a bare PLC in a person's name; with a gateway nothing needs it.
@@ -246,9 +252,7 @@ class LinkSupervisor:
         Raises:
             ReviewError: With a gateway always: it is armed by itself once it has been checked.
         """
-        raise ReviewError(
-            "nothing is left to a person's responsibility: rsi_gateway is checked, and armed by itself; after a fault call reset"
-        )
+        raise ReviewError(Sentence("link.not_by_name"))
 
     def withdraw_responsibility(self, reason: str) -> None:
         """Give up arming a bare PLC in a person's name; nothing with a gateway."""
@@ -260,7 +264,7 @@ class LinkSupervisor:
             ReviewError: When there is no arm to follow, or arm or command stream move.
         """
         if self._mirror.active:
-            return "the arm leads already"
+            return Sentence("link.mirror.already")
         self._mirror.begin(self.session, now)
         self.take(LinkEvent.MIRROR_ASKED, now)
         return self.reason
@@ -272,17 +276,14 @@ class LinkSupervisor:
             ReviewError: When the arm does not lead, its pose is not known, it moves, or the gateway's program has failed.
         """
         if not self._mirror.active:
-            raise ReviewError(f"the arm does not lead: {self.state.name}, {self.reason}")
+            raise ReviewError(Sentence("link.mirror.not_on", why=self.sentence))
         if self.inputs.gateway_failed:
-            raise ReviewError(f"mirror mode stays on: {self.reason}; {self._remedy}")
+            raise ReviewError(self._with_remedy(Sentence("link.mirror.stays", reason=self.reason)))
         self._mirror.end(now)
         if self.inputs.reads_only:
-            return (
-                "mirror mode has ended; the gateway is read-only, so nothing can be commanded: give the controller an Ethernet XML "
-                "with ONLYSEND FALSE"
-            )
+            return Sentence("link.mirror.ended_read_only")
         self._want_session()
-        return "mirror mode has ended; twin and gateway start over from the arm's pose"
+        return Sentence("link.mirror.ended")
 
     def halt(self, reason: str) -> None:
         """Stop forwarding commands until a person calls `reset`; used after a stop was sent to the gateway."""
@@ -368,22 +369,19 @@ class LinkSupervisor:
             Action.NOTE_WITHDRAWAL_IN_MIRROR: self._note_withdrawal_in_mirror,
             Action.BEGIN_MIRROR: self._begin_mirror,
             Action.BEGIN_ASKED_SESSION: self._begin_asked_session,
-            Action.BEGIN_FIRST_SESSION: lambda row, at: self._begin_session("first session"),
-            Action.BEGIN_NEXT_SESSION: lambda row, at: self._begin_session(
-                "the link is back and the poses agree within the start tolerance"
-            ),
+            Action.BEGIN_FIRST_SESSION: lambda row, at: self._begin_session(Sentence("link.session.first")),
+            Action.BEGIN_NEXT_SESSION: lambda row, at: self._begin_session(Sentence("link.session.next")),
             Action.BEGIN_SESSION_AFTER_REFUSAL: self._begin_session_after_refusal,
             Action.NOTE_ARMED: self._note_armed,
             Action.TELL_MIRROR: lambda row, at: self._mirror.sentence,
             Action.TELL_GATEWAY: lambda row, at: self._gateway_sentence,
             Action.TELL_STOP: self._tell_stop,
             Action.VOID_REQUEST: self._void_request,
-            Action.TELL_FORMER_STOP: lambda row, at: (
-                f"gateway was stopped before it was started again ({self.inputs.stopped_before}), and is "
-                f"{self.inputs.gateway}; {self._remedy}"
+            Action.TELL_FORMER_STOP: lambda row, at: self._with_remedy(
+                Sentence("link.stopped_before", reason=self.inputs.stopped_before, state=self.inputs.gateway)
             ),
             Action.TELL_HALT: self._tell_halt,
-            Action.TELL_RESET: lambda row, at: f"{self._gateway_sentence}; call reset",
+            Action.TELL_RESET: lambda row, at: Sentence("link.call_reset", reason=self._gateway_sentence),
             Action.SEND_RESET: lambda row, at: self._send_reset(self.session, at.now),
             Action.SEND_STOP: lambda row, at: self._send("stop", self._withdrawn_session, at.now),
             Action.SEND_ARM: self._send_arm,
@@ -421,10 +419,10 @@ class LinkSupervisor:
         self._pending, self._asked_for = None, False
         run, _ = self._shown
         if run != self.inputs.run:
-            self._halted = "gateway was started again since the call; call reset"
+            self._halted = Sentence("link.call_reset", reason=Sentence("link.restarted_since"))
         else:
-            stop = f"stop {self.inputs.fault_number}"
-            self._halted = f"gateway was stopped since the call ({stop}): {self.inputs.gateway_reason}; {self._remedy}"
+            number, reason = str(self.inputs.fault_number), self.inputs.gateway_reason
+            self._halted = self._with_remedy(Sentence("link.stopped_since", number=number, reason=reason))
         return self._halted
 
     def _begin_mirror(self, row: Row, at: Occasion) -> str:
@@ -445,42 +443,40 @@ class LinkSupervisor:
         self._reset_wanted = False
         self._begin_session("")
         self._asked_for = True
-        self._under_way = "the bridge was started again while a reset was under way; call reset"
-        return "reset asked for"
+        self._under_way = Sentence("link.call_reset", reason=Sentence("link.reset_under_way"))
+        return Sentence("link.session.asked")
 
     def _begin_session_after_refusal(self, row: Row, at: Occasion) -> str:
         # a session that was armed and whose answer was lost cannot be armed again
         asked_for = self._asked_for
         self._begin_session("")
         self._asked_for = asked_for
-        return f"another session, because {self.reason}"
+        return Sentence("link.session.another", reason=self.reason)
 
     def _note_armed(self, row: Row, at: Occasion) -> str:
         self._was_armed, self._under_way = True, ""
         self.inputs.forget_stop()
         # in commissioning mode the link is armed, and yet the arm stands still
-        mode = "; gateway is in commissioning mode" if self.status.get("mode") == "commissioning" else ""
-        return f"session {self.session}{mode}"
+        key = "commissioning" if self.status.get("mode") == "commissioning" else "armed"
+        return Sentence(f"link.session.{key}", session=self.session)
 
     @property
-    def _gateway_sentence(self) -> str:
-        sentence = f"gateway is {self.inputs.gateway}: {self.inputs.gateway_reason}"
-        return f"{sentence}; {self._remedy}" if self.inputs.gateway_failed else sentence
+    def _gateway_sentence(self) -> Sentence:
+        sentence = Sentence("gateway.in_state", state=self.inputs.gateway, reason=self.inputs.gateway_reason)
+        return self._with_remedy(sentence) if self.inputs.gateway_failed else sentence
 
     def _tell_stop(self, row: Row, at: Occasion) -> str:
-        return (
-            f"gateway was stopped (stop {self.inputs.fault_number}) and is {self.inputs.gateway}: {self.inputs.gateway_reason}; "
-            f"{self._remedy}"
-        )
+        known = self.inputs
+        number, state, reason = str(known.fault_number), known.gateway, known.gateway_reason
+        return self._with_remedy(Sentence("link.stopped", number=number, state=state, reason=reason))
 
     def _tell_halt(self, row: Row, at: Occasion) -> str:
         # what the gateway still knows it tells better than the process before this one
         return self._tell_stop(row, at) if self._found and self.inputs.fault else self._halted or ""
 
-    @property
-    def _remedy(self) -> str:
+    def _with_remedy(self, reason: str) -> Sentence:
         # a gateway whose program has failed takes no control message any more
-        return "restart rsi_gateway, then call reset" if self.inputs.gateway_failed else "call reset"
+        return Sentence("link.restart_gateway" if self.inputs.gateway_failed else "link.call_reset", reason=reason)
 
     def _send_arm(self, row: Row, at: Occasion) -> str:
         return self._send("arm", self.session, at.now, arm_value(self._hash, self.status["run"]))

@@ -13,19 +13,14 @@ from dataclasses import replace
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
-from construction_twin.gateway.tool_switches import MOST_TOLD
+from construction_twin.core.sentences import Sentence
+from construction_twin.gateway.tool_switches import MOST_REPORTED
 from construction_twin.mqtt.messages import Control
 
 #: Most outputs and inputs of a tool, and the longest text of a status.
 _MOST, _LONGEST = 16, 300
-
-
-_WORDS = {
-    "armed": SwitchState.ARMED,
-    "fired": SwitchState.FIRED,
-    "void": SwitchState.VOID,
-    "refused": SwitchState.REFUSED,
-}
+#: States that a status may give a switch, by their words.
+_REPORTED = {state.word: state for state in SwitchState if state is not SwitchState.PENDING}
 
 
 class ToolLink:
@@ -40,7 +35,7 @@ class ToolLink:
         self._switches: OrderedDict[str, SwitchReport] = OrderedDict()
         self._by_control: OrderedDict[str, str] = OrderedDict()
         self._run = self._session = ""
-        self._status = ToolReport(reason="no status of the gateway yet")
+        self._status = ToolReport(reason=Sentence("link.tool.no_status"))
         self._refused = ""
         #: Switches for which a gate that closed has sent `void`.
         self._voided: frozenset[str] = frozenset()
@@ -56,16 +51,16 @@ class ToolLink:
             obstacle: Why nothing can be sent now; "" for nothing.
         """
         if id in self._switches or id in self._by_control.values():
-            self._refused = f"tool: switch {id!r} was asked for before"
+            self._refused = Sentence("gateway.tool.again", id=repr(id))
             return None
         if obstacle:
-            self._tell(id, SwitchState.REFUSED, f"tool: {obstacle}")
+            self._report(id, SwitchState.REFUSED, Sentence("gateway.tool.refused", why=obstacle))
             return None
         control = Control(
             self._new_id(), session, "switch", {"id": id, "output": output, "value": value, "stamp": stamp}
         )
         self._by_control[control.id] = id
-        while len(self._by_control) > MOST_TOLD:
+        while len(self._by_control) > MOST_REPORTED:
             self._by_control.popitem(last=False)
         return control
 
@@ -97,38 +92,38 @@ class ToolLink:
         reason, accepted = str(answer.get("reason"))[:_LONGEST], answer.get("ok") is True
         if accepted:
             self._refused = ""
-        self._tell(id, SwitchState.ARMED if accepted else SwitchState.REFUSED, reason)
+        self._report(id, SwitchState.ARMED if accepted else SwitchState.REFUSED, reason)
 
     def on_status(self, status: dict) -> None:
         """Take the gateway's status, which `tool_report` has read before without complaint."""
         run = str(status.get("run", ""))
         if run and run != self._run:
             if self._run:
-                self._lose("the gateway was started again: whether it fired is not known")
+                self._lose(Sentence("link.tool.restarted"))
             self._run = run
         session = status.get("session")
         if isinstance(session, str) and session and session != self._session:
             self._session, self._refused = session, ""
         self._status = tool_report(status)
         for id, switch in self._status.switches.items():
-            self._tell(id, switch.state, switch.reason)
+            self._report(id, switch.state, switch.reason)
 
     def _lose(self, why: str) -> None:
         # not void: that would say that it has not fired, and may be asked for again
         armed = [id for id, switch in self._switches.items() if switch.state is SwitchState.ARMED]
         for id in (*armed, *self._by_control.values()):
-            self._tell(id, SwitchState.REFUSED, why)
+            self._report(id, SwitchState.REFUSED, why)
         self._by_control.clear()
 
-    def _tell(self, id: str, told: SwitchState, reason: str) -> None:
+    def _report(self, id: str, state: SwitchState, reason: str) -> None:
         known = self._switches.get(id)
         if known is not None and known.state is not SwitchState.ARMED:
             # final: an older message cannot take it back
             return
-        self._switches[id] = SwitchReport(told, reason)
-        if told is SwitchState.REFUSED:
+        self._switches[id] = SwitchReport(state, reason)
+        if state is SwitchState.REFUSED:
             self._refused = reason
-        while len(self._switches) > MOST_TOLD:
+        while len(self._switches) > MOST_REPORTED:
             self._switches.popitem(last=False)
 
     # -- to ROS
@@ -153,28 +148,28 @@ def tool_report(status: dict) -> ToolReport:
         PayloadError: ``status``, when it is not as the interface says.
     """
     if "tool" not in status:
-        return ToolReport(reason="the gateway's configuration has no tool: a robot without hands")
+        return ToolReport(reason=Sentence("link.tool.none"))
     tool = status["tool"]
     switches = tool.get("switches", []) if isinstance(tool, dict) else None
-    if not isinstance(tool, dict) or not isinstance(switches, list) or len(switches) > MOST_TOLD:
+    if not isinstance(tool, dict) or not isinstance(switches, list) or len(switches) > MOST_REPORTED:
         raise _unreadable("tool")
     if not isinstance(tool.get("known"), bool):
         raise _unreadable("tool.known")
-    told = {}
+    found = {}
     for switch in switches:
         word = switch.get("state") if isinstance(switch, dict) else None
-        if not isinstance(word, str) or word not in _WORDS:
+        if not isinstance(word, str) or word not in _REPORTED:
             raise _unreadable("tool.switches")
         id = _text("tool.switches", switch.get("id"))
-        if id in told:
+        if id in found:
             raise _unreadable("tool.switches")
-        told[id] = SwitchReport(_WORDS[word], _text("tool.switches", switch.get("reason")))
+        found[id] = SwitchReport(_REPORTED[word], _text("tool.switches", switch.get("reason")))
     return ToolReport(
         tool["known"],
         _text("tool.name", tool.get("name")),
         _signals("tool.outputs", tool.get("outputs")),
         _signals("tool.inputs", tool.get("inputs")),
-        told,
+        found,
         _text("tool.reason", tool.get("reason")),
     )
 
@@ -194,4 +189,4 @@ def _text(name: str, value: object) -> str:
 
 
 def _unreadable(name: str) -> PayloadError:
-    return PayloadError("status", f"status message whose {name} is not what the interface says")
+    return PayloadError("status", Sentence("link.status.not_as_agreed", name=name))

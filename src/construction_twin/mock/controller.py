@@ -24,7 +24,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from construction_twin.controller.makes import make_of
-from construction_twin.controller.port import Said, Told
+from construction_twin.controller.port import ControllerStatus, MockStatus
 from construction_twin.controller.telegram import STAMP_WRAP, Reply, stamp_step
 from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.core.motion_errors import JointRangeError
@@ -74,7 +74,7 @@ class MockController:
         program: The program that runs.
         refusals: Why replies did not count.
         tool: What the channels of a tool switch and read; None where the layout has none.
-        told: What packets say of the controller in place of what is. It changes nothing else.
+        status_shown: What packets say of the controller in place of what is. It changes nothing else.
         counters: Totals since construction, see `COUNTERS`.
     """
 
@@ -115,12 +115,12 @@ class MockController:
         self._forward_kinematics = forward_kinematics
         layout = config.layout
         make = make_of(layout.make)
-        self.told = Told()
+        self.status_shown = MockStatus()
         self._absolute = make.absolute
         #: What people call things on it.
         self.words = make.words
         side = make.controller_side(config)
-        self._encode, self._decode, self._said = side.encode, side.decode, side.said
+        self._encode, self._decode, self._status = side.encode, side.decode, side.status
         self.tool: SimulatedTool | None = None
         if layout.switched or layout.outputs or layout.inputs:
             self.tool = SimulatedTool(layout, config.gripper, config.period, config.tool_gated)
@@ -147,13 +147,13 @@ class MockController:
         return tuple([angle - slip for angle, slip in zip(self.measured, self.encoders.slip)])
 
     @property
-    def status(self) -> Said:
+    def status(self) -> ControllerStatus:
         """What telegrams say of the controller, where they have channels for it."""
-        return self._said(self._telling)
+        return self._status(self._shown)
 
     @property
-    def _telling(self) -> Told:
-        return replace(self.told, slow=bool(self._tool_speed))
+    def _shown(self) -> MockStatus:
+        return replace(self.status_shown, slow=bool(self._tool_speed))
 
     def restart(self, pose: Sequence[float] | None = None) -> None:
         """Start a new session, ending the present one if there is one.
@@ -195,7 +195,7 @@ class MockController:
         self._reply = None
         self.counters["packets"] += 1
         pose = _flat(self._forward_kinematics(self.reported))
-        values = self.stamp, self.reported, self._followed, pose, self._start_tool, self.missed, self._telling
+        values = self.stamp, self.reported, self._followed, pose, self._start_tool, self.missed, self._shown
         if self.tool is None:
             return self._encode(*values, {}, {})
         return self._encode(*values, None if self.tool.hidden else self.tool.outputs, self.tool.inputs)
@@ -222,19 +222,20 @@ class MockController:
             telegram = self._decode(data)
         except TelegramError as error:
             return self._refuse("wrong_sentype" if error.reason == "sentype" else "malformed", error.reason, str(error))
-        if telegram.stamp != self.stamp or not self._open:
-            behind, beside = divmod(stamp_step(telegram.stamp, self.stamp, _LONGEST_STEP), self.config.cycle)
-            if behind > 0 and not beside and stamp_step(self._first_stamp, telegram.stamp, _LONGEST_STEP) >= 0:
-                late = f"the reply to {self.words.stamp} {telegram.stamp} came {behind} cycle{'s' if behind > 1 else ''} late"
+        if telegram.controller_ms != self.stamp or not self._open:
+            behind, beside = divmod(stamp_step(telegram.controller_ms, self.stamp, _LONGEST_STEP), self.config.cycle)
+            if behind > 0 and not beside and stamp_step(self._first_stamp, telegram.controller_ms, _LONGEST_STEP) >= 0:
+                cycles = f"cycle{'s' if behind > 1 else ''}"
+                late = f"the reply to {self.words.stamp} {telegram.controller_ms} came {behind} {cycles} late"
                 return self._refuse("late_replies", "late", late)
-            found = f"the reply carries {self.words.stamp} {telegram.stamp}"
+            found = f"the reply carries {self.words.stamp} {telegram.controller_ms}"
             expected = f"{found}; expected that of the packet, unchanged: {self.stamp}"
             return self._refuse("mismatched", "ipoc", expected)
         if not in_time:
             return self._refuse(
                 "late_replies",
                 "late",
-                f"the reply to {self.words.stamp} {telegram.stamp} came after the end of its cycle",
+                f"the reply to {self.words.stamp} {telegram.controller_ms} came after the end of its cycle",
             )
         if self._reply is not None:
             return self._count("duplicates")

@@ -233,11 +233,11 @@ class FaultBoard:
         """Return what lets an optional channel say something else, and what is again."""
 
         def tell(value: float | None) -> None:
-            whole, told = None if value is None else int(value), self.controller.told
-            self.controller.told = {
-                "mode": lambda: replace(told, mode=whole),
-                "program": lambda: replace(told, program=whole),
-                "override": lambda: replace(told, override=value),
+            whole, shown = None if value is None else int(value), self.controller.status_shown
+            self.controller.status_shown = {
+                "mode": lambda: replace(shown, mode=whole),
+                "program": lambda: replace(shown, program=whole),
+                "override": lambda: replace(shown, override=value),
             }[fault.name]()
 
         return lambda: tell(fault.values[0]), lambda: tell(None)

@@ -11,10 +11,13 @@ from dataclasses import dataclass, field
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import parse_moment
-from construction_twin.mqtt.messages import demand_live, is_short_text, parse_object
+from construction_twin.core.sentences import Sentence
+from construction_twin.mqtt.messages import demand_live, is_short_text, parse_object, shown_keys
+from construction_twin.mqtt.requests import PRESSED
 
 #: What can be asked for.
 STOP, PAUSE, RESUME = "stop", "pause", "resume"
+_STARTING = {kind.name for kind in PRESSED if kind.starts}
 #: Longest message that is read [bytes].
 MAX_BYTES = 256
 
@@ -48,11 +51,8 @@ def parse_intervention(verb: str, account: str, payload: bytes, retained: bool) 
     document = parse_object(payload, verb, MAX_BYTES)
     id_ = document.get("id", "")
     if not set(document) <= {"id", "moment"} or not is_short_text(id_) or not id_.strip():
-        expected = "id, a text of 1 to 64 characters, " + ("and moment" if verb == RESUME else "alone")
-        raise PayloadError(
-            verb,
-            f"{verb} with keys {[key[:32] for key in sorted(document)[:8]]}; expected {expected}",
-        )
-    if verb != RESUME:
+        key = "link.payload.resume" if verb in _STARTING else "link.payload.intervention"
+        raise PayloadError(verb, Sentence(key, verb=verb, found=shown_keys(document)))
+    if verb not in _STARTING:
         return Intervention(verb, account, id_)
     return Intervention(verb, account, id_, str(parse_moment(document.get("moment"))))

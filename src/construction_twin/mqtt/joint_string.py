@@ -13,6 +13,7 @@ import re
 from collections.abc import Sequence
 
 from construction_twin.core.errors import ConfigurationError, PayloadError
+from construction_twin.core.sentences import Sentence, Value
 from construction_twin.core.units import degrees, radians
 
 #: Digits before the point: of degrees, the paper's; of mm, for tracks of up to 100 m to either side.
@@ -92,9 +93,9 @@ class JointStringCodec:
             PayloadError: ``count``, ``values`` (nan, inf) or ``range`` (1000 degrees, or 100 m, or more after rounding).
         """
         if len(q) != self.joints:
-            raise PayloadError("count", f"{len(q)} joint values; expected {self.joints}")
+            raise PayloadError("count", Sentence("link.payload.string.count", found=len(q), count=self.joints))
         if not all(map(math.isfinite, q)):
-            raise PayloadError("values", f"joint values {tuple(q)} are not all finite numbers")
+            raise PayloadError("values", Sentence("link.payload.string.values", found=str(tuple(q))))
         if self._mapping:
             q = tuple([sign * value + offset for value, (sign, offset) in zip(q, self._mapping)])
         if self._fields is None:
@@ -105,8 +106,8 @@ class JointStringCodec:
             )
         # a huge angle in rad is infinite in degrees, and "+0000inf" would have the right length
         if len(text) != self.length or "inf" in text:
-            limit = "1000 degrees" if max(self._digits) == DIGITS else "1000 degrees or 100 m"
-            raise PayloadError("range", f"{text!r} does not fit the format: a joint is at or beyond {limit}")
+            key = "range" if max(self._digits) == DIGITS else "range_linear"
+            raise PayloadError("range", Sentence(f"link.payload.string.{key}", found=repr(text)))
         for zero in self._zeros:
             text = text.replace("-" + zero[1:], zero)
         return text.encode("ascii")
@@ -147,15 +148,13 @@ class JointStringCodec:
         any_decimals = rb"[+-]\d{%d}\.(\d+)" % first + b"".join(rb",[+-]\d{%d}\.\d+" % digits for digits in others)
         other = re.fullmatch(any_decimals, payload[:512])
         if other and len(other.group(1)) != self.decimals:
+            found = len(other.group(1))
             return PayloadError(
-                "decimals",
-                f"joint string with {len(other.group(1))} decimals; this side is configured for {self.decimals}: "
-                "give both sides the same number",
+                "decimals", Sentence("link.payload.string.decimals", found=found, decimals=self.decimals)
             )
         if len(payload) != self.length:
-            return PayloadError("length", f"{len(payload)} bytes {shown!r}; expected {self.length}")
+            values: dict[str, Value] = {"bytes": len(payload), "found": repr(shown), "count": self.length}
+            return PayloadError("length", Sentence("link.payload.string.length", **values))
         digits = " or ".join(map(str, sorted(set(self._digits))))
-        return PayloadError(
-            "format",
-            f"{shown!r} is not {self.joints} times a sign, {digits} digits, a point, {self.decimals} digits",
-        )
+        shape: dict[str, Value] = {"count": self.joints, "digits": digits, "decimals": self.decimals}
+        return PayloadError("format", Sentence("link.payload.string.format", found=repr(shown), **shape))

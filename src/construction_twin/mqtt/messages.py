@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partialmethod
 from typing import Any
 
 from construction_twin.core.errors import ConfigurationError, PayloadError
+from construction_twin.core.records import SPACED, dumped, left_out
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mqtt.requests import (
     IK,
@@ -125,17 +128,15 @@ class StateProperties:
 def _read(pairs: list[tuple[str, str]], names: tuple[str, ...]) -> dict[str, str]:
     values = dict(pairs)
     if len(values) != len(pairs) or set(values) != set(names):
-        raise PayloadError(
-            "properties", f"user properties {[name[:32] for name, _ in pairs[:8]]}; expected exactly {list(names)}"
-        )
+        found = Sentence("link.payload.properties", found=_shown_names(pairs), needed=str(list(names)))
+        raise PayloadError("properties", found)
     return values
 
 
 def _number(name: str, text: str) -> int:
     if not _NUMBER.fullmatch(text) or int(text) > _MAX_NUMBER:
-        raise PayloadError(
-            "properties", f"property {name} is {text[:32]!r}; expected a whole number up to {_MAX_NUMBER}"
-        )
+        found = Sentence("link.payload.property_number", name=name, found=repr(text[:32]), most=_MAX_NUMBER)
+        raise PayloadError("properties", found)
     return int(text)
 
 
@@ -153,9 +154,8 @@ def read_command_properties(pairs: list[tuple[str, str]]) -> CommandProperties:
     """Parse a command's user properties; PayloadError (``properties``) when they are not exactly session, seq and stamp."""
     values = _read(pairs, ("session", "seq", "stamp"))
     if not is_session(values["session"]):
-        raise PayloadError(
-            "properties", f"property session is {values['session'][:32]!r}; expected letters, digits, - and _"
-        )
+        found = Sentence("link.payload.property_session", found=repr(values["session"][:32]))
+        raise PayloadError("properties", found)
     return CommandProperties(values["session"], _number("seq", values["seq"]), _number("stamp", values["stamp"]))
 
 
@@ -169,11 +169,16 @@ def no_properties(pairs: list[tuple[str, str]]) -> StateProperties | None:
     """Refuse user properties beside a bare PLC's state: PayloadError (``properties``)."""
     if not pairs:
         return None
-    raise PayloadError(
-        "properties",
-        f"a state with user properties {[name[:32] for name, _ in pairs[:8]]}: a bare PLC sends the joint string alone; a gateway "
-        "needs gateway_kind:=rsi",
-    )
+    raise PayloadError("properties", Sentence("link.payload.plc_properties", found=_shown_names(pairs)))
+
+
+def _shown_names(pairs: list[tuple[str, str]]) -> str:
+    return str([name[:32] for name, _ in pairs[:8]])
+
+
+def shown_keys(document: Mapping[str, object]) -> str:
+    """Return the keys of an object that are shown in a refusal."""
+    return str([key[:32] for key in sorted(document)[:8]])
 
 
 @dataclass(frozen=True)
@@ -190,7 +195,35 @@ class Control:
 
     def to_json(self) -> bytes:
         """Return the message's payload."""
-        return json.dumps(asdict(self)).encode()
+        return dumped(self, marks=SPACED)
+
+
+@dataclass(frozen=True)
+class ControlAnswer:
+    """A message on `control/ack`: what became of a control message, by its id, verb and session."""
+
+    id: str
+    verb: str
+    ok: bool
+    reason: str
+    session: str
+
+
+@dataclass(frozen=True)
+class BridgeStatus:
+    """A message on `bridge/status`.
+
+    Attributes:
+        session, protocol: Not of a bridge that ends.
+        responsible, not_checked: Of a bare PLC only: who has armed it, and what is not checked, one sentence each.
+    """
+
+    state: str
+    reason: str
+    session: str | None = left_out()
+    protocol: int | None = left_out()
+    responsible: str | None = left_out()
+    not_checked: Sequence[str] | None = left_out()
 
 
 def protocol_of(document: object) -> object:
@@ -203,12 +236,11 @@ def other_protocol(gateway: object, bridge: object) -> str:
     if type(gateway) is int and type(bridge) is int:
         if gateway == bridge:
             return ""
-        older, where = ("gateway", "cell PC") if gateway < bridge else ("bridge", "ROS PC")
-        what = f"the {older} is older: install the other's version on the {where}, then start both again"
+        key = "gateway_older" if gateway < bridge else "bridge_older"
     else:
-        what = "install the same version on both sides, then start both again"
-    both = f"the gateway speaks protocol {str(gateway)[:20]}, the bridge {str(bridge)[:20]}"
-    return f"{both}: {what} (docs/broker.md, Upgrade from 0.1)"
+        key = "unknown"
+    both = Sentence("link.protocol.both", gateway=str(gateway)[:20], bridge=str(bridge)[:20])
+    return Sentence(f"link.protocol.{key}", both=both)
 
 
 def arm_value(config_hash: str, run: str) -> dict[str, str | int]:
@@ -231,12 +263,9 @@ def parse_control(payload: bytes) -> Control:
     """Parse a control message; PayloadError (``control``) when it is not one."""
     document = parse_object(payload, "control")
     if set(document) - {"value"} != {"id", "session", "verb"}:
-        raise PayloadError(
-            "control",
-            f"control message with keys {[key[:32] for key in sorted(document)[:8]]}; expected id, session, verb and value",
-        )
+        raise PayloadError("control", Sentence("link.payload.control_keys", found=shown_keys(document)))
     if not all(is_short_text(document[key]) for key in ("id", "session", "verb")):
-        raise PayloadError("control", "control message whose id, session or verb is not a short text in one line")
+        raise PayloadError("control", Sentence("link.payload.control_text"))
     return Control(**document)
 
 
@@ -249,24 +278,20 @@ def parse_status(payload: bytes) -> dict:
     status = parse_object(payload, "status", limit=1 << 20)
     reply = status.get("reply_us", {})
     if not isinstance(status.get("state", ""), str) or not isinstance(reply, dict):
-        raise PayloadError(
-            "status", f"status message {payload[:80]!r} whose state or reply_us is not what the interface says"
-        )
+        raise PayloadError("status", Sentence("link.status.state", found=repr(payload[:80])))
     if not is_short_text(status.get("run", "")):
-        raise PayloadError("status", "status message whose run is not a short text in one line")
+        raise PayloadError("status", Sentence("link.status.run"))
     if not _is_count(status.get("fault_number", 0)) or not isinstance(status.get("fault", False), bool):
-        raise PayloadError(
-            "status", "status message whose fault is not true or false, or whose fault_number is no whole number"
-        )
+        raise PayloadError("status", Sentence("link.status.fault"))
     if not _is_count(status.get("protocol", FIRST_PROTOCOL)):
-        raise PayloadError("status", "status message whose protocol is no whole number")
+        raise PayloadError("status", Sentence("link.status.protocol"))
     counters = status.get("counters", {})
     if not isinstance(counters, dict) or not all(map(_is_count, counters.values())):
-        raise PayloadError("status", "status message whose counters are not whole numbers by name")
+        raise PayloadError("status", Sentence("link.status.counters"))
     if not all(
         isinstance(reply.get(key, []), list) and all(map(_is_count, reply.get(key, []))) for key in ("bins", "counts")
     ):
-        raise PayloadError("status", "status message whose reply_us is not a histogram of whole numbers")
+        raise PayloadError("status", Sentence("link.status.reply_us"))
     return status
 
 
@@ -291,10 +316,7 @@ def account_of(topic: str) -> str:
     """
     account = topic.rpartition("/")[2]
     if not _ACCOUNT.fullmatch(account):
-        raise PayloadError(
-            "sender",
-            f"a message on {topic[-80:]!r}; expected an account's name at its end: up to 100 letters, digits, - and _",
-        )
+        raise PayloadError("sender", Sentence("link.payload.account", topic=repr(topic[-80:])))
     return "" if account == "ack" else account
 
 
@@ -318,19 +340,19 @@ def _without_duplicates(pairs: list[tuple[str, object]]) -> dict:
 def demand_live(retained: bool, what: str) -> None:
     """Refuse a retained message (PayloadError, ``retained``): what was asked for once is not asked for now."""
     if retained:
-        raise PayloadError(
-            "retained", f"retained {what}: it is unknown when it was meant; publish it without the retain flag"
-        )
+        raise PayloadError("retained", Sentence("link.payload.retained", what=what))
 
 
 def parse_object(payload: bytes, reason: str, limit: int = MAX_CONTROL_BYTES) -> dict:
     """Return the JSON object in `payload`; PayloadError (`reason`) when there is none, or more than `limit` bytes."""
     if len(payload) > limit:
-        raise PayloadError(reason, f"{reason} message of {len(payload)} bytes; at most {limit} are read")
+        found = Sentence("link.payload.message_size", what=reason, bytes=len(payload), limit=limit)
+        raise PayloadError(reason, found)
     try:
         document = json.loads(payload, object_pairs_hook=_without_duplicates)
     except (ValueError, RecursionError) as error:
-        raise PayloadError(reason, f"{reason} message {payload[:80]!r} is not JSON: {error}") from error
+        found = Sentence("link.payload.no_json", what=reason, found=repr(payload[:80]), problem=str(error))
+        raise PayloadError(reason, found) from error
     if not isinstance(document, dict):
-        raise PayloadError(reason, f"{reason} message {payload[:80]!r} is not a JSON object")
+        raise PayloadError(reason, Sentence("link.payload.no_object", what=reason, found=repr(payload[:80])))
     return document

@@ -1,38 +1,60 @@
-"""What people and programs may ask for by MQTT, each kind stated once: topics, right, answer. Standard library only.
+"""What people and programs may ask for by MQTT, each kind stated once: topics, right, answer, pace. Standard library only.
 
-The nodes' endpoints (`ros/shared/endpoint.py`), the topics' names (`messages.Topics`), a site's access rules (`broker/access.py`)
-and all answers are made from these.
+The nodes' endpoints (`ros/shared/endpoint.py`), the topics' names (`messages.Topics`), a site's access rules (`broker/access.py`),
+all answers and all limits of how often are made from these.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+from construction_twin.core.rate_limit import Pace, SenderLimits, TokenBucket
 
 #: Who answers: the gateway, which brakes the arm, or the executor, which brakes along the path.
 GATEWAY, EXECUTOR = "gateway", "executor"
-#: Every field of an answer, with what it holds while no more is known. Durations are in s, joints by name in rad and m.
-UNKNOWN: Mapping[str, object] = {
-    "id": "",
-    "account": "",
-    "sender": "",
-    "kind": "",
-    "ok": False,
-    "reason": "",
-    "sentence": "",
-    "by": EXECUTOR,
-    "expired": False,
-    "plan_id": "",
-    "plan_hash": "",
-    "verdict": "",
-    "reviewer": "",
-    "duration": 0.0,
-    "notes": (),
-    "reach": "unknown",
-    "joints": None,
-    "between": (),
-}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Every field of an answer, with what it holds while no more is known; a kind of request has some of them.
+
+    Attributes:
+        id: The request's own; "" when it could not be read.
+        account, sender: Who asked, as the topic has it; "" in no name.
+        reason, sentence: For people.
+        by: `GATEWAY` or `EXECUTOR`.
+        expired: The request was too old.
+        reviewer: The name on record.
+        duration: Of the plan [s].
+        reach: ``free``, ``contact``, ``out`` or ``unknown``.
+        joints: By name [rad, m].
+        between: What is in contact.
+    """
+
+    id: str = ""
+    account: str = ""
+    sender: str = ""
+    kind: str = ""
+    ok: bool = False
+    reason: str = ""
+    sentence: str = ""
+    by: str = EXECUTOR
+    expired: bool = False
+    plan_id: str = ""
+    plan_hash: str = ""
+    verdict: str = ""
+    reviewer: str = ""
+    duration: float = 0.0
+    notes: Sequence[str] = ()
+    reach: str = "unknown"
+    joints: Mapping[str, float] | None = None
+    between: Sequence[str] = ()
+
+
+#: What each field holds while no more is known.
+UNKNOWN: Mapping[str, object] = vars(Answer())
 
 
 @dataclass(frozen=True)
@@ -42,8 +64,12 @@ class RequestKind:
     Attributes:
         right: What an account needs to publish it; "": no account of a site may.
         topic, ack: Where it comes in and is answered, below ``<prefix>/<robot>/``; ``{}`` is the account.
-        answer: Its fields, in their order.
+        answer: Which fields of `Answer` it has, in their order.
         qos: Of request and answer.
+        pace: How often one account may ask; None: as often as it likes. Kinds of one pace that wait in one queue have it together.
+            What comes too often is told when to try again; of QoS 0, where a newer one follows anyway, it is not even read.
+        starts: Of what is pressed: it starts motion, repeats the moment that its screen had received, and is carried out once;
+            any other may be carried out twice.
     """
 
     name: str
@@ -52,13 +78,16 @@ class RequestKind:
     ack: str
     answer: tuple[str, ...]
     qos: int = 1
+    pace: Pace | None = None
+    starts: bool = False
 
     def is_answered_to(self, account: str) -> bool:
         """Return whether somebody hears the answer; where each account has a topic of its own, "" has none."""
         return bool(account) or "{}" not in self.ack
 
     def payload(self, /, **known: object) -> bytes:
-        """Return an answer: of what is known its fields, the others as in `UNKNOWN`."""
+        """Return an answer: of what is known its fields, the others as in `UNKNOWN`; ValueError for a nan."""
+        # not by `core.records`: null in the place of a nan would be an answer
         return json.dumps({key: known.get(key, UNKNOWN[key]) for key in self.answer}, allow_nan=False).encode()
 
 
@@ -66,6 +95,8 @@ _VERDICT = ("plan_id", "plan_hash", "verdict", "reviewer", "account", "ok", "rea
 _PRESSED = ("id", "account", "ok", "reason", "by", "expired")
 _PLANNED = ("id", "account", "kind", "ok", "reason", "plan_id", "plan_hash", "duration", "expired")
 _REACHED = ("id", "reach", "joints", "sentence", "between")
+#: Nobody alone holds up the others: a motion is checked in seconds.
+_PLANNING = Pace(1)
 _CHECKED = ("id", "sender", "ok", "reason", "plan_id", "plan_hash", "duration", "notes")
 
 #: A verdict in no name, on a broker without accounts.
@@ -73,13 +104,26 @@ NAMELESS_REVIEW = RequestKind("review", "", "review", "review/ack", _VERDICT)
 REVIEW = RequestKind("review", "review", "review/{}", "review/ack", _VERDICT)
 STOP = RequestKind("stop", "stop", "stop/{}", "stop/ack", _PRESSED)
 PAUSE = RequestKind("pause", "pause", "pause/{}", "pause/ack", _PRESSED)
-RESUME = RequestKind("resume", "pause", "resume/{}", "pause/ack", _PRESSED)
-PLAN_REQUEST = RequestKind("plan_request", "plan_request", "plan_request/{}", "plan_request/ack", _PLANNED)
-IK = RequestKind("ik", "plan_request", "ik/{}", "ik/ack/{}", _REACHED, qos=0)
+RESUME = RequestKind("resume", "pause", "resume/{}", "pause/ack", _PRESSED, starts=True)
+#: What is pressed: an `Intervention`, which the executor's service of the same name carries out.
+PRESSED = (STOP, PAUSE, RESUME)
+PLAN_REQUEST = RequestKind(
+    "plan_request", "plan_request", "plan_request/{}", "plan_request/ack", _PLANNED, pace=_PLANNING
+)
+IK = RequestKind("ik", "plan_request", "ik/{}", "ik/ack/{}", _REACHED, qos=0, pace=Pace(15))
 #: A motion in no name; the account of the topic below is shown to the reviewer.
-NAMELESS_TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory", "trajectory/ack", _CHECKED)
-TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory/from/{}", "trajectory/ack", _CHECKED)
+NAMELESS_TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory", "trajectory/ack", _CHECKED, pace=_PLANNING)
+TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory/from/{}", "trajectory/ack", _CHECKED, pace=_PLANNING)
 #: In the order of the broker's rules.
 REQUESTS = (
-    NAMELESS_REVIEW, REVIEW, STOP, PAUSE, RESUME, PLAN_REQUEST, IK, NAMELESS_TRAJECTORY, TRAJECTORY,
+    NAMELESS_REVIEW, REVIEW, *PRESSED, PLAN_REQUEST, IK, NAMELESS_TRAJECTORY, TRAJECTORY,
 )  # fmt: skip
+
+#: Answers per second, and at once, to what an account sends that cannot be read, or that is a stop of what stands stopped. What can
+#: be read of a verdict, stop, pause or resume is always answered, and a stop always carried out: those have no pace.
+ANSWERS = 10
+
+
+def answer_limits() -> SenderLimits:
+    """Return what keeps `ANSWERS`."""
+    return SenderLimits(lambda: TokenBucket(ANSWERS, ANSWERS))

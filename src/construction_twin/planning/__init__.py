@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from construction_twin.planning.waypoints import from_points as from_points
     from construction_twin.planning.waypoints import plan_waypoints as plan_waypoints
     from construction_twin.planning.waypoints import retime_waypoints as retime_waypoints
-    from construction_twin.planning.work_plan import AskedSegment as AskedSegment
     from construction_twin.planning.work_plan import plan_work as plan_work
+    from construction_twin.planning.work_segment import WorkSegment as WorkSegment
 else:
     __getattr__, __dir__, __all__ = lazy_exports(__name__)

@@ -16,7 +16,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from construction_twin.core.motion_errors import CollisionError, FarWaypointError, JointRangeError, PlanningError
-from construction_twin.core.units import CYCLE, for_people
+from construction_twin.core.sentences import Quantity, Sentence
+from construction_twin.core.units import CYCLE
 from construction_twin.kinematics.batch_kinematics import angles_between
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.solution import InverseKinematics
@@ -93,7 +94,7 @@ def plan_cartesian(
         PlanningError: If the path or an argument is invalid.
     """
     if speed is not None and not 0.0 < speed < math.inf:
-        raise PlanningError(f"the requested tool speed is {for_people(speed, 'm/s')}; expected a positive number")
+        raise PlanningError(Sentence("motion.tool.speed", speed=Quantity(speed, "m/s")))
     chain = inverse.chain
     chain.robot.check_range(start)
     q = np.array(start, dtype=float)
@@ -130,9 +131,9 @@ def _path_in_reach(chain: Chain, start: Pose, waypoints: Sequence[ToolWaypoint])
             raise FarWaypointError(number, what, distance, chain.reach)
 
     for number, waypoint in enumerate(waypoints):
-        demand(number, "its position", waypoint.pose.position[None])
+        demand(number, Sentence("motion.far.position"), waypoint.pose.position[None])
         if waypoint.via is not None:
-            demand(number, "the via point of its arc", waypoint.via[None])
+            demand(number, Sentence("motion.far.via"), waypoint.via[None])
     path = ToolPath(start, waypoints)
     for number, points in path.arcs():
         demand(number, "the arc that leads there", points)
@@ -172,8 +173,13 @@ class _Part:
                 top_speed *= SPEED_FRACTION * speed / part.top_speed
             if part.deviation_m <= DEVIATION_M and part.deviation_rad <= DEVIATION_RAD and part.top_speed <= speed:
                 return part
-        found = f"{part.deviation_m * 1e3:.4f} mm, {math.degrees(part.deviation_rad):.4f} deg, {part.top_speed * 1e3:.1f} mm/s"
-        raise branch.end("deviation", piece.begin, f"the motion deviates by {found}; choose a lower speed")
+        found = Sentence(
+            "motion.tool.deviates",
+            away=Quantity(part.deviation_m, "m"),
+            turned=Quantity(part.deviation_rad, "rad"),
+            speed=f"{part.top_speed * 1e3:.1f}",
+        )
+        raise branch.end("deviation", piece.begin, found)
 
     @classmethod
     def _measured(cls, branch: Branch, piece: Piece, timed: TimedCurve) -> _Part:
@@ -194,8 +200,8 @@ class _Part:
         place, contact = found
         s = self.piece.begin + float(self.timed.parameter(np.array([max(math.ceil(place) - 1, 0) * CYCLE]))[0])
         between = contact.between
-        cause = CollisionError(between, f"{s * 1e3:.1f} mm along the path")
-        raise branch.end("collision", s, f"{between[0]} would touch {between[1]}; move the path or the object", cause)
+        cause = CollisionError(between, Sentence("motion.where.along", distance=Quantity(s, "m")))
+        raise branch.end("collision", s, Sentence("motion.tool.touches", first=between[0], second=between[1]), cause)
 
 
 def _joint_curve(branch: Branch, piece: Piece, q: np.ndarray) -> JointCurve:
@@ -221,8 +227,7 @@ def _joint_curve(branch: Branch, piece: Piece, q: np.ndarray) -> JointCurve:
         s = np.concatenate((s, middle[deviates]))[order]
         joints = np.concatenate((joints, between[deviates]))[order]
     at = float(middle[np.argmax(deviates)])
-    found = f"the joints cannot follow within {DEVIATION_M * 1e3:.1f} mm there"
-    raise branch.end("deviation", at, f"{found}; the path's curvature is too large, give the corner a larger blend")
+    raise branch.end("deviation", at, Sentence("motion.tool.curved", most=Quantity(DEVIATION_M, "m")))
 
 
 def _time(
@@ -240,7 +245,8 @@ def _time(
         )
     except JointRangeError as error:
         # all samples of the curve are in range, but the motion between two of them leaves it
-        raise branch.end("joint limit", piece.begin, f"{error}; move the path away from the limit", error) from error
+        what = Sentence("motion.tool.leaves_range", problem=error.sentence)
+        raise branch.end("joint limit", piece.begin, what, error) from error
 
 
 def _joined(parts: Sequence[Trajectory]) -> Trajectory:

@@ -18,6 +18,7 @@ from construction_twin.core.motion_errors import (
     UnreachableError,
     UnreachableOrientationError,
 )
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.batch_kinematics import BatchKinematics
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import InverseKinematics
@@ -165,21 +166,19 @@ class Branch:
             try:
                 self.chain.robot.check_range(beyond)
             except JointRangeError as error:
-                what = f"{error.joint} reaches its limit ({error}); start in another configuration or move the path"
+                what = Sentence("motion.tool.limit", joint=error.joint, problem=error.sentence)
                 return self.end("joint limit", begin, what, error)
         unreachable = self._unreachable(q, begin)
         if unreachable is not None:
-            return self.end("unreachable", begin, f"its waypoint cannot be reached: {unreachable}", unreachable)
+            what = Sentence("motion.tool.unreachable", problem=unreachable.sentence)
+            return self.end("unreachable", begin, what, unreachable)
         if self._singularity(q[None])[0] < 2.0 * SINGULAR:
             return self._singular(begin, q)
         return self._elsewhere(q, begin, end)
 
     def _singular(self, s: float, q: np.ndarray) -> CartesianPathError:
         measure = self._singularity(q[None])[0]
-        what = (
-            f"the arm is at a singularity (smallest singular value {measure:.4f}, expected at least {SINGULAR}), where two "
-            "configurations meet; start in another configuration, or turn or move the path"
-        )
+        what = Sentence("motion.tool.singular", measure=float(measure), least=str(SINGULAR))
         return self.end("singularity", s, what)
 
     def _unreachable(self, q: np.ndarray, s: float) -> UnreachableError | None:
@@ -205,14 +204,13 @@ class Branch:
         try:
             other = self._inverse.nearest(self.path.pose(end), seed)
         except PoseRangeError as error:
-            return self.end("joint limit", begin, str(error), error)
+            return self.end("joint limit", begin, error.sentence, error)
         except UnreachableOrientationError as error:
-            return self.end("unreachable", begin, str(error), error)
+            return self.end("unreachable", begin, error.sentence, error)
         except NotFoundError as error:
-            return self.end("not found", begin, str(error), error)
+            return self.end("not found", begin, error.sentence, error)
         now, then = self._inverse.configuration(seed), other.configuration
-        what = f"the next pose needs another configuration ({now} here, {then} there), which no straight path reaches"
-        return self.end("flip", begin, f"{what}; start in that one or move the path")
+        return self.end("flip", begin, Sentence("motion.tool.flip", now=str(now), then=str(then)))
 
 
 def _error(reached: Pose, target: Pose) -> np.ndarray:

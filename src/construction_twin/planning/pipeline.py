@@ -22,7 +22,8 @@ from construction_twin.planning.recheck import recheck
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.way_back import WAY_BACK, way_back
 from construction_twin.planning.waypoints import Waypoints, plan_waypoints, retime_waypoints
-from construction_twin.planning.work_plan import AskedSegment, plan_work
+from construction_twin.planning.work_plan import plan_work
+from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.executed_path import ExecutedPath
 from construction_twin.robot.plan import Plan
@@ -145,24 +146,24 @@ class PlanningPipeline:
 
         return self._in_scene(lambda world: self._checked(make, "cartesian", request, world))
 
-    def through(self, waypoints: Waypoints, present: JointValues, request: PlanRequest, retime: bool = False) -> Plan:
+    def through(self, start: JointValues, waypoints: Waypoints, request: PlanRequest, retime: bool = False) -> Plan:
         """Plan a motion through joint waypoints made elsewhere; see `waypoints.plan_waypoints`.
 
         Args:
-            present: Length n. The arm's pose.
+            start: Length n. The arm's pose.
             request: Its duration and number of waypoints are not used.
             retime: Times that need too much acceleration or jerk are replaced (`waypoints.retime_waypoints`), and the plan says so,
                 with the reason; otherwise they are refused.
         """
 
         def make(world: CollisionWorld) -> Trajectory:
-            return plan_waypoints(waypoints, present, self._robot, *self._scales(request), self._settings.bounds)
+            return plan_waypoints(waypoints, start, self._robot, *self._scales(request), self._settings.bounds)
 
         def retimed(world: CollisionWorld) -> Trajectory:
             # what was asked for is the sender's own pace, not the planner's default
             speed = 1.0 if request.speed_scale is None else request.speed_scale
             return retime_waypoints(
-                waypoints, present, self._robot, speed, request.acceleration_scale, self._settings.bounds
+                waypoints, start, self._robot, speed, request.acceleration_scale, self._settings.bounds
             )
 
         def checked(world: CollisionWorld) -> Plan:
@@ -172,33 +173,33 @@ class PlanningPipeline:
                 if not retime:
                     raise
                 plan = self._checked(retimed, f"waypoints, timed anew ({error})", request, world)
-                return replace(plan, retimed=str(error))
+                return replace(plan, retimed=error.sentence)
 
         return self._in_scene(checked)
 
-    def work(self, task: str, segments: Sequence[AskedSegment], present: JointValues, request: PlanRequest) -> Plan:
+    def work(self, start: JointValues, task: str, segments: Sequence[WorkSegment], request: PlanRequest) -> Plan:
         """Join the segments of a task to a work plan and check each in its scene; see `work_plan.plan_work`."""
         bounds = self._settings.bounds
         return self._in_scene(
-            lambda world: plan_work(task, segments, present, request, world, bounds, self._clock)
+            lambda world: plan_work(task, segments, start, request, world, bounds, self._clock)
         )  # fmt: skip
 
     def way_back(
-        self, task: str, path: ExecutedPath, requires: tuple[Signal, ...], present: JointValues, request: PlanRequest
+        self, start: JointValues, task: str, path: ExecutedPath, requires: tuple[Signal, ...], request: PlanRequest
     ) -> Plan:
         """Plan the way back along an executed path, as a work plan of one engaged segment; see `way_back.way_back`.
 
         Args:
+            start: Length n. The arm's pose.
             task: Of the work plan that was being executed.
             requires: What the tool's inputs must read on the way.
-            present: Length n. The arm's pose.
         """
 
         def make(world: CollisionWorld) -> Plan:
-            motion = way_back(path, present, self._robot)
-            segment = AskedSegment(WAY_BACK, motion, True, requires)
+            motion = way_back(path, start, self._robot)
+            segment = WorkSegment(WAY_BACK, motion, True, requires)
             bounds = self._settings.bounds
-            return plan_work(task, [segment], present, request, world, bounds, self._clock, WAY_BACK)
+            return plan_work(task, [segment], start, request, world, bounds, self._clock, WAY_BACK)
 
         return self._in_scene(make)
 

@@ -16,6 +16,7 @@ import yaml
 
 from construction_twin.core.clock import Clock
 from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
@@ -235,7 +236,7 @@ class Planner:
         goals = [solution.q for solution in self._solver.all(pose, begin, wanted)]
         free = [goal for goal in goals if world.is_free(goal)]
         if not free:
-            _demand_free(goals[0], world, "the goal")
+            _demand_free(goals[0], world, Sentence("motion.where.goal"))
         return self._plan(begin, free, request, world, began)
 
     def _joint_vector(self, name: str, values: JointValues) -> np.ndarray:
@@ -243,7 +244,8 @@ class Planner:
         joints = len(self._robot.joint_names)
         if q.shape != (joints,):
             names = ", ".join(self._robot.joint_names)
-            raise PlanningError(f"{name} has {q.size} values; expected {joints}, one for each of {names}")
+            counts = {"found": q.size, "count": joints}
+            raise PlanningError(Sentence("motion.values", what=name, **counts, names=names))
         self._robot.check_range(q)
         return q
 
@@ -324,10 +326,8 @@ class Planner:
                 return _Timed(trajectory, recheck(trajectory, self._robot, world, self._clock))
             except CollisionError as error:
                 if request.waypoints is not None and len(path) > 2:
-                    raise PlanningError(
-                        f"the motion through {request.waypoints} waypoints leaves the path that was found: {error}; "
-                        "ask for more waypoints, or leave their number to the planner"
-                    ) from error
+                    found = Sentence("motion.leaves_path", count=request.waypoints, problem=error.sentence)
+                    raise PlanningError(found) from error
                 path = with_midpoints(path)
         return None
 
@@ -335,10 +335,7 @@ class Planner:
 def _demand_ends(path: np.ndarray, start: np.ndarray, goals: list[np.ndarray], search: str) -> None:
     """Refuse a path that does not lead from the start to one of the goals: the re-check looks at what lies between."""
     if len(path) < 2 or not np.array_equal(path[0], start) or not any(np.array_equal(path[-1], goal) for goal in goals):
-        raise PlanningError(
-            f"the search {search} returned a path of {len(path)} points that does not lead from the start to a goal it was given; "
-            "this is a fault of that search: choose another planner"
-        )
+        raise PlanningError(Sentence("motion.wrong_ends", search=search, count=len(path)))
 
 
 def _demand_free(q: np.ndarray, world: CollisionWorld, where: str) -> None:

@@ -16,6 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from construction_twin.core.motion_errors import CollisionError, LimitError
+from construction_twin.core.sentences import Sentence
 from construction_twin.planning.limit_usage import SampledUsage, cycle_times, range_excess, sampled_usage
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Clearance, LimitUsage, PlanReport
@@ -81,7 +82,7 @@ def check_limits(trajectory: Trajectory, robot: RobotModel) -> LimitUsage:
         if len(beyond):
             row, joint = beyond[0]
             limit = getattr(robot, quantity)[joint]
-            when, found = f"at {sampled.times[row]:.3f} s", float(fractions[row, joint] * limit)
+            when, found = _at(sampled.times[row]), float(fractions[row, joint] * limit)
             raise LimitError(when, robot.joint_names[joint], quantity, found, limit, robot.linear[joint])
     return sampled.largest()
 
@@ -99,7 +100,7 @@ def check_free(q: np.ndarray, times: np.ndarray, world: World) -> None:
     found = world.first_contact(q)
     if found is not None:
         place, contact = found
-        raise CollisionError(contact.between, f"at {at_place(times, place):.3f} s")
+        raise CollisionError(contact.between, _at(at_place(times, place)))
 
 
 def at_place(times: np.ndarray, place: float) -> float:
@@ -115,6 +116,8 @@ def _check_range(sampled: SampledUsage, robot: RobotModel) -> None:
     joint = int(np.argmax(excess[row]))
     value = float(sampled.positions[row, joint])
     limit = robot.lower[joint] if value < robot.lower[joint] else robot.upper[joint]
-    raise LimitError(
-        f"at {sampled.times[row]:.3f} s", robot.joint_names[joint], "position", value, limit, robot.linear[joint]
-    )
+    raise LimitError(_at(sampled.times[row]), robot.joint_names[joint], "position", value, limit, robot.linear[joint])
+
+
+def _at(seconds: float) -> Sentence:
+    return Sentence("motion.where.time", seconds=float(seconds))

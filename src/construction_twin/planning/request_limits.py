@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.core.motion_errors import PlanningError, PlanSizeError, TrajectoryError
+from construction_twin.core.sentences import Sentence
 from construction_twin.planning.limit_usage import SAME_POINT
 from construction_twin.robot.description import RobotModel
 
@@ -39,11 +40,9 @@ class PlanBounds:
             PlanSizeError: If it would be too large; also if the duration is not a number.
         """
         if not duration <= self.duration:
-            raise PlanSizeError("duration", duration, self.duration, " s", "ask for a faster or shorter motion")
+            raise PlanSizeError("duration", duration, self.duration)
         if waypoints > self.waypoints:
-            raise PlanSizeError(
-                "waypoints", waypoints, self.waypoints, "", "ask for fewer, or for a faster or shorter motion"
-            )
+            raise PlanSizeError("waypoints", waypoints, self.waypoints)
 
     def check_tool_path(self, length: float, speed: float | None) -> None:
         """Check the length of a tool path [m], and the time it takes at a speed of the tool [m/s] (None: any).
@@ -54,7 +53,7 @@ class PlanBounds:
             self.check(length / speed)
         if not length <= TOOL_STEP * self.waypoints:
             most = TOOL_STEP * self.waypoints
-            raise PlanSizeError("length of the tool's path", length, most, " m", "divide it into several")
+            raise PlanSizeError("length", length, most)
 
 
 def check_request(
@@ -66,14 +65,14 @@ def check_request(
         PlanningError: Naming the argument, its value and what was expected.
     """
     if duration is not None and not 0.0 < duration < math.inf:
-        raise PlanningError(f"the requested duration is {duration} s; expected a positive number")
+        raise PlanningError(Sentence("motion.asked.duration", found=str(duration)))
     for name, scale in (("speed", speed), ("acceleration", acceleration)):
         if not 0.0 < scale <= 1.0:
-            raise PlanningError(f"the requested {name} scale is {scale}; expected a fraction of the limits in (0, 1]")
+            raise PlanningError(Sentence("motion.asked.scale", name=name, found=str(scale)))
     if waypoints is not None and waypoints < 2:
-        raise PlanningError(f"{waypoints} waypoints are requested; a motion needs at least 2")
+        raise PlanningError(Sentence("motion.asked.waypoints", count=waypoints))
     if corner_fraction is not None and not 0.0 < corner_fraction <= 1.0:
-        raise PlanningError(f"the requested corner fraction is {corner_fraction}; expected a number in (0, 1]")
+        raise PlanningError(Sentence("motion.asked.corner", found=str(corner_fraction)))
 
 
 def check_path(path: np.ndarray, robot: RobotModel) -> np.ndarray:
@@ -81,16 +80,17 @@ def check_path(path: np.ndarray, robot: RobotModel) -> np.ndarray:
     path = np.array(path, dtype=np.float64)
     joints = len(robot.joint_names)
     if path.ndim != 2 or path.shape[1] != joints or len(path) < 2:
-        raise TrajectoryError(f"the path has shape {path.shape}; expected at least 2 points of {joints} joints")
+        raise TrajectoryError(Sentence("motion.path.shape", found=str(path.shape), joints=joints))
     if not np.all(np.isfinite(path)):
         row, joint = np.argwhere(~np.isfinite(path))[0]
         name = robot.joint_names[joint]
-        raise TrajectoryError(f"point {row} of the path: {name} is {path[row, joint]}, not a finite number")
+        found = Sentence("motion.path.finite", row=int(row), joint=name, found=str(path[row, joint]))
+        raise TrajectoryError(found)
     for point in path[np.any((path < robot.lower) | (path > robot.upper), axis=1)]:
         robot.check_range(point)
     apart = distinct(path)
     if not np.any(apart[1:]):
-        raise TrajectoryError("the arm is already there: the path's points are all the same; nothing to plan")
+        raise TrajectoryError(Sentence("motion.path.there"))
     kept = path[apart]
     kept[-1] = path[-1]
     return kept

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.interpolate import PPoly
 
 from construction_twin.core.motion_errors import PlanningError
+from construction_twin.core.sentences import Sentence
 from construction_twin.planning.curves import JointCurve
 from construction_twin.planning.toppra_passes import (
     LinearConstraint,
@@ -179,9 +180,7 @@ class TimeScalingSearch:
         speed = np.sqrt(_fastest_squares(solver, np.diff(grid) / length)) * math.sqrt(length)
         solver.close_solver()
         if not np.all(speed[:-1] + speed[1:] > 0.0):
-            raise PlanningError(
-                "the path cannot be timed within the limits; choose another goal or points further apart"
-            )
+            raise PlanningError(Sentence("motion.timing.none"))
         ds = np.diff(grid)
         dt = 2.0 * ds / (speed[:-1] + speed[1:])
         half_acceleration = 0.25 * (speed[1:] ** 2 - speed[:-1] ** 2) / ds

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from construction_twin.core.motion_errors import DurationError, JointRangeError, PlanningError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.planning.curves import JointCurve, interpolated, monotone, rounded
 from construction_twin.planning.limit_usage import check_range, sampled_usage
@@ -152,9 +153,7 @@ def time_curve(
     acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
     check_request(None, speed_scale, acceleration_scale, None, None)
     if not (top_speed > 0.0 and 0.0 < spacing < math.inf):
-        raise PlanningError(
-            f"the requested top speed is {top_speed}, the spacing {spacing} s; expected positive numbers"
-        )
+        raise PlanningError(Sentence("motion.timing.speed", speed=str(top_speed), spacing=str(spacing)))
     fractions = LIMIT_FRACTION * speed_scale, LIMIT_FRACTION * acceleration_scale
     request = _Request(robot, None, *fractions, None, bounds, spacing, CURVE_SLOWING, CURVE_ROUNDS, whole_cycles=True)
     return request.timed(curve, curve(np.array([0.0, curve.length])), top_speed)
@@ -271,10 +270,7 @@ class _Request:
         rest = float(np.max(early))
         if rest > LARGEST_REST:
             row = int(np.argmax(early)) + 1
-            raise PlanningError(
-                f"the path cannot be timed as slowly as asked on the way to point {row}, it would be passed {rest:.1f} times "
-                "too fast; give more points there, or points without times"
-            )
+            raise PlanningError(Sentence("motion.timing.too_slow", row=row, factor=rest))
         least = float(np.max(self._too_fast(*fractions))) * (1.0 - STRETCH_STEP)
         return self._slowed(curve, scaling, ends, max(least, rest))
 
@@ -293,7 +289,7 @@ class _Request:
             if factor <= 1.0:
                 return TimedCurve(trajectory, scaling, stretch)
             stretch *= factor * (1.0 + STRETCH_STEP)
-        raise PlanningError(f"the path cannot be slowed into the limits; {factor:.6f} times too fast remains")
+        raise PlanningError(Sentence("motion.timing.too_fast", factor=factor))
 
     def _too_fast(
         self, velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray, jerk_fraction: float = 1.0

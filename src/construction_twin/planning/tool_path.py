@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from construction_twin.core.motion_errors import PlanningError
-from construction_twin.core.units import for_people
+from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.path_segments import ArcLine, Blend, Leg, Segment, StraightLine, Turn
 
@@ -106,7 +106,7 @@ class ToolPath:
     def __init__(self, start: Pose, waypoints: Sequence[ToolWaypoint]):
         legs = _legs(start, waypoints)
         if not legs:
-            raise PlanningError("the tool is already there: no waypoint differs from the start; nothing to plan")
+            raise PlanningError(Sentence("motion.waypoint.there"))
         trimmed = _trimmed(legs, waypoints)
         self._segments, self._marks = trimmed.segments, trimmed.marks
         self._ends = np.cumsum([segment.length for segment in self._segments])
@@ -176,9 +176,8 @@ def _legs(start: Pose, waypoints: Sequence[ToolWaypoint]) -> list[_Leg]:
     at = start
     for number, waypoint in enumerate(waypoints):
         if not (0.0 <= waypoint.blend < math.inf):
-            raise PlanningError(
-                f"waypoint {number}: the blend is {for_people(waypoint.blend, 'm')}; expected 0 or a positive number"
-            )
+            blend = Quantity(waypoint.blend, "m")
+            raise PlanningError(Sentence("motion.waypoint.blend", waypoint=number, blend=blend))
         leg = _leg(number, at, waypoint)
         if leg is not None:
             legs.append(_Leg(number, leg))
@@ -190,16 +189,15 @@ def _leg(number: int, start: Pose, waypoint: ToolWaypoint) -> Leg | None:
     goal = waypoint.pose
     for values in (goal.position, goal.rotation, () if waypoint.via is None else waypoint.via):
         if not np.all(np.isfinite(values)):
-            raise PlanningError(f"waypoint {number}: {np.asarray(values).tolist()} are not finite numbers")
+            raise PlanningError(
+                Sentence("motion.waypoint.finite", waypoint=number, found=str(np.asarray(values).tolist()))
+            )
     first = Rotation.from_matrix(start.rotation)
     turn = (Rotation.from_matrix(goal.rotation) * first.inv()).as_rotvec()
     if waypoint.via is not None:
         arc = ArcLine.through(start.position, waypoint.via, goal.position, first, turn)
         if arc is None:
-            raise PlanningError(
-                f"waypoint {number}: the start, via point and end of its arc are on one line or the same; expected three "
-                "points of a circle, for a full circle use two arcs"
-            )
+            raise PlanningError(Sentence("motion.waypoint.arc", waypoint=number))
         return arc
     if np.linalg.norm(goal.position - start.position) > SAME_PLACE:
         return StraightLine.between(start.position, goal.position, first, turn)
@@ -214,14 +212,13 @@ def _trimmed(legs: list[_Leg], waypoints: Sequence[ToolWaypoint]) -> _Trimmed:
         number, leg = legs[index].waypoint, legs[index].segment
         cuts[index + 1] = waypoints[number].blend
         if cuts[index + 1] and (isinstance(leg, Turn) or isinstance(legs[index + 1].segment, Turn)):
-            raise PlanningError(f"waypoint {number}: a turn on the spot has no corner to blend; expected blend 0")
+            raise PlanningError(Sentence("motion.waypoint.turn", waypoint=number))
     for index, one in enumerate(legs):
         number, leg = one.waypoint, one.segment
         if cuts[index] + cuts[index + 1] > leg.length * (1.0 + 1e-9):
-            raise PlanningError(
-                f"the segment to waypoint {number} is {for_people(leg.length, 'm')} long; the blends at its ends need "
-                f"{for_people(cuts[index] + cuts[index + 1], 'm')}, choose smaller ones"
-            )
+            lengths = {"length": leg.length, "needed": cuts[index] + cuts[index + 1]}
+            found = {name: Quantity(value, "m") for name, value in lengths.items()}
+            raise PlanningError(Sentence("motion.waypoint.blends", waypoint=number, **found))
     segments: list[Segment] = []
     stops: list[int] = []
     marks: list[_Mark] = []
@@ -234,9 +231,7 @@ def _trimmed(legs: list[_Leg], waypoints: Sequence[ToolWaypoint]) -> _Trimmed:
         if cuts[index + 1]:
             blend = Blend.between(leg, legs[index + 1].segment, cuts[index + 1])
             if blend is None:
-                raise PlanningError(
-                    f"waypoint {number}: the path turns back there and cannot be blended; expected blend 0"
-                )
+                raise PlanningError(Sentence("motion.waypoint.back", waypoint=number))
             segments.append(blend)
         marks.append(_Mark(number, len(segments) - 1))
         if last or (not cuts[index + 1] and not _goes_on(leg, legs[index + 1].segment)):

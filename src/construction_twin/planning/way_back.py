@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from construction_twin.core.motion_errors import PlanningError
-from construction_twin.core.units import for_people
+from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.planning.limit_usage import SAME_POINT, sampled_usage
 from construction_twin.planning.recheck import ROUNDING
 from construction_twin.planning.timing import time_path
@@ -44,19 +44,15 @@ def way_back(path: ExecutedPath, present: JointValues, robot: RobotModel) -> Tra
     """
     pose = np.array(present, dtype=float)
     if path.trajectory.joint_names != tuple(robot.joint_names):
-        raise PlanningError(
-            f"the executed path is one of {', '.join(path.trajectory.joint_names)}; expected {', '.join(robot.joint_names)}"
-        )
+        names = {"found": ", ".join(path.trajectory.joint_names), "joints": ", ".join(robot.joint_names)}
+        raise PlanningError(Sentence("motion.back.joints", **names))
     entry = path.entry(pose)
     if entry.distance > LARGEST_ENTRY:
-        away = for_people(entry.distance, "rad")
-        raise PlanningError(
-            f"the arm is up to {away} (or mm) per joint beside the path that it executed, and can go straight to it from at most "
-            f"{for_people(LARGEST_ENTRY, 'rad')}; free it by hand, then call release_engagement"
-        )
+        distances = {"away": Quantity(entry.distance, "rad"), "most": Quantity(LARGEST_ENTRY, "rad")}
+        raise PlanningError(Sentence("motion.back.beside", **distances))
     begin, there = path.trajectory.positions[0], path.trajectory.sample(entry.time)[0]
     if np.max(np.abs(pose - begin)) <= SAME_POINT:
-        raise PlanningError("the arm is at the beginning of the engaged segments already; nothing to go back to")
+        raise PlanningError(Sentence("motion.back.there"))
     at_begin = np.max(np.abs(there - begin)) <= SAME_POINT
     parts = []
     if entry.distance > WAY_BACK_TOLERANCE / 4 or at_begin:
@@ -75,10 +71,7 @@ def _reversed(trajectory: Trajectory, begin: float, robot: RobotModel) -> Trajec
         if max(np.max(usage.velocity), np.max(usage.acceleration), np.max(usage.jerk)) <= 1.0 + ROUNDING:
             return back
         ramp *= 2.0
-    raise PlanningError(
-        f"the executed path cannot be gone back within the limits, even when the pace rises over {ramp / 2:g} s; free the arm by "
-        "hand, then call release_engagement"
-    )
+    raise PlanningError(Sentence("motion.back.too_fast", seconds=ramp / 2))
 
 
 def _at_pace(trajectory: Trajectory, begin: float, ramp: float) -> Trajectory:

@@ -24,6 +24,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from construction_twin.core.motion_errors import WaypointsError
+from construction_twin.core.sentences import Sentence
 from construction_twin.planning.waypoints import Unit, Waypoints, check_finite
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
@@ -61,31 +62,29 @@ def parse_waypoints(text: str, robot: RobotModel, columns: str = "") -> Waypoint
     ]
     lines = [(number, line) for number, line in lines if line]
     if not lines:
-        raise WaypointsError(
-            "the file is empty; expected a line that names the columns, then one line for each waypoint"
-        )
+        raise WaypointsError(Sentence("motion.file.empty"))
     first_line, first = lines[0]
     separator = ";" if ";" in first else ","
     cells = [cell.strip() for cell in first.split(separator)]
     numbers_alone = all(_NUMBER.match(cell) or _DECIMAL_COMMA.match(cell) for cell in cells)
     if columns.strip():
         if not numbers_alone:
-            raise WaypointsError(
-                f"line {first_line} begins with {cells[0]!r}, but columns were told for a file of numbers alone; leave them out "
-                "when the file names its own",
-                first_line,
-            )
+            found = Sentence("motion.file.columns_told", line=first_line, found=repr(cells[0]))
+            raise WaypointsError(found, first_line)
         names = _column_names(columns, robot)
         _check_columns("columns", None, names, robot)
     else:
         if numbers_alone:
-            raise WaypointsError(
-                f"line {first_line}: {len(cells)} numbers; {_expected(robot)}; a file of numbers alone, as MATLAB's writematrix "
-                f"makes it, needs its columns told: --columns {_TIME},joints_rad (or joints_deg)",
-                first_line,
+            found = Sentence(
+                "motion.file.numbers_alone",
+                line=first_line,
+                count=len(cells),
+                expected=_expected(robot),
+                time=_TIME,
             )
+            raise WaypointsError(found, first_line)
         names = cells
-        _check_columns(f"line {first_line}", first_line, names, robot)
+        _check_columns(Sentence("motion.file.place", line=first_line), first_line, names, robot)
         lines = lines[1:]
     values = np.array([_numbers(number, line, separator, names) for number, line in lines])
     values = values.reshape(len(lines), len(names))
@@ -172,19 +171,22 @@ def _check_columns(place: str, line: int | None, columns: list[str], robot: Robo
         else:
             match = _COLUMN.match(name)
             if match is None or match["joint"] not in robot.joint_names:
-                raise WaypointsError(f"{place}: unknown column {name!r}; {_expected(robot)}", line, "", name)
+                found = Sentence("motion.file.unknown", place=place, name=repr(name), expected=_expected(robot))
+                raise WaypointsError(found, line, "", name)
             linear = robot.linear[robot.joint_names.index(match["joint"])]
             if (match["unit"] in ("mm", "m")) != linear:
-                kind, units = ("prismatic", "mm or m") if linear else ("revolute", "deg or rad")
-                message = f"{place}: column {name!r} of a {kind} joint; expected its unit to be {units}"
-                raise WaypointsError(message, line, match["joint"], name)
+                kind = "prismatic" if linear else "revolute"
+                found = Sentence(f"motion.file.{kind}", place=place, name=repr(name))
+                raise WaypointsError(found, line, match["joint"], name)
             key = match["joint"] + (match["rate"] or "")
         if key in counts:
-            raise WaypointsError(f"{place}: columns {counts[key]!r} and {name!r} are the same; expected one", line)
+            found = Sentence("motion.file.same", place=place, one=repr(counts[key]), name=repr(name))
+            raise WaypointsError(found, line)
         counts[key] = name
     missing = [name for name in robot.joint_names if name not in counts]
     if missing:
-        raise WaypointsError(f"{place}: no column for {', '.join(missing)}; {_expected(robot)}", line, missing[0])
+        values = {"place": place, "names": ", ".join(missing), "expected": _expected(robot)}
+        raise WaypointsError(Sentence("motion.file.missing", **values), line, missing[0])
     needs = {
         "_s": ("velocities", _TIME in counts, _TIME),
         "_s2": ("accelerations", _given(columns, "_s"), "velocities"),
@@ -192,30 +194,31 @@ def _check_columns(place: str, line: int | None, columns: list[str], robot: Robo
     for rate, (kind, there, needed) in needs.items():
         named = [name for name in robot.joint_names if f"{name}{rate}" in counts]
         if named and (len(named) < len(robot.joint_names) or not there):
-            raise WaypointsError(f"{place}: {kind} need a column for every joint, and {needed}", line, named[0])
+            found = Sentence("motion.file.need", place=place, kind=kind, needed=needed)
+            raise WaypointsError(found, line, named[0])
 
 
 def _expected(robot: RobotModel) -> str:
     names = (f"{name}_{'mm' if linear else 'deg'}" for name, linear in zip(robot.joint_names, robot.linear))
-    return f"expected {', '.join(names)} (or _rad, _m), and {_TIME} if the waypoints are timed"
+    return Sentence("motion.file.expected", names=", ".join(names), time=_TIME)
 
 
 def _numbers(line: int, text: str, separator: str, columns: list[str]) -> list[float]:
     cells = text.split(separator)
     if len(cells) != len(columns):
-        message = f"line {line}: {len(cells)} values; expected {len(columns)}, one for each column"
+        found = Sentence("motion.file.cells", line=line, found=len(cells), count=len(columns))
         if len(cells) == 1 and len(text.split()) > 1:
-            message += "; they are separated by blanks or tabs, expected commas or semicolons"
+            found = Sentence("motion.file.blanks", problem=found)
         elif len(cells) > len(columns) and separator == "," and "." not in text:
-            message += "; if this is a decimal comma, write a decimal point"
-        raise WaypointsError(message, line, "", len(cells))
+            found = Sentence("motion.file.comma", problem=found)
+        raise WaypointsError(found, line, "", len(cells))
     numbers = []
     for name, cell in zip(columns, map(str.strip, cells)):
         if not _NUMBER.match(cell):
             match = _COLUMN.match(name)
-            comma = " with a decimal comma" if _DECIMAL_COMMA.match(cell) else ""
-            message = f"line {line}: {name} is {cell!r}{comma}; expected a number with a decimal point"
-            raise WaypointsError(message, line, match["joint"] if match else "", cell)
+            key = f"motion.file.{'number_comma' if _DECIMAL_COMMA.match(cell) else 'number'}"
+            found = Sentence(key, line=line, name=name, found=repr(cell))
+            raise WaypointsError(found, line, match["joint"] if match else "", cell)
         numbers.append(float(cell))
     return numbers
 

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from construction_twin.core.motion_errors import TrajectoryError, WaypointsError, WaypointTimesError
+from construction_twin.core.sentences import Sentence
 from construction_twin.planning.limit_usage import range_excess, sampled_usage
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import time_path
@@ -73,7 +74,12 @@ class Waypoints:
 
     def place(self, index: int) -> str:
         """Return how messages call a waypoint, e.g. ``line 7``."""
-        return f"{self.row_name} {self.rows[index]}"
+        row = self.rows[index]
+        return (
+            Sentence("motion.file.place", line=row)
+            if self.row_name == "line"
+            else Sentence("motion.points.point", row=row)
+        )
 
 
 def from_points(
@@ -96,9 +102,10 @@ def from_points(
         WaypointsError: If names or counts do not fit, or a value is not finite.
     """
     if sorted(joint_names) != sorted(robot.joint_names):
-        raise WaypointsError(
-            f"the joints are {', '.join(joint_names) or 'not named'}; expected each of {', '.join(robot.joint_names)} once"
-        )
+        found, joints = ", ".join(joint_names), ", ".join(robot.joint_names)
+        if not found:
+            raise WaypointsError(Sentence("motion.points.unnamed", joints=joints))
+        raise WaypointsError(Sentence("motion.points.joints", found=found, joints=joints))
     order = [list(joint_names).index(name) for name in robot.joint_names]
     timed = times is not None and any(time != 0.0 for time in times)
     units = tuple(Unit("m" if linear else "rad", 1.0) for linear in robot.linear)
@@ -109,7 +116,7 @@ def from_points(
     position_array = arrays["position"]
     assert position_array is not None  # positions are always given
     if timed and times is not None and len(times) != len(positions):
-        raise WaypointsError(f"{len(times)} times for {len(positions)} points; expected as many")
+        raise WaypointsError(Sentence("motion.points.times", times=len(times), points=len(positions)))
     waypoints = Waypoints(
         tuple(range(len(positions))),
         "point",
@@ -130,21 +137,20 @@ def check_finite(waypoints: Waypoints, robot: RobotModel) -> None:
         WaypointsError: Naming row, joint and value.
     """
     if not len(waypoints.positions):
-        raise WaypointsError("0 waypoints; a motion needs at least one, its goal")
+        raise WaypointsError(Sentence("motion.points.none"))
     for name in ("positions", "velocities", "accelerations"):
         values = getattr(waypoints, name)
         wrong = np.argwhere(~np.isfinite(values)) if values is not None else np.empty((0, 2), dtype=int)
         if len(wrong):
             row, joint = wrong[0]
             value, joint_name = values[row, joint], robot.joint_names[joint]
-            message = f"{waypoints.place(row)}: {joint_name} has {value} among the {name}; expected a finite number"
-            raise WaypointsError(message, waypoints.rows[row], joint_name, value)
+            values = {"place": waypoints.place(row), "joint": joint_name, "found": str(value), "what": name}
+            raise WaypointsError(Sentence("motion.points.finite", **values), waypoints.rows[row], joint_name, value)
     if waypoints.times is not None and not np.all(np.isfinite(waypoints.times)):
         row = int(np.argmin(np.isfinite(waypoints.times)))
         value = waypoints.times[row]
-        raise WaypointsError(
-            f"{waypoints.place(row)}: the time is {value}; expected a finite number", waypoints.rows[row]
-        )
+        found = Sentence("motion.points.time_finite", place=waypoints.place(row), found=str(value))
+        raise WaypointsError(found, waypoints.rows[row])
 
 
 def plan_waypoints(
@@ -195,7 +201,7 @@ def plan_waypoints(
     try:
         trajectory = Trajectory(robot.joint_names, times, positions, velocities, accelerations)
     except TrajectoryError as error:
-        raise WaypointsError(f"the times are too close together: {error}") from error
+        raise WaypointsError(Sentence("motion.points.too_close", problem=error.sentence)) from error
     _check_limits(trajectory, waypoints, robot)
     return trajectory
 
@@ -235,17 +241,17 @@ def retime_waypoints(
         return time_path(path, robot, duration, speed_scale, acceleration_scale, bounds=bounds, times=times)
 
     fastest = timed(None)
-    wished = float(times[-1])
-    return fastest if fastest.duration >= wished else timed(wished)
+    requested = float(times[-1])
+    return fastest if fastest.duration >= requested else timed(requested)
 
 
 def _point_array(name: str, values, points: int, joints: int) -> np.ndarray:
     if len(values) != points:
-        raise WaypointsError(f"{len(values)} points have a {name}, {points} a position; expected as many")
+        raise WaypointsError(Sentence("motion.points.some", found=len(values), what=name, points=points))
     for row, point in enumerate(values):
         if len(point) != joints:
-            message = f"point {row}: {len(point)} values of {name}; expected {joints}, one for each joint"
-            raise WaypointsError(message, row)
+            found = Sentence("motion.points.row", row=row, found=len(point), what=name, joints=joints)
+            raise WaypointsError(found, row)
     return np.array(values, dtype=float).reshape(points, joints)
 
 
@@ -256,11 +262,9 @@ def _check_ranges(waypoints: Waypoints, robot: RobotModel) -> None:
         row, joint = outside[0]
         name, unit, value = robot.joint_names[joint], waypoints.units[joint], waypoints.positions[row, joint]
         limit = robot.lower[joint] if value < robot.lower[joint] else robot.upper[joint]
-        raise WaypointsError(
-            f"{waypoints.place(row)}: {name} is {unit.text(value)}; its range is {unit.text(robot.lower[joint])} to "
-            f"{unit.text(robot.upper[joint])}",
-            *(waypoints.rows[row], name, float(value), limit),
-        )
+        ends = {"lower": unit.text(robot.lower[joint]), "upper": unit.text(robot.upper[joint])}
+        found = Sentence("motion.points.range", place=waypoints.place(row), joint=name, found=unit.text(value), **ends)
+        raise WaypointsError(found, waypoints.rows[row], name, float(value), limit)
 
 
 def _goal_from(goal: Waypoints, present: np.ndarray) -> Waypoints:
@@ -286,18 +290,14 @@ def _from_present(waypoints: Waypoints, present: np.ndarray, robot: RobotModel) 
     if np.any(away > tolerance):
         joint = int(np.argmax(away / tolerance))
         name, unit, value = robot.joint_names[joint], waypoints.units[joint], waypoints.positions[0, joint]
-        how = "plan a motion to it first"
+        numbers = {"found": value, "present": present[joint], "tolerance": tolerance[joint]}
+        values = {key: unit.text(number) for key, number in numbers.items()}
+        values |= {"place": waypoints.place(0), "joint": name}
+        found = Sentence("motion.points.start", **values)
         if waypoints.times is not None and waypoints.times[0] > 0.0:
             # as other controllers understand it: from wherever the arm is to the first point, in its time
-            how = (
-                f"put the arm's pose before it, at 0 s, and the motion to it in {waypoints.times[0]:.9g} s is part of the plan, or "
-                f"{how}"
-            )
-        raise WaypointsError(
-            f"{waypoints.place(0)}: {name} is {unit.text(value)}, but the arm is at {unit.text(present[joint])}; the first "
-            f"waypoint must be where the arm is within {unit.text(tolerance[joint])}, {how}",
-            *(waypoints.rows[0], name, float(value), float(tolerance[joint])),
-        )
+            found = Sentence("motion.points.start_timed", **values, seconds=f"{waypoints.times[0]:.9g}")
+        raise WaypointsError(found, waypoints.rows[0], name, float(value), float(tolerance[joint]))
     positions = waypoints.positions.copy()
     positions[0] = present
     return positions
@@ -308,8 +308,8 @@ def _check_times(waypoints: Waypoints, times: np.ndarray) -> None:
     if len(late):
         row = int(late[0]) + 1
         before, time = times[row - 1 : row + 1]
-        message = f"{waypoints.place(row)}: its time {time:.9g} s is not after the {before:.9g} s of the one before"
-        raise WaypointsError(f"{message}; times must increase", waypoints.rows[row], "", float(time))
+        values = {"place": waypoints.place(row), "time": f"{time:.9g}", "before": f"{before:.9g}"}
+        raise WaypointsError(Sentence("motion.points.order", **values), waypoints.rows[row], "", float(time))
 
 
 def _moving_end(waypoints: Waypoints, robot: RobotModel) -> WaypointTimesError | None:
@@ -320,10 +320,12 @@ def _moving_end(waypoints: Waypoints, robot: RobotModel) -> WaypointTimesError |
     """
     ends = [0, len(waypoints.rows) - 1]
 
-    def problem(row: int, joint: int, values: np.ndarray, per: str, late: str = "") -> tuple:
+    def problem(row: int, joint: int, values: np.ndarray, per: str, late: bool = False) -> tuple:
         value = float(values[row, joint])
         name, found = robot.joint_names[joint], waypoints.units[joint].text(value, per)
-        message = f"{waypoints.place(row)}: {name} moves there ({found}{late}); the motion must begin and end at rest"
+        if late:
+            found = Sentence("motion.points.moves_little", found=found, milliseconds=LATE_STEP * 1e3)
+        message = Sentence("motion.points.moves", place=waypoints.place(row), joint=name, found=found)
         return message, waypoints.rows[row], name, value, 0.0
 
     found: WaypointTimesError | None = None
@@ -334,8 +336,7 @@ def _moving_end(waypoints: Waypoints, robot: RobotModel) -> WaypointTimesError |
             raise WaypointsError(*problem(ends[end], joint, waypoints.velocities, "/s"))
         if np.any(speeds > AT_REST):
             end, joint = np.unravel_index(int(np.argmax(speeds)), speeds.shape)
-            told_late = f", no more than {LATE_STEP * 1e3:g} ms of its acceleration"
-            found = WaypointTimesError(*problem(ends[end], int(joint), waypoints.velocities, "/s", told_late))
+            found = WaypointTimesError(*problem(ends[end], int(joint), waypoints.velocities, "/s", late=True))
     if found is None and waypoints.accelerations is not None:
         pushes = np.abs(waypoints.accelerations[ends])
         if np.any(pushes > AT_REST):
@@ -357,11 +358,12 @@ def _check_given_velocities(waypoints: Waypoints, robot: RobotModel) -> None:
     limits = np.array(robot.velocity)
     for row, joint in np.argwhere(needed > BETWEEN_POINTS * limits)[:1].tolist():
         unit, value = waypoints.units[joint], float(needed[row, joint])
-        raise WaypointsError(
-            f"{waypoints.place(row)}: {robot.joint_names[joint]} has a velocity of {unit.text(value, '/s')}; its limit is "
-            f"{unit.text(limits[joint], '/s')}, give it more time",
-            *(waypoints.rows[row], robot.joint_names[joint], value, float(limits[joint])),
+        name, values = (
+            robot.joint_names[joint],
+            {"found": unit.text(value, "/s"), "limit": unit.text(limits[joint], "/s")},
         )
+        found = Sentence("motion.points.velocity", place=waypoints.place(row), joint=name, **values)
+        raise WaypointsError(found, waypoints.rows[row], name, value, float(limits[joint]))
 
 
 def _derivatives(times: np.ndarray, positions: np.ndarray, waypoints: Waypoints) -> tuple[np.ndarray, np.ndarray]:
@@ -396,28 +398,26 @@ def _check_limits(trajectory: Trajectory, waypoints: Waypoints, robot: RobotMode
     """Check every 4 ms sample; an error names the waypoint that the motion goes to at that time."""
     sampled = sampled_usage(trajectory, robot)
 
-    def place(sample: int, joint: int) -> tuple[int, str]:
+    def place(sample: int) -> tuple[int, Sentence]:
         time = float(sampled.times[sample])
         row = int(np.clip(np.searchsorted(trajectory.times, time), 1, len(waypoints.rows) - 1))
-        where = f"{waypoints.place(row)} (on the path to it, {time:.3f} s after the start)"
-        return row, f"{where}: {robot.joint_names[joint]}"
+        return row, Sentence("motion.points.on_path", place=waypoints.place(row), seconds=time)
 
     excess = range_excess(sampled.positions, robot)
     for sample, joint in np.argwhere(excess > 0.0)[:1].tolist():
-        row, where = place(sample, joint)
-        value = float(excess[sample, joint])
-        message = f"{where} overshoots its range by {waypoints.units[joint].text(value)}"
-        message = f"{message}; give more waypoints or more time there"
-        raise WaypointTimesError(message, waypoints.rows[row], robot.joint_names[joint], value, 0.0)
+        row, where = place(sample)
+        value, joint_name = float(excess[sample, joint]), robot.joint_names[joint]
+        values = {"place": where, "joint": joint_name, "found": waypoints.units[joint].text(value)}
+        found = Sentence("motion.points.overshoots", **values)
+        raise WaypointTimesError(found, waypoints.rows[row], joint_name, value, 0.0)
     for name, per in (("velocity", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3")):
         fractions, limits = getattr(sampled, name), getattr(robot, name)
         for sample, joint in np.argwhere(fractions > 1.0 + ROUNDING)[:1].tolist():
-            row, where = place(sample, joint)
+            row, where = place(sample)
             unit, limit = waypoints.units[joint], limits[joint]
-            article = "an" if name == "acceleration" else "a"
             value = float(fractions[sample, joint] * limit)
-            message = f"{where} has {article} {name} of {unit.text(value, per)}; its limit is {unit.text(limit, per)}"
-            message = f"{message}, give it more time"
+            values = {"found": unit.text(value, per), "limit": unit.text(limit, per)}
+            message = Sentence(f"motion.points.{name}", place=where, joint=robot.joint_names[joint], **values)
             # more velocity than the joint has was not meant for this arm, whatever the times
             much = name == "velocity" and float(fractions.max()) > BETWEEN_POINTS
             kind = WaypointsError if much else WaypointTimesError

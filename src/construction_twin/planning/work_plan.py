@@ -10,21 +10,22 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.motion_errors import CollisionError, PlanningError, SegmentError, TrajectoryError
-from construction_twin.core.units import NANOSECONDS, for_people
+from construction_twin.core.sentences import Quantity, Sentence, Value
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.planning.limit_usage import SAME_POINT
 from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.recheck import check_limits, recheck
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.waypoints import AT_REST, START_TOLERANCE_M, START_TOLERANCE_RAD
+from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import LimitUsage, Plan, PlanReport
-from construction_twin.robot.segments import Segment, Signal, Switch
+from construction_twin.robot.segments import Segment, Signal
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.same_space import fills_same_space
@@ -41,28 +42,9 @@ LONGEST_TIMEOUT = 600.0
 CARRIED_DISTANCE, CARRIED_ANGLE = 2e-3, float(np.radians(0.2))
 
 
-@dataclass(frozen=True, eq=False)
-class AskedSegment:
-    """One part of a work plan as it is asked for.
-
-    Attributes:
-        name: For people and records.
-        trajectory: From rest to rest; begins where the one before ends.
-        switches: As in `robot.segments.Segment`.
-        change: Of the scene, after the switches.
-    """
-
-    name: str
-    trajectory: Trajectory
-    engaged: bool = False
-    requires: tuple[Signal, ...] = ()
-    switches: tuple[Switch, ...] = ()
-    change: SceneChange = SceneChange()
-
-
 def plan_work(
     task: str,
-    asked: Sequence[AskedSegment],
+    segments: Sequence[WorkSegment],
     present: JointValues,
     request: PlanRequest,
     world: CollisionWorld,
@@ -90,14 +72,14 @@ def plan_work(
         PlanningError: If there is no task, or no segment.
     """
     began = clock()
-    _check_counts(task, asked, bounds)
+    _check_counts(task, segments, bounds)
     robot = world.robot
-    parts = _parts(asked, present, robot)
+    parts = _parts(segments, present, robot)
     trajectory, ends = joined(parts)
     joining = clock() - began
-    reports, segments = [], []
+    reports, checked = [], []
     first_scene = world.scene.hash
-    for number, (item, part, end) in enumerate(zip(asked, parts, ends)):
+    for number, (item, part, end) in enumerate(zip(segments, parts, ends)):
         with in_segment(number, item.name):
             before = world
             reports.append(recheck(part, robot, before, clock))
@@ -105,13 +87,13 @@ def plan_work(
             if world is not before:
                 _check_end(part, world)
                 _check_carried(part, before, world)
-        segments.append(
+        checked.append(
             Segment(
                 item.name, end, item.engaged, item.requires, item.switches, before.scene.hash, world.scene.hash
             )
         )  # fmt: skip
     report = _merged(reports, ends, check_limits(trajectory, robot))
-    return request.plan(planner, joining, trajectory, report, first_scene, task, tuple(segments))
+    return request.plan(planner, joining, trajectory, report, first_scene, task, tuple(checked))
 
 
 @contextmanager
@@ -128,58 +110,51 @@ def in_segment(number: int, name: str) -> Iterator[None]:
 # -- what is asked for
 
 
-def _check_counts(task: str, asked: Sequence[AskedSegment], bounds: PlanBounds) -> None:
+def _check_counts(task: str, segments: Sequence[WorkSegment], bounds: PlanBounds) -> None:
     """Check everything that costs nothing, sizes first."""
     if not task.strip():
-        raise PlanningError("a work plan is asked for without a task; say which task it carries out")
+        raise PlanningError(Sentence("motion.work.no_task"))
     _check_name("the task", task)
-    if not 0 < len(asked) <= MOST_SEGMENTS:
-        raise PlanningError(f"a work plan of {len(asked)} segments is asked for; expected 1 to {MOST_SEGMENTS}")
-    duration = sum(item.trajectory.duration for item in asked)
-    bounds.check(duration, sum(len(item.trajectory.times) for item in asked))
-    for number, item in enumerate(asked):
+    if not 0 < len(segments) <= MOST_SEGMENTS:
+        raise PlanningError(Sentence("motion.work.segments", count=len(segments), most=MOST_SEGMENTS))
+    duration = sum(item.trajectory.duration for item in segments)
+    bounds.check(duration, sum(len(item.trajectory.times) for item in segments))
+    for number, item in enumerate(segments):
         with in_segment(number, item.name):
             _check_segment(item)
 
 
-def _check_segment(item: AskedSegment) -> None:
+def _check_segment(item: WorkSegment) -> None:
     _check_name("the segment", item.name)
     counts = {
-        "required signals": (len(item.requires), MOST_SIGNALS),
+        "requires": (len(item.requires), MOST_SIGNALS),
         "switches": (len(item.switches), MOST_SWITCHES),
-        "signals that confirm a switch": (max((len(each.confirm) for each in item.switches), default=0), MOST_SIGNALS),
-        "objects to put": (len(item.change.put), MOST_OBJECTS),
-        "objects to remove": (len(item.change.remove), MOST_OBJECTS),
+        "confirm": (max((len(each.confirm) for each in item.switches), default=0), MOST_SIGNALS),
+        "put": (len(item.change.put), MOST_OBJECTS),
+        "remove": (len(item.change.remove), MOST_OBJECTS),
     }
     for what, (count, most) in counts.items():
         if count > most:
-            raise PlanningError(f"it has {count} {what}; expected at most {most}")
+            raise PlanningError(Sentence(f"motion.work.many.{what}", count=count, most=most))
     _check_signals("its required inputs", item.requires)
     _check_once("its switched outputs", [switch.output for switch in item.switches])
     if item.switches and not item.engaged:
         outputs = ", ".join(switch.output for switch in item.switches)
-        raise PlanningError(
-            f"it switches {outputs} at its end and is not engaged; the tool is switched only while engaged"
-        )
+        raise PlanningError(Sentence("motion.work.not_engaged", outputs=outputs))
     for switch in item.switches:
         _check_name("an output", switch.output)
         _check_signals(f"what confirms {switch.output}", switch.confirm)
         if not 0.0 < switch.timeout <= LONGEST_TIMEOUT:
-            raise PlanningError(
-                f"{switch.output} has {switch.timeout} s to be confirmed; expected above 0, at most {LONGEST_TIMEOUT:g} s"
-            )
+            values: dict[str, Value] = {"output": switch.output, "found": str(switch.timeout), "most": LONGEST_TIMEOUT}
+            raise PlanningError(Sentence("motion.work.timeout", **values))
         if set(switch.confirm) <= set(item.requires):
-            raise PlanningError(
-                f"what confirms {switch.output} is required before it is switched already, so nothing would be confirmed; "
-                "expected an input that must change"
-            )
+            raise PlanningError(Sentence("motion.work.confirmed_before", output=switch.output))
 
 
 def _check_name(what: str, name: str) -> None:
     if not name.strip() or len(name) > LONGEST_NAME or not name.isprintable():
-        raise PlanningError(
-            f"the name of {what} is {name[:LONGEST_NAME]!r}; expected 1 to {LONGEST_NAME} characters in one line"
-        )
+        values: dict[str, Value] = {"what": what, "found": repr(name[:LONGEST_NAME]), "longest": LONGEST_NAME}
+        raise PlanningError(Sentence("motion.work.name", **values))
 
 
 def _check_signals(what: str, signals: Sequence[Signal]) -> None:
@@ -191,17 +166,17 @@ def _check_signals(what: str, signals: Sequence[Signal]) -> None:
 def _check_once(what: str, names: Sequence[str]) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise PlanningError(f"{what} name {', '.join(map(repr, twice))} more than once; expected each once")
+        raise PlanningError(Sentence("motion.work.twice", what=what, names=", ".join(map(repr, twice))))
 
 
 # -- one trajectory
 
 
-def _parts(asked: Sequence[AskedSegment], present: JointValues, robot: RobotModel) -> list[Trajectory]:
+def _parts(segments: Sequence[WorkSegment], present: JointValues, robot: RobotModel) -> list[Trajectory]:
     """Return the segments' trajectories, each beginning exactly where the one before ends."""
     parts: list[Trajectory] = []
     begin = np.array(present, dtype=float)
-    for number, item in enumerate(asked):
+    for number, item in enumerate(segments):
         with in_segment(number, item.name):
             robot.check_range(begin)
             parts.append(_from_rest_to_rest(item.trajectory, begin, robot, at_present=number == 0))
@@ -211,17 +186,16 @@ def _parts(asked: Sequence[AskedSegment], present: JointValues, robot: RobotMode
 
 def _from_rest_to_rest(given: Trajectory, begin: np.ndarray, robot: RobotModel, at_present: bool) -> Trajectory:
     if given.joint_names != tuple(robot.joint_names):
-        names = ", ".join(robot.joint_names)
-        raise TrajectoryError(f"its joints are {', '.join(given.joint_names)}; expected {names}, in this order")
+        names = {"found": ", ".join(given.joint_names), "joints": ", ".join(robot.joint_names)}
+        raise TrajectoryError(Sentence("motion.work.joints", **names))
     velocities, accelerations = given.velocities.copy(), given.accelerations.copy()
     for name, unit, values in (("velocity", "/s", velocities), ("acceleration", "/s^2", accelerations)):
         for row, where in ((0, "begins"), (-1, "ends")):
             joint = int(np.argmax(np.abs(values[row])))
             if abs(values[row, joint]) > AT_REST:
-                found = for_people(float(values[row, joint]), ("m" if robot.linear[joint] else "rad") + unit)
-                raise TrajectoryError(
-                    f"it {where} with a {name} of {found} of {robot.joint_names[joint]}; expected rest at both ends"
-                )
+                found = Quantity(float(values[row, joint]), ("m" if robot.linear[joint] else "rad") + unit)
+                names = {"what": name, "joint": robot.joint_names[joint]}
+                raise TrajectoryError(Sentence(f"motion.work.{where}", found=found, **names))
             values[row] = 0.0
     missing = begin - given.positions[0]
     _check_begin(missing, robot, at_present)
@@ -245,15 +219,11 @@ def _check_begin(missing: np.ndarray, robot: RobotModel, at_present: bool) -> No
         return
     joint = int(np.argmax(np.abs(missing) / tolerance))
     unit = "m" if robot.linear[joint] else "rad"
-    found = for_people(float(abs(missing[joint])), unit)
+    found: dict[str, Value] = {"found": Quantity(float(abs(missing[joint])), unit), "joint": robot.joint_names[joint]}
     if at_present:
-        raise TrajectoryError(
-            f"it begins {found} of {robot.joint_names[joint]} away from where the arm is; expected within "
-            f"{for_people(float(tolerance[joint]), unit)}, plan the task again from there"
-        )
-    raise TrajectoryError(
-        f"it begins {found} of {robot.joint_names[joint]} away from where the segment before it ends; expected the same pose"
-    )
+        within = Quantity(float(tolerance[joint]), unit)
+        raise TrajectoryError(Sentence("motion.work.away", **found, tolerance=within))
+    raise TrajectoryError(Sentence("motion.work.apart", **found))
 
 
 def joined(parts: Sequence[Trajectory]) -> tuple[Trajectory, list[float]]:
@@ -293,7 +263,7 @@ def _check_end(part: Trajectory, world: CollisionWorld) -> None:
     """Check that nothing touches where a segment ends, once the scene has changed: also after the last one."""
     contact = world.contact(part.positions[-1])
     if contact is not None:
-        raise CollisionError(contact.between, "at its end, after its change of the scene")
+        raise CollisionError(contact.between, Sentence("motion.where.end"))
 
 
 def _check_carried(part: Trajectory, before: CollisionWorld, after: CollisionWorld) -> None:
@@ -323,14 +293,17 @@ def _check_carried(part: Trajectory, before: CollisionWorld, after: CollisionWor
                 break
         else:
             if not same_shape:
-                raise PlanningError(
-                    f"{item.name!r} has another shape or size once it hangs on another link; expected the same"
-                )
-            raise PlanningError(
-                f"{item.name!r} would be {for_people(moved, 'm')} and {for_people(turned, 'rad')} away from where it was once "
-                f"{item.link or 'nothing'} carries it; expected it within {for_people(CARRIED_DISTANCE, 'm')} and "
-                f"{for_people(CARRIED_ANGLE, 'rad')} of there"
+                raise PlanningError(Sentence("motion.work.other_shape", item=repr(item.name)))
+            found = Sentence(
+                "motion.work.moved",
+                item=repr(item.name),
+                link=item.link or "nothing",
+                moved=Quantity(moved, "m"),
+                turned=Quantity(turned, "rad"),
+                distance=Quantity(CARRIED_DISTANCE, "m"),
+                angle=Quantity(CARRIED_ANGLE, "rad"),
             )
+            raise PlanningError(found)
 
 
 def _merged(reports: Sequence[PlanReport], ends: Sequence[float], whole: LimitUsage) -> PlanReport:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from construction_twin.core.motion_errors import KinematicsError
+from construction_twin.core.sentences import Sentence
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -112,7 +113,7 @@ def quaternion_to_rotation(quaternion) -> np.ndarray:
     """
     values = np.asarray(quaternion, dtype=float)
     if values.shape != (4,) or not abs(np.linalg.norm(values) - 1.0) <= _NORM_TOLERANCE:
-        raise KinematicsError(f"quaternion x, y, z, w is {values.tolist()}; expected 4 numbers of norm 1")
+        raise KinematicsError(Sentence("motion.pose.quaternion", found=str(values.tolist())))
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_quat(values).as_matrix()

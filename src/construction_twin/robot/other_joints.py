@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from urdf_parser_py.urdf import URDF, Joint
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 
 #: The types that have one position, and its unit.
 _UNITS = {"revolute": "rad", "continuous": "rad", "prismatic": "m"}
@@ -84,12 +85,11 @@ def other_joints_text(others: Sequence[OtherJoint], base_link: str, tip_link: st
     """Return the sentence that tells a person about them; empty when there are none."""
     still = [str(joint) for joint in others if joint.position is not None]
     moving = [str(joint) for joint in others if joint.position is None]
-    remarks = []
-    if still:
-        remarks.append(f"stand still: {', '.join(still)}; `other_joints` of the robot YAML says where")
-    if moving:
-        remarks.append(f"move with it: {', '.join(moving)}")
-    return f"joints outside of the chain from {base_link} to {tip_link} {'; others '.join(remarks)}" if remarks else ""
+    named = {**({"still": ", ".join(still)} if still else {}), **({"moving": ", ".join(moving)} if moving else {})}
+    if not named:
+        return ""
+    key = "both" if len(named) > 1 else next(iter(named))
+    return Sentence(f"startup.other_joints.{key}", base=base_link, tip=tip_link, **named)
 
 
 def _check_taker(name: str, value: float, others: Mapping[str, Joint], settable: Sequence[str]) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from construction_twin.core.motion_errors import TrajectoryError
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.segments import Segment, check_segments, segments_hash
 from construction_twin.robot.trajectory import Trajectory
 
@@ -93,11 +94,11 @@ class Plan:
 
     def __post_init__(self):
         if not self.id:
-            raise TrajectoryError("a plan has an empty id; expected a unique one")
+            raise TrajectoryError(Sentence("motion.trajectory.no_id"))
         check_segments(self.id, self.scene, self.trajectory.duration, self.segments)
         found = content_hash(self.trajectory, self.task, self.segments)
         if self.hash != found:
-            raise TrajectoryError(f"plan {self.id} has hash {self.hash!r}, its content has {found}; plan it again")
+            raise TrajectoryError(Sentence("motion.trajectory.hash", plan=self.id, hash=self.hash, found=found))
 
 
 def content_hash(trajectory: Trajectory, task: str = "", segments: tuple[Segment, ...] = ()) -> str:

@@ -12,6 +12,7 @@ import math
 from dataclasses import asdict, dataclass
 
 from construction_twin.core.motion_errors import TrajectoryError
+from construction_twin.core.sentences import Sentence, Value
 
 
 @dataclass(frozen=True)
@@ -99,16 +100,16 @@ def check_segments(plan_id: str, scene: str, duration: float, segments: tuple[Se
     """
     before, present = 0.0, scene
     for number, segment in enumerate(segments):
-        where = f"plan {plan_id}, segment {number} ({segment.name!r})"
+        where: dict[str, Value] = {"plan": plan_id, "number": number, "segment": segment.name}
         if not math.isfinite(segment.end) or segment.end <= before:
-            raise TrajectoryError(f"{where} ends at {segment.end} s; expected after {before} s")
+            raise TrajectoryError(Sentence("motion.segments.order", **where, end=segment.end, before=before))
         if segment.scene != present:
-            raise TrajectoryError(f"{where} is for scene {segment.scene[:12]}; the one before it leaves {present[:12]}")
+            scenes: dict[str, Value] = {"scene": segment.scene[:12], "present": present[:12]}
+            raise TrajectoryError(Sentence("motion.segments.scene", **where, **scenes))
         for switch in segment.switches:
             if not (math.isfinite(switch.timeout) and switch.timeout > 0.0):
-                raise TrajectoryError(
-                    f"{where}: {switch.output} has {switch.timeout} s to be confirmed; expected above 0"
-                )
+                late: dict[str, Value] = {"output": switch.output, "seconds": switch.timeout}
+                raise TrajectoryError(Sentence("motion.segments.timeout", **where, **late))
         before, present = segment.end, segment.scene_after
     if segments and before != duration:
-        raise TrajectoryError(f"plan {plan_id}: its last segment ends at {before} s, its trajectory at {duration} s")
+        raise TrajectoryError(Sentence("motion.segments.last", plan=plan_id, end=before, duration=duration))

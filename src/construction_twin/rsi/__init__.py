@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from construction_twin.rsi.gateway_codec import SensorEncoder as SensorEncoder
     from construction_twin.rsi.gateway_codec import parse_robot as parse_robot
     from construction_twin.rsi.layout import RsiLayout as RsiLayout
-    from construction_twin.rsi.status_channels import ControllerStatus as ControllerStatus
+    from construction_twin.rsi.status_channels import RsiStatus as RsiStatus
     from construction_twin.rsi.status_channels import StatusReader as StatusReader
     from construction_twin.rsi.tool_channels import ToolReader as ToolReader
 else:

@@ -14,7 +14,7 @@ from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.telegram import Reply
 from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP
-from construction_twin.rsi.status_channels import NAMES, ControllerStatus, status_channels
+from construction_twin.rsi.status_channels import NAMES, RsiStatus, status_channels
 from construction_twin.rsi.telegram import (
     attribute_template,
     axis_units,
@@ -33,12 +33,12 @@ AXIS_BLOCKS = {"AIPos": ROBOT_AXES, "ASPos": ROBOT_AXES, "EIPos": EXTERNAL_AXES,
 #: Blocks of a packet that hold a Cartesian pose.
 POSE_BLOCKS = ("RIst", "RSol")
 #: What an optional channel sends.
-_STATUS_VALUES: dict[str, Callable[[ControllerStatus], float | None]] = {
+_STATUS_VALUES: dict[str, Callable[[RsiStatus], float | None]] = {
     "Mode": lambda status: status.mode,
     "ProgStatus": lambda status: status.program,
     "OvPro": lambda status: status.override,
 }
-_NO_STATUS = ControllerStatus()
+_NO_STATUS = RsiStatus()
 
 
 class RobotEncoder:
@@ -88,7 +88,7 @@ class RobotEncoder:
         measured_pose: Sequence[float],
         setpoint_pose: Sequence[float],
         delay: int,
-        status: ControllerStatus = _NO_STATUS,
+        status: RsiStatus = _NO_STATUS,
         signals: Mapping[str, bool] = MappingProxyType({}),
     ) -> bytes:
         """Write one packet.

@@ -6,8 +6,18 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 
 from construction_twin.controller.last_resort import BareProtocol, LastResort
-from construction_twin.controller.port import ControllerSide, FileForm, Make, MockSetup, Reader, Setup, Told, Words
+from construction_twin.controller.port import (
+    ControllerSide,
+    FileForm,
+    Make,
+    MockSetup,
+    MockStatus,
+    Reader,
+    Setup,
+    Words,
+)
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 from construction_twin.rsi.ethernet_xml import (
     check_axes,
@@ -21,7 +31,7 @@ from construction_twin.rsi.ethernet_xml_text import ethernet_xml_text
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.layout import STOP, RsiLayout
 from construction_twin.rsi.session import RsiSessionRules
-from construction_twin.rsi.status_channels import ControllerStatus, StatusReader, status_channels
+from construction_twin.rsi.status_channels import RsiStatus, StatusReader, status_channels
 from construction_twin.rsi.tool_channels import IN, OUT, ToolReader, is_signal
 from construction_twin.rsi.tool_check import check_tool
 
@@ -72,12 +82,12 @@ def last_resort(setup: Setup[RsiLayout]) -> LastResort:
     return LastResort(setup.limits, bare, setup.cycle)
 
 
-def said(told: Told) -> ControllerStatus:
+def status_of(shown: MockStatus) -> RsiStatus:
     """Return what the optional channels of a mock say."""
-    return ControllerStatus(
-        told.mode or (_T1 if told.slow else _AUT),
-        told.program or _ACTIVE,
-        _FULL if told.override is None else told.override,
+    return RsiStatus(
+        shown.mode or (_T1 if shown.slow else _AUT),
+        shown.program or _ACTIVE,
+        _FULL if shown.override is None else shown.override,
     )
 
 
@@ -97,14 +107,14 @@ def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
         measured_pose: Sequence[float],
         setpoint_pose: Sequence[float],
         delay: int,
-        told: Told,
+        shown: MockStatus,
         outputs: Mapping[str, bool] | None,
         inputs: Mapping[str, bool],
     ) -> bytes:
         values = ipoc, measured, setpoint, measured_pose, setpoint_pose, delay
         if not rich:
             return seen.encode(*values)
-        status, signals = said(told), {f"{IN}.{name}": value for name, value in inputs.items()}
+        status, signals = status_of(shown), {f"{IN}.{name}": value for name, value in inputs.items()}
         if outputs is None:
             return unseen.encode(*values, status, signals)
         return seen.encode(*values, status, signals | {f"{OUT}.{name}": value for name, value in outputs.items()})
@@ -116,7 +126,7 @@ def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
         ).parse
     holdon = dict(zip(layout.receive, layout.holdon))
     holds = [any(held for channel, held in holdon.items() if channel.partition(".")[2] == axis) for axis in config.axes]
-    return ControllerSide(encode, decode, tuple(holds), holdon.get(STOP, False), said)
+    return ControllerSide(encode, decode, tuple(holds), holdon.get(STOP, False), status_of)
 
 
 def _ipoc(data: bytes) -> int | None:
@@ -144,16 +154,16 @@ MAKE = Make(
     words=Words(
         protocol="RSI",
         stamp="IPOC",
-        read_only="read-only: the Ethernet XML has ONLYSEND TRUE",
-        no_stop="the Ethernet XML declares no Stop element: end the program on the pendant",
-        ends="RSI_MOVECORR ends as soon as the arm is at rest",
+        read_only=Sentence("gateway.rsi.read_only"),
+        no_stop=Sentence("gateway.rsi.no_stop"),
+        ends=Sentence("gateway.rsi.ends"),
         ended="RSI_MOVECORR ended",
         cycle="RSI_ON(..., {})",
         cycles=f"RSI_ON with {' or '.join(CYCLES.values())}",
         timeout="Timeout of the controller's ETHERNET object",
         description="the Ethernet XML",
     ),
-    nothing_said=ControllerStatus(),
+    no_status=RsiStatus(),
     plain=RsiLayout.plain,
     read_layout=RsiLayout.of_document,
     check=check,

@@ -8,16 +8,14 @@ from __future__ import annotations
 from construction_twin.controller.port import Setup
 from construction_twin.controller.telegram import Telegram
 from construction_twin.core.limits import distance_off, outside_tolerance
+from construction_twin.core.sentences import Sentence
 from construction_twin.rsi.layout import RsiLayout
 
 
 class RsiSessionRules:
     """One RSI session after the other, see `SessionRules`."""
 
-    drifted = (
-        "off where ASPos was: a program of the controller moves the arm while a stream does; "
-        "if ASPos contains the corrections, set reference to AIPos"
-    )
+    drifted = "gateway.rsi.drifted"
 
     def __init__(self, setup: Setup[RsiLayout]):
         self.follows = setup.reference == "ASPos"
@@ -37,21 +35,12 @@ class RsiSessionRules:
             self._empty_telegrams += 1
             return (), ""
         if measured is None or setpoint is None:
-            return (), (
-                "telegrams lack AIPos or ASPos, so the present correction is unknown: not answering; declare DEF_AIPos "
-                "and DEF_ASPos in the Ethernet XML"
-            )
+            return (), Sentence("gateway.rsi.no_pose")
         if telegram.missed is None:
-            return (), (
-                "telegrams lack Delay, so a reply that does not arrive would go unnoticed, and the next one would be a step: not "
-                "answering; declare DEF_Delay in the Ethernet XML"
-            )
+            return (), Sentence("gateway.rsi.no_delay")
         distance = distance_off(measured, setpoint, self._limits, self._tolerances)
         if distance:
-            return (), (
-                f"{distance} off its programmed position already: joined a running session, not answering; "
-                "it times out, then start the program again"
-            )
+            return (), Sentence("gateway.rsi.joined", distance=distance)
         return setpoint if self.follows else measured, ""
 
     def restarted(
@@ -67,10 +56,11 @@ class RsiSessionRules:
         if measured is None and setpoint is None:
             # so a session of RSI up to 2.3 begins, but no pose says that this is one: it is not answered
             self._empty_telegrams = 1
-            return "a telegram with nothing but IPOC"
+            return Sentence("gateway.rsi.only_ipoc")
         if not self.follows or measured is None or setpoint is None:
             return ""
         if moving and outside_tolerance(setpoint, origin, tolerances) is None:
             # at the beginning of a motion the servo may be no further yet
             return ""
-        return "" if outside_tolerance(measured, setpoint, tolerances) is not None else "ASPos is where the arm stands"
+        elsewhere = outside_tolerance(measured, setpoint, tolerances) is not None
+        return "" if elsewhere else Sentence("gateway.rsi.at_arm")

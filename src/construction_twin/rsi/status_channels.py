@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from construction_twin.core.sentences import Sentence, both
 from construction_twin.rsi.telegram import is_number_in_bytes
 
 #: Operating modes, as the STATUS object's type Mode_Op numbers them.
@@ -21,21 +22,17 @@ PROGRAM_STATES = {1: "FREE", 2: "RESET", 3: "ACTIVE", 4: "STOP", 5: "END"}
 NAMES = ("Mode", "ProgStatus", "OvPro")
 ATTRIBUTE = "R"
 
-_KEYS = "enabling switch and start key are held"
-_MODE_SENTENCES = {
-    1: f"the controller is in T1: the arm moves only while {_KEYS}, and slowly",
-    2: f"the controller is in T2: the arm moves only while {_KEYS}",
-}
+_MODE_SENTENCES = {1: Sentence("gateway.rsi.t1"), 2: Sentence("gateway.rsi.t2")}
 _PROGRAM_SENTENCES = {
-    1: "no program is selected on the controller (FREE): select and start the RSI program",
-    2: "the controller's program is at its beginning (RESET): start it",
-    4: "the controller's program is stopped (STOP): press start on the pendant",
-    5: "the controller's program has ended (END): reset and start it",
+    1: Sentence("gateway.rsi.free"),
+    2: Sentence("gateway.rsi.at_beginning"),
+    4: Sentence("gateway.rsi.program_stopped"),
+    5: Sentence("gateway.rsi.program_ended"),
 }
 
 
 @dataclass(frozen=True, slots=True)
-class ControllerStatus:
+class RsiStatus:
     """What a controller says of itself.
 
     Attributes:
@@ -64,10 +61,9 @@ class ControllerStatus:
         """Why the arm may not move, or not as expected; "" when nothing of this kind is known."""
         parts = [_MODE_SENTENCES.get(self.mode or 0, ""), _PROGRAM_SENTENCES.get(self.program or 0, "")]
         if self.override is not None and self.override < 100.0:
-            slow = "whether corrections act then is not known, set it to 100 %"
-            slower = "the controller's own motions are slower by that, corrections are not"
-            parts.append(f"the override is {self.override:g} %: {slower if self.override > 0.0 else slow}")
-        return "; ".join(part for part in parts if part)
+            key = "override" if self.override > 0.0 else "override_zero"
+            parts.append(Sentence(f"gateway.rsi.{key}", percent=self.override))
+        return both(*parts)
 
 
 def status_channels(send: Sequence[str]) -> tuple[str, ...]:
@@ -103,10 +99,10 @@ class StatusReader:
         self._searches = [found.get(name) for name in NAMES]
         self._count = len(found)
         self._texts: list[bytes | None] = []
-        self._status = ControllerStatus()
+        self._status = RsiStatus()
         self._unreadable = 0
 
-    def read(self, data: bytes) -> tuple[ControllerStatus, int]:
+    def read(self, data: bytes) -> tuple[RsiStatus, int]:
         """Read what a telegram says that was read as one before.
 
         Returns:
@@ -118,7 +114,7 @@ class StatusReader:
             # the same for minutes
             self._texts = texts
             mode, program, override = [None if text is None else float(text) for text in texts]
-            self._status = ControllerStatus(_whole(mode), _whole(program), _percentage(override))
+            self._status = RsiStatus(_whole(mode), _whole(program), _percentage(override))
             told = (self._status.mode, self._status.program, self._status.override)
             self._unreadable = self._count - sum(value is not None for value in told)
         return self._status, self._unreadable

@@ -35,6 +35,11 @@ class SceneChange:
         _refuse_doubles("put", (item.name for item in self.put))
         _refuse_doubles("remove", self.remove)
 
+    @property
+    def carries(self) -> bool:
+        """Whether a link carries something of what comes."""
+        return any(item.link for item in self.put)
+
     def apply(self, scene: Scene) -> Scene:
         """Return the scene after the change.
 

@@ -40,6 +40,15 @@ _LISTS = ("--joints", "--pose")
 _NUMBERS = re.compile(r"[-+.,\d][-+.,\deE ]*")
 
 
+#: Commands that call the service of the same name, which takes nothing.
+TRIGGERS = {
+    "stop": "brake on the path and take the plan out of review",
+    "pause": "rest on the path",
+    "resume": "go on along the path after a pause",
+    "reset": "after a fault: new session, the twin takes the arm's pose",
+}
+
+
 class Exit(enum.IntEnum):
     """What the command's exit code says; `docs/reference/command_line.md` lists them for scripts."""
 
@@ -101,10 +110,8 @@ def parser(robot: str) -> argparse.ArgumentParser:
     _add_approve(command("approve", "approve the plan under review: it starts"))
     reject = command("reject", "reject the plan under review")
     _add_reviewer(reject)
-    command("stop", "brake on the path and take the plan out of review")
-    command("pause", "rest on the path")
-    command("resume", "go on along the path after a pause")
-    command("reset", "after a fault: new session, the twin takes the arm's pose")
+    for name, text in TRIGGERS.items():
+        command(name, text)
     arm = command("arm", "arm a bare PLC, and take the responsibility for what is not checked then")
     arm.add_argument("--responsible", default="", metavar="NAME", help="the person who is responsible; must be given")
     status = command("status", "say what link, gate and executor do")

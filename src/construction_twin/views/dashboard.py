@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from construction_twin.core.reports import SyncReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.views.snapshot import Snapshot
 from construction_twin.views.texts import because, joint_value, under_review, work_lines
 
@@ -49,24 +50,24 @@ def _states(snapshot: Snapshot) -> Table:
     for name in ("link", "sync", "execution"):
         facts = getattr(snapshot, name)
         if facts is None:
-            table.add_row(name, Text("no report", style="dim"))
+            table.add_row(name, Text(Sentence("startup.no_report"), style="dim"))
         elif name in snapshot.silent:
-            table.add_row(
-                name, Text(f"silent for {snapshot.silent[name]:.0f} s; the last was {facts.text}", style="bold red")
-            )
+            silent = Sentence("view.watch.silent", seconds=snapshot.silent[name], state=facts.text)
+            table.add_row(name, Text(silent, style="bold red"))
         else:
             table.add_row(name, _state(facts.text, facts.reason))
     execution = snapshot.execution
     progress = None if execution is None else execution.progress(snapshot.now)
     if execution is not None and progress is not None:
         cells = round(progress * BAR)
-        line = f"{'█' * cells}{'░' * (BAR - cells)} {progress:.0%} of {execution.duration:.1f} s"
-        table.add_row("progress", Text(line))
+        far = Sentence("view.watch.progress", percent=_percent(progress), seconds=execution.duration)
+        table.add_row("progress", Text(f"{'█' * cells}{'░' * (BAR - cells)} {far}"))
     for line in work_lines(execution):
         name, _, text = line.partition(" ")
         table.add_row(name, Text(text.strip(), style="red" if name == "engaged" else ""))
     if execution is not None and execution.speed_limit < 1.0:
-        limit = f"{execution.speed_limit:.0%} of the planned speed allowed, {execution.rate:.0%} now"
+        allowed, now = _percent(execution.speed_limit), _percent(execution.rate)
+        limit = Sentence("view.watch.speed", allowed=allowed, now=now)
         table.add_row("speed", Text(limit, style="yellow"))
     table.add_row("review", Text(under_review(snapshot.plan)))
     return table
@@ -85,7 +86,7 @@ def _joints(snapshot: Snapshot) -> Table | Text:
         or len(sync.error) != len(snapshot.joints)
         or len(sync.threshold) != len(snapshot.joints)
     ):
-        return Text("nothing is compared", style="dim")
+        return Text(Sentence("view.watch.nothing"), style="dim")
     table = Table.grid(padding=(0, 2))
     rows = zip(snapshot.joints, snapshot.linear, sync.error, sync.threshold)
     for joint, linear, error, threshold in rows:
@@ -110,10 +111,10 @@ def bar(error: float, threshold: float) -> Text:
 def _figures(snapshot: Snapshot) -> Table:
     table = Table.grid(padding=(0, 2))
     rates = "  ".join(f"{name} {_number(rate, '.1f')} Hz" for name, rate in snapshot.rates.items())
-    table.add_row("rates", rates or "not measured")
+    table.add_row("rates", rates or Sentence("view.not_measured"))
     table.add_row("latency", _latency(snapshot.sync))
     link = snapshot.link
-    table.add_row("late, lost", "no link" if link is None else _counts(link.gateway_counters))
+    table.add_row("late, lost", Sentence("view.watch.no_link") if link is None else _counts(link.gateway_counters))
     if link is not None:
         refused = sum(int(v) for k, v in link.gateway_counters.items() if k.startswith("refused_") and v.isdigit())
         line = f"gateway {refused}  bridge {link.commands_refused} commands, {link.states_refused} states"
@@ -121,13 +122,15 @@ def _figures(snapshot: Snapshot) -> Table:
         jitter, delay = (link.gateway_counters.get(f"playout_{name}_ms", "") or "?" for name in ("jitter", "delay"))
         table.add_row("playout", f"gateway {link.gateway_state or '?'}, jitter {jitter} ms, delay {delay} ms")
     if snapshot.sync is not None:
-        table.add_row("gate", f"left IN_SYNC {snapshot.sync.violations} times, policy {snapshot.sync.policy or '?'}")
+        table.add_row(
+            "gate", Sentence("view.watch.gate", count=snapshot.sync.violations, policy=snapshot.sync.policy or "?")
+        )
     return table
 
 
 def _latency(sync: SyncReport | None) -> str:
     if sync is None:
-        return "not measured"
+        return Sentence("view.not_measured")
     trip, lag = (None if math.isnan(value) else value * 1e3 for value in (sync.round_trip, sync.servo_lag))
     return f"round trip {_number(trip, '.1f')} ms  servo lag {_number(lag, '.1f')} ms"
 
@@ -135,6 +138,10 @@ def _latency(sync: SyncReport | None) -> str:
 def _counts(counters: Mapping[str, str]) -> str:
     # the gateway lists a counter from its first use on
     return "  ".join(f"{text} {counters.get(name, '0')}" for name, text in COUNTERS.items())
+
+
+def _percent(fraction: float) -> str:
+    return f"{fraction:.0%}".removesuffix("%")
 
 
 def _number(value: float | None, form: str) -> str:
@@ -145,7 +152,7 @@ def _nodes(snapshot: Snapshot) -> Table:
     table = Table.grid(padding=(0, 2))
     troubled = [node for node in snapshot.nodes if node.level > 0]
     good = len(snapshot.nodes) - len(troubled)
-    table.add_row("nodes", Text(f"{good} of {len(snapshot.nodes)} report no problem on /diagnostics"))
+    table.add_row("nodes", Text(Sentence("view.watch.nodes", good=good, all=len(snapshot.nodes))))
     for node in troubled:
         table.add_row("", Text(f"{node.name}: {node.sentence}", style="yellow" if node.level == 1 else "red"))
     return table

@@ -6,6 +6,8 @@ import re
 import socket
 from collections.abc import Callable
 
+from construction_twin.core.sentences import Sentence
+
 #: Robot that the files in rviz/ are written for.
 ROBOT = "kr120"
 #: First TCP port of X11 displays, and how long a display may take to answer [s].
@@ -19,16 +21,15 @@ def display_problem(display: str, connect: Callable[[str, int], None]) -> str:
         display: Environment variable DISPLAY.
         connect: ``connect(host, number)`` reaches display `number`; host "" is this machine. Raises OSError when it cannot.
     """
-    advice = "rviz is not started, everything else goes on without it"
     if not display:
-        return f"there is no display (DISPLAY is not set): {advice}"
+        return Sentence("view.display.none")
     found = re.fullmatch(r"(?:unix)?([^:]*):(\d+)(?:\.\d+)?", display)
     if found is None:
-        return f"DISPLAY is {display!r}, expected HOST:NUMBER or :NUMBER: {advice}"
+        return Sentence("view.display.wrong", display=repr(display))
     try:
         connect(found[1], int(found[2]))
     except OSError as error:
-        return f"the display {display} does not answer ({error}): {advice}"
+        return Sentence("view.display.silent", display=display, problem=str(error))
     return ""
 
 

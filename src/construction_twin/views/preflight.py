@@ -6,11 +6,11 @@ Standard library only. What is in the files, and what runs already, is looked at
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from construction_twin.core.network import is_loopback
+from construction_twin.core.sentences import Sentence
 
-_BOOLEAN = "true or false"
 #: Arguments with a few allowed values.
 CHOICES = {
     "arm": ("mock", "real", "none"),
@@ -79,13 +79,13 @@ def _wrong_value(given: Mapping[str, str], is_file: Question, _is_anonymous: Que
     for name, value in given.items():
         expected = _expected(name, value, is_file)
         if expected:
-            return f"{name}:={value or chr(39) * 2}: expected {expected}"
+            return Sentence("preflight.wrong", name=name, value=value or "''", expected=expected)
     return ""
 
 
 def _broker_without_file(given: Mapping[str, str], is_file: Question, _is_anonymous: Question) -> str:
     if is_true(given, "broker") and "broker_config" in given and not is_file(given["broker_config"]):
-        return f"broker_config:={given['broker_config']}: expected the path of a file; or use another broker with broker:=false"
+        return Sentence("preflight.broker_config", path=given["broker_config"])
     return ""
 
 
@@ -93,22 +93,16 @@ def _open_rsi(given: Mapping[str, str], _is_file: Question, _is_anonymous: Quest
     listen = given.get("rsi_listen", "127.0.0.1")
     served_here = given.get("arm") != "none" and has_gateway_here(given)
     if served_here and not given.get("rsi_controller") and not is_loopback(listen):
-        return f"rsi_controller:='': expected the controller's address, because rsi_listen:={listen} is reached from a network"
+        return Sentence("preflight.rsi_controller", listen=listen)
     return ""
 
 
 def _nobody_approves(given: Mapping[str, str], _is_file: Question, _is_anonymous: Question) -> str:
     real = given.get("arm") == "real"
     if real and is_true(given, "auto_approve") and not is_true(given, "auto_approve_is_meant"):
-        return (
-            "auto_approve:=true with arm:=real: the arm would move without a person who has approved the plan; leave it out, or "
-            "give auto_approve_is_meant:=true as well"
-        )
+        return Sentence("preflight.auto_approve")
     if real and given.get("auto_approve_sources"):
-        return (
-            f"auto_approve_sources:={given['auto_approve_sources']} with arm:=real: expected none, because the name of a "
-            "client proves nothing, and the arm would move without a person who has approved the plan; leave it out"
-        )
+        return Sentence("preflight.auto_approve_sources", sources=given["auto_approve_sources"])
     return ""
 
 
@@ -122,20 +116,12 @@ def _anonymous_broker(given: Mapping[str, str], _is_file: Question, is_anonymous
         anonymous = "gateway_account:=''"
     elif is_true(given, "broker") and is_anonymous(given.get("broker_config", "")):
         anonymous = f"broker_config:={given['broker_config']}"
-    if anonymous:
-        return (
-            f"{anonymous} with arm:=real: the broker lets in everybody, and every client can command the arm; make a site with "
-            "make_site and give its accounts and its broker_config, or give anonymous_broker_is_meant:=true"
-        )
-    return ""
+    return Sentence("preflight.anonymous", anonymous=anonymous) if anonymous else ""
 
 
 def _mock_without_track(given: Mapping[str, str], _is_file: Question, _is_anonymous: Question) -> str:
     if is_bare(given) and given.get("arm") == "mock" and is_true(given, "track"):
-        return (
-            "track:=true with gateway_kind:=plc: the PLC of examples/plc, which is the mock arm then, has no track; give "
-            "arm:=real"
-        )
+        return Sentence("preflight.track")
     return ""
 
 
@@ -143,26 +129,18 @@ def _console_to_nobody(given: Mapping[str, str], _is_file: Question, _is_anonymo
     if not is_true(given, "console"):
         return ""
     if given.get("arm") == "none":
-        return (
-            "console:=true with arm:=none: nothing is told by MQTT then, and the page would stay empty; give arm:=mock"
-        )
+        return Sentence("preflight.console_arm")
     certificate, key = given.get("console_certificate", ""), given.get("console_key", "")
     if bool(certificate) != bool(key):
         missing = "console_key" if certificate else "console_certificate"
-        return f"{missing}:='': expected a file, because certificate and key belong together; give both or neither"
+        return Sentence("preflight.console_pair", missing=missing)
     listen = given.get("console_listen", "127.0.0.1")
     if not certificate and not is_loopback(listen):
-        return (
-            f"console_listen:={listen}: expected loopback, or console_certificate and console_key: passwords cross the network; "
-            "make_site makes a certificate"
-        )
+        return Sentence("preflight.console_listen", listen=listen)
     host, has_ca = given.get("broker_host", "127.0.0.1"), bool(given.get("console_broker_ca"))
     if not has_ca and (given.get("bridge_account") or not is_loopback(host)):
         why = f"broker_host:={host}" if not is_loopback(host) else "bridge_account"
-        return (
-            f"console_broker_ca:='' with {why}: expected the ca.crt of the site, because a site's broker speaks TLS, and passwords "
-            "cross the network"
-        )
+        return Sentence("preflight.console_ca", why=why)
     return ""
 
 
@@ -181,11 +159,7 @@ CHECKS: tuple[Callable[[Mapping[str, str], Question, Question], str], ...] = (
 def notes(given: Mapping[str, str]) -> list[str]:
     """Return what must be said of a start that can work, one sentence each."""
     if is_bare(given) and given.get("arm") == "real":
-        return [
-            "gateway_kind:=plc with arm:=real: a bare PLC is commanded by joint strings alone. Configuration, session, sequence "
-            "and age of strings, stops and speed limits are not checked, on neither side; a person is responsible for that, by "
-            "name: `rosrun construction_twin twin arm --responsible NAME`. Read docs/broker.md first"
-        ]
+        return [Sentence("preflight.bare")]
     return []
 
 
@@ -207,18 +181,28 @@ def is_true(given: Mapping[str, str], name: str, default: str = "false") -> bool
 def _expected(name: str, value: str, is_file: Callable[[str], bool]) -> str:
     """Return what an argument should have been; empty when it is that."""
     if name == "robot" and not re.fullmatch(r"[a-z][a-z0-9_]*", value):
-        return "a name of small letters, digits and _, e.g. kr120"
+        return Sentence("preflight.expected.robot")
     if name in CHOICES and value not in CHOICES[name]:
-        *first, last = CHOICES[name]
-        return f"{', '.join(first)} or {last}"
+        return one_of(CHOICES[name])
     if name in SWITCHES and value.lower() not in ("true", "false", "1", "0"):
-        return _BOOLEAN
+        return one_of(("true", "false"))
     if name in NUMBERS:
         lowest, highest = NUMBERS[name]
         if not (value.isascii() and value.isdigit() and lowest <= int(value) <= highest):
-            return f"a whole number from {lowest} to {highest}"
+            return Sentence("preflight.expected.number", lowest=lowest, highest=highest)
     if name in WITHOUT and value == NONE:
         return ""
     if (name in FILES or (name in OPTIONAL_FILES and value)) and not is_file(value):
-        return "the absolute path of a file that can be read" + (f", or {NONE}" if name == "scene" else "")
+        may_be_none = name == "scene"
+        return (
+            Sentence("preflight.expected.file_or_none", none=NONE)
+            if may_be_none
+            else Sentence("preflight.expected.file")
+        )
     return ""
+
+
+def one_of(words: Sequence[str]) -> str:
+    """Return the words that an argument can have, as what was expected."""
+    *first, last = words
+    return Sentence("preflight.expected.one_of", first=", ".join(first), last=last) if first else last

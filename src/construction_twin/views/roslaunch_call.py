@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
+from construction_twin.core.sentences import Sentence
+
 #: Options of roslaunch that take a value, as a word of their own or after ``=``.
 _WITH_VALUE = (
     "--args", "--find-node", "-c", "--child", "-u", "--server_uri", "--run_id", "-p", "--port", "--pid", "-w", "--numworkers",
@@ -116,18 +118,15 @@ def argument_problem(given: Mapping[str, str], known: Mapping[str, str], file: s
     for name, value in given.items():
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
-            meant = f"did you mean {near[0]}:={value}? " if near else ""
-            return f"{name}:={value}: {file} has no such argument; {meant}`roslaunch --ros-args` lists them"
+            if near:
+                return Sentence("preflight.argument.near", name=name, value=value, file=file, near=near[0])
+            return Sentence("preflight.argument.unknown", name=name, value=value, file=file)
         if ":=" in value:
             meant = shlex.quote(value.replace(":=", "="))
-            return (
-                f"{name}:={value}: roslaunch drops an argument with a second `:=`, and the default would count; "
-                f"write {name}:={meant}"
-            )
+            return Sentence("preflight.argument.second", name=name, value=value, meant=meant)
         if not value and known[name]:
-            nothing = f"{name}:=none for nothing, " if name in NONE else ""
-            dropped = "roslaunch drops an empty value, and the default would count"
-            return f"{name}:='': {dropped}; give {nothing}a value, or leave it out"
+            key = "preflight.argument.empty_none" if name in NONE else "preflight.argument.empty"
+            return Sentence(key, name=name)
     return ""
 
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.plan import Plan
 
 #: States in which a plan could be approved.
@@ -55,14 +56,16 @@ class Snapshot:
 
         A system without an arm (`arm:=none`) has no link, and needs none.
         """
-        lacking = []
+        lacking: list[str] = []
         for name, wanted in READY.items():
             facts = getattr(self, name)
             if facts is None:
                 if name != "link":
-                    lacking.append(f"{name} is silent; expected {wanted}")
+                    lacking.append(Sentence("view.ready.silent", topic=name, wanted=wanted))
             elif name in self.silent:
-                lacking.append(f"{name} has been silent for {self.silent[name]:.0f} s; expected {wanted}")
+                seconds = self.silent[name]
+                lacking.append(Sentence("view.ready.old", topic=name, seconds=seconds, wanted=wanted))
             elif facts.text != wanted:
-                lacking.append(f"{name} is {facts.text}, expected {wanted}: {facts.reason}")
+                values = {"topic": name, "state": facts.text, "wanted": wanted, "reason": facts.reason}
+                lacking.append(Sentence("view.ready.state", **values))
         return lacking

@@ -36,9 +36,9 @@ class Deployment:
     def rsi_address(self) -> str:
         """Where the gateway listens, in words."""
         if not self.gateway:
-            return "the address given to rsi_gateway --listen"
+            return Sentence("startup.rsi_elsewhere")
         host, _, port = self.rsi.rpartition(":")
-        return f"{host}, PORT of the Ethernet XML" if port == "0" else self.rsi
+        return Sentence("startup.rsi_of_xml", host=host) if port == "0" else self.rsi
 
     @property
     def values(self) -> dict[str, str]:
@@ -115,7 +115,8 @@ class Missing:
             reason = repeated.sub("", reason)
         # what is wrong with a connection comes with what helps against just that
         action = "" if self.kind == "broker" and "; " in reason else self.action
-        return f"waiting for {self.what}: {'; '.join(filter(None, (reason, action)))}"
+        rest = Sentence("executor.both", first=reason, second=action) if reason and action else reason or action
+        return Sentence("startup.waiting", what=self.what, rest=rest)
 
 
 #: Of a reason: what says once more what is waited for, or what to do about it.
@@ -124,7 +125,7 @@ _REPEATED = tuple(
     for pattern in (
         r"^not connected to the broker( yet)?(: )?",
         r"^broker \S+:\d+:? ",
-        r"^no gateway answers on the broker; start rsi_gateway on the cell PC$",
+        f"^{re.escape(Sentence('link.no_gateway'))}$",
         r"^gateway has no RSI session( to command)?: ",
         r"^gateway was stopped and is ",
         r"; (restart rsi_gateway, then )?call reset$",
@@ -146,8 +147,8 @@ class StartUp:
         self._since = self._reason_since = 0.0
         self._said: Missing | None = None
         self._ready = False
-        self._controller = _Beside("the controller reports nothing against a motion any more")
-        self._clock = _Beside("the controller's clock is right again")
+        self._controller = _Beside(Sentence("startup.controller_well"))
+        self._clock = _Beside(Sentence("startup.clock_well"))
 
     def update(self, seen: Seen, now: float) -> list[str]:
         """Take what is seen; return the lines that are news.
@@ -174,7 +175,7 @@ class StartUp:
         told = said is not None and missing.kind == said.kind
         if now - (self._reason_since if told else self._since) < PATIENCE:
             return []
-        text = f"not ready any more, {missing}" if self._ready else str(missing)
+        text = Sentence("startup.not_ready", waiting=str(missing)) if self._ready else str(missing)
         self._said, self._ready = missing, False
         return [text]
 
@@ -182,8 +183,7 @@ class StartUp:
         if self._ready and self._said is None:
             return []
         self._ready, self._said = True, None
-        robot = self._deployment.namespace.strip("/")
-        return [f"ready; plan with `rosrun construction_twin twin --robot {robot} plan ...`, look with `... watch`"]
+        return [Sentence("startup.ready", robot=self._deployment.namespace.strip("/"))]
 
 
 class _Beside:
@@ -236,7 +236,7 @@ def _link(seen: Seen, deployment: Deployment) -> _Found:
     word = seen.link or Word("", "")
     state, reason = word.state, word.reason
     if not state:
-        return "bridge", "no report"
+        return "bridge", Sentence("startup.no_report")
     if state == "DISCONNECTED":
         return "broker", reason
     if deployment.gateway_kind == "plc" and state in _PLC:
@@ -269,10 +269,10 @@ def _armed(seen: Seen, deployment: Deployment) -> _Found:
 def _gate(seen: Seen, deployment: Deployment) -> _Found:
     if seen.link is not None and seen.link.state == "MIRROR":
         return None  # the arm leads; the gate is closed on purpose
-    word = seen.sync or Word("", "no report of pca_monitor")
+    word = seen.sync or Word("", Sentence("startup.no_report_of", node="pca_monitor"))
     if word.state != "IN_SYNC":
         kind = "gate_reset" if word.state in ("STOPPED", "FAULT") else "gate"
-        return kind, f"{word.state or 'silent'}: {word.reason}"
+        return kind, Sentence("executor.link", state=word.state or "silent", reason=word.reason)
     if seen.execution is None or seen.execution.state == "WAITING":
-        return "executor", seen.execution.reason if seen.execution else "no report"
+        return "executor", seen.execution.reason if seen.execution else Sentence("startup.no_report")
     return None

@@ -7,7 +7,8 @@ Pure; texts only. A page of the docs stands with each, below docs/.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any
 
@@ -161,9 +162,9 @@ class Heard:
     missing: Missing | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Line:
-    """One line, as it is sent on `screen`.
+    """One line of <prefix>/<robot>/screen: the status line. What has a default may be missing there.
 
     Attributes:
         words: Key of what is said: ``<topic>.<state>`` of `TABLE`, ``startup.<kind>`` of what a start waits for. A page in another
@@ -178,21 +179,17 @@ class Line:
     """
 
     topic: str
-    state: str
-    words: str
-    values: dict[str, str]
-    level: int
+    state: str = ""
+    words: str = ""
+    values: Mapping[str, str] = field(default_factory=dict)
+    level: int = 0
     sentence: str
-    reason: str
-    said: dict[str, Any] | None
-    waits_for: str
-    who: str
-    todo: str
-    page: str
-
-    def document(self) -> dict[str, object]:
-        """Return it as JSON has it."""
-        return asdict(self)
+    reason: str = ""
+    said: Mapping[str, Any] | None = None
+    waits_for: str = ""
+    who: str = ""
+    todo: str = ""
+    page: str = ""
 
 
 def status_lines(heard: Heard) -> list[Line]:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 from urdf_parser_py.urdf import Box, Cylinder, Mesh, Sphere
 
+from construction_twin.core.sentences import Quantity, Sentence
+from construction_twin.core.units import to_people
 from construction_twin.monitor.states import SyncState
 from construction_twin.robot.frames import rpy_to_quaternion
 from construction_twin.robot.urdf import parse_urdf
@@ -120,8 +122,8 @@ def worst_joint(
     if not rows:
         return ""
     _, name, error, threshold, straight = max(rows)
-    unit, factor = ("mm", 1e3) if straight else ("deg", 180 / math.pi)
-    return f"{name} differs by {error * factor:.3f} {unit}, allowed {threshold * factor:.3f}"
+    unit, (allowed, _) = "m" if straight else "rad", to_people(threshold, "m" if straight else "rad")
+    return Sentence("view.picture.differs", joint=name, difference=Quantity(error, unit), allowed=f"{allowed:.3f}")
 
 
 def _wrapped(text: str) -> list[str]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 
 #: Colours r, g, b, a of the words for an element's state. What is not there yet is seen through.
@@ -90,7 +91,10 @@ def work_picture(elements: Iterable[DrawnElement], shown: Iterable[str] = ()) ->
     if following is not None:
         corners = placed_triangles(following).reshape(-1, 3)
         x, y = 0.5 * (corners[:, :2].min(axis=0) + corners[:, :2].max(axis=0))
-        text, text_at = f"next: {following.name}", (float(x), float(y), float(corners[:, 2].max()) + TEXT_ROOM)
+        text, text_at = (
+            Sentence("view.next", element=following.name),
+            (float(x), float(y), float(corners[:, 2].max()) + TEXT_ROOM),
+        )
     picture = WorkPicture(drawn, text, text_at, ())
     return WorkPicture(drawn, text, text_at, tuple(sorted(set(shown) - picture.keys)))
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from construction_twin.core.errors import RequestRefused
 from construction_twin.core.reports import TaskReport, WorkReport
+from construction_twin.core.sentences import Sentence
 
 
 def chosen(tasks: Sequence[TaskReport], text: str) -> TaskReport:
@@ -24,23 +25,24 @@ def chosen(tasks: Sequence[TaskReport], text: str) -> TaskReport:
     if len(found) == 1:
         return found[0]
     if found:
-        several = ", ".join(task.name or task.id for task in found[:5])
-        raise RequestRefused(
-            f"{text!r} fits {len(found)} tasks: {several}{', ...' if len(found) > 5 else ''}; give more of it"
-        )
-    raise RequestRefused(f"no task has the id or name {text!r}; `twin work list` shows them")
+        several = ", ".join([*(task.name or task.id for task in found[:5]), *(["..."] if len(found) > 5 else [])])
+        raise RequestRefused(Sentence("view.work.several", text=repr(text), count=len(found), several=several))
+    raise RequestRefused(Sentence("view.work.none", text=repr(text)))
 
 
 def list_lines(work: WorkReport) -> list[str]:
     """Return the tasks in their order, after two lines about the whole; the notes behind them."""
-    lines = [f"model      {work.model}, schedule: {work.schedule or 'not read'}", f"work       {work.reason}"]
+    schedule = work.schedule or Sentence("view.work.not_read")
+    model = Sentence("view.work.schedule", model=work.model, schedule=schedule)
+    lines = [f"model      {model}", f"work       {work.reason}"]
     wide = max((len(task.name) for task in work.tasks), default=0)
     for number, task in enumerate(work.tasks, start=1):
         mark = ">" if task.id == work.next else " "
         far = f"  {task.deviation_mm:.2f} mm {task.deviation_deg:.3f} deg" if math.isfinite(task.deviation_mm) else ""
         lines.append(f"{mark}{number:4} {task.id} {task.name:{wide}} {task.state:10}{far}".rstrip())
         if task.question:
-            lines.append(f"        {task.question} Answers: {', '.join(task.answers)}")
+            asked = Sentence("view.work.answers", question=task.question, answers=", ".join(task.answers))
+            lines.append(f"        {asked}")
     return [*lines, *note_lines(work)]
 
 
@@ -56,13 +58,14 @@ def show_lines(work: WorkReport, task: TaskReport) -> list[str]:
         f"task       {task.name} ({task.id})",
         f"element    {task.element_name} ({task.element})",
         f"state      {task.state}{f': {task.reason}' if task.reason else ''}",
-        f"after      {', '.join(names.get(one) or one for one in task.after) or 'nothing'}",
-        f"robot      {task.robot or 'any'}",
+        f"after      {', '.join(names.get(one) or one for one in task.after) or Sentence('view.work.nothing')}",
+        f"robot      {task.robot or Sentence('view.work.any')}",
     ]
     if task.plan_id:
         lines.append(f"plan       {task.plan_id}")
     if math.isfinite(task.deviation_mm):
-        lines.append(f"deviation  {task.deviation_mm:.3f} mm, {task.deviation_deg:.4f} deg from the model")
+        off = Sentence("view.work.deviation", mm=task.deviation_mm, deg=task.deviation_deg)
+        lines.append(f"deviation  {off}")
     if task.question:
         lines += [f"question   {task.question}", f"answers    {', '.join(task.answers)}"]
     return lines

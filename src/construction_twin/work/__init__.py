@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from construction_twin.work.events import Entry as Entry
     from construction_twin.work.jobs import WorkJob as WorkJob
     from construction_twin.work.jobs import WorkPlan as WorkPlan
-    from construction_twin.work.jobs import WorkSegment as WorkSegment
     from construction_twin.work.ledger import Ledger as Ledger
     from construction_twin.work.motions import TaskLimits as TaskLimits
     from construction_twin.work.placement import Placement as Placement

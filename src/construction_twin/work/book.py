@@ -10,12 +10,12 @@ import functools
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError
 from construction_twin.work.events import ACCEPTED, CHANGED, OF_NO_TASK, OPENED, Entry
 from construction_twin.work.task_memory import TaskMemory
 from construction_twin.work.task_states import SETTLED, UNDER_WAY, TaskEvent, TaskState
 
-_MODEL_CHANGED = "the model was changed"
 _FREED, _BLOCKED = Entry(TaskEvent.FREED.value), Entry(TaskEvent.BLOCKED.value)
 
 
@@ -130,8 +130,7 @@ class Book:
     def strange(self) -> tuple[str, ...]:
         """One sentence for each task which the schedule does not have any more."""
         return tuple(
-            f"the ledger has task {task} of element {self.former_element[task]} as {memory.state.value}, "
-            "which the schedule does not have any more"
+            Sentence("work.strange", task=task, element=self.former_element[task], state=memory.state.value)
             for task, memory in self.former.items()
         )
 
@@ -156,10 +155,10 @@ class Book:
             if _touched(memory):
                 # what is on its way out stands; only then can it be asked about
                 times = 2 if memory.state is TaskState.RETREATING else 1
-                found += [Entry("unknown", task, element, reason=_MODEL_CHANGED)] * times
+                found += [Entry("unknown", task, element, reason=Sentence("work.event.model_changed"))] * times
             elif element in left and memory.state in (TaskState.WAITING, TaskState.READY) and task not in staying:
                 pose = left[element].base_T_element
-                found.append(Entry("unknown", task, element, pose=pose, reason=f"{_MODEL_CHANGED}, and its task"))
+                found.append(Entry("unknown", task, element, pose=pose, reason=Sentence("work.event.task_changed")))
         return found
 
 

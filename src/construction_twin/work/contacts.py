@@ -195,12 +195,13 @@ def changed(scene: Scene, items: Iterable[SceneObject]) -> Scene:
     return SceneChange(tuple(items)).apply(scene)
 
 
-def difference(before: Scene, after: Scene) -> tuple[SceneObject, ...]:
-    """Return the objects that have to be put into a scene to make another one of it; nothing is removed."""
+def difference(before: Scene, after: Scene) -> SceneChange:
+    """Return the change that makes one scene of another, which lacks no object of it: it only puts."""
     present: Mapping[str, SceneObject] = {item.name: item for item in before.objects}
-    return tuple(
+    changed = (
         item for item in after.objects if item.name not in present or item.contents() != present[item.name].contents()
     )
+    return SceneChange(tuple(changed))
 
 
 def deepest(world: CollisionWorld, qs: np.ndarray) -> tuple[Clearance, float] | None:

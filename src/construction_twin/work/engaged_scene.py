@@ -11,23 +11,10 @@ from dataclasses import dataclass, replace
 
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.reports import EngagementReport
+from construction_twin.core.sentences import Sentence, Value
+from construction_twin.robot.segments import Segment
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
-
-_FREE = "or free the arm by hand and call release_engagement"
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """What a segment of a work plan changes in the scene.
-
-    Attributes:
-        before, after: Hashes of the scenes.
-    """
-
-    before: str
-    after: str
-    change: SceneChange
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +33,8 @@ class Due:
 def due(
     left: EngagementReport,
     scene: Scene,
-    steps: Sequence[Step],
+    segments: Sequence[Segment],
+    changes: Sequence[SceneChange],
     earlier: Iterable[Scene] = (),
     element: str = "",
     forms: Iterable[Sequence[SceneObject]] = (),
@@ -55,31 +43,30 @@ def due(
 
     Args:
         scene: The present one.
-        steps: Of the plan that ended inside; empty: it is not known any more.
+        segments: Of the plan that ended inside; empty: it is not known any more.
+        changes: What each of them does to the scene.
         earlier: Those seen before, the newest first.
         element: GlobalId of the element that the task places; empty: not known.
         forms: Its objects as the ledger can have them: in its stock, in the grip, at its place.
     """
     if scene.hash in left.scenes:
         return Due()
-    changes = [step.change for step in steps if step.after in left.scenes]
-    mine = {name for step in steps for name in (*step.change.remove, *(item.name for item in step.change.put))}
+    leading = [change for segment, change in zip(segments, changes) if segment.scene_after in left.scenes]
+    mine = {name for change in changes for name in (*change.remove, *(item.name for item in change.put))}
     alternatives = [tuple(form) for form in forms]
     for base in (scene, *earlier):
-        wanted = _wanted(base, left.scenes, changes, element, alternatives)
+        wanted = _wanted(base, left.scenes, leading, element, alternatives)
         if wanted is not None:
             return _lead(left, scene, wanted, mine)
-    known = "" if steps else f"plan {left.plan_id} is not known any more, and "
-    return Due(
-        sentence=f"{_where(left)}; {known}no change of the work's objects makes the present scene {scene.hash[:12]} the one in "
-        f"which it may go back ({' or '.join(each[:12] for each in left.scenes) or 'none is known'}): look at what hangs on the "
-        f"tool, undo what was changed in the scene since, {_FREE}"
-    )
+    scenes = " or ".join(each[:12] for each in left.scenes) or "none is known"
+    if segments:
+        return _why_not(left, "none", scene=scene.hash[:12], scenes=scenes)
+    return _why_not(left, "forgotten", plan=left.plan_id, scene=scene.hash[:12], scenes=scenes)
 
 
-def confirmed(left: EngagementReport, step: Step) -> bool:
+def confirmed(left: EngagementReport, segment: Segment) -> bool:
     """Return whether the engagement says that what a segment switches at its end has happened, so that its change is due."""
-    return step.after != step.before and set(left.scenes) == {step.after}
+    return segment.scene_after != segment.scene and set(left.scenes) == {segment.scene_after}
 
 
 def _wanted(
@@ -124,26 +111,19 @@ def _lead(left: EngagementReport, scene: Scene, wanted: Scene, mine: set[str]) -
 
     added = [name for name in remove if foreign(name)]
     if added:
-        return Due(
-            sentence=f"{_where(left)}; {_names(added)} came into the scene since, and blocks the way back: "
-            f"take it out again, {_FREE}"
-        )
+        return _why_not(left, "added", names=_names(added))
     others = [item.name for item in put if foreign(item.name)]
     if others:
-        return Due(
-            sentence=f"{_where(left)}; {_names(others)} was changed or taken out of the scene since: put it back as it was, {_FREE}"
-        )
+        return _why_not(left, "changed", names=_names(others))
     change = SceneChange(tuple(put), tuple(remove))
     try:
         made = change.apply(scene).hash
     except SceneError as error:
-        return Due(sentence=f"{_where(left)}; the scene cannot be restored: {error}")
+        return _why_not(left, "broken", problem=error.sentence)
+    if made != wanted.hash and scene.padding != wanted.padding:
+        return _why_not(left, "padding", padding=wanted.padding)
     if made != wanted.hash:
-        return Due(
-            sentence=f"{_where(left)}; the scene's padding was changed since: set it back to {wanted.padding:g} m, {_FREE}"
-            if scene.padding != wanted.padding
-            else f"{_where(left)}; the scene cannot be restored by putting and removing objects: do it by hand, {_FREE}"
-        )
+        return _why_not(left, "by_hand")
     return Due(change, wanted.hash)
 
 
@@ -151,8 +131,9 @@ def _differ(one: SceneObject, other: SceneObject) -> bool:
     return one.contents() != other.contents()
 
 
-def _where(left: EngagementReport) -> str:
-    return f"the arm was left in engaged segment {left.segment!r} of plan {left.plan_id}"
+def _why_not(left: EngagementReport, why: str, **values: Value) -> Due:
+    where = Sentence("work.left", segment=repr(left.segment), plan=left.plan_id)
+    return Due(sentence=Sentence(f"work.back.{why}", left=where, **values))
 
 
 def _names(names: Sequence[str]) -> str:

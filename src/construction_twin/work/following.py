@@ -11,9 +11,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from construction_twin.core.reports import ExecutionReport
+from construction_twin.core.sentences import Sentence, has
 from construction_twin.review.record import Fate
-from construction_twin.robot.segments import Switch
+from construction_twin.robot.segments import Segment
 from construction_twin.robot.tool import Tool
+from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work.events import Entry
 from construction_twin.work.task_memory import TaskMemory
 from construction_twin.work.task_states import UNDER_WAY, TaskEvent, TaskState
@@ -59,36 +61,24 @@ class GripReading:
         return self.known and not self.closed
 
 
-@dataclass(frozen=True)
-class SegmentEnd:
-    """What a segment's end does to the grip.
-
-    Attributes:
-        carries: The scene then has an object that a link carries and that was put there.
-        engaged: The segment is.
-    """
-
-    switches: tuple[Switch, ...]
-    carries: bool
-    engaged: bool = False
-
-
-def followed(plan_id: str, memory: TaskMemory, ends: Sequence[SegmentEnd], tool: Tool) -> Followed:
+def followed(
+    plan_id: str, memory: TaskMemory, segments: Sequence[Segment], changes: Sequence[SceneChange], tool: Tool
+) -> Followed:
     """Return a plan of a task as it is followed: where it grips the element, and where it lets go of it.
 
     Args:
         memory: Of the plan's task.
-        ends: Of its segments.
+        changes: What each of its segments does to the scene.
     """
     grips, releases = -1, -1
-    for number, end in enumerate(ends):
-        for switch in end.switches:
-            if tool.grip.set.get(switch.output) == switch.value and end.carries:
+    for number, (segment, change) in enumerate(zip(segments, changes)):
+        for switch in segment.switches:
+            if tool.grip.set.get(switch.output) == switch.value and change.carries:
                 grips = number
             lets_go = tool.release.set.get(switch.output) == switch.value
             if lets_go and releases < 0 and (grips >= 0 or memory.in_grip):
                 releases = number
-    works = next((number for number, end in enumerate(ends) if end.engaged), -1)
+    works = next((number for number, segment in enumerate(segments) if segment.engaged), -1)
     return Followed(plan_id, grips, releases, works)
 
 
@@ -207,18 +197,18 @@ def after_restart(memory: TaskMemory, fate: Fate, grip: GripReading) -> list[Ent
             if not memory.plan:
                 events.add(TaskEvent.PLANNED)
         elif fate.approved is False:
-            events.add(TaskEvent.DROPPED, "it was never approved")
+            events.add(TaskEvent.DROPPED, Sentence("work.event.never_approved"))
         elif grip.surely_open and not memory.in_grip and not memory.stays:
             # nothing can have been carried: the line that must be written before is not there
-            events.add(TaskEvent.DROPPED, "nothing was gripped")
+            events.add(TaskEvent.DROPPED, Sentence("work.event.nothing_gripped"))
         else:
-            events.add(TaskEvent.UNKNOWN, "whether the plan was carried out is not known")
+            events.add(TaskEvent.UNKNOWN, Sentence("work.event.plan_unknown"))
     elif memory.state is TaskState.WORKING and grip.surely_open and not memory.stays:
-        events.add(TaskEvent.STOPPED, "nothing was gripped")
+        events.add(TaskEvent.STOPPED, Sentence("work.event.nothing_gripped"))
     elif memory.state is TaskState.GRIPPING and grip.surely_open:
-        events.add(TaskEvent.NOT_GRIPPED, "nothing was gripped")
+        events.add(TaskEvent.NOT_GRIPPED, Sentence("work.event.nothing_gripped"))
     elif memory.state in UNDER_WAY:
-        events.add(TaskEvent.UNKNOWN, f"what became of the plan is not known; the last known was {memory.state.value}")
+        events.add(TaskEvent.UNKNOWN, Sentence("work.event.end_unknown", state=memory.state.value))
     return events.entries
 
 
@@ -227,27 +217,14 @@ def question(memory: TaskMemory, element_name: str) -> str:
     if memory.state is not TaskState.ASKS:
         return ""
     if memory.stays:
-        known = _KNOWN_OF_STAYING.get(memory.before, memory.before.value)
-        return f"was the task on {element_name} carried out? The last that is known of it: {known}"
-    return (
-        f"where is {element_name} now? The last that is known of it: {_KNOWN.get(memory.before, memory.before.value)}"
-    )
+        return Sentence(
+            "work.question.done", element=element_name, known=_known(f"work.known.stays.{memory.before.value}")
+        )
+    # of an element that waits, the state says as little as of one that is ready
+    before = TaskState.WAITING if memory.before is TaskState.READY else memory.before
+    return Sentence("work.question.where", element=element_name, known=_known(f"work.known.{before.value}"))
 
 
-_KNOWN_OF_STAYING = {
-    TaskState.DONE: "it was done, for another version of the model",
-    TaskState.PLANNED: "it was to be begun",
-    TaskState.WORKING: "it was under way",
-}
-_KNOWN = {
-    TaskState.WAITING: "another version of the model was worked on",
-    TaskState.READY: "another version of the model was worked on",
-    TaskState.DONE: "it was placed, for another version of the model",
-    TaskState.SKIPPED: "it was measured at its place, for another version of the model",
-    TaskState.CARRIED: "it was in the grip",
-    TaskState.PLANNED: "it was to be fetched",
-    TaskState.WORKING: "it was being fetched",
-    TaskState.GRIPPING: "the grip was being closed on it",
-    TaskState.CARRYING: "it was carried",
-    TaskState.RELEASING: "it was being let go at its place",
-}
+def _known(key: str) -> str:
+    """Return what is known of a task whose end is not; where there are no words for its state, the state's own."""
+    return Sentence(key) if has(key) else key.rpartition(".")[2]

@@ -12,8 +12,7 @@ from types import MappingProxyType
 import numpy as np
 
 from construction_twin.kinematics.chain import Pose
-from construction_twin.robot.segments import Signal, Switch
-from construction_twin.robot.trajectory import Trajectory
+from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.work.building import Element, Value
 
@@ -65,30 +64,12 @@ def bare_job(element: Element, task: str = "", task_properties: Mapping[str, Val
 
 
 @dataclass(frozen=True, eq=False)
-class WorkSegment:
-    """One motion from rest to rest, and what happens at its end.
-
-    Attributes:
-        put: Added or replaced after the switches.
-    """
-
-    name: str
-    trajectory: Trajectory
-    engaged: bool
-    requires: tuple[Signal, ...]
-    switches: tuple[Switch, ...]
-    put: tuple[SceneObject, ...]
-    remove: tuple[str, ...]
-    scene: Scene
-    scene_after: Scene
-
-
-@dataclass(frozen=True, eq=False)
 class WorkPlan:
     """A whole task, planned.
 
     Attributes:
         method: Name of the way in which the process does it, of those that it found: of `place` the grip.
+        scenes: One more than segments: the scene in which each is carried out, and the one after the last.
         planning_time: [s]
         clearance: Smallest over all segments, without what they approach on purpose [m].
         tool0_T_element: How the element is held; None: it is not moved.
@@ -97,6 +78,7 @@ class WorkPlan:
     job: WorkJob
     method: str
     segments: tuple[WorkSegment, ...]
+    scenes: tuple[Scene, ...]
     planning_time: float
     clearance: float
     tool0_T_element: Pose | None = None

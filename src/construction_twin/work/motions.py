@@ -16,6 +16,7 @@ import numpy as np
 
 from construction_twin.core.clock import Clock
 from construction_twin.core.motion_errors import KinematicsError, PlanningError, UnreachableError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import InverseKinematics
@@ -24,6 +25,7 @@ from construction_twin.planning.limit_usage import cycle_times
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
 from construction_twin.planning.recheck import check_free, check_limits
 from construction_twin.planning.tool_path import ToolWaypoint
+from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.segments import Signal, Switch
 from construction_twin.robot.tool import ToolFile
@@ -31,7 +33,7 @@ from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene
 from construction_twin.work.contacts import Shapes, deepest, difference
-from construction_twin.work.jobs import WorkJob, WorkSegment
+from construction_twin.work.jobs import WorkJob, WorkPlan
 from construction_twin.work.process import REACH
 from construction_twin.work.recipe import Recipe
 
@@ -82,32 +84,6 @@ class Worlds:
         if scene.hash not in self._worlds:
             self._worlds[scene.hash] = self._make(scene)
         return self._worlds[scene.hash]
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """One part of a plan, before its changes of the scene are computed.
-
-    Attributes:
-        scene, after: During it, and after its switches.
-        clearance: Of a free way [m]; None: to be computed.
-    """
-
-    name: str
-    trajectory: Trajectory
-    engaged: bool
-    requires: tuple[Signal, ...]
-    switches: tuple[Switch, ...]
-    scene: Scene
-    after: Scene
-    clearance: float | None = None
-
-    def segment(self) -> WorkSegment:
-        """Return it as a segment of the plan."""
-        return WorkSegment(
-            self.name, self.trajectory, self.engaged, self.requires, self.switches,
-            difference(self.scene, self.after), (), self.scene, self.after,
-        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +172,7 @@ class Search:
             contact = world.contact(found[0])
             assert contact is not None
             one, other = contact.between
-            raise Failed(stage, method, f"{where}, {one} touches {other} or is closer than the padding")
+            raise Failed(stage, method, Sentence("work.cannot.touches", where=where, first=one, second=other))
         return free
 
     def line(self, start: np.ndarray, pose: Pose, scale: float, scene: Scene, stage: str, method: str) -> Trajectory:
@@ -234,11 +210,7 @@ class Search:
         contact = self.worlds.of(scene).contact(q)
         if contact is not None:
             one, other = contact.between
-            raise Failed(stage, method, f"{where} {one} touches {other} or is closer than the padding")
-
-    def clearance(self, parts: Sequence[Part]) -> float:
-        """Return the smallest clearance of all parts [m]."""
-        return min(self._clearance(part) for part in parts)
+            raise Failed(stage, method, Sentence("work.cannot.touches_there", where=where, first=one, second=other))
 
     def nearest(self, solutions: Sequence[np.ndarray]) -> list[int]:
         """Return the numbers of joint solutions, those that the arm gets to soonest first."""
@@ -246,12 +218,6 @@ class Search:
         return sorted(
             range(len(solutions)), key=lambda one: round(float(np.max(np.abs(solutions[one] - self.start) / pace)), 9)
         )
-
-    def _clearance(self, part: Part) -> float:
-        if part.clearance is not None:
-            return part.clearance
-        samples = part.trajectory.sample_many(cycle_times(part.trajectory))[0]
-        return self.worlds.of(part.scene).clearance_of(samples)[0].distance
 
     def _line(self, start: np.ndarray, pose: Pose, scale: float, world: CollisionWorld) -> Trajectory:
         recipe: Recipe = self.recipe
@@ -275,6 +241,55 @@ class Search:
         samples = trajectory.sample_many(times)[0]
         check_free(samples, times, world)
         return samples
+
+
+class PlanBuilder:
+    """A work plan in the making: segments one after the other.
+
+    Args:
+        scene: In which the first one begins.
+    """
+
+    def __init__(self, search: Search, scene: Scene):
+        self._search = search
+        self._segments: list[WorkSegment] = []
+        self._scenes = [scene]
+        self._clearances: list[float | None] = []
+
+    def add(
+        self,
+        name: str,
+        trajectory: Trajectory,
+        engaged: bool,
+        requires: tuple[Signal, ...],
+        switches: tuple[Switch, ...],
+        after: Scene,
+        clearance: float | None = None,
+    ) -> None:
+        """Add a segment.
+
+        Args:
+            after: The scene after its switches.
+            clearance: Of a free way [m]; None: to be computed.
+        """
+        change = difference(self._scenes[-1], after)
+        self._segments.append(WorkSegment(name, trajectory, engaged, requires, switches, change))
+        self._scenes.append(after)
+        self._clearances.append(clearance)
+
+    def plan(self, method: str, tool0_T_element: Pose | None = None) -> WorkPlan:
+        """Return the plan; arguments as of `WorkPlan`."""
+        search = self._search
+        planning_time = search.clock() - search.began
+        clearance = min(map(self._clearance, self._segments, self._scenes, self._clearances))
+        segments, scenes = tuple(self._segments), tuple(self._scenes)
+        return WorkPlan(search.job, method, segments, scenes, planning_time, clearance, tool0_T_element)
+
+    def _clearance(self, segment: WorkSegment, scene: Scene, known: float | None) -> float:
+        if known is not None:
+            return known
+        samples = segment.trajectory.sample_many(cycle_times(segment.trajectory))[0]
+        return self._search.worlds.of(scene).clearance_of(samples)[0].distance
 
 
 def whole_cycles(trajectory: Trajectory) -> Trajectory:

@@ -17,6 +17,7 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import configuration_error, wrong_value
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.robot.tool import Tool
@@ -107,9 +108,8 @@ class Recipes:
             if recipe.match.fits(asked):
                 return name
         kind = f"{job.ifc_class} {job.type_name!r}" if job.type_name else job.ifc_class
-        raise TaskPlanningError(
-            job.task, f"no recipe of {self.file} fits {job.called}, {kind}; add one, or name one in {PROPERTY_SET}"
-        )
+        values = {"file": str(self.file), "element": job.called, "kind": kind, "property_set": PROPERTY_SET}
+        raise TaskPlanningError(job.task, Sentence("work.cannot.no_recipe", **values))
 
     def _overridden(self, job: WorkJob, recipe: Recipe, own: Mapping[str, Value]) -> Recipe:
         overrides = process_of(recipe.process).overrides
@@ -181,4 +181,5 @@ def _read(path: str | Path, process: str, description: object) -> dict[str, Any]
 
 
 def _wrong(job: WorkJob, name: str, value: object, expected: str) -> TaskPlanningError:
-    return TaskPlanningError(job.task, f"{job.called}, {PROPERTY_SET}.{name}: found {value!r}, expected {expected}")
+    values = {"element": job.called, "property": f"{PROPERTY_SET}.{name}", "value": repr(value), "expected": expected}
+    return TaskPlanningError(job.task, Sentence("work.cannot.property", **values))

@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from types import MappingProxyType
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import ScheduleError
 from construction_twin.work.building import BuildingModel, Element, Sequence, Task
 from construction_twin.work.processes import process_of
@@ -95,10 +96,10 @@ class Blocker:
     @property
     def text(self) -> str:
         """One sentence's part for people: ``after 'Place stud 1' (2xF...) has finished``."""
-        done = "finished" if self.finished else "started"
+        done, job = "finished" if self.finished else "started", f"{self.job.name!r} ({self.job.id})"
         if self.remaining is None:
-            return f"after {self.job.name!r} ({self.job.id}) has {done}"
-        return f"{self.remaining:.0f} s from now, its lag after {self.job.name!r} ({self.job.id}) has {done}"
+            return Sentence(f"work.lag.{done}", job=job)
+        return Sentence(f"work.lag.since_{done}", seconds=self.remaining, job=job)
 
 
 class Schedule:

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import Scene, SceneObject, product
@@ -74,7 +75,7 @@ class Layout:
         for element in order:
             if element not in corners:
                 name = building.element(element).name
-                raise TaskPlanningError(element, f"element {name!r} has no geometry; leave it out of the work")
+                raise TaskPlanningError(element, Sentence("work.cannot.no_geometry", element=repr(name)))
         own = (Job(one, "", "", one, (), (), site.recipes.process(building.element(one))) for one in order)
         self._jobs = {job.id: job for job in jobs or own}
         placed = {job.element for job in self._jobs.values() if job.moves}

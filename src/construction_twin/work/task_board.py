@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from construction_twin.core.reports import TaskReport, WorkReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import WorkError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Tool
@@ -26,8 +27,6 @@ from construction_twin.work.schedule import Schedule
 from construction_twin.work.site import inverse
 from construction_twin.work.task_memory import TaskMemory
 from construction_twin.work.task_states import (
-    ANSWERS,
-    ANSWERS_OF_STAYING,
     PLANNABLE,
     SETTLED,
     UNDER_WAY,
@@ -201,10 +200,10 @@ class TaskBoard:
         Raises WorkRefused.
         """
         if self.schedule_word != PROPOSED:
-            raise WorkRefused(f"the schedule is {_SCHEDULES[self.schedule_word]}: there is nothing to accept")
+            raise WorkRefused(Sentence(f"work.accept_nothing.{self.schedule_word}"))
         self._named(person)
         self.ledger.add(Entry(ACCEPTED, person=person, reason=reason, schedule=self.prepared.schedule_digest))
-        return f"{person} accepts the proposed schedule of {len(self.prepared.schedule.jobs)} tasks"
+        return Sentence("work.accepted", person=person, count=len(self.prepared.schedule.jobs))
 
     # -- what can be planned
 
@@ -220,39 +219,38 @@ class TaskBoard:
         """
         book = self.book
         if task not in book.tasks:
-            return f"there is no task {task!r}; `twin work list` names them"
+            return Sentence("work.no_task", task=repr(task))
         if self.schedule_word == PROPOSED:
-            return "the schedule is a proposal from the geometry: look at it, then accept it (`twin work accept`)"
+            return Sentence("work.proposed")
         asking = book.in_state(TaskState.ASKS)
         if asking:
-            return f"{self.title(asking[0])} asks first: {self._question(asking[0])}"
+            return self._asking("work.asks_first", asking[0])
         busy = book.busy
         if busy:
-            what = "under review" if book.tasks[busy].state is TaskState.PLANNED else "under way"
-            return f"{self.title(busy)} is {what}"
+            what = "under_review" if book.tasks[busy].state is TaskState.PLANNED else "under_way"
+            return Sentence(f"work.{what}", task=self.title(busy))
         held = book.in_state(TaskState.CARRIED)
         if held and held[0] != task:
-            return f"{self._element(held[0]).name} is in the grip: {self.title(held[0])} comes first"
+            return Sentence("work.in_grip", element=self._element(held[0]).name, task=self.title(held[0]))
         state = book.tasks[task].state
         if state is TaskState.WAITING:
-            return f"{self.title(task)} {self._waits_for(task)}"
+            return Sentence("work.waits", task=self.title(task), tasks=self._missing(task))
         if state not in PLANNABLE:
-            return f"{self.title(task)} is {state.value}"
+            return Sentence(f"work.is.{state.value}", task=self.title(task))
         if task in self.prepared.removals:
-            return (
-                f"{self._element(task).name} is to be taken down by people; when it is gone, a person says so: "
-                f"{removed_command(task)}"
+            return Sentence(
+                "work.taken_down_by_people", element=self._element(task).name, command=removed_command(task)
             )
         robots = self.prepared.schedule.job(task).robots
         if robots and self._robot not in robots:
-            return f"{self.title(task)} is for {' or '.join(robots)}, not for {self._robot}"
+            return Sentence("work.other_robot", task=self.title(task), robots=" or ".join(robots), robot=self._robot)
         element = self.prepared.schedule.job(task).element
         if element in self.prepared.unplannable:
-            return f"{self.title(task)} cannot be planned: {self.prepared.unplannable[element]}; skip it when it stands"
+            return Sentence("work.unplannable", task=self.title(task), reason=self.prepared.unplannable[element])
         if self.prepared.stays(task):
             return self._not_there(task) or self._lag(task, now)
         if state is TaskState.READY and element not in self._present():
-            return f"{self._element(task).name} is not delivered yet: its slot in the rack is taken by another element"
+            return Sentence("work.not_delivered", element=self._element(task).name)
         return self._lag(task, now)
 
     def _not_there(self, task: str) -> str:
@@ -260,12 +258,11 @@ class TaskBoard:
         element, name = self.element_of(task), self._element(task).name
         placing = self.prepared.schedule.placing.get(element)
         if element in self._gone():
-            return f"{name} was taken down; skip {self.title(task)}"
+            return Sentence("work.taken_down", element=name, task=self.title(task))
         if placing and not self.book.tasks[placing].placed:
             state = self.book.tasks[placing].state.value
-            return (
-                f"{name} does not count as placed: {self.title(placing)} is {state}; if it stands, say where "
-                f"(`twin work measured`), else skip {self.title(task)}, too"
+            return Sentence(
+                "work.not_placed", element=name, placing=self.title(placing), state=state, task=self.title(task)
             )
         return ""
 
@@ -285,10 +282,7 @@ class TaskBoard:
             for name in grip.commanded
             if name in self.prepared.tool.release.set
         )
-        return (
-            f"nothing counts as held, but the tool is commanded to grip ({names}): look at it, and hold what may fall; at the "
-            f"controller end the RSI program, switch {values or names} by hand, start the program anew, then ask again"
-        )
+        return Sentence("work.left_closed", names=names, values=values or names)
 
     def element_of(self, task: str) -> str:
         """Return the GlobalId of a task's element."""
@@ -307,27 +301,27 @@ class TaskBoard:
         """
         state = self._memory(task, person).state
         if state is TaskState.ASKS:
-            raise WorkRefused(f"{self.title(task)} asks first: {self._question(task)}")
+            raise WorkRefused(self._asking("work.asks_first", task))
         if state not in (TaskState.WAITING, TaskState.READY, TaskState.HELD):
-            raise WorkRefused(f"{self.title(task)} is {state.value} and cannot be skipped")
+            raise self._not_in(state, "work.no_skip", task)
         self.add(Entry("skipped", task, person=person, reason=reason))
-        sentence = f"{self.title(task)} is skipped: what comes after it no longer waits"
         if task in self.prepared.removals:
-            return f"{sentence}; {self._element(task).name} stays"
-        return sentence if self.prepared.stays(task) else f"{sentence}; take its element out of the stock"
+            return Sentence("work.skipped_removal", task=self.title(task), element=self._element(task).name)
+        key = "work.skipped" if self.prepared.stays(task) else "work.skipped_stock"
+        return Sentence(key, task=self.title(task))
 
     def removed(self, task: str, person: str, reason: str) -> str:
-        """Take a person's word that what a removal takes down is gone: it is no obstacle from now on; return a sentence.
+        """Take a person's word that what a removal takes down is gone, and no obstacle any more; return a sentence.
 
         Raises WorkRefused.
         """
         memory = self._memory(task, person)
         if task not in self.prepared.removals:
-            raise WorkRefused(f"{self.title(task)} takes nothing down: `removed` is for what the model has taken down")
+            raise WorkRefused(Sentence("work.removed_nothing", task=self.title(task)))
         if memory.state is TaskState.DONE:
-            raise WorkRefused(f"{self._element(task).name} is gone already")
+            raise WorkRefused(Sentence("work.removed_already", element=self._element(task).name))
         self.add(Entry("removed", task, person=person, reason=reason))
-        return f"{person} says that {self._element(task).name} is gone: it is no obstacle from now on"
+        return Sentence("work.removed", person=person, element=self._element(task).name)
 
     def redo(self, task: str, person: str, reason: str) -> str:
         """Have a task done again, its element back in stock; of one that counts as carried, have it asked about; return a sentence.
@@ -336,34 +330,31 @@ class TaskBoard:
         """
         state = self._memory(task, person).state
         if state is TaskState.CARRIED:
-            doubt = reason or "a person doubts that it is in the grip"
-            self.add(Entry("unknown", task, person=person, reason=doubt))
-            return f"{self.title(task)} asks: {self._question(task)}"
+            self.add(Entry("unknown", task, person=person, reason=reason or Sentence("work.redo_doubt")))
+            return self._asking("work.asks", task)
         if state not in (TaskState.DONE, TaskState.SKIPPED, TaskState.HELD):
-            raise WorkRefused(f"{self.title(task)} is {state.value}; it was not done or skipped yet")
+            raise self._not_in(state, "work.redo_not_yet", task)
         later = self.book.followers(task)
         if later:
-            raise WorkRefused(f"{self.title(later[0])} came after {self.title(task)}: redo that first")
+            raise WorkRefused(Sentence("work.redo_later", later=self.title(later[0]), task=self.title(task)))
         taken_down, stays = task in self.prepared.removals, self.prepared.stays(task)
         if not taken_down and not stays:
             self._slot_free(task)
         self.add(Entry("redone", task, person=person, reason=reason))
         if taken_down:
-            return (
-                f"{self._element(task).name} counts as standing again: an obstacle until a person says that it is gone"
-            )
+            return Sentence("work.redo_removal", element=self._element(task).name)
         if stays:
-            return f"{self.title(task)} is to be done again"
-        return f"{self.title(task)} is to be done again; {self._element(task).name} counts as back in its stock"
+            return Sentence("work.redo", task=self.title(task))
+        return Sentence("work.redo_stock", task=self.title(task), element=self._element(task).name)
 
     def lost(self) -> str:
         """Take note that the tool is surely open: what counts as carried is asked about; return a sentence, empty: nothing is."""
         held = self.book.in_state(TaskState.CARRIED)
         if not held:
             return ""
-        reason = "the tool says that it holds nothing"
+        reason = Sentence("work.lost")
         self.add(Entry("unknown", held[0], reason=reason))
-        return f"{reason}: {self.title(held[0])} asks: {self._question(held[0])}"
+        return self._asking("work.lost_asks", held[0], reason=reason)
 
     def answer(self, task: str, answer: str, person: str, reason: str) -> str:
         """Take the answer to a task's question; return a sentence.
@@ -373,15 +364,17 @@ class TaskBoard:
         memory = self._memory(task, person)
         possible = memory.possible_answers()
         if not possible:
-            raise WorkRefused(f"{self.title(task)} is {memory.state.value} and asks nothing")
+            raise self._not_in(memory.state, "work.answer_nothing", task)
         if answer not in possible:
+            question = self._question(task)
             raise WorkRefused(
-                f"{answer!r} is no answer to: {self._question(task)}; expected one of {', '.join(possible)}"
+                Sentence("work.answer_wrong", answer=repr(answer), question=question, answers=", ".join(possible))
             )
         if answer == "in_stock":
             self._slot_free(task)
         self.add(Entry("answered", task, answer=answer, person=person, reason=reason))
-        return f"{self.title(task)}: {self._element(task).name}: {(ANSWERS | ANSWERS_OF_STAYING)[answer]}"
+        meaning, name = Sentence(f"work.answer.{answer}"), self._element(task).name
+        return Sentence("work.answered", task=self.title(task), element=name, answer=meaning)
 
     def measured(self, element: str, pose: Pose, person: str, reason: str) -> Deviation:
         """Take where an element really is.
@@ -391,16 +384,14 @@ class TaskBoard:
         self._named(person)
         task = self.prepared.schedule.placing.get(element)
         if task is None:
-            raise WorkRefused(f"no task places element {element!r}; `twin work list` names them")
+            raise WorkRefused(Sentence("work.measured_no_task", element=repr(element)))
         state = self.book.tasks[task].state
         if state not in SETTLED:
-            raise WorkRefused(f"{self._element(task).name} is not placed yet: {self.title(task)} is {state.value}")
+            raise self._not_in(state, "work.measured_not_placed", task, element=self._element(task).name)
         found = deviation(pose, self._element(task).base_T_goal)
         if not (found.distance <= _FARTHEST and np.isfinite(found.angle)):
-            raise WorkRefused(
-                f"the pose is {found.distance:.3g} m from where the model has {self._element(task).name}; "
-                f"expected within {_FARTHEST:g} m, in the robot's base_link"
-            )
+            distance, name = f"{found.distance:.3g}", self._element(task).name
+            raise WorkRefused(Sentence("work.measured_far", distance=distance, element=name, most=_FARTHEST))
         self.add(Entry("measured", task, pose=pose_tuple(pose), person=person, reason=reason))
         return found
 
@@ -535,11 +526,11 @@ class TaskBoard:
         """Return one sentence: what the work waits for."""
         book = self.book
         if not book.tasks:
-            return "the model has no task for this arm"
+            return Sentence("work.no_tasks")
         following = self.next(now)
         if following:
-            return f"{self.title(following)} can be planned"
-        return self.obstacle(book.open[0], now) if book.open else "every task is done or skipped"
+            return Sentence("work.can_plan", task=self.title(following))
+        return self.obstacle(book.open[0], now) if book.open else Sentence("work.all_over")
 
     def _row(self, task: str, now: int) -> TaskReport:
         job, memory = self.prepared.schedule.job(task), self.book.tasks[task]
@@ -575,10 +566,11 @@ class TaskBoard:
     def _reason(self, task: str, now: int) -> str:
         """Return what a task waits for, with what a person should know of it and its element while that can still matter."""
         reason = self._stands(task, now)
-        remarks = self.prepared.schedule.remarks.get(task, ())
-        if not remarks or self.book.tasks[task].state is TaskState.DONE:
-            return reason
-        return ". ".join([*filter(None, [reason]), *(f"Note: {remark}" for remark in remarks)])
+        if self.book.tasks[task].state is not TaskState.DONE:
+            for remark in self.prepared.schedule.remarks.get(task, ()):
+                before = {"reason": reason} if reason else {}
+                reason = Sentence("work.noted" if before else "work.note", remark=remark, **before)
+        return reason
 
     def _waits_for(self, task: str) -> str:
         return f"waits for {', '.join(map(self.title, self.book.missing(task)))}"
@@ -586,26 +578,37 @@ class TaskBoard:
     def _stands(self, task: str, now: int) -> str:
         memory = self.book.tasks[task]
         if memory.state is TaskState.WAITING:
-            return self._waits_for(task)
+            return Sentence("work.task.waits", tasks=self._missing(task))
         if memory.state in PLANNABLE:
-            return self.failures.get(task) or self.obstacle(task, now) or "can be planned"
+            return self.failures.get(task) or self.obstacle(task, now) or Sentence("work.task.ready")
         if memory.state is TaskState.PLANNED:
-            return "its plan waits for a person's approval"
+            return Sentence("work.task.planned")
         if memory.state is TaskState.HELD:
-            return "its element is gone: skip it, or put another into its stock and redo it"
+            return Sentence("work.task.held")
         if memory.state is TaskState.DONE and memory.gone:
-            return "taken down, as a person says"
+            return Sentence("work.task.taken_down")
         if memory.state is TaskState.DONE and self.prepared.stays(task):
-            return "done"
+            return Sentence("work.task.done")
         if memory.state is TaskState.DONE:
             if memory.as_planned:
-                return "placed; as planned, not measured"
-            how = f"measured by {memory.measured}" if memory.measured else "by the arm's own pose"
-            return f"placed, {how}" if memory.base_T_element else "placed; where exactly is not known"
+                return Sentence("work.task.as_planned")
+            if not memory.base_T_element:
+                return Sentence("work.task.unknown")
+            by = memory.measured
+            return Sentence("work.task.measured", person=by) if by else Sentence("work.task.by_arm")
         return ""
 
     def _question(self, task: str) -> str:
         return question(self.book.tasks[task], self._element(task).name)
+
+    def _asking(self, key: str, task: str, **values: str) -> str:
+        return Sentence(key, task=self.title(task), question=self._question(task), **values)
+
+    def _not_in(self, state: TaskState, key: str, task: str, **values: str) -> WorkRefused:
+        return WorkRefused(Sentence(key, task=self.title(task), state=state.value, **values))
+
+    def _missing(self, task: str) -> str:
+        return ", ".join(map(self.title, self.book.missing(task)))
 
     def _lag(self, task: str, now: int) -> str:
         tasks = self.book.tasks
@@ -614,7 +617,7 @@ class TaskBoard:
         # what was skipped has started, too
         started = {**finished, **started}
         blockers = self.prepared.schedule.blockers(task, started, finished, now / 1e9)
-        return f"{self.title(task)} waits {blockers[0].text}" if blockers else ""
+        return Sentence("work.lag.waits", task=self.title(task), until=blockers[0].text) if blockers else ""
 
     def _stock(self, element: str) -> Pose | None:
         """Return where an element lies before it is taken; None: it has no slot."""
@@ -631,10 +634,8 @@ class TaskBoard:
         if not other:
             return
         later = self.prepared.schedule.placing[other]
-        raise WorkRefused(
-            f"{self.prepared.elements[other].name} counts as delivered in the slot of {self._element(task).name}: "
-            f"take it out and skip {self.title(later)} first; redo that afterwards"
-        )
+        names = {"other": self.prepared.elements[other].name, "element": self._element(task).name}
+        raise WorkRefused(Sentence("work.slot_taken", later=self.title(later), **names))
 
     def _taken(self) -> list[str]:
         """Return the elements that do not lie in their stock any more."""
@@ -647,18 +648,17 @@ class TaskBoard:
     def _memory(self, task: str, person: str) -> TaskMemory:
         """Return what is known of a task of which a person says something; refuse one that there is not, or nobody's word."""
         if task not in self.book.tasks:
-            raise WorkRefused(f"there is no task {task!r}; `twin work list` names them")
+            raise WorkRefused(Sentence("work.no_task", task=repr(task)))
         self._named(person)
         return self.book.tasks[task]
 
     @staticmethod
     def _named(person: str) -> None:
         if not person.strip():
-            raise WorkRefused("who says so? Give the name of a person: it is kept with the record")
+            raise WorkRefused(Sentence("work.nameless"))
 
 
 #: A measured element further than this from its place was not measured in the robot's frame [m].
 _FARTHEST = 10.0
 #: A placed element further than this from where the model has it is shown as off [m], [rad].
 OFF, OFF_ANGLE = 0.005, 0.01
-_SCHEDULES = {FROM_MODEL: "the model's own", FROM_PERSON: "accepted already"}

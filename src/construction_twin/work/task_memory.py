@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.state_table import row_of
 from construction_twin.core.work_errors import WorkError
 from construction_twin.work.events import PLANNED, Entry
@@ -32,7 +33,7 @@ class NotNow(WorkError):
 
     def __init__(self, task: str, state: TaskState, event: TaskEvent):
         self.task, self.state, self.event = task, state, event
-        super().__init__(f"task {task} is {state.value}; {event.value!r} does not follow from that")
+        super().__init__(Sentence("work.not_now", task=task, state=state.value, event=repr(event.value)))
 
 
 @dataclass(frozen=True)
@@ -103,12 +104,12 @@ class TaskMemory:
         if self.state is not TaskState.ASKS:
             return ()
         if self.stays:
-            return tuple(ANSWERS_OF_STAYING)
+            return ANSWERS_OF_STAYING
         if self.before in _NOT_HELD:
             return ("in_stock", "placed", "gone")
         if self.before in (TaskState.PLANNED, TaskState.WORKING, TaskState.GRIPPING) and not self.in_grip:
             return ("in_stock", "in_grip", "gone")
-        return tuple(ANSWERS)
+        return ANSWERS
 
     @property
     def taken(self) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 
 from construction_twin.core.clock import Clock
 from construction_twin.core.motion_errors import KinematicsError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import InverseKinematics
@@ -121,19 +122,15 @@ class TaskPlanner:
         for item in tool_objects(self._tool, self._robot.tip_link):
             found = present.get(item.name)
             if found is None or found.contents() != item.contents():
-                problem = "is not in the scene" if found is None else "is in the scene, but not as the tool file has it"
-                raise TaskPlanningError(
-                    job.task, f"the tool's {item.name!r} {problem}; put the tool into the scene first"
-                )
+                key = "work.cannot.tool_missing" if found is None else "work.cannot.tool_other"
+                raise TaskPlanningError(job.task, Sentence(key, body=repr(item.name)))
 
     def _check_start(self, job: WorkJob, start: np.ndarray, world: CollisionWorld) -> None:
         try:
             self._robot.check_range(start)
         except KinematicsError as error:
-            raise TaskPlanningError(job.task, f"the arm's pose: {error}") from error
+            raise TaskPlanningError(job.task, Sentence("work.cannot.start", problem=error.sentence)) from error
         contact = world.contact(start)
         if contact is not None:
             one, other = contact.between
-            raise TaskPlanningError(
-                job.task, f"where the arm stands {one} touches {other}, or is closer than the padding"
-            )
+            raise TaskPlanningError(job.task, Sentence("work.cannot.start_touches", first=one, second=other))

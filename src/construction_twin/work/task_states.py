@@ -140,15 +140,10 @@ TABLE: tuple[Row, ...] = (
 )
 
 ROWS = state_table.by_cause(TABLE)
-#: What a person can answer, and what it means; the question adds which of them are possible.
-ANSWERS = {
-    "in_stock": "it lies in its stock, and the grip is empty",
-    "in_grip": "it is in the grip, as it was taken",
-    "placed": "it stands at its place, and the grip is empty",
-    "gone": "it is none of these: it was taken away; it waits until it is skipped or done again",
-}
+#: What a person can answer: what it means are the sentences ``work.answer.<answer>``; the question adds which are possible.
+ANSWERS = ("in_stock", "in_grip", "placed", "gone")
 #: The same of a task whose process does not move the element.
-ANSWERS_OF_STAYING = {"done": "it was done", "not_done": "it was not done: it is to be done again from its beginning"}
+ANSWERS_OF_STAYING = ("done", "not_done")
 #: The guard that each of them satisfies.
 SAYS = {
     "in_stock": _G.SAYS_STOCK, "in_grip": _G.SAYS_GRIP, "placed": _G.SAYS_PLACED, "gone": _G.SAYS_GONE,

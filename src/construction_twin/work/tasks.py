@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
@@ -176,7 +177,7 @@ def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: 
     Raises TaskPlanningError.
     """
     if not _SESSIONS:
-        raise TaskPlanningError(task, "the model has not been read in this process yet")
+        raise TaskPlanningError(task, Sentence("work.cannot.unread"))
     session = _SESSIONS[0]
     job = session.layout.job_for(element, scene, task)
     try:

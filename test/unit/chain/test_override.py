@@ -19,7 +19,7 @@ def played(override: float):
     chain = make_chain(3, ethernet_xml=TOLD)
     chain.faults.inject(Fault("override", values=(override,)))
     chain.run_for(0.1)
-    assert chain.controller.told.override == override
+    assert chain.controller.status_shown.override == override
     began = len(chain.transitions)
     play_to_the_end(chain, make_plan(chain, REACH))
     return chain, chain.transitions[began:]

@@ -207,7 +207,7 @@ def test_the_last_resort_brakes_from_the_last_target_and_answers_on():
         stamp = resort.stamp_of(frame(cycle), PEER)
         assert not resort.note_missed(stamp, frame(cycle))
         reply = decode(resort.answer(stamp))
-        assert reply.stamp == stamp_of(1, cycle)
+        assert reply.controller_ms == stamp_of(1, cycle)
         assert (np.array(reply.target) - before <= step).all()
         before = np.array(reply.target)
     assert resort.at_rest and resort.stamp_of(b"garbage", PEER) is None

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from memory import size
 from neighbour_cell import AWAY, CLEAR, NEAR, STRETCHED, TOWARDS, empty_world, line, other, plan
 from planning_cell import HOME, ROBOT
+from sentence_checks import says
 
 from construction_twin.coordination import conflict as conflict_module
 from construction_twin.coordination.conflict import Claim, Conflict, OwnPath, braking_horizon, gives_way
@@ -248,7 +249,7 @@ def test_a_verdict_is_as_old_as_the_poses_it_goes_by():
 def test_a_verdict_that_comes_too_late_or_from_the_future_is_refused_and_the_last_one_grows_old(age):
     watch = ConflictVerdicts("b")
     watch.on_verdict("p1", "", 0)
-    with pytest.raises(PayloadError, match="expected -0.01 to 0.5 s") as caught:
+    with pytest.raises(PayloadError, check=says("executor.refused.conflict_age", least=-0.01, most=0.5)) as caught:
         watch.on_verdict("p1", "", 1000, age)
     assert caught.value.reason == "conflict_age"
     assert "last checked" in problem(watch, "p1", VERDICT_TIMEOUT + 1)
@@ -278,7 +279,7 @@ def book(state: ExecutorState = ExecutorState.IDLE, followed: str = "") -> PlanB
 
 
 def test_nothing_is_known_before_the_executor_speaks():
-    with pytest.raises(PlanUnknownError, match="nothing yet"):
+    with pytest.raises(PlanUnknownError, check=says("reason.neighbour.executor_silent")):
         PlanBook().followed()
 
 
@@ -292,7 +293,7 @@ def test_a_plan_is_followed_until_it_has_ended_also_while_it_rests(state):
 
 
 def test_a_plan_that_nobody_has_seen_is_not_taken_for_none():
-    with pytest.raises(PlanUnknownError, match="plan gone"):
+    with pytest.raises(PlanUnknownError, check=says("reason.neighbour.earlier_plan", plan="gone")):
         book(ExecutorState.PLAYING, "gone").followed()
 
 

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from neighbour_cell import AWAY, CLEAR, NEAR, TOWARDS, line, other, plan
 from planning_cell import HOME, ROBOT
+from sentence_checks import says
 
 from construction_twin.coordination import conflict, path_judge
 from construction_twin.coordination.conflict import Claim
 from construction_twin.coordination.path_judge import Others, PathJudge
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.sentences import Sentence
 from construction_twin.scene.objects import Scene, SceneObject
 
 HORIZON = 1.0
@@ -32,11 +34,14 @@ def pose(made, at: float) -> tuple[np.ndarray, np.ndarray]:
     return q, q
 
 
+CHECKING = ("reason.neighbour.checking", "reason.neighbour.checking_first_part")
+
+
 def settled(judged):
     """Look until nothing more is being compared."""
     verdict = judged()
     for _ in range(200):
-        if "so far" not in verdict.sentence:
+        if verdict.sentence.key not in CHECKING:
             return verdict
         assert verdict.blocked
         verdict = judged()
@@ -45,9 +50,10 @@ def settled(judged):
 
 def test_a_waiting_plan_may_not_start_before_its_whole_way_was_compared(judge):
     first = judge.waiting(CLEAR_PLAN, EMPTY, STANDS_AWAY)
-    assert first.blocked and "% of its path has been checked against other so far" in first.sentence
+    assert first.blocked and first.sentence.key == "reason.neighbour.checking"
+    assert 0 <= first.sentence.values["percent"] < 100 and first.sentence.values["neighbour"] == "other"
     verdict = settled(lambda: judge.waiting(CLEAR_PLAN, EMPTY, STANDS_AWAY))
-    assert (verdict.blocked, verdict.time, verdict.sentence) == (False, -1.0, "its path is free")
+    assert (verdict.blocked, verdict.time, verdict.sentence) == (False, -1.0, Sentence("reason.neighbour.free"))
 
 
 def test_a_plan_that_runs_goes_on_while_what_is_far_ahead_is_still_being_compared(judge):
@@ -57,14 +63,14 @@ def test_a_plan_that_runs_goes_on_while_what_is_far_ahead_is_still_being_compare
     verdict = judge.followed(CLEAR_PLAN, EMPTY, moving, 5, pose(CLEAR_PLAN, 0.5))
     assert not verdict.blocked
     # the same path, asked for as a whole: it is still being compared
-    assert "so far" in judge.waiting(CLEAR_PLAN, EMPTY, moving).sentence
+    assert judge.waiting(CLEAR_PLAN, EMPTY, moving).sentence.key in CHECKING
 
 
 def test_a_conflict_far_ahead_is_found_as_the_looks_go_on(judge):
     verdicts = [judge.followed(PLAN, EMPTY, STANDS_TOWARDS, 5, pose(PLAN, 0.0)) for _ in range(60)]
     blocked = [verdict.blocked for verdict in verdicts]
     assert not blocked[0] and blocked[-1] and blocked == sorted(blocked)
-    assert "which stands there" in verdicts[-1].sentence
+    assert verdicts[-1].sentence.key == "reason.neighbour.stands"
 
 
 def test_a_conflict_within_the_horizon_is_found_at_once(judge):
@@ -80,7 +86,7 @@ def test_before_one_that_began_later_it_goes_on_until_the_horizon(judge):
     contact = settled(lambda: judge.waiting(PLAN, EMPTY, later)).time
     assert contact > HORIZON + 0.2
     far = judge.followed(PLAN, EMPTY, later, 5, pose(PLAN, 0.0))
-    assert not far.blocked and "began later and gives way" in far.sentence
+    assert not far.blocked and far.sentence.key == "reason.neighbour.gives_way"
 
 
 def test_who_does_not_know_where_he_is_takes_every_conflict_for_near(judge):
@@ -90,7 +96,7 @@ def test_who_does_not_know_where_he_is_takes_every_conflict_for_near(judge):
     lost = judge.followed(PLAN, EMPTY, later, 5, ())
     assert lost.blocked and lost.time == 0.0
     fresh = judge.followed(CLEAR_PLAN, EMPTY, STANDS_AWAY, 5, ())
-    assert fresh.blocked and "so far" in fresh.sentence
+    assert fresh.blocked and fresh.sentence.key in CHECKING
 
 
 def test_a_plan_begins_at_its_first_row_wherever_the_last_one_ended(judge):
@@ -105,7 +111,8 @@ def test_an_arm_that_is_nowhere_takes_up_all_that_it_can_reach_and_the_sentence_
     lost = Others(other().anywhere(), None, unknown)
     verdict = settled(lambda: judge.waiting(PLAN, EMPTY, lost))
     assert verdict.blocked
-    assert "the whole reach of other" in verdict.sentence and unknown in verdict.sentence
+    assert verdict.sentence.key == "reason.neighbour.whole_reach"
+    assert verdict.sentence.values.items() >= {"neighbour": "other", "unknown": unknown}.items()
     far = Others(other("far").anywhere(), None, unknown)
     assert not settled(lambda: judge.waiting(PLAN, EMPTY, far)).blocked
 
@@ -119,9 +126,11 @@ def test_what_the_arm_carries_counts_and_a_load_that_cannot_be_used_is_an_error(
     beside = plan(HOME + np.radians([-90, 0, 0, 0, -90, 0]), HOME + np.radians([-90, 0, 0, 10, -90, 0]), "beside")
     assert not settled(lambda: judge.waiting(beside, EMPTY, STANDS_AWAY)).blocked
     verdict = settled(lambda: judge.waiting(beside, Scene((load,), 0.0), STANDS_AWAY))
-    assert verdict.blocked and verdict.sentence.startswith("load would come too close to other/")
+    contact = verdict.sentence.values["contact"]
+    assert verdict.blocked and contact.key == "reason.neighbour.too_close"
+    assert contact.values["mine"] == "load" and contact.values["theirs"].startswith("other/")
     foreign = SceneObject("load", "box", (0.2, 0.2, 3.0), (0.0, 0.0, 1.5), link="no_such_link")
-    with pytest.raises(SceneError, match="no_such_link"):
+    with pytest.raises(SceneError, check=says("motion.scene", found="'no_such_link'")):
         judge.waiting(beside, Scene((foreign,), 0.0), STANDS_AWAY)
 
 
@@ -130,4 +139,4 @@ def test_plans_that_are_over_are_forgotten(judge):
         settled(lambda: judge.waiting(one, EMPTY, STANDS_AWAY))
     judge.forget({"p2"})
     assert not judge.waiting(CLEAR_PLAN, EMPTY, STANDS_AWAY).blocked
-    assert "so far" in judge.waiting(PLAN, EMPTY, STANDS_AWAY).sentence
+    assert judge.waiting(PLAN, EMPTY, STANDS_AWAY).sentence.key in CHECKING

@@ -10,7 +10,7 @@ from enum import Enum
 from hypothesis import given
 from hypothesis import strategies as st
 
-from construction_twin.core.records import as_seconds, decimals, document, dumped
+from construction_twin.core.records import SPACED, as_seconds, decimals, document, dumped, left_out
 
 
 class Kind(Enum):
@@ -42,6 +42,24 @@ class Rounded:
 class Timed:
     stamp: int = as_seconds()
     begun: int = as_seconds(None)
+
+
+@dataclass(frozen=True)
+class Partly:
+    name: str | None = None
+    more: str | None = left_out()
+    parts: tuple[Inner, ...] | None = left_out()
+
+
+def test_what_is_left_out_is_not_there_unless_it_is_a_value_which_may_be_empty():
+    assert document(Partly()) == {"name": None}
+    assert document(Partly(more="", parts=())) == {"name": None, "more": "", "parts": []}
+    assert document(Partly(parts=(Inner(0.5),)))["parts"] == [{"value": 0.5, "kind": "BOX"}]
+
+
+def test_marks_are_as_short_as_they_can_be_or_with_blanks():
+    assert dumped(Inner(0.5)) == b'{"value":0.5,"kind":"BOX"}'
+    assert dumped([Inner(0.5), 1], marks=SPACED) == b'[{"value": 0.5, "kind": "BOX"}, 1]'
 
 
 def test_fields_come_in_their_order_with_what_they_hold():

@@ -37,8 +37,24 @@ def test_every_key_has_words_in_both_languages_with_the_same_values():
         assert all(text and text == text.strip() for text in words.values()), key
         assert places(words["en"]) == places(words["de"]), key
         # what cannot be filled in is no place
-        rest = re.sub(r"\{\w+(:(g|s|\.\df|\.\dq|(\.\d)?p))?\}", "", words["en"] + words["de"])
+        rest = re.sub(r"\{\w+(:(g|s|t|\.\df|\.\dq|(\.\d)?p))?\}", "", words["en"] + words["de"])
         assert "{" not in rest and "}" not in rest, key
+
+
+#: German words for what has another one here: one idea, one word.
+OTHER_WORDS = {
+    "gesandt|sandte": "gesendet", "Urteile?": "Entscheidung", "Pult": "PC des Roboters", "Schranke": "Monitor",
+    "Themen?|Thema": "Topic", "Hash(es)?": "Prüfsumme", "Gelenkketten?": "Gelenkwerte", "Trajektorien?": "Bahn",
+    "Auftr(ag|äge)": "Aufgabe", "Elemente?": "Bauteil", "Segmente?": "Abschnitt", "Nothalt|Not-?[Aa]us": "Not-Halt",
+    "Knoten": "Programm", "Sollposition(en)?": "Sollwert", "Posen?": "Stellung", "Joints?": "Gelenk",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("others", OTHER_WORDS)
+def test_an_idea_has_one_word_in_german(others):
+    assert [key for key, words in SENTENCES.items() if re.search(rf"\b({others})\b", words["de"])] == [], OTHER_WORDS[
+        others
+    ]
 
 
 def test_no_key_is_unused():
@@ -88,6 +104,8 @@ def sample(template: str, part: str, reason: str) -> dict[str, object]:
     return values | {name: reason for name in texts[-1:]}
 
 
+#: Beginnings of the keys whose sentences programs say: reasons, and what is read in terminal and rviz.
+OF_PROGRAMS = (*REASONS, "line.", "view.", "preflight.")
 #: A piece of a sentence that is as long as this is nobody else's [characters].
 LONG_ENOUGH = 36
 REASON_KEYS = [key for key in SENTENCES if key.startswith(REASONS)]
@@ -112,6 +130,15 @@ def test_a_reason_is_found_in_its_text_again(key):
                 assert again.unit == value.unit and again.value == pytest.approx(value.value, rel=1e-5)
             else:
                 assert again == value and getattr(again, "key", "") == getattr(value, "key", "")
+
+
+def test_a_task_is_its_id_or_its_name_in_quotes_with_it():
+    for task in ("0aB$", "'Place stud' (T2)", '"Eva\'s stud" (T2)', "'' (T2)"):
+        said = Sentence("work.waits", task=task, tasks="'Place plate' (T1)")
+        found = understood(str(said))
+        assert (found.key, found.values) == (said.key, said.values)
+    # what else waits is no task
+    assert understood("stands at a boundary, waits for the tool").key == "executor.stands_and_waits"
 
 
 def test_a_part_that_has_changed_is_said_in_its_place():
@@ -145,12 +172,13 @@ def test_a_text_that_is_no_reason_to_the_letter_has_no_key(text):
     assert understood(text) is None
 
 
-def test_the_words_of_a_reason_stand_in_no_program():
+def test_the_words_of_a_sentence_stand_in_no_program():
     """Where its key is enough: in `sentences.json` alone. Pieces that are too short to be these words are not looked at."""
     programs = {path: re.sub(r'"\s*\n\s*f?"', "", path.read_text()) for path in (ROOT / "src").rglob("*.py")}
     pieces = {
         piece.strip()
-        for key in REASON_KEYS
+        for key in SENTENCES
+        if key.startswith(OF_PROGRAMS)
         for piece in re.split(r"\{.*?\}", SENTENCES[key]["en"])
         if len(piece.strip()) >= LONG_ENOUGH
     }

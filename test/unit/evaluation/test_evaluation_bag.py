@@ -15,6 +15,7 @@ from evaluation_samples import BASE, JOINTS, link, run
 from plan_samples import make_plan
 from scene_samples import kr120
 from sensor_msgs.msg import JointState
+from sentence_checks import says
 from std_msgs.msg import Header, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -151,10 +152,10 @@ def write_bag(path, topic=None, message=None):
 
 def test_bags_that_cannot_be_used_say_why(read_recording, tmp_path):
     path = tmp_path / "x.bag"
-    with pytest.raises(ConstructionTwinError, match="cannot be read as a rosbag"):
+    with pytest.raises(ConstructionTwinError, check=says("view.bag.unreadable")):
         read_recording(path)
     path.write_text("not a bag")
-    with pytest.raises(ConstructionTwinError, match="cannot be read as a rosbag"):
+    with pytest.raises(ConstructionTwinError, check=says("view.bag.unreadable")):
         read_recording(path)
     write_bag(path)
     with pytest.raises(ConstructionTwinError, match="holds no topic .../twin/joint_states"):
@@ -193,7 +194,7 @@ def test_bag_that_was_not_closed_names_the_remedy(read_recording, full_bag, tmp_
     bag = rosbag.Bag(str(cut), "w")
     bag.write("/a/twin/joint_states", JointState(), at(BASE))
     bag.flush()
-    with pytest.raises(ConstructionTwinError, match="rosbag reindex"):
+    with pytest.raises(ConstructionTwinError, check=says("view.bag.unclosed")):
         read_recording(cut)
     bag.close()
 

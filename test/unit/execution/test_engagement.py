@@ -25,9 +25,11 @@ from executor_bench import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sentence_checks import says
 
 from construction_twin.core.errors import ConfigurationError, ExecutionError, ReviewError
 from construction_twin.core.reports import ToolReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.execution.engagement import (
     Engagement,
@@ -177,7 +179,13 @@ class TestEngaged:
         # freed, and left in another one: what was found for the first says nothing of the second
         keeper = bench.executor.engagement
         keeper.leave_inside(replace(keeper.present, reason="again"))
-        with pytest.raises(ReviewError, match=r"may not start.*\(again\)"):
+        with pytest.raises(
+            ReviewError,
+            check=says(
+                "executor.start.refused",
+                reason=Sentence("executor.engaged", segment="'lift'", plan="w", reason="again"),
+            ),
+        ):
             bench.review(plan.id, plan.hash, True, "Ada")
 
     def test_the_way_back_leads_out(self, bench):
@@ -225,7 +233,10 @@ class TestEngaged:
         bench.run(2)
         plan = way_back(bench)
         offer_back(bench, plan)
-        with pytest.raises(ReviewError, match="gripped reads off, not on"):
+        with pytest.raises(
+            ReviewError,
+            check=says("executor.start.refused", reason=Sentence("executor.tool.reads_off", signal="gripped")),
+        ):
             bench.review(plan.id, plan.hash, True, "Ada")
 
     def test_a_new_session_does_not_lead_out(self, bench):
@@ -237,7 +248,7 @@ class TestEngaged:
         left = stopped_in(bench, 2)
         bench.executor.release(left)
         assert not bench.executor.engagement.engaged
-        with pytest.raises(ExecutionError, match="not engaged"):
+        with pytest.raises(ExecutionError, check=says("executor.release.nothing")):
             bench.executor.release(left)
 
     def test_but_not_while_it_moves(self, bench):
@@ -246,12 +257,12 @@ class TestEngaged:
         offer_back(bench, plan)
         bench.review(plan.id, plan.hash, True, "Ada")
         bench.run(20)
-        with pytest.raises(ExecutionError, match="plan back is PLAYING; release the arm when it is at rest"):
+        with pytest.raises(ExecutionError, check=says("executor.release.active", plan="back", state="PLAYING")):
             bench.executor.release(left)
 
     def test_nor_from_another_engagement_than_was_looked_at(self, bench):
         left = stopped_in(bench, 2)
-        with pytest.raises(ExecutionError, match="another engaged segment"):
+        with pytest.raises(ExecutionError, check=says("executor.release.another")):
             bench.executor.release(replace(left))
 
     def test_an_executor_that_is_started_again_is_still_engaged(self, bench):
@@ -408,7 +419,7 @@ class TestWayBack:
         side -= way * (side @ way) / max(way @ way, 1e-12)
         positions[middle] += bump * 2.0 * WAY_BACK_TOLERANCE * side / np.abs(side).max()
         bent = type(motion)(motion.joint_names, motion.times, positions, motion.velocities, motion.accelerations)
-        with pytest.raises(ReviewError, match="leaves the executed path"):
+        with pytest.raises(ReviewError, check=says("review.back.leaves")):
             check_way_back(plan_back(bent), left)
 
 

@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import pytest
 from executor_bench import GOAL, ROBOT, SCENE, Bench, make_plan, make_work_plan, reach
+from sentence_checks import says
 
 from construction_twin.core.errors import ExpiredError, RecordError, ReviewError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, SCENE_DELAY, Approval, WithoutPerson
 from construction_twin.execution.executor import START_TOLERANCE, ExecutorState
@@ -48,7 +50,7 @@ class TestApproval:
         plan = make_plan(motion=reach(goal=ROBOT.home))
         bench.approve(plan)
         bench.run_until_idle()
-        with pytest.raises(ReviewError, match="decided already"):
+        with pytest.raises(ReviewError, check=says("review.decided")):
             bench.approve(plan)
         assert bench.state is ExecutorState.IDLE
 
@@ -57,7 +59,7 @@ class TestApproval:
         bench.executor.offer(plan)
         bench.review("p", plan.hash, False, "Ada", "too close to the wall")
         assert [(v.verdict, v.reason) for v in bench.executor.take_events()] == [("rejected", "too close to the wall")]
-        with pytest.raises(ReviewError, match="decided already"):
+        with pytest.raises(ReviewError, check=says("review.decided")):
             bench.approve(plan)
         assert set(bench.run(10)) == {ROBOT.home}
 
@@ -70,20 +72,20 @@ class TestApproval:
             bench.approve(plan)
             assert bench.state is ExecutorState.PLAYING
             return
-        with pytest.raises(ReviewError, match=ROBOT.joint_names[joint]):
+        with pytest.raises(ReviewError, check=says("executor.start.pose", joint=ROBOT.joint_names[joint])):
             bench.approve(plan)
         assert bench.state is ExecutorState.IDLE and bench.executor.queue.plan is plan
 
     def test_only_with_the_hash_that_was_looked_at(self, bench):
         bench.executor.offer(make_plan())
-        with pytest.raises(ReviewError, match="hash"):
+        with pytest.raises(ReviewError, check=says("review.other_hash")):
             bench.review("p", "0" * 64, True, "Ada")
         assert bench.state is ExecutorState.IDLE
 
     @pytest.mark.parametrize("sync", [state for state in SyncState if state is not SyncState.IN_SYNC])
     def test_only_in_sync(self, bench, sync):
         bench.executor.on_sync(sync, True)
-        with pytest.raises(ReviewError, match=sync.name):
+        with pytest.raises(ReviewError, check=says("executor.start.sync", state=sync.name)):
             bench.approve(make_plan())
         bench.executor.on_sync(SyncState.IN_SYNC, True)
         bench.review("p", "", True, "Ada")
@@ -91,7 +93,7 @@ class TestApproval:
 
     def test_only_while_the_arm_is_armed(self, bench):
         bench.executor.on_link(False, "gateway is holding")
-        with pytest.raises(ReviewError, match="gateway is holding"):
+        with pytest.raises(ReviewError, check=says("executor.start.unarmed", reason="gateway is holding")):
             bench.approve(make_plan())
         bench.executor.on_link(True, "session 2")
         bench.review("p", "", True, "Ada")
@@ -100,12 +102,12 @@ class TestApproval:
     def test_not_while_another_plan_is_played(self, bench):
         bench.approve(make_plan())
         bench.run(10)
-        with pytest.raises(ReviewError, match="PLAYING"):
+        with pytest.raises(ReviewError, check=says("executor.start.state", state="PLAYING")):
             bench.approve(make_plan("q", reach(start=bench.twin)))
         assert bench.executor.plan.id == "p"
 
     def test_not_before_twin_and_arm_agree(self):
-        with pytest.raises(ReviewError, match="WAITING"):
+        with pytest.raises(ReviewError, check=says("executor.start.state", state="WAITING")):
             Bench().approve(make_plan())
 
     def test_a_refused_approval_is_recorded_with_the_reason(self, bench):
@@ -120,7 +122,7 @@ class TestApproval:
             assert record.plan is (plan if plan_id == "p" else None)
 
     def test_a_refused_rejection_leaves_no_record(self, bench):
-        with pytest.raises(ReviewError, match="not under review"):
+        with pytest.raises(ReviewError, check=says("review.gone")):
             bench.review("p", "", False, "Ada")
         assert bench.records == []
 
@@ -130,7 +132,7 @@ class TestApproval:
         velocities = plan.trajectory.velocities.copy()
         velocities[0, 0] = 1e-12
         object.__setattr__(plan.trajectory, "velocities", velocities)
-        with pytest.raises(ReviewError, match="no longer what its hash"):
+        with pytest.raises(ReviewError, check=says("review.hash")):
             bench.review("p", "", True, "Ada")
         assert set(bench.run(50)) == {ROBOT.home}
 
@@ -163,7 +165,7 @@ class TestRecordFirst:
         plan = make_plan()
         bench.executor.offer(plan)
         bench.record = self.refuse
-        with pytest.raises(RecordError, match="nothing is approved without a record"):
+        with pytest.raises(RecordError, check=says("review.no_record")):
             bench.review("p", plan.hash, True, "Ada")
         assert set(bench.run(100)) == {ROBOT.home}
         assert bench.executor.queue.plan is plan and bench.executor.plan is None
@@ -184,7 +186,7 @@ class TestRecordFirst:
         approval = Approval(bench.executor, record, Lock(), bench.present)
         plans = {name: make_plan(name) for name in "pqr"}
         bench.executor.offer(plans["p"])
-        with pytest.raises(ReviewError, match="hash"):
+        with pytest.raises(ReviewError, check=says("review.other_hash")):
             approval.review("p", "0" * 64, True, "Ada")
         approval.review("p", plans["p"].hash, False, "Ada")
         bench.executor.offer(plans["q"])
@@ -213,7 +215,7 @@ class TestRecordFirst:
             assert hangs.wait(10.0)
 
         def approve():
-            with pytest.raises(ReviewError, match="decided already"):
+            with pytest.raises(ReviewError, check=says("review.decided")):
                 bench.review("p", plan.hash, True, "Ada")
             refused.append(True)
 
@@ -239,7 +241,7 @@ class TestRecordFirst:
             bench.executor.on_sync(SyncState.HOLDING, False)
 
         bench.record = record_slowly
-        with pytest.raises(ReviewError, match="HOLDING"):
+        with pytest.raises(ReviewError, check=says("executor.start.sync", state="HOLDING")):
             bench.review("p", "", True, "Ada")
         approval, ending = bench.records
         assert approval.verdict == "approved" and ending.outcome == "dropped"
@@ -273,7 +275,10 @@ class TestAge:
         plan = make_plan()
         bench.executor.offer(plan)
         self.slow(bench, 120.0)
-        with pytest.raises(ExpiredError, match="too old: it is of 120.0 s ago, and after 3 s it is void; look again"):
+        with pytest.raises(
+            ExpiredError,
+            check=says("executor.void.approval", problem=Sentence("executor.void.old", age=120.0, oldest=3.0)),
+        ):
             bench.review("p", plan.hash, True, "Ada", seen=bench.present() if seen else None)
         assert set(bench.run(100)) == {ROBOT.home} and bench.state is ExecutorState.IDLE
         approval, ending = bench.records
@@ -306,7 +311,10 @@ class TestAge:
         bench.executor.offer(plan)
         bench.clock += 2 * NANOSECONDS
         self.slow(bench, 2.0)
-        with pytest.raises(ExpiredError, match="4.0 s ago"):
+        with pytest.raises(
+            ExpiredError,
+            check=says("executor.void.approval", problem=Sentence("executor.void.old", age=4.0, oldest=3.0)),
+        ):
             bench.review("p", plan.hash, True, "Ada", seen=seen)
 
     def test_an_approval_that_waits_for_another_verdicts_disk_counts_from_its_call(self, bench):
@@ -329,7 +337,7 @@ class TestAge:
 
         # refused, and that is recorded too; a rejection would wait for no disk
         def refused():
-            with pytest.raises(ReviewError, match="is not under review"):
+            with pytest.raises(ReviewError, check=says("review.another", plan="another")):
                 bench.review("another", plan.hash, True, "Ada")
 
         first = threading.Thread(target=refused)
@@ -400,7 +408,7 @@ class TestAge:
 
 class TestScene:
     def test_a_plan_for_another_scene_cannot_be_approved(self, bench):
-        with pytest.raises(ReviewError, match="made for scene 0ther, the present one is 5ce0e"):
+        with pytest.raises(ReviewError, check=says("review.other_scene", plan="p", scene="0ther", present="5ce0e")):
             bench.approve(make_plan(scene="0ther"))
         assert bench.executor.queue.plan is not None
         bench.executor.on_scene("0ther")
@@ -411,7 +419,7 @@ class TestScene:
         bench = Bench()
         bench.executor.queue.scene = ""
         bench.ready()
-        with pytest.raises(ReviewError, match="no scene is known"):
+        with pytest.raises(ReviewError, check=says("review.no_scene")):
             bench.approve(make_plan())
 
     def test_a_change_takes_the_waiting_plan_out_of_review_and_says_so(self, bench):
@@ -422,7 +430,7 @@ class TestScene:
         assert (event.verdict, event.plan, event.reviewer) == ("withdrawn", plan, "executor")
         assert event.reason == "the scene changed from 5ce0e to 0ther; plan again"
         bench.executor.on_scene(SCENE)
-        with pytest.raises(ReviewError, match="decided already"):
+        with pytest.raises(ReviewError, check=says("review.decided")):
             bench.approve(plan)
 
     def test_the_same_scene_again_changes_nothing(self, bench):
@@ -434,7 +442,7 @@ class TestScene:
         bench.executor.offer(make_plan())
         bench.executor.queue.scene_alive = False
         assert bench.approval.approve_by_itself(bench.stamp) is None
-        with pytest.raises(ReviewError, match="the scene is not published"):
+        with pytest.raises(ReviewError, check=says("review.scene_silent", plan="p")):
             bench.review("p", "", True, "Ada")
         bench.executor.queue.scene_alive = True
         assert "approved" in bench.review("p", "", True, "Ada")

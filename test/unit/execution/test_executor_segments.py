@@ -564,7 +564,7 @@ def test_a_stop_is_carried_out_although_where_it_stands_cannot_be_told(bench, mo
     bench.run(300)
     assert bench.executor.outcome == "stopped" and bench.state is ExecutorState.IDLE and bench.tool.fired == []
     assert ([order.id for order in bench.tool.orders] == ["w/1/0/1", ""]) is at_boundary
-    assert bench.executor.beside.counts()["where a work plan ends"] == 1
+    assert bench.executor.side_effects.counts()["where a work plan ends"] == 1
 
 
 class TestBeforeTheFirstSegment:

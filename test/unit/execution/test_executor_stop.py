@@ -7,6 +7,7 @@ import pytest
 from executor_bench import ACCELERATION, GOAL, ROBOT, Bench, limited_motion, make_plan, reach, within_acceleration
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sentence_checks import says
 
 from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.units import CYCLE
@@ -58,12 +59,12 @@ class TestStop:
         plan = make_plan()
         bench.executor.offer(plan)
         assert "nothing is playing" in bench.executor.stop(bench.stamp)
-        with pytest.raises(ReviewError, match="decided already"):
+        with pytest.raises(ReviewError, check=says("review.decided")):
             bench.review(plan.id, plan.hash, True, "Ada")
 
     def test_a_plan_asked_for_before_the_stop_is_void_when_it_arrives(self, bench):
         bench.executor.stop(bench.stamp)
-        with pytest.raises(ReviewError, match="before the last stop"):
+        with pytest.raises(ReviewError, check=says("review.void", plan="p")):
             bench.executor.offer(make_plan())
 
     def test_a_stopped_plan_does_not_go_on(self, bench):
@@ -73,7 +74,7 @@ class TestStop:
         bench.executor.stop(bench.stamp)
         bench.run_until_idle()
         assert len(set(bench.run(500))) == 1
-        with pytest.raises(ReviewError, match="decided already"):
+        with pytest.raises(ReviewError, check=says("review.decided")):
             bench.review("p", plan.hash, True, "Ada")
 
     def test_a_second_stop_changes_nothing(self, bench):
@@ -91,7 +92,7 @@ class TestStop:
         bench.run(250)
         waiting = make_plan("waiting")
         bench.executor.offer(waiting)
-        with pytest.raises(ExecutionError, match="plan 'waiting' is not played: the executor plays plan p"):
+        with pytest.raises(ExecutionError, check=says("executor.stop.another", plan="'waiting'", present="p")):
             bench.executor.stop_plan("waiting", "cancelled")
         assert bench.state is ExecutorState.PLAYING
         assert bench.executor.stop_plan("p", "cancelled by /client") == "braking plan p"
@@ -166,7 +167,7 @@ class TestPause:
         bench.executor.queue.offer(waiting)
         bench.executor.pause(bench.stamp)
         assert bench.executor.queue.plan is waiting
-        with pytest.raises(ReviewError, match="before the last stop, pause or reset"):
+        with pytest.raises(ReviewError, check=says("review.void")):
             bench.executor.queue.offer(make_plan("late", created_ns=bench.stamp - 1))
         bench.executor.queue.offer(make_plan("new", created_ns=bench.stamp + 1))
 
@@ -209,17 +210,17 @@ class TestPause:
         assert "PAUSED already" in bench.executor.pause(bench.stamp)
 
     def test_needs_something_that_plays(self, bench):
-        with pytest.raises(ExecutionError, match="IDLE"):
+        with pytest.raises(ExecutionError, check=says("executor.pause.nothing", state="IDLE")):
             bench.executor.pause(bench.stamp)
-        with pytest.raises(ExecutionError, match="nothing to resume"):
+        with pytest.raises(ExecutionError, check=says("executor.resume.nothing")):
             bench.executor.resume()
         bench.play(make_plan(), 10)
-        with pytest.raises(ExecutionError, match="PLAYING"):
+        with pytest.raises(ExecutionError, check=says("executor.resume.nothing", state="PLAYING")):
             bench.executor.resume()
 
     def test_a_paused_plan_keeps_others_from_starting(self, bench):
         pause_after(bench, 250)
-        with pytest.raises(ReviewError, match="PAUSED"):
+        with pytest.raises(ReviewError, check=says("executor.start.state", state="PAUSED")):
             bench.approve(make_plan("q", reach(start=bench.twin), created_ns=bench.stamp))
 
     @pytest.mark.parametrize("paused", [True, False], ids=["paused", "pausing"])

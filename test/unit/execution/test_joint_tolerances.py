@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import pytest
 from executor_bench import ROBOT
+from sentence_checks import says
 
 from construction_twin.core.errors import GoalError, GoalJointsError
+from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.execution.joint_tolerances import AskedTolerance, Tolerances, check_joint_names
 
 NAMES = ROBOT.joint_names
@@ -42,46 +44,61 @@ def test_a_joint_that_is_off_is_named_with_value_and_tolerance(joint):
     tolerances = DEFAULT.asked(ROBOT, [AskedTolerance(name, 0.1, 0.2, 0.3) for name in NAMES], "path_tolerance")
     assert tolerances.violation(ROBOT, off(joint, -0.1), off(joint, 0.2), off(joint, 0.3)) == ""
     name = NAMES[joint]
-    assert tolerances.violation(ROBOT, off(joint, math.radians(-6)), ZERO, ZERO) == (
-        f"the position of {name} is off by 6 deg; its tolerance is 5.729578 deg"
-    )
-    assert tolerances.violation(ROBOT, ZERO, off(joint, 1.0), ZERO).startswith(
-        f"the velocity of {name} is off by 57.2958 deg/s"
-    )
-    assert tolerances.violation(ROBOT, ZERO, ZERO, off(joint, 1.0)).startswith(f"the acceleration of {name} is off by ")
+    for quantity, errors, error, bound in (
+        ("position", (off(joint, math.radians(-6)), ZERO, ZERO), Quantity(math.radians(6), "rad"), 0.1),
+        ("velocity", (ZERO, off(joint, 1.0), ZERO), Quantity(1.0, "rad/s"), 0.2),
+        ("acceleration", (ZERO, ZERO, off(joint, 1.0)), Quantity(1.0, "rad/s^2"), 0.3),
+    ):
+        found = tolerances.violation(ROBOT, *errors)
+        assert (found.key, found.values["quantity"].key) == ("reason.goal.off", f"reason.goal.quantity.{quantity}")
+        assert {key: found.values[key] for key in ("joint", "error", "bound")} == {
+            "joint": name,
+            "error": error,
+            "bound": Quantity(bound, error.unit),
+        }
 
 
 def test_a_pose_that_is_no_number_does_not_pass():
-    assert "is off by nan" in DEFAULT.violation(ROBOT, off(0, math.nan), ZERO, ZERO)
+    assert math.isnan(DEFAULT.violation(ROBOT, off(0, math.nan), ZERO, ZERO).values["error"].value)
 
 
 def test_a_tolerance_of_a_foreign_joint_or_of_no_number_is_refused():
-    with pytest.raises(GoalJointsError, match="path_tolerance names the joint 'elbow'; expected only joint_a1"):
+    with pytest.raises(
+        GoalJointsError,
+        check=says("reason.goal.tolerance_joint", field="path_tolerance", joint="elbow", known=", ".join(NAMES)),
+    ):
         DEFAULT.asked(ROBOT, [AskedTolerance("elbow", 0.1)], "path_tolerance")
-    with pytest.raises(GoalError, match="goal_tolerance: the velocity of joint_a1 is nan; expected a number"):
+    with pytest.raises(
+        GoalError,
+        check=says(
+            "reason.goal.tolerance_nan",
+            field="goal_tolerance",
+            quantity=Sentence("reason.goal.quantity.velocity"),
+            joint="joint_a1",
+        ),
+    ):
         DEFAULT.asked(ROBOT, [AskedTolerance("joint_a1", 0.1, math.nan)], "goal_tolerance")
 
 
 @pytest.mark.parametrize("second", [0.2, 0.1])
 def test_a_tolerance_of_a_joint_that_is_named_twice_is_refused(second):
     asked = [AskedTolerance("joint_a1", 0.1), AskedTolerance("joint_a1", second)]
-    with pytest.raises(GoalError, match="path_tolerance names joint_a1 twice; expected once"):
+    with pytest.raises(GoalError, check=says("reason.goal.tolerance_twice", field="path_tolerance", joint="joint_a1")):
         DEFAULT.asked(ROBOT, asked, "path_tolerance")
 
 
 @pytest.mark.parametrize(
-    ("names", "problem"),
+    ("names", "key", "joint"),
     [
-        (("elbow", *NAMES[1:]), "the goal names the joint 'elbow'; expected each of "),
-        ((*NAMES, NAMES[0]), "the goal names the joint joint_a1 twice"),
-        (NAMES[1:], "the goal does not name the joint joint_a1"),
-        ((), "the goal does not name the joint joint_a1"),
+        (("elbow", *NAMES[1:]), "joint_unknown", "elbow"),
+        ((*NAMES, NAMES[0]), "joint_twice", "joint_a1"),
+        (NAMES[1:], "joint_missing", "joint_a1"),
+        ((), "joint_missing", "joint_a1"),
     ],
 )
-def test_a_goal_names_each_joint_once(names, problem):
-    with pytest.raises(GoalJointsError) as caught:
+def test_a_goal_names_each_joint_once(names, key, joint):
+    with pytest.raises(GoalJointsError, check=says(f"reason.goal.{key}", joint=joint, known=", ".join(NAMES))):
         check_joint_names(ROBOT, names)
-    assert problem in str(caught.value)
 
 
 def test_the_order_of_the_joints_is_free():

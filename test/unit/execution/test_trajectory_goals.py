@@ -7,14 +7,17 @@ import math
 import pytest
 from executor_bench import ROBOT
 
+from construction_twin.core.sentences import Quantity, Sentence, both
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.goal_states import TABLE, Action, GoalEvent, GoalState
 from construction_twin.execution.joint_tolerances import AskedTolerance, Tolerances
 from construction_twin.execution.tracking import Motion, Sample
 from construction_twin.execution.trajectory_goals import (
+    REPLACED,
     RETRY,
     STOPPED,
+    UNKNOWN_REST,
     VERDICTS,
     WITHDRAWAL,
     Accept,
@@ -34,6 +37,7 @@ FREE = Tolerances.default(ROBOT, 0.0, 0.0)
 CLOSE = Tolerances.default(ROBOT, 0.01, 0.005)
 PLAN = GoalPlan("plan-1", "hash-1", 2.5)
 REST = (0.0,) * 6
+CANCELLED = Sentence("reason.goal.cancelled")
 
 
 def goal(name: str = "a", client: str = "/move_group", path: Tolerances = FREE) -> TrajectoryGoal:
@@ -158,13 +162,18 @@ class TestToTheGoal:
 
     def test_a_rejection_is_the_reviewer_s_sentence(self, desk):
         assert desk.under_review().rejects().end() == End(
-            "a", Ending.ABORTED, ResultCode.INVALID_GOAL, "plan plan-1 was rejected by Anna: too close to the wall"
+            "a",
+            Ending.ABORTED,
+            ResultCode.INVALID_GOAL,
+            Sentence("reason.goal.rejected_because", plan="plan-1", reviewer="Anna", reason="too close to the wall"),
         )
 
     def test_a_plan_that_the_executor_withdraws_ends_its_goal(self, desk):
         end = desk.under_review().rejects("executor", "replaced by plan plan-2").end()
         assert end.code is ResultCode.INVALID_GOAL
-        assert end.sentence == "plan plan-1 was withdrawn by the executor: replaced by plan plan-2"
+        assert end.sentence == Sentence(
+            "reason.goal.withdrawn_because", plan="plan-1", reason="replaced by plan plan-2"
+        )
 
     def test_verdicts_and_executions_of_other_plans_change_nothing(self, desk):
         desk.under_review().rejects(plan="other").executes(ExecutorState.PLAYING, plan="other")
@@ -189,7 +198,7 @@ class TestToTheGoal:
         for other in range(VERDICTS - 1):
             desk.rejects(plan=f"other-{other}")
         end = desk.planned().end()
-        assert end.code is ResultCode.INVALID_GOAL and "rejected by Anna" in end.sentence
+        assert end.code is ResultCode.INVALID_GOAL and end.sentence.values["reviewer"] == "Anna"
         desk = Desk().send(goal()).rejects()
         for other in range(VERDICTS):
             desk.rejects(plan=f"other-{other}")
@@ -206,18 +215,20 @@ class TestToTheGoal:
     def test_an_execution_that_ends_early_aborts_with_its_reason(self, desk, outcome, code):
         end = desk.moving().executes(ExecutorState.IDLE, outcome, "the gate holds (HOLDING)").end()
         assert (end.ending, end.code) == (Ending.ABORTED, code)
-        assert end.sentence == f"plan plan-1 ended as {outcome}: the gate holds (HOLDING)"
+        assert end.sentence == Sentence(
+            "reason.goal.ended", plan="plan-1", outcome=outcome, reason="the gate holds (HOLDING)"
+        )
 
     def test_an_executor_that_was_restarted_plays_nothing(self, desk):
         end = desk.moving().executes(ExecutorState.WAITING, reason="started", plan="").end()
         assert end.code is ResultCode.GOAL_TOLERANCE_VIOLATED
-        assert end.sentence == "the executor no longer plays plan plan-1: started"
+        assert end.sentence == Sentence("reason.goal.lost", plan="plan-1", reason="started")
 
     def test_another_plan_that_begins_while_the_arm_settles_ends_the_goal(self, desk):
         desk.moving().executes(ExecutorState.IDLE, "finished").effects()
         end = desk.executes(ExecutorState.PLAYING, reason="approved by Anna", plan="plan-2").end()
         assert (end.ending, end.code) == (Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED)
-        assert end.sentence == "the executor no longer plays plan plan-1: approved by Anna"
+        assert end.sentence == Sentence("reason.goal.lost", plan="plan-1", reason="approved by Anna")
         assert desk.state is GoalState.FREE
 
     def test_a_pause_is_told_and_ends_nothing(self, desk):
@@ -230,15 +241,19 @@ class TestTolerances:
         desk.moving(FREE.asked(ROBOT, [AskedTolerance("joint_a2", 0.1)], "path_tolerance"))
         assert desk.after(0.02, off_by(-0.099)).effects() == []
         brake, told = desk.after(0.02, off_by(-0.11)).effects()
-        assert brake == Brake(PLAN.id) and told.text.startswith(
-            "on the path the position of joint_a2 is off by 6.302536 deg"
-        )
+        assert brake == Brake(PLAN.id) and told.text.values["why"].key == "reason.goal.off_path"
+        off = told.text.values["why"].values["problem"].values
+        assert off["quantity"].key == "reason.goal.quantity.position" and off["joint"] == "joint_a2"
+        assert off["error"] == Quantity(pytest.approx(0.11), "rad")
         assert desk.executes(ExecutorState.STOPPING).effects() == []
         desk.executes(ExecutorState.IDLE, "stopped", "at rest 0.200 s into the plan")
         assert desk.effects() == [] and desk.state is GoalState.STOPPED
         end = desk.after(0.02, off_by(0.0), at_rest=True).end()
         assert (end.ending, end.code) == (Ending.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED)
-        assert "its tolerance is 5.729578 deg; the arm is at rest on its path" in end.sentence
+        assert end.sentence.values["first"].values["problem"].values["bound"] == Quantity(0.1, "rad")
+        assert end.sentence.values["second"] == both(
+            Sentence("reason.goal.on_its_path"), "at rest 0.200 s into the plan"
+        )
 
     def test_a_cancel_while_it_brakes_because_of_its_path_changes_nothing(self, desk):
         desk.moving(CLOSE).after(0.02, off_by(1.0)).cancel().executes(ExecutorState.IDLE, "stopped")
@@ -250,7 +265,9 @@ class TestTolerances:
         assert desk.after(1.9, off_by(error), at_rest=True).effects() == []
         end = desk.after(late - 1.9, off_by(error), at_rest=True).end()
         assert (end.ending, end.code) == (Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED)
-        assert end.sentence.startswith("2 s after the plan's end the position of joint_a2 is off by ")
+        assert (end.sentence.key, end.sentence.values["seconds"]) == ("reason.goal.not_in_time", 2.0)
+        off = end.sentence.values["problem"].values
+        assert (off["quantity"].key, off["joint"]) == ("reason.goal.quantity.position", "joint_a2")
 
     def test_an_arm_that_comes_late_but_in_time_succeeds(self, desk):
         desk.moving().executes(ExecutorState.IDLE, "finished").after(1.5, off_by(0.5), at_rest=True)
@@ -266,7 +283,9 @@ class TestTolerances:
         desk.moving().executes(ExecutorState.IDLE, "finished")
         end = desk.after(2.1, off_by(0.0), at_rest=True, settled=False).end()
         assert (end.ending, end.code) == (Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED)
-        assert end.sentence == "2 s after the plan's end twin and arm are not known to be at rest"
+        assert end.sentence == Sentence(
+            "reason.goal.not_in_time", seconds=2.0, problem=Sentence("reason.goal.rest_unknown")
+        )
 
     def test_a_pose_that_is_not_known_is_no_success(self, desk):
         desk.moving().executes(ExecutorState.IDLE, "finished")
@@ -276,7 +295,7 @@ class TestTolerances:
 class TestCancel:
     def test_while_moving_brakes_on_the_path_and_is_preempted_at_rest(self, desk):
         brake, told = desk.moving().cancel().effects()
-        assert brake == Brake(PLAN.id) and told.text == "cancelled by its client; brakes on the path"
+        assert brake == Brake(PLAN.id) and told.text == Sentence("reason.goal.brakes", why=CANCELLED)
         desk.executes(ExecutorState.STOPPING, reason="stop requested").executes(
             ExecutorState.IDLE, "stopped", "at rest"
         )
@@ -284,7 +303,7 @@ class TestCancel:
         end = desk.after(0.02, at_rest=True).end()
         assert (end.ending, end.sentence) == (
             Ending.CANCELED,
-            "cancelled by its client; the arm is at rest on its path; at rest",
+            both(CANCELLED, Sentence("reason.goal.on_its_path"), "at rest"),
         )
 
     def test_a_stop_that_failed_is_asked_for_again_until_it_brakes(self, desk):
@@ -296,9 +315,9 @@ class TestCancel:
 
     def test_under_review_the_plan_is_withdrawn(self, desk):
         withdraw, _told = desk.under_review().cancel().effects()
-        assert withdraw == Withdraw(PLAN.id, PLAN.hash, "/move_group", "cancelled by its client")
-        end = desk.rejects("client /move_group", "cancelled by its client").end()
-        assert (end.ending, end.sentence) == (Ending.CANCELED, "cancelled by its client")
+        assert withdraw == Withdraw(PLAN.id, PLAN.hash, "/move_group", CANCELLED)
+        end = desk.rejects("client /move_group", CANCELLED).end()
+        assert (end.ending, end.sentence) == (Ending.CANCELED, CANCELLED)
         assert desk.after(0.02, at_rest=True).effects() == [] and desk.state is GoalState.FREE
 
     def test_a_withdrawal_that_the_executor_did_not_take_is_repeated_and_ends_after_a_while(self, desk):
@@ -306,7 +325,9 @@ class TestCancel:
         desk.goals.on_call_failed(desk.now)
         assert len(desk.after(RETRY / NANOSECONDS).effects(Withdraw)) == 1
         end = desk.after(WITHDRAWAL / NANOSECONDS + 0.1).end()
-        assert end.ending is Ending.CANCELED and end.sentence.endswith("that plan plan-1 is withdrawn: reject it")
+        assert end.ending is Ending.CANCELED and end.sentence == Sentence(
+            "reason.goal.not_withdrawn", why=CANCELLED, plan="plan-1"
+        )
 
     def test_an_approval_that_crosses_the_withdrawal_is_stopped(self, desk):
         desk.under_review().cancel().effects()
@@ -316,7 +337,7 @@ class TestCancel:
 
     def test_while_planned_is_recalled_at_once_and_the_plan_withdrawn(self, desk):
         assert desk.send(goal()).cancel().end().ending is Ending.CANCELED
-        assert desk.planned().effects() == [Withdraw(PLAN.id, PLAN.hash, "/move_group", "cancelled by its client")]
+        assert desk.planned().effects() == [Withdraw(PLAN.id, PLAN.hash, "/move_group", CANCELLED)]
         assert desk.rejects().after(0.02, at_rest=True).effects() == [] and desk.state is GoalState.FREE
 
     def test_while_planned_and_no_plan_comes(self, desk):
@@ -329,18 +350,16 @@ class TestCancel:
         assert desk.after(STOPPED / NANOSECONDS - 0.1).effects() == [] and desk.state is GoalState.STOPPED
         first, waiting = desk.after(0.2).effects(End)
         assert (first.goal_id, first.ending) == ("a", Ending.CANCELED)
-        assert first.sentence == "cancelled by its client; the twin is not known to be at rest; as approved"
+        assert first.sentence == both(CANCELLED, UNKNOWN_REST, "as approved")
         assert (waiting.goal_id, waiting.ending) == ("b", Ending.CANCELED)
-        assert waiting.sentence == (
-            "not planned: 10 s after the stop the twin is not known to be at rest; see whether it runs, and send the goal again"
-        )
+        assert waiting.sentence == Sentence("reason.goal.next_not_planned", seconds=10, unknown=UNKNOWN_REST)
         assert desk.state is GoalState.FREE and desk.after(1.0, at_rest=True).effects() == []
 
     def test_nor_does_one_that_braked_off_its_path(self, desk):
         desk.moving(CLOSE).after(0.02, off_by(1.0)).executes(ExecutorState.IDLE, "stopped").effects()
         end = desk.after(STOPPED / NANOSECONDS + 0.1).end()
         assert (end.ending, end.code) == (Ending.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED)
-        assert "; the twin is not known to be at rest" in end.sentence
+        assert end.sentence.values["second"].values["first"] == UNKNOWN_REST
 
     def test_of_a_goal_that_has_ended_changes_nothing(self, desk):
         assert desk.moving().cancel("other").effects() == [] and desk.state is GoalState.MOVING
@@ -350,9 +369,10 @@ class TestAnotherGoal:
     def test_of_another_client_is_turned_away_naming_who_has_the_arm(self, desk):
         end = desk.moving().send(goal("b", "/matlab")).end()
         assert (end.goal_id, end.ending, end.code) == ("b", Ending.REJECTED, ResultCode.INVALID_GOAL)
-        assert end.sentence == (
-            "/move_group has the arm (goal of /move_group is MOVING, plan plan-1); "
-            "cancel that goal, or send this one when it has ended"
+        assert end.sentence == Sentence(
+            "reason.goal.taken",
+            client="/move_group",
+            state=Sentence("reason.goal.state_with_plan", client="/move_group", state="MOVING", plan="plan-1"),
         )
         assert desk.state is GoalState.MOVING
 
@@ -388,15 +408,15 @@ class TestAnotherGoal:
         assert desk.effects(Brake) == [Brake(PLAN.id)]
         desk.executes(ExecutorState.IDLE, "stopped", "at rest")
         end, ask = desk.after(0.02, at_rest=True).effects()
-        assert (end.goal_id, end.ending) == ("a", Ending.CANCELED) and end.sentence.startswith(
-            "replaced by a newer goal"
+        assert (end.goal_id, end.ending) == ("a", Ending.CANCELED) and end.sentence == both(
+            REPLACED, Sentence("reason.goal.on_its_path"), "at rest"
         )
         assert ask == Ask(goal("b"))
 
     def test_that_waits_can_be_cancelled(self, desk):
         desk.moving().send(goal("b")).effects()
         assert desk.cancel("b").end() == End(
-            "b", Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, "cancelled before it was planned"
+            "b", Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, Sentence("reason.goal.cancelled_early")
         )
         desk.executes(ExecutorState.IDLE, "stopped").after(0.02, at_rest=True)
         assert desk.end().goal_id == "a" and desk.state is GoalState.FREE
@@ -404,7 +424,7 @@ class TestAnotherGoal:
     def test_while_a_plan_of_somebody_else_is_played_is_rejected(self, desk):
         end = desk.executes(ExecutorState.PLAYING, plan="by-hand").send(goal()).end()
         assert end.code is ResultCode.INVALID_GOAL
-        assert end.sentence == "the arm follows plan by-hand, which is of no goal of this action; wait for its end"
+        assert end.sentence == Sentence("reason.goal.busy", plan="by-hand")
         assert desk.executes(ExecutorState.IDLE, "finished", plan="by-hand").send(goal()).effects() == [Ask(goal())]
 
 

@@ -41,7 +41,7 @@ def exchange(controller, decoder):
     controller.ipoc += 4
     controller.send()
     reply = decoder.parse(controller.socket.recv(65535))
-    assert reply.stamp == controller.ipoc
+    assert reply.controller_ms == controller.ipoc
     return reply
 
 

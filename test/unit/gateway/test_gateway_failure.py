@@ -41,7 +41,7 @@ def broken_once(original):
 PARTS = {
     "inbox": lambda service: (service._inbox, "newest"),
     "telegram decoder": lambda service: (service._inbox, "_parse"),
-    "RSI session": lambda service: (service.gateway._controller, "hear"),
+    "RSI session": lambda service: (service.gateway._controller, "take"),
     "playout": lambda service: (service.gateway._player._playout, "advance"),
     "follower": lambda service: (service.gateway._player.follower, "follow"),
     "reply's encoder": lambda service: (service._encoder, "encode"),
@@ -54,7 +54,7 @@ PARTS = {
     "histogram": lambda service: (service.reply_time, "add"),
     "poll": lambda service: (service.gateway, "poll"),
     "command callback": lambda service: (service.gateway, "on_command"),
-    "command's codec": lambda service: (service.gateway._stream, "read"),
+    "command's codec": lambda service: (service.gateway._intake, "read"),
     "MQTT connection": lambda service: (service._mqtt, "service"),
     "MQTT reading": lambda service: (service._mqtt, "read"),
     "MQTT library": lambda service: (service._mqtt.client, "loop_read"),

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from rsi_mutations import mutate
 
 from construction_twin.core.errors import TelegramError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway, State
@@ -248,7 +249,7 @@ class TrackCell(Cell):
                 return
             telegram = self.decoder.parse(packet)
             reply = self.gateway.on_telegram(telegram, self.source, self.now)
-            self.bytes.append(self.encoder.encode(reply, telegram.stamp, True if self.gateway.ends else None))
+            self.bytes.append(self.encoder.encode(reply, telegram.controller_ms, True if self.gateway.ends else None))
             self.mock.receive(self.bytes[-1])
 
 
@@ -279,7 +280,7 @@ def test_a_track_follows_its_stream_in_metres_against_a_controller_that_counts_o
 def test_the_status_says_why_a_session_began_and_how_far_ipoc_jumped(change, said, jump):
     cell = Cell()
     cell.cycle(3)
-    assert "the first telegram after silence" in cell.gateway.reason
+    assert Sentence("gateway.began.first") in cell.gateway.reason
     if change is other_source:
         cell.now += NANOSECONDS // 5
     change(cell)

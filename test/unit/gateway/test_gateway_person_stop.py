@@ -8,10 +8,12 @@ import pytest
 from gateway_cell import CONFIG, Cell, following
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.units import CYCLE, format_allowance
-from construction_twin.gateway.gateway import STOP_PERIOD, STOPS_AT_ONCE, State
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import CYCLE, NANOSECONDS, format_allowance
+from construction_twin.gateway.gateway import State
 from construction_twin.mqtt.interventions import STOP, Intervention
 from construction_twin.mqtt.messages import Control
+from construction_twin.mqtt.requests import ANSWERS
 
 
 def press(cell: Cell, account: str = "arm-stopper-bob", id_: str = "1"):
@@ -22,7 +24,7 @@ def test_an_arm_in_motion_brakes_inside_the_limits_and_stays_stopped_until_a_res
     cell = following()
     positions = [cell.measured]
     answer = press(cell)
-    assert (answer.ok, answer.reason) == (True, "gateway is braking")
+    assert (answer.ok, answer.reason) == (True, Sentence("gateway.is", state="braking"))
     while cell.state is State.BRAKING:
         cell.cycle()
         positions.append(cell.measured)
@@ -38,7 +40,9 @@ def test_it_says_who_it_was():
     cell = following()
     press(cell)
     status = cell.gateway.status()
-    assert status["reason"] == "stop: asked for by account arm-stopper-bob"
+    assert status["reason"] == Sentence(
+        "gateway.brake.stop", reason=Sentence("gateway.asked.account", account="arm-stopper-bob")
+    )
     assert (status["stop"]["cause"], status["stop"]["by"]) == ("stop", "arm-stopper-bob")
     assert (status["fault"], status["session"], status["counters"]["stops_stop"]) == (True, "", 1)
 
@@ -78,12 +82,12 @@ def test_without_a_session_and_at_rest_it_is_not_forgotten_either(prepare):
 def test_a_failed_gateway_answers_that_it_has_failed():
     cell = following()
     cell.gateway.fail("broken")
-    assert (press(cell).ok, press(cell, "arm-reviewer-ada").reason) == (True, "gateway is failed")
+    assert (press(cell).ok, press(cell, "arm-reviewer-ada").reason) == (True, Sentence("gateway.is", state="failed"))
 
 
 def test_pressing_on_costs_a_count_and_no_answer():
     cell = following()
-    assert all(press(cell, id_=str(k)).reason for k in range(STOPS_AT_ONCE))
+    assert all(press(cell, id_=str(k)).reason for k in range(ANSWERS))
     before = cell.gateway.status()
     cell.gateway.take_change()
     assert [press(cell, id_=str(k)).reason for k in range(500)] == [""] * 500
@@ -95,7 +99,7 @@ def test_pressing_on_costs_a_count_and_no_answer():
     assert after["counters"].pop("stops_repeated") == 500 and after == before
     # another one's is answered all the same, and its own a moment later
     assert press(cell, "arm-reviewer-ada").reason
-    cell.now += STOP_PERIOD
+    cell.now += NANOSECONDS // ANSWERS
     assert press(cell).reason
 
 
@@ -116,7 +120,7 @@ def test_what_is_no_stop_is_refused_counted_and_moves_nothing():
     answer = cell.gateway.refuse_stop("ada", wrong, cell.now)
     assert (answer.ok, answer.reason) == (False, "no stop")
     answered = [cell.gateway.refuse_stop("ada", wrong, cell.now).reason for _ in range(99)]
-    assert answered.count("no stop") == STOPS_AT_ONCE - 1
+    assert answered.count("no stop") == ANSWERS - 1
     assert (cell.count("refused_stop"), cell.state) == (100, State.FOLLOWING)
     assert "no stop" in cell.gateway.status()["last_refusal"]
     # and takes the next real one nothing

@@ -12,6 +12,7 @@ from processes import wait_until
 from service_cell import PATIENT, START, assert_still, cell, motion, stream
 
 from construction_twin.core.rate_limit import SenderLimits
+from construction_twin.core.sentences import Sentence
 from construction_twin.gateway import service as module
 from construction_twin.gateway.gateway import Gateway, State
 from construction_twin.gateway.log import LineLimiter
@@ -51,7 +52,7 @@ def test_what_predicts_or_counts_a_stop_cannot_fail_it(monkeypatch, owner, name,
         before = arm.measured
         with monkeypatch.context() as broken:
             broken.setattr(owner, name, fail)
-            assert stop(arm, way) == (True, "gateway is braking")
+            assert stop(arm, way) == (True, Sentence("gateway.is", state="braking"))
             arm.cycle(400)
         assert arm.state is State.HOLDING and arm.gateway.fault and arm.measured != before
         status = arm.gateway.status()
@@ -101,6 +102,8 @@ def test_with_a_wall_clock_that_was_set(broker, topics, monkeypatch, way, step):
     with cell(broker, topics, config=PATIENT) as (service, controller, client):
         assert client.arm(PATIENT)["ok"]
         stream(client, controller, (motion(k) for k in range(60)))
+        # on a busy machine the commands may come after the last of these cycles
+        wait_until(lambda: controller.measured != START, what="the arm to move")
         monkeypatch.setattr(module, "time", Set(step))
         assert press(client, topics, way)["ok"]
         client.wait_for_status(state="holding", fault=True)

@@ -8,9 +8,10 @@ from collections import deque
 import pytest
 from gateway_cell import CONFIG, RUN, START
 
-from construction_twin.gateway.gateway import UNREAD_QUIET, Gateway
+from construction_twin.core.sentences import Sentence
+from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
-from construction_twin.gateway.refusals import LONGEST_REFUSAL
+from construction_twin.gateway.refusals import LONGEST_REFUSAL, UNREAD_QUIET
 from construction_twin.gateway.states import State
 from construction_twin.gateway.status import QUIET, StatusClock
 from construction_twin.rsi.controller_codec import RobotEncoder
@@ -44,7 +45,7 @@ class Line:
         """Put these in and read; return the IPOC of what is answered, its source and which datagram it was."""
         self.waiting.extend(thing if isinstance(thing, tuple) else (thing, HERE) for thing in things)
         found = self.inbox.newest()
-        return found and (found.telegram.stamp, found.source, found.arrived)
+        return found and (found.telegram.controller_ms, found.source, found.arrived)
 
     def counted(self) -> dict:
         return dict(self.gateway.counters)
@@ -139,7 +140,7 @@ STRANGER = "datagrams from 10.0.0.1 are not read, because --controller is 192.16
 
 def test_while_nothing_can_be_read_the_reason_names_the_last_refusal_and_how_many():
     line = Line("192.168.1.20")
-    assert told(line, 1.0) and line.gateway.reason == "no telegram yet"
+    assert told(line, 1.0) and line.gateway.reason == Sentence("gateway.no_telegram_yet")
     line.newest(b"<Rob><IPOC>4</IPOC>")
     assert told(line, 1.1)
     one = "no telegram yet; datagrams refused: 1, the last one for xml: telegram is not well-formed"
@@ -187,7 +188,7 @@ def test_a_single_stray_datagram_is_told_no_longer_once_nothing_came_for_a_while
     # one more: it goes on
     assert not told(line, 2.0 + UNREAD_QUIET) and "datagrams refused: 2, " in line.gateway.reason
     assert not told(line, 2.0 + 2 * UNREAD_QUIET)
-    assert told(line, 3.1 + 2 * UNREAD_QUIET) and line.gateway.reason == "no telegram yet"
+    assert told(line, 3.1 + 2 * UNREAD_QUIET) and line.gateway.reason == Sentence("gateway.no_telegram_yet")
     assert not told(line, 9.0 + 9 * UNREAD_QUIET)
     # the counter and the last refusal have it still, and the next one is told, and counted from one
     assert line.gateway.status()["last_refusal"].startswith("telegram xml: ")

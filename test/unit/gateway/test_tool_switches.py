@@ -12,18 +12,19 @@ from mock_cell import HOME
 from tool_cell import LAYOUT, TOOL, ToolCell, switched_off_on_stop
 
 from construction_twin.controller.tool import ToolOutput, ToolReading
+from construction_twin.core.reports import SwitchState
+from construction_twin.core.sentences import Sentence, understood
 from construction_twin.core.state_table import cells
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.gateway import State
 from construction_twin.gateway.tool_switches import (
     LONGEST_DIFFERENCE,
     MOST_AHEAD,
-    MOST_TOLD,
+    MOST_REPORTED,
     ROUND_TRIP,
     SWITCH_TABLE,
     SwitchAction,
     SwitchEvent,
-    SwitchState,
     ToolSwitches,
 )
 from construction_twin.mock.faults import Fault, FaultBoard
@@ -126,15 +127,15 @@ def test_a_switch_is_used_once_and_a_copy_of_its_message_is_refused():
 
 def test_no_more_than_16_wait():
     cell = ToolCell().follow()
-    answers = [cell.ask(True, ahead=60)[0] for _ in range(MOST_TOLD + 1)]
-    assert answers == [True] * MOST_TOLD + [False]
+    answers = [cell.ask(True, ahead=60)[0] for _ in range(MOST_REPORTED + 1)]
+    assert answers == [True] * MOST_REPORTED + [False]
 
 
 def test_without_a_stream_and_in_commissioning_mode_nothing_is_switched():
     cell = ToolCell()
     cell.cycle(5)
     ok, reason = cell.switch(True)
-    assert not ok and "no stream is followed, the gateway is ready" in reason
+    assert not ok and understood(reason).values["why"].key == "gateway.tool.no_stream"
     cell = ToolCell(commissioning=True).follow()
     ok, reason = cell.ask(True)
     assert not ok and "commissioning mode" in reason
@@ -145,7 +146,7 @@ def test_a_gateway_without_a_tool_refuses_and_tells_of_none():
     cell = ToolCell(layout=layout, tool=None).follow()
     assert "tool" not in cell.gateway.status()
     assert "the configuration has none" in cell.ask(True)[1]
-    assert cell.control("void", None, cell.session) == (True, "0 armed switches are void")
+    assert cell.control("void", None, cell.session) == (True, Sentence("gateway.void.many", count="0"))
 
 
 # -- void
@@ -189,7 +190,7 @@ def speed_limit_0(cell):
 
 
 def void(cell):
-    assert cell.control("void", None, "anybody") == (True, "1 armed switch is void")
+    assert cell.control("void", None, "anybody") == (True, Sentence("gateway.void.one", count="1"))
 
 
 def read_back_lost(cell):
@@ -257,7 +258,7 @@ def test_a_stream_that_runs_dry_for_some_cycles_fires_nothing_meanwhile_and_goes
 def test_at_a_speed_limit_of_0_no_switch_is_armed():
     cell = ToolCell().follow()
     speed_limit_0(cell)
-    assert "the speed limit is 0" in cell.ask(True)[1]
+    assert Sentence("gateway.speed.zero") in cell.ask(True)[1]
 
 
 @settings(max_examples=60)
@@ -298,8 +299,8 @@ def test_the_table_has_words_and_every_final_state_has_no_way_out():
     assert len(cells(SWITCH_TABLE)) == len(set(SWITCH_TABLE))
     assert {row.event for row in SWITCH_TABLE} == set(SwitchEvent)
     assert {row.action for row in SWITCH_TABLE} == set(SwitchAction)
-    assert {row.state for row in SWITCH_TABLE} == {SwitchState.ASKED, SwitchState.ARMED}
-    assert {row.target for row in SWITCH_TABLE} == set(SwitchState) - {SwitchState.ASKED}
+    assert {row.state for row in SWITCH_TABLE} == {SwitchState.PENDING, SwitchState.ARMED}
+    assert {row.target for row in SWITCH_TABLE} == set(SwitchState) - {SwitchState.PENDING}
 
 
 # -- nothing opens before the outputs are known
@@ -399,7 +400,9 @@ def test_outputs_that_read_back_as_something_else_are_told():
     cell.gateway.take_change()
     cell.go_on(2)
     assert cell.gateway.take_change()
-    assert cell.status()["reason"] == "vacuum reads back off, commanded on, for more than 0.1 s"
+    assert cell.status()["reason"] == Sentence(
+        "gateway.tool.differs", found=Sentence("gateway.tool.reads_off", name="vacuum"), seconds=0.1
+    )
     assert cell.gateway.counters["tool_outputs_differ"] == 1 and cell.status()["known"] is False
     assert cell.status()["outputs"] == {"vacuum": False}
     cell.tool.outputs["vacuum"] = True

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from sentence_checks import says
 from supervisor_bench import POSE, TOLERANCE, BareBench, moved
 
 from construction_twin.core.errors import ReviewError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.state_table import Occasion
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.bare_supervisor import ARM_COMMAND, NOT_CHECKED
@@ -46,7 +48,9 @@ class TestArming:
 
     @pytest.mark.parametrize("name", ["", "   ", "\t", "x" * 65, "A\nB", "A\x1b[2J"])
     def test_without_a_name_nothing_is_armed(self, waiting, name):
-        with pytest.raises(ReviewError, match="--responsible NAME"):
+        with pytest.raises(
+            ReviewError, check=says("link.plc.no_name", command="rosrun construction_twin twin arm --responsible NAME")
+        ):
             waiting.supervisor.take_responsibility(name, waiting.now)
         waiting.run(1.0)
         assert waiting.state is LinkState.NEEDS_RESET and waiting.supervisor.responsible == ""
@@ -110,7 +114,7 @@ class TestArming:
     def test_an_arm_that_moves_is_not_armed(self, waiting):
         waiting.pose = moved(5 * TOLERANCE)
         waiting.poll()
-        with pytest.raises(ReviewError, match="cannot arm: .*still changing"):
+        with pytest.raises(ReviewError, check=says("link.cannot.arm", why=Sentence("link.unrest"))):
             waiting.supervisor.take_responsibility("Ada", waiting.now)
 
     def test_who_is_responsible_already_is_named(self, armed):
@@ -122,14 +126,24 @@ class TestReset:
     def test_reset_and_arm_without_a_name_are_refused_with_what_to_do(self, waiting):
         for request in (waiting.supervisor.request_reset, waiting.supervisor.request_arm):
             with pytest.raises(
-                ReviewError, match="without a name: rosrun construction_twin twin arm --responsible NAME$"
+                ReviewError,
+                check=says("link.plc.cannot", command="rosrun construction_twin twin arm --responsible NAME"),
             ):
                 request(waiting.now)
         waiting.run(1.0)
         assert waiting.state is LinkState.NEEDS_RESET
 
     def test_while_armed_reset_says_to_halt_first(self, armed):
-        with pytest.raises(ReviewError, match="first end what Ada has armed, with halt"):
+        with pytest.raises(
+            ReviewError,
+            check=says(
+                "link.plc.cannot_armed",
+                refusal=Sentence(
+                    "link.plc.cannot", verb="reset", command="rosrun construction_twin twin arm --responsible NAME"
+                ),
+                name="Ada",
+            ),
+        ):
             armed.supervisor.request_reset(armed.now)
         armed.run(0.2)
         assert armed.state is LinkState.ARMED

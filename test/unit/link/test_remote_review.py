@@ -16,6 +16,7 @@ from geometry_msgs.msg import Point
 from hypothesis import given
 from hypothesis import strategies as st
 from plan_samples import make_plan
+from sentence_checks import says
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import PayloadError
@@ -24,7 +25,7 @@ from construction_twin.link.remote_review import (
     MAX_REVIEW_BYTES,
     MAX_TRAJECTORY_NUMBERS,
     PlanBoard,
-    RemoteReview,
+    ReviewRequest,
     parse_review,
     recorded_reason,
     shown,
@@ -59,15 +60,15 @@ def refusal(data: bytes, retained: bool = False) -> str:
 
 
 def test_a_verdict_is_read_as_it_was_given():
-    assert parse_review(payload(), False) == RemoteReview(**REVIEW, moment=MOMENT)
-    assert parse_review(payload(verdict="rejected", reason="too close to the wall"), False) == RemoteReview(
+    assert parse_review(payload(), False) == ReviewRequest(**REVIEW, moment=MOMENT)
+    assert parse_review(payload(verdict="rejected", reason="too close to the wall"), False) == ReviewRequest(
         "p1", "ab" * 32, "rejected", "Anna", "too close to the wall", moment=MOMENT
     )
 
 
 @pytest.mark.parametrize("verdict, approves", [("approved", True), ("rejected", False)])
 def test_only_one_word_approves(verdict, approves):
-    assert parse_review(payload(verdict=verdict), False).approves is approves
+    assert parse_review(payload(verdict=verdict), False).approve is approves
 
 
 @pytest.mark.parametrize("account", ["", "kr120-reviewer-ada"])
@@ -82,7 +83,7 @@ def test_an_approval_that_does_not_say_what_its_screen_had_shown_is_refused(acco
 
 @pytest.mark.parametrize("moment", [..., "", "of an old screen", MOMENT])
 def test_a_rejection_needs_no_moment(moment):
-    assert not parse_review(payload(verdict="rejected", moment=moment), False).approves
+    assert not parse_review(payload(verdict="rejected", moment=moment), False).approve
 
 
 def test_a_retained_verdict_is_refused_whatever_it_says():
@@ -409,5 +410,5 @@ def test_another_plan_has_no_segments_and_no_content():
 def test_a_work_plan_that_is_not_what_its_hash_says_is_not_shown():
     spoiled = work_message()
     spoiled.segments[1].engaged = False
-    with pytest.raises(TrajectoryError, match="hash"):
+    with pytest.raises(TrajectoryError, check=says("motion.trajectory.hash")):
         plan_view(spoiled)

@@ -9,19 +9,20 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from sentence_checks import says
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.link.json_fields import read_document
+from construction_twin.core.sentences import Sentence
 from construction_twin.link.remote_trajectory import (
     COMPAS_TYPE,
     LARGEST,
-    ZEROS,
     Joints,
     TrajectoryPoint,
     TrajectoryRequest,
     parse_trajectory,
     request_id,
 )
+from construction_twin.mqtt.json_fields import read_document
 
 JOINTS = Joints(("track", "joint_a1", "joint_a2"), (True, False, False))
 LIMIT = 100_000
@@ -240,12 +241,12 @@ def test_what_compas_fab_writes_is_read():
 
 def test_zeros_that_compas_fab_fills_in_count_as_not_given_and_the_sender_is_told():
     request = read(compas(point={"velocities": [0.0] * 3}))
-    assert request.notes == (ZEROS.format("velocities"), ZEROS.format("accelerations"))
+    assert request.notes == tuple(Sentence("link.payload.zeros", what=what) for what in ("velocities", "accelerations"))
     assert all(point.velocities == point.accelerations == () for point in request.points)
     untimed = [compas_point([2.0, 0.5, 1.0]), compas_point([2.5, 1.5, -1.0])]
     assert read(compas({"points": untimed})).notes == (), "it is timed here, without them"
     # a single one that is not zero makes all of them said
-    assert read(compas()).notes == (ZEROS.format("accelerations"),)
+    assert read(compas()).notes == (Sentence("link.payload.zeros", what="accelerations"),)
 
 
 def test_an_envelope_gives_a_compas_trajectory_an_id_of_its_own():
@@ -343,7 +344,7 @@ def test_another_compas_object_is_no_trajectory(changes):
 
 def test_a_retained_trajectory_is_refused_whatever_it_says():
     for payload in (b"", json.dumps(plain()).encode()):
-        with pytest.raises(PayloadError, match="retain flag") as caught:
+        with pytest.raises(PayloadError, check=says("link.payload.retained")) as caught:
             read_document(payload, True, "trajectory", LIMIT)
         assert caught.value.reason == "retained"
 
@@ -351,7 +352,9 @@ def test_a_retained_trajectory_is_refused_whatever_it_says():
 def test_a_trajectory_that_is_too_long_is_not_even_read():
     payload = json.dumps(plain()).encode()
     assert read_document(payload, False, "trajectory", len(payload)) == plain()
-    with pytest.raises(PayloadError, match=f"{len(payload)} bytes; at most {len(payload) - 1}") as caught:
+    with pytest.raises(
+        PayloadError, check=says("link.payload.size", bytes=len(payload), limit=len(payload) - 1)
+    ) as caught:
         read_document(payload, False, "trajectory", len(payload) - 1)
     assert caught.value.reason == "size"
 
@@ -413,5 +416,5 @@ def test_the_id_is_known_also_of_what_is_refused():
     assert request_id({key: value for key, value in COMPAS.items() if key != "guid"}) == ""
     # a guid beside our own form is no id
     assert request_id({"guid": "7"}) == ""
-    with pytest.raises(PayloadError, match="id is"):
+    with pytest.raises(PayloadError, check=says("link.payload.text", key="id")):
         request_id({"id": ["7"]})

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import pytest
 from reset_bench import MS, ResetBench
+from sentence_checks import says
 from supervisor_bench import Bench
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import State
 from construction_twin.link.states import LinkState
@@ -13,6 +15,9 @@ from construction_twin.link.states import LinkState
 #: How long a stop is watched that must not be taken back [s].
 WATCHED = 3.0
 STOPS = {"stop/anna": ResetBench.stop_by_account, "control": ResetBench.stop_by_verb, "halt": ResetBench.halt}
+
+#: Why the gateway is stopped after `stop/anna`.
+STOPPED_BY_ANNA = Sentence("gateway.brake.stop", reason=Sentence("gateway.asked.account", account="anna"))
 
 
 def begun(situation: str) -> ResetBench:
@@ -147,7 +152,7 @@ class TestNumbers:
         bench.stop_by_account()
         bench.run(0.5)
         assert bench.supervisor.reason == (
-            "gateway was stopped since the call (stop 2): stop: asked for by account anna; call reset"
+            Sentence("link.call_reset", reason=Sentence("link.stopped_since", number="2", reason=STOPPED_BY_ANNA))
         )
 
     def test_an_old_status_that_is_sent_again_shows_nothing_old(self):
@@ -178,7 +183,7 @@ class TestRestart:
         bench.run(1.0 if farewell else 5.0)
         bench.restart_bridge()
         bench.run(1.0)
-        assert "stop: asked for by account anna" in bench.supervisor.reason
+        assert STOPPED_BY_ANNA in bench.supervisor.reason
         assert_stands(bench, fault=False)
 
     def test_a_bridge_that_is_started_again_says_what_the_gateway_says_of_the_stop(self):
@@ -260,7 +265,7 @@ class TestWithdrawal:
             assert bench.link is LinkState.RESYNC
         self.failed(bench)
         bench.run(0.2)
-        assert bench.supervisor.reason == "not armed within 5 s: RESYNC; call reset"
+        assert bench.supervisor.reason == Sentence("link.call_reset", reason="not armed within 5 s: RESYNC")
         assert not bench.supervisor.withdraws
         assert_stands(bench, 10.0)
 
@@ -487,7 +492,9 @@ class TestTwoGateways:
     def test_nothing_is_armed_until_one_is_left(self):
         bench = begun("stopped")
         self.speak(bench, 3.0)
-        with pytest.raises(Exception, match="run other and run run1") as refused:
+        with pytest.raises(
+            Exception, check=says("link.cannot.reset", why=Sentence("link.gateways", runs="run other and run run1"))
+        ) as refused:
             bench.supervisor.request_reset(bench.now)
         assert type(refused.value).__name__ == "ReviewError"
         sent = len(bench.sent)

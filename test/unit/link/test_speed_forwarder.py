@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+from sentence_checks import says
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.units import NANOSECONDS
@@ -72,7 +73,7 @@ def test_a_new_session_is_told_what_still_holds_and_nothing_old():
 @pytest.mark.parametrize("limit", [-0.001, 1.001, math.nan, math.inf])
 def test_what_is_no_fraction_is_not_taken(limit):
     forwarder = SpeedForwarder(0.5)
-    with pytest.raises(PayloadError, match="from 0 to 1"):
+    with pytest.raises(PayloadError, check=says("executor.refused.limit_fraction")):
         forwarder.on_limit(limit, "/source", 0)
     assert forwarder.poll("s1", 0) is None
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import itertools
 
 import pytest
+from sentence_checks import says
 from tool_cell import ToolCell
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.link.tool_link import ToolLink, tool_report
 
-ARMED, FIRED, VOID, REFUSED = SwitchState
+_, ARMED, FIRED, VOID, REFUSED = SwitchState
 
 
 def link():
@@ -60,14 +62,20 @@ def test_a_refusal_is_told_with_its_sentence():
     tool.on_status(status(switches=[]))
     tool.on_answer(answer(switch(tool), False, "tool: the outputs are not known"))
     report = tool.report("")
-    assert report.switches == {"a": SwitchReport(REFUSED, "tool: the outputs are not known")}
-    assert report.reason == "tool: the outputs are not known" and report.known
+    assert report.switches == {
+        "a": SwitchReport(REFUSED, Sentence("gateway.tool.refused", why="the outputs are not known"))
+    }
+    assert report.reason == Sentence("gateway.tool.refused", why="the outputs are not known") and report.known
 
 
 def test_without_an_armed_link_nothing_is_sent():
     tool = link()
-    assert switch(tool, obstacle="the link is RESYNC: why") is None
-    assert tool.report("").switches == {"a": SwitchReport(REFUSED, "tool: the link is RESYNC: why")}
+    assert switch(tool, obstacle=Sentence("link.is_in", state="RESYNC", reason="why")) is None
+    assert tool.report("").switches == {
+        "a": SwitchReport(
+            REFUSED, Sentence("gateway.tool.refused", why=Sentence("link.is_in", state="RESYNC", reason="why"))
+        )
+    }
 
 
 def test_an_id_is_used_once():
@@ -135,10 +143,14 @@ def test_a_gate_that_closes_voids_what_is_armed_or_not_answered_yet_and_nothing_
 
 def test_while_the_gateway_is_not_there_nothing_is_known_but_what_was_told():
     tool = link()
-    assert tool.report("").reason == "no status of the gateway yet"
+    assert tool.report("").reason == Sentence("link.tool.no_status")
     tool.on_status(status("fired"))
     report = tool.report("the link is DISCONNECTED: why")
-    assert (report.known, report.reason, report.tool) == (False, "the link is DISCONNECTED: why", "frame")
+    assert (report.known, report.reason, report.tool) == (
+        False,
+        Sentence("link.is_in", state="DISCONNECTED", reason="why"),
+        "frame",
+    )
     assert told(tool, "x") == {"a": FIRED}
 
 
@@ -179,6 +191,7 @@ def test_a_real_status_is_read_and_a_gateway_without_a_tool_has_no_hands():
             for change in (
                 {"known": 1}, {"outputs": {"vacuum": 1}}, {"name": 3}, {"inputs": []}, {"switches": [{}]}, {"switches": [5]},
                 {"switches": [{"id": "a", "state": "armed", "reason": ""}] * 2},
+                *({"switches": [{"id": "a", "state": word, "reason": ""}]} for word in ("pending", "asked", "ARMED")),
                 {"switches": [{"id": 5, "state": "armed", "reason": ""}]}, {"switches": [{}] * 17}, {"reason": None},
                 {"outputs": {str(n): True for n in range(17)}}, {"switches": [{"id": "a", "state": ["armed"], "reason": ""}]},
             )
@@ -186,5 +199,5 @@ def test_a_real_status_is_read_and_a_gateway_without_a_tool_has_no_hands():
     ],
 )  # fmt: skip
 def test_what_is_no_status_of_a_tool_is_refused(tool):
-    with pytest.raises(PayloadError, match="tool"):
+    with pytest.raises(PayloadError, check=says("link.status.not_as_agreed")):
         tool_report({"tool": tool})

@@ -32,12 +32,12 @@ def asleep(pc):
 
 def asked_late(pc):
     """Return the IPOC of the packets whose answers were to be late."""
-    return [packet.stamp for number, (_, packet, _) in enumerate(list(pc.received), 1) if number in pc.after]
+    return [packet.controller_ms for number, (_, packet, _) in enumerate(list(pc.received), 1) if number in pc.after]
 
 
 def delays_after(pc, packets):
     """Return what `Delay` says in the packet after each of these."""
-    told = {packet.stamp: packet.missed for _, packet, _ in list(pc.received)}
+    told = {packet.controller_ms: packet.missed for _, packet, _ in list(pc.received)}
     return [told.get(ipoc + 4) for ipoc in packets]
 
 
@@ -146,7 +146,7 @@ def test_nothing_arrives_after_it_was_read(clocks, arrival):
 def test_a_reply_that_arrived_after_its_cycle_does_not_count():
     cell = Cell()
     packet = parse_robot(cell.mock.begin_cycle(), cell.config.axes)
-    assert not cell.mock.receive(cell.encoder.encode(ZERO, packet.stamp), in_time=False)
-    assert cell.mock.refusals.last == f"the reply to IPOC {packet.stamp} came after the end of its cycle"
+    assert not cell.mock.receive(cell.encoder.encode(ZERO, packet.controller_ms), in_time=False)
+    assert cell.mock.refusals.last == f"the reply to IPOC {packet.controller_ms} came after the end of its cycle"
     assert cell.cycle(ZERO).missed == 1
     assert cell.mock.counters["late_replies"] == 1

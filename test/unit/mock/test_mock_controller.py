@@ -30,9 +30,9 @@ def test_a_ten_seconds_are_2500_packets_and_10000_on_the_ipoc():
     cell = Cell()
     packets = cell.cycles(2500) + [cell.cycle(ZERO)]
     assert cell.mock.counters["packets"] == 2501
-    assert packets[0].stamp == 4_208_163_634
-    assert packets[-1].stamp - packets[0].stamp == 10_000
-    assert {b.stamp - a.stamp for a, b in zip(packets, packets[1:])} == {4}
+    assert packets[0].controller_ms == 4_208_163_634
+    assert packets[-1].controller_ms - packets[0].controller_ms == 10_000
+    assert {b.controller_ms - a.controller_ms for a, b in zip(packets, packets[1:])} == {4}
     assert cell.mock.counters["missed"] == 0
 
 
@@ -50,7 +50,7 @@ def test_b_a_late_reply_beside_the_right_one_does_not_disturb():
     cell = Cell()
     cell.cycles(5)
     packet = cell.cycle(step(0, 0.01))
-    cell.mock.receive(cell.encoder.encode(step(0, 0.2), packet.stamp - 4))
+    cell.mock.receive(cell.encoder.encode(step(0, 0.2), packet.controller_ms - 4))
     assert cell.cycle(ZERO).missed == 0
     assert cell.mock.applied == pytest.approx(step(0, 0.01))
     assert cell.mock.counters["late_replies"] == 1
@@ -68,7 +68,7 @@ def test_replies_to_no_packet_of_the_session_are_mismatched(offset):
 def test_the_first_of_two_replies_counts():
     cell = Cell()
     packet = cell.cycle(step(0, 0.01))
-    assert not cell.mock.receive(cell.encoder.encode(step(0, 0.02), packet.stamp))
+    assert not cell.mock.receive(cell.encoder.encode(step(0, 0.02), packet.controller_ms))
     cell.cycle(ZERO)
     assert cell.mock.applied == pytest.approx(step(0, 0.01))
     assert cell.mock.counters["duplicates"] == 1
@@ -202,7 +202,7 @@ def test_g_stop_ends_the_session():
     cell = Cell(layout=WITH_STOP)
     cell.cycles(5)
     packet = parse_robot(cell.mock.begin_cycle(), AXES)
-    cell.mock.receive(cell.encoder.encode(ZERO, packet.stamp, stop=True))
+    cell.mock.receive(cell.encoder.encode(ZERO, packet.controller_ms, stop=True))
     assert_stopped(cell, "stop: requested")
     assert not cell.mock.flag
 
@@ -230,11 +230,11 @@ def test_h_cartesian_actual_follows_and_cartesian_setpoint_stays():
 def test_i_a_new_session_starts_at_another_pose_with_another_ipoc():
     cell = Cell()
     cell.cycles(50, step(0, 0.2))
-    last = cell.packets[-1].stamp
+    last = cell.packets[-1].controller_ms
     pose = radians((10, -80, 70, 5, 60, -20))
     cell.mock.restart(pose)
     packets = cell.cycles(10)
-    assert packets[0].stamp > last + 400
+    assert packets[0].controller_ms > last + 400
     assert packets[0].missed == 0
     assert {packet.setpoint for packet in packets} == {packets[0].setpoint}
     assert packets[-1].measured == packets[0].measured == pytest.approx(pose, abs=1e-9)
@@ -345,7 +345,7 @@ def test_the_same_replies_give_the_same_packets():
 )
 def test_an_ipoc_of_32_bits_wraps_and_a_larger_one_does_not(first, after):
     cell = Cell(first_stamp=first)
-    assert [packet.stamp for packet in cell.cycles(5)] == after
+    assert [packet.controller_ms for packet in cell.cycles(5)] == after
     assert cell.mock.counters["missed"] == 0
     # a reply to the telegram before the wrap is late, as elsewhere
     cell.cycle(ZERO, ipoc_offset=after[1] - (after[-1] + 4))

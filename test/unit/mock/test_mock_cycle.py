@@ -34,22 +34,22 @@ def seconds(cycle, duration):
 
 def test_ipoc_advances_by_12_and_a_thousand_per_second():
     packets = cell(12).cycles(1001)
-    assert {b.stamp - a.stamp for a, b in zip(packets, packets[1:])} == {12}
-    assert packets[1000].stamp - packets[0].stamp == 12_000
+    assert {b.controller_ms - a.controller_ms for a, b in zip(packets, packets[1:])} == {12}
+    assert packets[1000].controller_ms - packets[0].controller_ms == 12_000
 
 
 def test_silence_stops_rsi_after_so_many_cycles_which_are_three_times_as_long():
     slow = cell(12)
     assert None not in slow.cycles(100, None)
     assert_stopped(slow, "timeout: 100 cycles")
-    assert slow.mock.stamp - slow.packets[0].stamp == 99 * 12
+    assert slow.mock.stamp - slow.packets[0].controller_ms == 99 * 12
 
 
 def test_a_reply_one_cycle_late_is_12_behind_and_4_behind_is_none():
     slow = cell(12)
     slow.cycles(5)
     packet = slow.cycle(ZERO, ipoc_offset=-12)
-    assert slow.mock.refusals.last == f"the reply to IPOC {packet.stamp - 12} came 1 cycle late"
+    assert slow.mock.refusals.last == f"the reply to IPOC {packet.controller_ms - 12} came 1 cycle late"
     slow.cycle(ZERO, ipoc_offset=-4)
     assert (slow.mock.counters["late_replies"], slow.mock.counters["mismatched"]) == (1, 1)
 
@@ -227,7 +227,7 @@ def test_packets_leave_every_12_ms_on_an_absolute_grid(robot):
     finally:
         pc.close()
     times = [entry[0] for entry in pc.received[:101]]
-    ipocs = [entry[1].stamp for entry in pc.received[:101]]
+    ipocs = [entry[1].controller_ms for entry in pc.received[:101]]
     assert {b - a for a, b in zip(ipocs, ipocs[1:])} == {12} and counters["skipped"] == 0
     # a busy machine makes packets late, which must not move the grid
     late = [time - k * 12_000_000 for k, time in enumerate(times)]

@@ -54,7 +54,7 @@ class Cell:
             return None
         packet = self.decoder.parse(data)
         if correction is not None:
-            self.mock.receive(self.encoder.encode(correction, packet.stamp, stop))
+            self.mock.receive(self.encoder.encode(correction, packet.controller_ms, stop))
         return packet
 
 
@@ -114,7 +114,7 @@ def test_a_missed_reply_is_no_stop():
 
 def answer_without_stop(cell, correction=ZERO):
     """Run a cycle whose reply has corrections and IPOC only, as ROS-Industrial's driver sends them."""
-    ipoc = cell.decoder.parse(cell.mock.begin_cycle()).stamp
+    ipoc = cell.decoder.parse(cell.mock.begin_cycle()).controller_ms
     return cell.mock.receive(SensorEncoder("ImFree", AXES, (), UNITS).encode(correction, ipoc))
 
 
@@ -161,7 +161,7 @@ def test_with_onlysend_it_sends_for_ever_expects_nothing_and_takes_nothing():
     packets = [cell.cycle(None) for _ in range(500)]
     assert None not in packets
     assert {packet.missed for packet in packets} == {0}
-    reply = SensorEncoder("ImFree", AXES, (), UNITS).encode((0.01, 0.0, 0.0), packets[-1].stamp)
+    reply = SensorEncoder("ImFree", AXES, (), UNITS).encode((0.01, 0.0, 0.0), packets[-1].controller_ms)
     assert not cell.mock.receive(reply)
     assert cell.cycle(None).measured == pytest.approx(START)
     assert (cell.mock.counters["unexpected"], cell.mock.counters["missed"], cell.mock.flag) == (1, 0, False)
@@ -172,7 +172,7 @@ def test_a_gateway_with_other_names_is_not_understood():
     cell = Cell(timeout=5)
     other = SensorEncoder.of(names, AXES, UNITS)
     for _ in range(5):
-        ipoc = cell.decoder.parse(cell.mock.begin_cycle()).stamp
+        ipoc = cell.decoder.parse(cell.mock.begin_cycle()).controller_ms
         assert not cell.mock.receive(other.encode(ZERO, ipoc))
     assert cell.mock.begin_cycle() is None
     assert cell.mock.reason.startswith("timeout") and cell.mock.counters["malformed"] == 5

@@ -67,8 +67,8 @@ def test_late_and_foreign_ipocs_are_named():
     cell = Cell()
     cell.cycles(5)
     packet = cell.cycle(ZERO, ipoc_offset=-8)
-    assert cell.mock.refusals.last == f"the reply to IPOC {packet.stamp - 8} came 2 cycles late"
+    assert cell.mock.refusals.last == f"the reply to IPOC {packet.controller_ms - 8} came 2 cycles late"
     packet = cell.cycle(ZERO, ipoc_offset=1)
     assert cell.mock.refusals.last == (
-        f"the reply carries IPOC {packet.stamp + 1}; expected that of the packet, unchanged: {packet.stamp}"
+        f"the reply carries IPOC {packet.controller_ms + 1}; expected that of the packet, unchanged: {packet.controller_ms}"
     )

@@ -8,6 +8,7 @@ import math
 import os
 
 import pytest
+from sentence_checks import says
 
 from construction_twin.core.errors import ConfigurationError, TransitionLogError
 from construction_twin.monitor import transition_log as sync_log
@@ -86,7 +87,9 @@ def test_keeps_what_the_disk_refuses(tmp_path, monkeypatch):
     monkeypatch.setattr(sync_log.os, "write", full)
     for number in range(KEPT + 2):
         log.defer(change(number))
-    with pytest.raises(TransitionLogError, match="No space left"):
+    with pytest.raises(
+        TransitionLogError, check=says("reason.transitions_kept", problem="[Errno 28] No space left on device")
+    ):
         log.flush()
     assert (log.lost, log.written) == (2, 0)
     monkeypatch.setattr(sync_log.os, "write", lambda file, data: write(file, data[:10]))

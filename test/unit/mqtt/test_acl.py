@@ -1,4 +1,4 @@
-"""The site's access rules on the real mosquitto: every role, every topic, both directions. The table is written down here again."""
+"""The access rules on the real mosquitto: every role, every topic, both directions. Roles and programs are written down again."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from site_broker import ROBOTS, Listener, SiteBroker
 from construction_twin.broker.access import PLC, PROGRAMS, RIGHTS, ROLES, Site, access_rules
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.requests import REQUESTS
 
 #: Account of a role at robot one.
 ACCOUNTS = {
@@ -23,14 +24,10 @@ ACCOUNTS = {
     "stopper": "one-stopper-bob",
     "planner": "one-planner-ada",
 }
-#: What people write in the name of their account, by right.
-ACTS = {
-    "stop": ("stop",),
-    "pause": ("pause", "resume"),
-    "review": ("review",),
-    "plan_request": ("plan_request", "ik"),
-    "trajectory": ("trajectory/from",),
-}
+#: What people write in the name of their account, by right; docs/reference/mqtt.md says it again, and is compared (test_docs.py).
+OF_ACCOUNTS = [kind for kind in REQUESTS if "{}" in kind.topic]
+ACTS = {kind.right: [each.topic[:-3] for each in OF_ACCOUNTS if each.right == kind.right] for kind in OF_ACCOUNTS}
+ANSWERS = {kind.ack.format("one-planner-ada") for kind in OF_ACCOUNTS}
 #: Who has which right.
 HAVE = {
     "stop": ("reviewer", "stopper"),
@@ -42,15 +39,13 @@ HAVE = {
 PEOPLE = ("viewer", "reviewer", "stopper", "planner")
 OF_PEOPLE = {f"{act}/{ACCOUNTS[role]}" for acts in ACTS.values() for act in acts for role in PEOPLE}
 TOPICS = (
-    "command", "state", "status", "bridge/status", "control", "control/ack", "plan", "review", "review/ack", "stop/ack",
-    "pause/ack", "plan_request/ack", "ik/ack/one-planner-ada", "scene", "screen", "work/tasks", "trajectory", "trajectory/ack",
-    "view", *sorted(OF_PEOPLE), "somewhere/else",
+    "command", "state", "status", "bridge/status", "control", "control/ack", "plan", "review", "scene", "screen", "work/tasks",
+    "trajectory", "view", *sorted(ANSWERS), *sorted(OF_PEOPLE), "somewhere/else",
 )  # fmt: skip
 #: What each role publishes and what it hears, under <prefix>/<robot>/.
 WRITES = {
     "bridge": {
-        "command", "control", "bridge/status", "plan", "review/ack", "stop/ack", "pause/ack", "plan_request/ack", "trajectory/ack",
-        "ik/ack/one-planner-ada", "scene", "screen", "work/tasks", "view",
+        "command", "control", "bridge/status", "plan", "scene", "screen", "work/tasks", "view", *ANSWERS,
     },
     "gateway": {"state", "status", "control/ack", "stop/ack"},
     "plc": {"command", "control"},
@@ -60,8 +55,9 @@ WRITES = {
 WRITES["planner"] |= {"trajectory"}
 STOPS = {topic for topic in OF_PEOPLE if topic.startswith("stop/")}
 READS = {
-    "bridge": {"state", "status", "control/ack", "plan", "scene", "work/tasks", "trajectory", "review/ack", "stop/ack", "pause/ack"}
-    | {"plan_request/ack"} | OF_PEOPLE,
+    # who takes `stop/+` also gets `stop/ack`
+    "bridge": {"state", "status", "control/ack", "plan", "scene", "work/tasks", "trajectory"} | OF_PEOPLE
+    | ({f"{act}/ack" for acts in ACTS.values() for act in acts} & ANSWERS),
     "gateway": {"command", "control", "stop/ack"} | STOPS,
     "plc": {"state", "status", "control/ack"},
 } | {role: set(TOPICS) for role in PEOPLE}  # fmt: skip
@@ -104,10 +100,10 @@ def test_the_table_knows_every_role_and_topic():
     assert set(WRITES) == set(READS) == set(ACCOUNTS) == {*PROGRAMS, *ROLES, PLC}
     topics = Topics("twin", "one")
     names = [name for name, value in vars(Topics).items() if isinstance(value, property)]
-    acts = [topics.review_by, topics.stop_by, topics.pause_by, topics.resume_by, topics.plan_request, topics.ik]
-    acts.append(topics.trajectory_from)
-    listed = {getattr(topics, name) for name in names} | {act(ACCOUNTS[role]) for act in acts for role in PEOPLE}
-    assert listed | {topics.ik_ack("one-planner-ada")} == {f"twin/one/{topic}" for topic in TOPICS[:-1]}
+    listed = {getattr(topics, name) for name in names}
+    for kind in OF_ACCOUNTS:
+        listed |= {topics.of(kind, ACCOUNTS[role]) for role in PEOPLE} | {topics.ack_of(kind, "one-planner-ada")}
+    assert listed == {f"twin/one/{topic}" for topic in TOPICS[:-1]}
 
 
 def test_every_right_is_in_a_role_and_has_its_rules():

@@ -129,6 +129,8 @@ def test_a_number_beyond_the_end_of_ros_time_is_refused(text):
 def test_control_survives_the_wire():
     message = Control("1", "s", "arm", {"any": [1, None]})
     assert parse_control(message.to_json()) == message
+    assert message.to_json() == b'{"id": "1", "session": "s", "verb": "arm", "value": {"any": [1, null]}}'
+    assert Control("2", "s", "speed_limit", 0.1 + 0.2).to_json().endswith(b'"value": 0.30000000000000004}')
 
 
 def test_control_s_value_may_be_left_out():

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, ROOT, WALL, planner, world
+from sentence_checks import says
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import NoPathError, PlanningError
@@ -138,7 +139,7 @@ def test_the_search_stays_within_its_bounds():
 
 def test_a_goal_behind_contact_all_around_is_not_found():
     edges = MotionValidator(Recorder(most=0.3), LEVERS, 0.1)
-    with pytest.raises(NoPathError, match="RRTConnect"):
+    with pytest.raises(NoPathError, check=says("motion.no_path", planner="RRTConnect")):
         path_search("RRTConnect").find(PathQuery(HOME, [HOME + np.eye(6)[0]], edges, *BOUNDS, seed=1), 0.05)
 
 
@@ -201,15 +202,13 @@ def test_a_search_of_another_maker_makes_plans_that_are_timed_and_checked_as_any
 
 
 def test_a_path_of_it_that_touches_something_becomes_no_plan():
-    with pytest.raises(NoPathError, match="over the top"):
+    with pytest.raises(NoPathError, check=says("motion.no_path", planner="over the top")):
         planner(search=OverTheTop(), planning_budget=0.1).plan_to_joints(RIGHT, LEFT, REQUEST, WALLED)
 
 
 @pytest.mark.parametrize("ends", [(HOME, None), (None, HOME)])
 def test_a_path_of_it_that_begins_or_ends_elsewhere_is_its_fault_and_says_so(ends):
-    with pytest.raises(
-        PlanningError, match="the search over the top returned a path of 4 points that does not lead from"
-    ):
+    with pytest.raises(PlanningError, check=says("motion.wrong_ends", search="over the top", count=4)):
         planner(search=OverTheTop(RIGHT + LIFTED, LEFT + LIFTED, ends=ends)).plan_to_joints(
             RIGHT, LEFT, REQUEST, WALLED
         )

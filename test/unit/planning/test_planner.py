@@ -8,6 +8,7 @@ import pytest
 import yaml
 from limit_use import limit_use
 from planning_cell import CHAIN, HOME, QUICK, REQUEST, ROBOT, ROOT, planner, world
+from sentence_checks import says
 
 from construction_twin.core.motion_errors import (
     BranchError,
@@ -94,7 +95,7 @@ def test_the_limits_themselves_can_be_reached_and_left(joint, side):
 
 
 def test_a_wrong_number_of_joints_is_refused():
-    with pytest.raises(PlanningError, match="goal has 5 values; expected 6"):
+    with pytest.raises(PlanningError, check=says("motion.values", what="goal", found=5, count=6)):
         planner().plan_to_joints(HOME, GOAL[:5], REQUEST, EMPTY)
 
 
@@ -104,12 +105,12 @@ def test_nan_is_out_of_range():
 
 
 def test_already_there_is_said():
-    with pytest.raises(TrajectoryError, match="already there"):
+    with pytest.raises(TrajectoryError, check=says("motion.path.there")):
         planner().plan_to_joints(HOME, HOME, REQUEST, EMPTY)
 
 
 def test_too_many_waypoints_are_refused():
-    with pytest.raises(PlanningError, match="waypoints would be 2001; .* at most 2000"):
+    with pytest.raises(PlanningError, check=says("motion.size.waypoints", value=2001, limit=2000)):
         planner().plan_to_joints(HOME, GOAL, PlanRequest("p1", 0, waypoints=2001), EMPTY)
 
 
@@ -134,7 +135,7 @@ def test_an_unreachable_pose_passes_through():
 
 
 def test_an_unknown_configuration_passes_through():
-    with pytest.raises(BranchError, match="sideways"):
+    with pytest.raises(BranchError, check=says("motion.branch.word", asked="'sideways'", word="'sideways'")):
         planner().plan_to_pose(HOME, CHAIN.forward(GOAL), REQUEST, EMPTY, "sideways")
 
 

@@ -12,8 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from limit_use import limit_use
 from planning_cell import CHAIN, HOME, LEFT, REQUEST, RIGHT, ROBOT, ROOT, WALL, bench_world, planner, solver, world
+from sentence_checks import says
 
 from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
+from construction_twin.core.sentences import Sentence
 from construction_twin.planning.path_searches import path_searches
 from construction_twin.planning.planner import PlanRequest
 from construction_twin.scene.objects import Scene, SceneObject
@@ -105,7 +107,7 @@ def test_an_arm_folded_into_itself_is_no_goal():
     rng = np.random.default_rng(0)
     free = world()
     folded = next(q for q in rng.uniform(ROBOT.lower, ROBOT.upper, (5000, 6)) if not free.is_free(q))
-    with pytest.raises(CollisionError, match="link_"):
+    with pytest.raises(CollisionError, check=says("motion.collision", first="link_1", second="link_6")):
         planner().plan_to_joints(HOME, folded, REQUEST, free)
 
 
@@ -134,7 +136,9 @@ def _ball_that_only_touches(carried: SceneObject, q: np.ndarray, others: list[np
 def test_a_goal_that_every_branch_touches_names_what_is_there():
     target = CHAIN.forward(LEFT)
     blocked = world(SceneObject("post", "sphere", (0.2,), tuple(target.position)))
-    with pytest.raises(CollisionError, match="post.*the goal"):
+    with pytest.raises(
+        CollisionError, check=says("motion.collision", second="post", where=Sentence("motion.where.goal"))
+    ):
         planner().plan_to_pose(HOME, target, REQUEST, blocked)
 
 
@@ -156,7 +160,7 @@ def test_no_path_says_how_long_was_tried():
         SceneObject("above", "box", (6.0, 0.1, 3.0), (0.0, 0.0, 3.1)),
     ]
     side, other = (HOME + np.radians([turn, 45, -20, 0, 0, 0]) for turn in (-90, 90))
-    with pytest.raises(NoPathError, match=r"RRTConnect found no path within \d\.?\d* s; allow more time") as caught:
+    with pytest.raises(NoPathError, check=says("motion.no_path", planner="RRTConnect")) as caught:
         planner(clock=time.monotonic, planning_budget=0.3).plan_to_joints(side, other, REQUEST, world(*walls))
     assert caught.value.planner == "RRTConnect" and caught.value.budget >= 0.3
 

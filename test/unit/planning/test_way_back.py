@@ -7,9 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from planning_cell import HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, SELF_COLLISION, WALL, Clock, solver, world
+from sentence_checks import says
 
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.motion_errors import CollisionError, PlanningError, SegmentError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.execution.engagement import Engagement
 from construction_twin.execution.way_back import check_way_back
@@ -18,7 +20,8 @@ from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.recheck import recheck
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.way_back import PACE, way_back
-from construction_twin.planning.work_plan import AskedSegment, joined
+from construction_twin.planning.work_plan import joined
+from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.executed_path import LARGEST_ENTRY, WAY_BACK_TOLERANCE, ExecutedPath, nearest_on_lines
 from construction_twin.robot.segments import Signal
 from construction_twin.robot.trajectory import Trajectory
@@ -91,13 +94,13 @@ def _after(back: Trajectory, row: int):
 
 def test_an_arm_too_far_from_the_path_must_be_freed_by_hand():
     present = PATH.sample(1.0)[0] + 1.5 * LARGEST_ENTRY * np.ones(6)
-    with pytest.raises(PlanningError, match="beside the path that it executed.*free it by hand.*release_engagement"):
+    with pytest.raises(PlanningError, check=says("motion.back.beside")):
         way_back(ExecutedPath(PATH, 1.0), present, ROBOT)
 
 
 @pytest.mark.parametrize("end", [0.0, 0.004, 2.0])
 def test_an_arm_at_the_beginning_has_no_way_back(end):
-    with pytest.raises(PlanningError, match="at the beginning of the engaged segments already"):
+    with pytest.raises(PlanningError, check=says("motion.back.there")):
         way_back(ExecutedPath(PATH, end), HOME, ROBOT)
 
 
@@ -110,7 +113,7 @@ def test_an_arm_beside_the_beginning_goes_straight_there(away):
 
 def test_a_path_of_another_robot_is_refused():
     other = Trajectory(tuple("abcdef"), PATH.times, PATH.positions, PATH.velocities, PATH.accelerations)
-    with pytest.raises(PlanningError, match="the executed path is one of a, b, c"):
+    with pytest.raises(PlanningError, check=says("motion.back.joints")):
         way_back(ExecutedPath(other, 1.0), HOME, ROBOT)
 
 
@@ -125,7 +128,7 @@ def test_it_is_a_work_plan_of_one_engaged_segment_in_the_present_scene():
     scene, held = Scene(padding=0.01), (Signal("held", True),)
     path = ExecutedPath(PATH, 1.0)
     present = PATH.sample(1.0)[0] + 2e-5 * BESIDE
-    plan = pipeline(scene).way_back("task-1", path, held, present, REQUEST)
+    plan = pipeline(scene).way_back(present, "task-1", path, held, REQUEST)
     (segment,) = plan.segments
     assert (plan.planner, plan.task, plan.scene) == ("way back", "task-1", scene.hash)
     assert (segment.name, segment.engaged, segment.requires, segment.switches) == ("way back", True, held, ())
@@ -136,8 +139,17 @@ def test_it_is_a_work_plan_of_one_engaged_segment_in_the_present_scene():
 
 
 def test_what_stands_in_the_way_back_now_is_not_driven_into():
-    with pytest.raises(SegmentError, match="'way back'.*touches wall") as caught:
-        pipeline(Scene((WALL,), 0.01)).way_back("t", ExecutedPath(PATH, PATH.duration), (), PATH.positions[-1], REQUEST)
+    with pytest.raises(
+        SegmentError,
+        check=says(
+            "motion.segment",
+            name="'way back'",
+            cause=Sentence(
+                "motion.collision", first="link_3", second="wall", where=Sentence("motion.where.time", seconds=0.0)
+            ),
+        ),
+    ) as caught:
+        pipeline(Scene((WALL,), 0.01)).way_back(PATH.positions[-1], "t", ExecutedPath(PATH, PATH.duration), (), REQUEST)
     assert isinstance(caught.value.cause, CollisionError)
 
 
@@ -147,7 +159,7 @@ def test_the_executor_takes_it_for_the_way_back(end, beside):
     held = (Signal("held", True),)
     engagement = Engagement("p0", "task-1", "carry", ExecutedPath(PATH, end), (held,), (EMPTY,), "stopped")
     present = PATH.sample(end)[0] + beside * BESIDE
-    plan = pipeline(Scene(padding=0.01)).way_back("task-1", engagement.path, held, present, REQUEST)
+    plan = pipeline(Scene(padding=0.01)).way_back(present, "task-1", engagement.path, held, REQUEST)
     check_way_back(plan, engagement)
 
 
@@ -155,6 +167,6 @@ def test_the_executor_takes_no_short_cut_for_the_way_back():
     held = (Signal("held", True),)
     engagement = Engagement("p0", "task-1", "carry", ExecutedPath(PATH, PATH.duration), (held,), (EMPTY,), "stopped")
     made = pipeline(Scene(padding=0.01))
-    short = AskedSegment("way back", time_path(np.array([PATH.positions[-1], HOME]), ROBOT), True, held)
-    with pytest.raises(ReviewError, match="leaves the executed path"):
-        check_way_back(made.work("task-1", [short], PATH.positions[-1], REQUEST), engagement)
+    short = WorkSegment("way back", time_path(np.array([PATH.positions[-1], HOME]), ROBOT), True, held)
+    with pytest.raises(ReviewError, check=says("review.back.leaves")):
+        check_way_back(made.work(PATH.positions[-1], "task-1", [short], REQUEST), engagement)

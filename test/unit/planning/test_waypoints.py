@@ -11,8 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from limit_use import limit_use
+from sentence_checks import says
 
 from construction_twin.core.motion_errors import WaypointsError, WaypointTimesError
+from construction_twin.core.sentences import Sentence
 from construction_twin.planning.limit_usage import sampled_usage
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.waypoints import START_TOLERANCE_RAD, from_points, plan_waypoints, retime_waypoints
@@ -219,7 +221,7 @@ def test_a_single_point_that_cannot_be_reached_so_is_refused(values, message):
 
 
 def test_no_point_is_no_motion():
-    assert str(refused([])) == "0 waypoints; a motion needs at least one, its goal"
+    assert str(refused([])) == Sentence("motion.points.none")
 
 
 def without_jerk_limit(robot: RobotModel, goal: np.ndarray, period: float = 0.1):
@@ -258,7 +260,7 @@ def test_times_that_are_replaced_are_never_made_shorter():
     slow = dataclasses.replace(ROBOT, acceleration=tuple(value / 200 for value in ROBOT.acceleration))
     times, rows, velocities, accelerations = without_jerk_limit(slow, HOME + 0.5)
     points = from_points(ROBOT, NAMES, rows, velocities, accelerations, times)
-    with pytest.raises(WaypointTimesError, match="at rest"):
+    with pytest.raises(WaypointTimesError, check=says("motion.points.moves")):
         plan_waypoints(points, HOME, ROBOT)
     assert times[-1] <= retime_waypoints(points, HOME, ROBOT).duration < 1.05 * times[-1]
 
@@ -266,7 +268,7 @@ def test_times_that_are_replaced_are_never_made_shorter():
 def test_a_single_point_is_retimed_to_no_less_than_its_time():
     slowly = np.full((1, len(HOME)), 0.01)
     point = from_points(ROBOT, NAMES, [HOME + 0.1], np.zeros_like(slowly), slowly, [60.0])
-    with pytest.raises(WaypointTimesError, match="at rest"):
+    with pytest.raises(WaypointTimesError, check=says("motion.points.moves")):
         plan_waypoints(point, HOME, ROBOT)
     assert retime_waypoints(point, HOME, ROBOT).duration == 60.0
 
@@ -276,7 +278,7 @@ def test_a_single_point_whose_time_needs_too_much_jerk_is_retimed_to_no_less_tha
     # a quintic from rest to rest has its largest jerk, 60 times its way per time cubed, at both ends
     asked = float(np.max(np.cbrt(60.0 * way / (1.2 * np.array(ROBOT.jerk)))))
     point = from_points(ROBOT, NAMES, [HOME + way], times=[asked])
-    with pytest.raises(WaypointTimesError, match="a jerk of"):
+    with pytest.raises(WaypointTimesError, check=says("motion.points.jerk")):
         plan_waypoints(point, HOME, ROBOT)
     assert retime_waypoints(point, HOME, ROBOT).duration >= asked
 
@@ -341,7 +343,7 @@ def test_an_end_that_moves_more_than_moveit_s_step_is_refused_by_every_route(row
     given["velocities"][row, 1] = 0.0101 * ROBOT.acceleration[1]
     # the largest velocity there is that of another joint, within its own bound
     assert row == -1 or given["velocities"][0, 0] > given["velocities"][0, 1]
-    with pytest.raises(WaypointsError, match="joint_a2 moves there") as caught:
+    with pytest.raises(WaypointsError, check=says("motion.points.moves", joint="joint_a2")) as caught:
         plan_waypoints(from_points(ROBOT, NAMES, **given), HOME, ROBOT)
     assert not isinstance(caught.value, WaypointTimesError)
 
@@ -354,9 +356,7 @@ def test_times_for_another_arm_are_refused_also_where_the_ends_would_be_timed_an
         given["velocities"][3, 0] = 1.2 * ROBOT.velocity[0]
     else:
         given["times"] = given["times"] / 8.0
-    with pytest.raises(
-        WaypointsError, match="joint_a1 has a velocity of .*; its limit is .*, give it more time"
-    ) as caught:
+    with pytest.raises(WaypointsError, check=says("motion.points.velocity", joint="joint_a1")) as caught:
         plan_waypoints(from_points(ROBOT, NAMES, **given), HOME, ROBOT)
     assert not isinstance(caught.value, WaypointTimesError)
 

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from planning_cell import HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, SELF_COLLISION, WALL, Clock, solver, standing, world
+from sentence_checks import says
 
 from construction_twin.core.motion_errors import (
     CollisionError,
@@ -23,6 +24,7 @@ from construction_twin.core.motion_errors import (
     SegmentError,
     TrajectoryError,
 )
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
@@ -31,7 +33,8 @@ from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.waypoint_file import format_plan, parse_waypoints
 from construction_twin.planning.waypoints import START_TOLERANCE_RAD
-from construction_twin.planning.work_plan import AskedSegment, plan_work
+from construction_twin.planning.work_plan import plan_work
+from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.plan import Plan, content_hash
 from construction_twin.robot.segments import Signal, Switch
 from construction_twin.robot.trajectory import Trajectory
@@ -51,17 +54,17 @@ def motion(begin, end, speed: float = 0.5) -> Trajectory:
     return time_path(np.array([begin, end]), ROBOT, speed_scale=speed)
 
 
-def task_of(*poses) -> list[AskedSegment]:
+def task_of(*poses) -> list[WorkSegment]:
     """Three segments: to the block, carry it (it hangs on the tool then), leave without it."""
     first, second, third, fourth = poses or (HOME, RIGHT, LEFT, HOME)
     return [
-        AskedSegment("fetch", motion(first, second), True, switches=(CLOSE,), change=SceneChange((HELD,))),
-        AskedSegment("carry", motion(second, third), True, (GRIPPED,), (OPEN,), SceneChange((), ("block",))),
-        AskedSegment("leave", motion(third, fourth)),
+        WorkSegment("fetch", motion(first, second), True, switches=(CLOSE,), change=SceneChange((HELD,))),
+        WorkSegment("carry", motion(second, third), True, (GRIPPED,), (OPEN,), SceneChange((), ("block",))),
+        WorkSegment("leave", motion(third, fourth)),
     ]
 
 
-def asked_with(number: int, **changes) -> list[AskedSegment]:
+def asked_with(number: int, **changes) -> list[WorkSegment]:
     asked = task_of()
     asked[number] = dataclasses.replace(asked[number], **changes)
     return asked
@@ -194,7 +197,7 @@ def test_what_is_carried_is_part_of_the_arm():
     carried = SceneObject("block", "box", (0.1, 0.1, 0.5), (0.0, 0.0, 0.3), link="tool0")
     beam = standing(carried, RIGHT)
     cell = world(beam, post)
-    alone = [AskedSegment("go", motion(HOME, RIGHT)), AskedSegment("pass", motion(RIGHT, LEFT))]
+    alone = [WorkSegment("go", motion(HOME, RIGHT)), WorkSegment("pass", motion(RIGHT, LEFT))]
     assert planned(alone, cell).segments[1].name == "pass"
     loaded = [dataclasses.replace(alone[0], change=SceneChange((carried,))), alone[1]]
     with pytest.raises(SegmentError, match="segment 1 .*block touches post") as caught:
@@ -205,7 +208,15 @@ def test_what_is_carried_is_part_of_the_arm():
 def test_what_the_last_change_puts_where_the_arm_stands_is_refused_too():
     chain = solver().chain
     there = SceneObject("late", "sphere", (0.3,), tuple(chain.forward(HOME).position.tolist()))
-    with pytest.raises(SegmentError, match="segment 2 .'leave'.*late .at its end, after its change of the scene"):
+    with pytest.raises(
+        SegmentError,
+        check=says(
+            "motion.segment",
+            number=2,
+            name="'leave'",
+            cause=Sentence("motion.collision", first="link_3", second="late", where=Sentence("motion.where.end")),
+        ),
+    ):
         planned(asked_with(2, change=SceneChange((there,))))
 
 
@@ -219,9 +230,10 @@ def test_a_motion_beyond_a_limit_is_refused_with_segment_time_and_joint():
 
 @pytest.mark.parametrize("gap", [2e-9, 1e-3])
 def test_a_gap_between_segments_is_refused(gap):
-    with pytest.raises(SegmentError, match="segment 2 .*joint_a3 away from where the segment before it ends") as caught:
+    with pytest.raises(SegmentError, check=says("motion.segment", number=2)) as caught:
         planned(asked_with(2, trajectory=motion(LEFT + gap * np.eye(6)[2], HOME)))
     assert isinstance(caught.value.cause, TrajectoryError)
+    assert caught.value.cause.sentence.values["joint"] == "joint_a3"
 
 
 def test_rounding_between_segments_is_made_exact():
@@ -257,11 +269,35 @@ def test_a_plan_from_elsewhere_is_refused():
 
 
 def test_an_object_to_remove_that_is_not_there_is_refused():
-    with pytest.raises(SegmentError, match="segment 2 .*'nobody'") as caught:
+    with pytest.raises(
+        SegmentError,
+        check=says(
+            "motion.segment",
+            number=2,
+            cause=Sentence(
+                "motion.scene",
+                where="an object to remove",
+                found="'nobody'",
+                expected="one of the scene's []; nothing was changed",
+            ),
+        ),
+    ) as caught:
         planned(asked_with(2, change=SceneChange((), ("nobody",))))
     assert isinstance(caught.value.cause, SceneError)
     # removed already by the segment before it
-    with pytest.raises(SegmentError, match="segment 2 .*'block'"):
+    with pytest.raises(
+        SegmentError,
+        check=says(
+            "motion.segment",
+            number=2,
+            cause=Sentence(
+                "motion.scene",
+                where="an object to remove",
+                found="'block'",
+                expected="one of the scene's []; nothing was changed",
+            ),
+        ),
+    ):
         planned(asked_with(2, change=SceneChange((), ("block",))))
 
 
@@ -300,23 +336,34 @@ def test_names_and_counts_that_make_no_sense_are_refused(changes, words):
 def test_a_work_plan_has_a_task_and_segments(task, asked, words):
     with pytest.raises(PlanningError, match=words):
         planned(asked, task=task)
-    with pytest.raises(PlanningError, match="201 segments"):
+    with pytest.raises(PlanningError, check=says("motion.work.segments", count=201)):
         planned(task_of()[:1] * 201)
 
 
 def test_joints_in_another_order_are_refused():
     given = motion(RIGHT, LEFT)
-    with pytest.raises(SegmentError, match="segment 1 .*its joints are joint_a6, joint_a5"):
+    with pytest.raises(
+        SegmentError,
+        check=says(
+            "motion.segment",
+            number=1,
+            cause=Sentence(
+                "motion.work.joints",
+                found="joint_a6, joint_a5, joint_a4, joint_a3, joint_a2, joint_a1",
+                joints="joint_a1, joint_a2, joint_a3, joint_a4, joint_a5, joint_a6",
+            ),
+        ),
+    ):
         planned(asked_with(1, trajectory=dataclasses.replace(given, joint_names=given.joint_names[::-1])))
 
 
 def test_the_bounds_of_the_planner_hold_for_the_whole():
     asked = task_of()
     duration = sum(item.trajectory.duration for item in asked)
-    with pytest.raises(PlanSizeError, match="duration"):
+    with pytest.raises(PlanSizeError, check=says("motion.size.duration")):
         planned(asked, bounds=PlanBounds(duration - 0.001))
     count = sum(len(item.trajectory.times) for item in asked)
-    with pytest.raises(PlanSizeError, match="waypoints"):
+    with pytest.raises(PlanSizeError, check=says("motion.size.waypoints")):
         planned(asked, bounds=PlanBounds(waypoints=count - 1))
     assert planned(asked, bounds=PlanBounds(duration + 1e-6, count)).task
 
@@ -335,7 +382,7 @@ def test_the_hash_covers_order_names_switches_and_scenes():
     ]
     for task, segments in others:
         assert content_hash(plan.trajectory, task, segments) != plan.hash
-        with pytest.raises(TrajectoryError, match="hash"):
+        with pytest.raises(TrajectoryError, check=says("motion.trajectory.hash")):
             dataclasses.replace(plan, task=task, segments=segments)
 
 
@@ -351,10 +398,10 @@ def test_the_scene_that_changed_meanwhile_drops_the_plan():
         ROBOT, solver(), PlannerSettings(**QUICK), SELF_COLLISION, Editing(), np.random.default_rng(0)
     )
     made.set_scene(Scene((BLOCK,), 0.01))
-    with pytest.raises(SceneChangedError, match="the scene changed while planning"):
-        made.work("task-1", task_of(), HOME, REQUEST)
+    with pytest.raises(SceneChangedError, check=says("motion.scene_changed")):
+        made.work(HOME, "task-1", task_of(), REQUEST)
     made.set_scene(Scene((BLOCK,), 0.01))
-    assert made.work("task-1", task_of(), HOME, REQUEST).segments[0].name == "fetch"
+    assert made.work(HOME, "task-1", task_of(), REQUEST).segments[0].name == "fetch"
 
 
 @settings(max_examples=8)
@@ -367,7 +414,7 @@ def test_however_segments_are_joined_every_sample_is_inside_the_limits_and_the_p
     poses = [np.array(HOME) + np.array(turn) for turn in turns]
     poses = [np.array(HOME), *(pose + 0.05 for pose in poses)]
     asked = [
-        AskedSegment(str(number), motion(*pair, speed))
+        WorkSegment(str(number), motion(*pair, speed))
         for number, pair in enumerate(zip(poses, poses[1:]))
         if np.abs(pair[1] - pair[0]).max() > 1e-4
     ]

@@ -33,7 +33,7 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.states import Mode, State
 from construction_twin.link import remote_trajectory
 from construction_twin.link.bare_supervisor import NOT_CHECKED
-from construction_twin.link.remote_review import PlanView, SegmentView
+from construction_twin.link.remote_review import ClearanceView, PlanView, SegmentView, SwitchView, UseView
 from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import status_values
 from construction_twin.monitor.comparison import ComparisonSettings, undetected
@@ -191,10 +191,8 @@ def test_gateway_counters_are_documented():
 
 
 def test_keys_of_plan_review_and_account_files_are_documented():
-    empty = PlanView("", "", "", "", "", "", 0, 0.0, 0.0, (), (), (), (), None, {})
-    segment = SegmentView("", 0.0, 0, False, {}, (), "", "", (), ())
-    shown = json.loads(dataclasses.replace(empty, segments=(segment,)).to_json(2))
-    keys = {*shown, *shown["segments"][0], *REVIEW.answer}
+    records = (PlanView, ClearanceView, UseView, SegmentView, SwitchView)
+    keys = {*REVIEW.answer, *(field.name for record in records for field in dataclasses.fields(record))}
     keys |= {field.name for field in dataclasses.fields(Account)} - {"name"}
     assert sorted(keys - code_words(BROKER)) == []
 
@@ -231,13 +229,19 @@ def topics_of(rules: str) -> set[str]:
     return {re.sub(r"\br-\w+-ada$", "<account>", topic) for topic in topics} - {"#"}
 
 
+def documented_requests() -> dict[str, set[str]]:
+    """Return the topics that each right writes, by the table of topics."""
+    rows = re.findall(r"^\| ([^|]+) \| [^|]*right `(\w+)` \|", PAGES["mqtt"], re.MULTILINE)
+    found: dict[str, set[str]] = {right: set() for right in RIGHTS}
+    for topics, right in rows:
+        found[right] |= {topic.removeprefix("twin/kr120/") for topic in code_words(topics)}
+    return found
+
+
 def test_rights_and_their_topics_are_documented():
-    table = BROKER.split("| right | writes |")[1].split("\n\n")[0]
-    rows = dict(re.findall(r"^\| `(\w+)` \| (.*?) \|", table, re.MULTILINE))
-    assert set(rows) == set(RIGHTS)
-    assert {right: code_words(row) for right, row in rows.items()} == {
-        right: topics_of(f"right_{right}") for right in RIGHTS
-    }
+    table = BROKER.split("| right | what for |")[1].split("\n\n")[0]
+    assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == set(RIGHTS)
+    assert documented_requests() == {right: topics_of(f"right_{right}") for right in RIGHTS}
 
 
 def test_roles_and_their_rights_are_documented():
@@ -251,9 +255,12 @@ def test_roles_and_their_rights_are_documented():
 def test_programs_and_their_topics_are_documented():
     table = BROKER.split("| program | account |")[1].split("\n\n")[0]
     rows = dict(re.findall(r"^\| (\w+)(?: \(`--plc`\))? \| `kr120-\w+` \| (.*) \|$", table, re.MULTILINE))
-    assert {program: code_words(row) for program, row in rows.items()} == {
-        program: topics_of(program) for program in (*PROGRAMS, PLC)
-    }
+    written = {program: code_words(row) for program, row in rows.items()}
+    assert "the answers to every request" in rows["bridge"] and "every request of an account" in rows["bridge"]
+    answers = set(re.findall(r"`twin/kr120/(\S+/ack(?:/<account>)?)` \| [^|]*\bmqtt_", PAGES["mqtt"]))
+    requests = set().union(*documented_requests().values(), answers)
+    written["bridge"] |= {topic.replace("<account>", "+") for topic in requests}
+    assert written == {program: topics_of(program) for program in (*PROGRAMS, PLC)}
 
 
 @pytest.mark.parametrize(

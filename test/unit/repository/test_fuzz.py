@@ -113,7 +113,7 @@ class FalseGateway(threading.Thread):
             data, source = self.socket.recvfrom(65535)
             correction = [0.0] * 6
             correction[1] = 1e-6 * (number >= self._still)
-            self.socket.sendto(encoder.encode(correction, decoder.parse(data).stamp), source)
+            self.socket.sendto(encoder.encode(correction, decoder.parse(data).controller_ms), source)
         self.socket.close()
 
 

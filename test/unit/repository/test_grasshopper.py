@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,10 +25,10 @@ from site_broker import SiteBroker
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.kinematics.chain import Chain
-from construction_twin.link.json_fields import read_document
 from construction_twin.link.remote_trajectory import Joints, parse_trajectory
 from construction_twin.link.remote_view import ViewWriter
 from construction_twin.mqtt.client import make_client, unique_id
+from construction_twin.mqtt.json_fields import read_document
 from construction_twin.planning.waypoints import plan_waypoints
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.urdf import expand_xacro
@@ -142,7 +143,8 @@ def cell(tmp_path_factory):
         patch.setattr(rospy, "wait_for_service", lambda *_: None)
         patch.setattr(rospy, "loginfo", lambda *_: None)
         # the session sends one motion after the other
-        patch.setattr(mqtt_planner, "SENDER_PAUSE", 1e-6)
+        for name in ("NAMELESS_TRAJECTORY", "TRAJECTORY"):
+            patch.setattr(mqtt_planner, name, replace(getattr(mqtt_planner, name), pace=None))
         cell = Cell(tmp_path_factory.mktemp("cell"))
         yield cell
         cell.close()

@@ -153,11 +153,11 @@ def test_every_public_name_has_a_docstring(path):
 #:   would end the answers, and the controller would stop the arm dead from full speed.
 #: - The subscriber's: rospy would log what a callback did not foresee and go on with the next message, in a node whose state nobody
 #:   knows. The handler hands every exception to `threading.excepthook`, which ends the process; it swallows nothing.
-#: - Beside's: what reports, records or predicts a stop, a pause, a halt or a rejection must not be able to fail it, and a node that
-#:   ends while the arm brakes along its path would fail it. It counts, keeps the exception until it is in the log, and shows it on
-#:   `/diagnostics`; it runs no act.
+#: - SideEffects': what reports, records or predicts a stop, a pause, a halt or a rejection must not be able to fail it, and a node
+#:   that ends while the arm brakes along its path would fail it. It counts, keeps the exception until it is in the log, and shows
+#:   it on `/diagnostics`; it runs no act.
 BROAD = {
-    "src/construction_twin/core/beside.py": "do",
+    "src/construction_twin/core/side_effects.py": "run",
     "src/construction_twin/gateway/service.py": "guarded",
     "src/construction_twin/ros/transport/subscriber.py": "_receive",
 }

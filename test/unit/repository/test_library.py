@@ -93,7 +93,7 @@ def printed(tmp_path_factory) -> dict[str, str]:
 
 
 def test_every_block_of_python_is_an_example_with_its_output():
-    assert len(EXAMPLES) == PAGE.count("```python") == 7
+    assert len(EXAMPLES) == PAGE.count("```python") == 8
 
 
 @pytest.mark.parametrize("heading", EXAMPLES)

@@ -23,7 +23,8 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 #: What each extra is for; where an extra contains another, the folders of both.
 FOLDERS = {
     "gateway": {"core", "controller", "mqtt", "rsi", "gateway", "link"},
-    "evaluation": {"core", "robot", "kinematics", "evaluation"},
+    "kinematics": {"core", "robot", "kinematics"},
+    "evaluation": {"evaluation"},
     "planning": {
         "scene", "planning", "coordination", "review", "twin", "monitor", "execution", "mock", "scenario", "views",
     },

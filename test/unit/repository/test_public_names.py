@@ -34,7 +34,7 @@ EXEMPT: dict[str, dict[str, str]] = {
     "test/unit/gateway/test_gateway_failure.py": dict.fromkeys(
         (
             "_controller", "_encoder", "_inbox", "_mqtt", "_player", "_playout", "_selector", "_states",
-            "_status", "_stream",
+            "_status", "_intake",
         ),
         "injection: an exception that nobody foresaw is put into each part of a running gateway, and a part has no other handle",
     ),

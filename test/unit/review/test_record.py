@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from memory import size
 from plan_samples import make_plan
+from sentence_checks import says
 
 from construction_twin.core.errors import ConfigurationError, RecordError
 from construction_twin.review import record as review_log
@@ -290,7 +291,9 @@ class TestWriting:
 
         with monkeypatch.context() as patch:
             patch.setattr(os, call, fail)
-            with pytest.raises(RecordError, match="No space left") as error:
+            with pytest.raises(
+                RecordError, check=says("review.no_record", problem="[Errno 28] No space left on device")
+            ) as error:
                 log.append(verdict("lost"))
             assert error.value.path == str(path)
         assert verify(path).lines == 1
@@ -361,7 +364,7 @@ class TestFailingDisk:
                 log.defer(verdict(f"p{number}", verdict="withdrawn"))
             assert size(log) < held + 7 and log.lost == 7
             for _ in range(2):
-                with pytest.raises(RecordError, match="nothing is approved without a record"):
+                with pytest.raises(RecordError, check=says("review.no_record")):
                     log.append(verdict("approved"))
         assert path.read_bytes() == b""
 

@@ -20,7 +20,7 @@ from construction_twin.link.states import LinkState
 from construction_twin.ros.nodes import mqtt_bridge
 from construction_twin.ros.nodes.mqtt_bridge import MIRROR_MODE
 from construction_twin.ros.shared import diagnostics
-from construction_twin.rsi.status_channels import ControllerStatus
+from construction_twin.rsi.status_channels import RsiStatus
 
 
 @pytest.fixture
@@ -62,14 +62,14 @@ def test_playout_mode_and_intruder_reach_link_and_diagnostics(bench):
 
 def test_what_the_controller_says_against_a_motion_stands_in_link_and_diagnostics(bench):
     bench.connect()
-    stopped = ControllerStatus(3, 4, 100.0)
+    stopped = RsiStatus(3, 4, 100.0)
     status = following().gateway.status() | {"controller": stopped.report()}
     shown = bench.shown(status)
     assert (shown["controller_mode"], shown["controller_program"]) == ("AUT", "STOP")
     assert (shown["controller_override_percent"], shown["controller_sentence"]) == ("100", stopped.sentence)
     assert bench.links[-1][0].reason.endswith(f"; {stopped.sentence}")
     assert bench.bridge.report().sentence.endswith(f"; {stopped.sentence}")
-    bench.shown(status | {"controller": ControllerStatus(3, 3, 100.0).report()})
+    bench.shown(status | {"controller": RsiStatus(3, 3, 100.0).report()})
     assert "STOP" not in bench.links[-1][0].reason
 
 
@@ -120,7 +120,7 @@ def test_a_count_of_refused_datagrams_that_grows_is_no_news(bench):
 
 def test_what_a_controller_said_before_its_gateway_went_is_not_told(bench):
     bench.connect()
-    status = following().gateway.status() | {"controller": ControllerStatus(1).report()}
+    status = following().gateway.status() | {"controller": RsiStatus(1).report()}
     bench.shown(status)
     bench.shown(status | {"state": "offline", "reason": "gateway stopped"})
     assert bench.links[-1][0].text == "GATEWAY_OFFLINE" and "T1" not in bench.links[-1][0].reason

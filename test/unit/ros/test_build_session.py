@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 import rospy
 from construction_twin.msg import Execution, Link, Sync, WorkTask, WorkTasks
-from construction_twin.srv import WorkDecide, WorkPlanTask
+from construction_twin.srv import WorkDecide, WorkDecideResponse, WorkPlanTask, WorkPlanTaskResponse
 from rich.console import Console
 
 from construction_twin.core.errors import ConstructionTwinError
@@ -43,23 +43,22 @@ class WorkNode:
             monkeypatch.setattr(rospy, name, value)
         tool = SimpleNamespace(tool=SimpleNamespace(grip=SimpleNamespace(confirm={})))
         monkeypatch.setattr(build, "read_tool", lambda _: tool)
-        monkeypatch.setattr(build, "OperatorClient", lambda *_: None)
         monkeypatch.setattr(build, "Subscriber", lambda *_, **__: SimpleNamespace(get_num_connections=lambda: 1))
         monkeypatch.setattr(build, "warn_of_refusals", lambda: None)
 
     def _service(self, name, kind):
-        if name == "work/decide":
+        if name == "/kr120/work/decide":
             assert kind is WorkDecide
             return self._decide
-        assert (name, kind) == ("work/plan", WorkPlanTask)
-        return lambda task: SimpleNamespace(success=False, message=f"nothing reaches {task}")
+        assert (name, kind) == ("/kr120/work/plan", WorkPlanTask)
+        return lambda task: WorkPlanTaskResponse(success=False, message=f"nothing reaches {task}")
 
     def _decide(self, task, decision, answer, person, reason):
         self.decisions.append((task, decision, answer, person))
         taken = decision == "removed" and task in self._goes
         if taken:
             next(row for row in self.tasks.tasks if row.id == task).state = "done"
-        return SimpleNamespace(success=taken, message="no")
+        return WorkDecideResponse(taken, "no")
 
     def run(self, results):
         """Run a session; return what it printed, and its exception."""
@@ -110,7 +109,7 @@ def test_a_task_that_fails_ends_it_with_a_report_of_what_was_done(monkeypatch, t
 def test_a_service_that_is_gone_ends_it_with_a_report(monkeypatch, tmp_path, lost):
     node = WorkNode(monkeypatch, "a")
 
-    def fails(*_):
+    def fails(**_):
         raise lost
 
     monkeypatch.setattr(rospy, "ServiceProxy", lambda *_: fails)

@@ -9,33 +9,29 @@ import numpy as np
 import pytest
 import rospy
 from construction_twin.srv import (
-    PlanCartesianRequest,
     PlanCartesianResponse,
-    PlanToJointsRequest,
     PlanToJointsResponse,
-    PlanToPoseRequest,
     PlanToPoseResponse,
-    WorkPlanTaskRequest,
     WorkPlanTaskResponse,
 )
 from paho.mqtt.client import topic_matches_sub
-from std_srvs.srv import TriggerRequest, TriggerResponse
+from std_srvs.srv import TriggerResponse
 
 from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.requests import IK
 from construction_twin.robot.plan import Clearance
-from construction_twin.ros.shared import console_requests
+from construction_twin.ros.messages.plan_services import PLAN_SERVICES
+from construction_twin.ros.shared import console_requests, endpoint
 from construction_twin.ros.shared.console_requests import (
     IK_ACCOUNTS,
-    IK_RATE,
     ConsoleRequests,
-    PlanServices,
     RobotContext,
 )
 from construction_twin.ros.shared.endpoint import Outlets
-from construction_twin.ros.shared.request_line import RequestLine
+from construction_twin.ros.shared.request_queue import RequestQueue
 from construction_twin.views.reachability import PoseVerdict, Reach
 
 JOINTS = Joints(("joint_a1", "track"), (False, True))
@@ -48,8 +44,12 @@ TIMED = PLAN | {"duration": 2.5}
 class Service:
     """In place of a `rospy.ServiceProxy`: fields that the service does not have are an error."""
 
-    def __init__(self, name: str, request: type, answer):
-        self.resolved_name, self._request, self.answer = f"/kr120/{name}", request, answer
+    def __init__(self, name: str, kind, answer):
+        self.resolved_name, self._request, self.answer = (
+            f"/kr120/{name}",
+            rospy.ServiceProxy(name, kind).request_class,
+            answer,
+        )
         self.asked: list = []
 
     def __call__(self, **fields):
@@ -87,17 +87,20 @@ class Bench:
         self.steady, self.wall = 1000.0, 1_764_000_000 * 10**9
         self.twin, self.work, self.engaged = (0.5, 1.0), False, False
         self.judge = Judge()
-        self.services = PlanServices(
-            Service("plan_to_joints", PlanToJointsRequest, PlanToJointsResponse(**TIMED)),
-            Service("plan_to_pose", PlanToPoseRequest, PlanToPoseResponse(**TIMED)),
-            Service("plan_cartesian", PlanCartesianRequest, PlanCartesianResponse(**TIMED, fraction=1.0)),
-            Service("plan_way_back", TriggerRequest, TriggerResponse(True, "the way back waits")),
-            Service("work/plan", WorkPlanTaskRequest, WorkPlanTaskResponse(**PLAN, task="t")),
-        )
-        self.line = RequestLine(4, 5.0, 1.0, lambda: self.steady)
+        self.services = {
+            kind: Service(PLAN_SERVICES[kind].name, PLAN_SERVICES[kind].kind, answer)
+            for kind, answer in (
+                ("joints", PlanToJointsResponse(**TIMED)),
+                ("pose", PlanToPoseResponse(**TIMED)),
+                ("line", PlanCartesianResponse(**TIMED, fraction=1.0)),
+                ("way_back", TriggerResponse(True, "the way back waits")),
+                ("work_task", WorkPlanTaskResponse(**PLAN, task="t")),
+            )
+        }
+        self.queue = RequestQueue(4, 5.0, lambda: self.steady)
         around = RobotContext(lambda: self.twin, lambda: self.work, lambda: self.engaged, self.moment)
         self.desk = ConsoleRequests(
-            Topics("twin", "kr120"), JOINTS, self.line, self.services, self.judge, around,
+            Topics("twin", "kr120"), JOINTS, self.queue, self.services, self.judge, around,
             Outlets(self._publish, self._refuse), lambda account: f"MQTT account {account}",
         )  # fmt: skip
 
@@ -124,7 +127,7 @@ class Bench:
         """Send a wish, and have it carried out; return the newest answer."""
         wish = {"id": "7", "moment": str(self.moment())} | document
         self.deliver(f"plan_request/{account}", json.dumps(wish).encode(), retained)
-        self.line.run()
+        self.queue.run()
         self.steady += 1.1
         topic, answer = self.published[-1]
         assert topic == "twin/kr120/plan_request/ack"
@@ -139,7 +142,8 @@ def bench(monkeypatch):
     made = Bench()
     monkeypatch.setattr(rospy, "wait_for_service", lambda *_: None)
     monkeypatch.setattr(rospy, "loginfo", lambda *_: None)
-    monkeypatch.setattr(console_requests, "time", SimpleNamespace(monotonic=lambda: made.steady))
+    for module in (console_requests, endpoint):
+        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: made.steady))
     monkeypatch.setattr(console_requests, "now_ns", lambda: made.wall)
     return made
 
@@ -159,18 +163,18 @@ def test_joint_values_become_a_plan_that_a_stop_before_its_turn_voids(bench):
         "id": "7", "account": ADA, "kind": "joints", "ok": True, "reason": "waiting for review",
         "plan_id": "p1", "plan_hash": "cafe", "duration": 2.5, "expired": False,
     }  # fmt: skip
-    (asked,) = bench.services.to_joints.asked
+    (asked,) = bench.services["joints"].asked
     assert (list(asked.goal), list(asked.start), asked.speed_scale) == ([0.25, 1.5], [], 0.5)
     assert (asked.source, asked.asked.to_nsec()) == (f"MQTT account {ADA}", bench.wall)
 
 
 def test_a_pose_and_a_line_are_poses_of_the_tool_in_the_base(bench):
     assert bench.ask(kind="pose", configuration="front up positive", **POSE)["ok"]
-    (asked,) = bench.services.to_pose.asked
+    (asked,) = bench.services["pose"].asked
     assert (asked.goal.header.frame_id, asked.configuration) == ("", "front up positive")
     assert (asked.goal.pose.position.z, asked.goal.pose.orientation.w) == (2.0, 1.0)
     assert bench.ask(kind="line", speed=0.1, **POSE)["duration"] == 2.5
-    (asked,) = bench.services.line.asked
+    (asked,) = bench.services["line"].asked
     (waypoint,) = asked.waypoints
     assert (asked.frame_id, asked.speed, waypoint.arc, waypoint.pose.position.x) == ("", 0.1, False, 1.0)
 
@@ -179,25 +183,25 @@ def test_the_way_back_is_the_planners_and_the_work_nodes_where_it_carries_a_task
     assert bench.ask(kind="way_back")["plan_id"] == ""
     bench.work = True
     bench.ask(kind="way_back", id="8")
-    assert len(bench.services.way_back.asked) == 2 and bench.services.work_task.asked == []
+    assert len(bench.services["way_back"].asked) == 2 and bench.services["work_task"].asked == []
     bench.engaged = True
     assert bench.ask(kind="way_back", id="9")["plan_id"] == "p1"
-    assert len(bench.services.way_back.asked) == 2 and bench.services.work_task.asked[0].task == ""
+    assert len(bench.services["way_back"].asked) == 2 and bench.services["work_task"].asked[0].task == ""
 
 
 def test_a_task_is_planned_only_where_a_building_model_is_worked_on(bench):
     answer = bench.ask(kind="work_task", task="t")
-    assert not answer["ok"] and "no building model" in answer["reason"] and bench.services.work_task.asked == []
+    assert not answer["ok"] and "no building model" in answer["reason"] and bench.services["work_task"].asked == []
     bench.work = True
     assert bench.ask(kind="work_task", task="t", id="8")["plan_id"] == "p1"
-    assert bench.services.work_task.asked[0].task == "t"
+    assert bench.services["work_task"].asked[0].task == "t"
 
 
 def test_what_the_planner_refuses_and_a_planner_that_is_gone_are_sentences(bench):
-    bench.services.to_pose.answer = PlanToPoseResponse(False, "link_3 would touch wall", "", "", 0.0)
+    bench.services["pose"].answer = PlanToPoseResponse(False, "link_3 would touch wall", "", "", 0.0)
     answer = bench.ask(kind="pose", **POSE)
     assert (answer["ok"], answer["reason"], answer["plan_id"]) == (False, "link_3 would touch wall", "")
-    bench.services.to_pose.answer = rospy.ServiceException("connection refused")
+    bench.services["pose"].answer = rospy.ServiceException("connection refused")
     answer = bench.ask(kind="pose", id="8", **POSE)
     assert "/kr120/plan_to_pose does not answer: connection refused" in answer["reason"]
     assert bench.desk.counts == {"plan_requests no plan": 2}
@@ -225,8 +229,8 @@ def test_nobody_asks_more_than_once_a_second_and_the_same_message_is_one_wish(be
     bench.deliver(f"plan_request/{ADA}", payload)
     bench.deliver(f"plan_request/{ADA}", payload)
     bench.deliver(f"plan_request/{ADA}", payload.replace(b'"7"', b'"8"'))
-    bench.line.run()
-    assert bench.refused == ["repeated", "busy"] and len(bench.services.way_back.asked) == 1
+    bench.queue.run()
+    assert bench.refused == ["repeated", "busy"] and len(bench.services["way_back"].asked) == 1
     assert [(answer["id"], answer["ok"]) for _, answer in bench.published] == [("8", False), ("7", True)]
 
 
@@ -236,17 +240,17 @@ def test_a_wish_that_came_too_late_is_void_and_says_so(bench):
     answer = bench.ask(kind="way_back", moment=shown)
     assert (answer["ok"], answer["expired"], answer["kind"]) == (False, True, "way_back")
     assert "too old: it is of 6.0 s ago" in answer["reason"] and bench.refused == ["too_old"]
-    assert bench.services.way_back.asked == [] and bench.ask(kind="way_back", id="8")["ok"]
+    assert bench.services["way_back"].asked == [] and bench.ask(kind="way_back", id="8")["ok"]
 
 
 def test_a_wish_that_waited_too_long_for_its_turn_is_void_and_says_so(bench):
     document = {"id": "7", "kind": "way_back", "moment": str(bench.moment())}
     bench.deliver(f"plan_request/{ADA}", json.dumps(document).encode())
     bench.steady += 3.5
-    bench.line.run()
+    bench.queue.run()
     ((_, answer),) = bench.published
     assert (answer["ok"], answer["expired"]) == (False, True) and "look again" in answer["reason"]
-    assert bench.services.way_back.asked == [] and bench.refused == ["too_old"]
+    assert bench.services["way_back"].asked == [] and bench.refused == ["too_old"]
     assert bench.desk.counts == {"plan_requests no plan": 1}
 
 
@@ -285,7 +289,7 @@ def test_no_account_has_more_poses_taken_than_its_rate(bench):
         bench.drag(id=str(number))
         bench.desk.poses.run()
         bench.steady += 0.01
-    assert len(bench.published) == IK_RATE and bench.refused == ["ik_rate"] * (100 - IK_RATE)
+    assert len(bench.published) == IK.pace.most == 15 and bench.refused == ["ik_rate"] * 85
 
 
 def test_no_more_accounts_wait_than_are_solved_at_once(bench):

@@ -35,11 +35,10 @@ from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ClosestView, PoseView, Seen, ViewWriter
 from construction_twin.link.tool_link import tool_report
 from construction_twin.mqtt.client import Broker
-from construction_twin.robot.segments import segments_content
-from construction_twin.ros.messages.convert import segment_from_msg, segment_to_msg, trajectory_from_msg
+from construction_twin.robot.segments import Segment, segments_content
+from construction_twin.ros.messages.convert import segment_to_msg, trajectory_from_msg
 from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.tool import tool_report_from_msg, tool_report_to_msg
-from construction_twin.ros.messages.work_convert import report_from_msg
 from construction_twin.ros.nodes import executor as executor_node
 from construction_twin.ros.nodes import mqtt_planner, mqtt_review
 from construction_twin.scene.objects import Scene, SceneObject
@@ -204,10 +203,11 @@ class Wide:
 
 
 def raw(message: genpy.Message) -> str:
-    """Return a message as it goes over the wire, in hex after its text."""
+    """Return a message as it goes over the wire, in hex after the text that a reader of it has."""
     buffer = io.BytesIO()
     message.serialize(buffer)
-    return f"{message}\n{buffer.getvalue().hex()}"
+    read = type(message)().deserialize(buffer.getvalue())
+    return f"{read}\n{buffer.getvalue().hex()}"
 
 
 def views(wide: Wide) -> str:
@@ -257,7 +257,7 @@ def execution_message(wide: Wide) -> str:
     """Return what the executor publishes of itself."""
     names = [SimpleNamespace(name=wide.text()) for _ in range(3)]
     plan = SimpleNamespace(id=wide.text(), segments=names, trajectory=SimpleNamespace(duration=wide.number(False)))
-    said = executor_node.Said(
+    said = executor_node.ExecutionFields(
         wide.random.choice(list(ExecutorState)), wide.text(), wide.whole() * 10**9 + 7, wide.text(), wide.flag(),
         wide.number(), wide.random.choice((-1, 0, 1, 2)), wide.flag(), wide.text(), wide.flag(),
     )  # fmt: skip
@@ -292,14 +292,14 @@ def screen(wide: Wide) -> str:
 
 def followed(wide: Wide) -> str:
     """Return what the work node reads of the executor."""
-    read = report_from_msg(wide.execution())
-    return repr((read.plan, read.playing, read.outcome, read.segment, read.at_boundary, read.wants_scene, read.reason))
+    read = from_msg(ExecutionReport, wide.execution())
+    return repr((read.plan_id, read.playing, read.ended, read.segment, read.at_boundary, read.wants_scene, read.reason))
 
 
 def hash_of(message: Plan) -> str:
     """Return the hash of a work plan, when it can have one."""
     trajectory = trajectory_from_msg(message.trajectory)
-    segments = tuple(map(segment_from_msg, message.segments))
+    segments = tuple(from_msg(Segment, segment) for segment in message.segments)
     content = segments_content(trajectory.content_hash(), message.task, segments)
     return hashlib.sha256(content.encode()).hexdigest()
 
@@ -313,7 +313,7 @@ KINDS: dict[str, Callable[[Wide], str]] = {
     "tool": tool_message,
     "screen": screen,
     "followed": followed,
-    "segment": lambda wide: raw(segment_to_msg(segment_from_msg(wide.segment()))),
+    "segment": lambda wide: raw(segment_to_msg(from_msg(Segment, wide.segment()))),
     "tasks": lambda wide: dumped(from_msg(WorkReport, wide.tasks())).decode(),
     "scene": lambda wide: dumped(scene_view(wide.scene(), "kr120/base_link")).decode(),
 }

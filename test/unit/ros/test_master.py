@@ -6,8 +6,10 @@ import threading
 
 import pytest
 from ros_master import PID, Node, ros_master
+from sentence_checks import says
 
 from construction_twin.core.errors import SilenceError
+from construction_twin.core.sentences import Sentence
 from construction_twin.ros.commands import preflight
 from construction_twin.ros.shared.master import expect_publisher, running
 
@@ -36,7 +38,14 @@ def test_a_publisher_that_does_not_come_to_its_first_answer_is_asked_again(maste
         end.set()
         node.end()
     assert len(questions) == 2
-    with pytest.raises(SilenceError, match="/kr120/executor has ended, or does not answer"):
+    with pytest.raises(
+        SilenceError,
+        check=says(
+            "view.silent",
+            problem=Sentence("view.silent.ended", nodes="/kr120/executor"),
+            to_do=Sentence("view.to_do.bringup_or_down"),
+        ),
+    ):
         expect_publisher("/kr120/execution", patience=5.0)
 
 
@@ -49,7 +58,9 @@ def test_another_node_on_the_port_of_one_that_was_killed_is_not_taken_for_it(mas
         assert [node.name for node in running(["/camera"], master)] == ["/camera"]
         assert running(["/kr120/executor"], master) == []
         assert preflight.running_problem({"robot": "kr120"}, master) == ""
-        with pytest.raises(SilenceError, match="/kr120/executor has ended"):
+        with pytest.raises(
+            SilenceError, check=says("view.silent", problem=Sentence("view.silent.ended", nodes="/kr120/executor"))
+        ):
             expect_publisher("/kr120/execution")
     finally:
         other.end()

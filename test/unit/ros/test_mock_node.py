@@ -45,7 +45,7 @@ class Pc(threading.Thread):
                 data, source = self.socket.recvfrom(65535)
             except TimeoutError:
                 continue
-            ipoc = parse_robot(data, AXES).stamp
+            ipoc = parse_robot(data, AXES).controller_ms
             self.socket.sendto(self.encoder.encode(self.correction, ipoc, self.stop), source)
 
     def close(self):

@@ -24,11 +24,10 @@ from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ClosestView, ViewWriter
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
-from construction_twin.mqtt.requests import IK, PLAN_REQUEST, RequestKind
+from construction_twin.mqtt.requests import IK, NAMELESS_TRAJECTORY, PLAN_REQUEST, RequestKind
 from construction_twin.ros.nodes import mqtt_planner
 from construction_twin.ros.nodes.mqtt_planner import (
     REPEAT_WINDOW,
-    SENDER_PAUSE,
     WAITING,
     MqttPlanner,
     Poses,
@@ -174,7 +173,7 @@ def test_a_planner_that_is_gone_is_told_and_the_node_goes_on(bench):
     bench.check()
     assert "/kr120/plan_trajectory does not answer: connection refused" in bench.answers[0]["reason"]
     bench.error = None
-    bench.steady += SENDER_PAUSE
+    bench.steady += NAMELESS_TRAJECTORY.pace.seconds
     bench.send(id="8")
     bench.check()
     assert bench.answers[1]["ok"]

@@ -10,6 +10,7 @@ import pytest
 import rospy
 from bridge_bench import Client, Refusals
 from construction_twin.msg import Plan, PlanCaller, Review
+from construction_twin.srv import ResumeFromScreenResponse, ReviewFromScreenResponse
 from paho.mqtt.client import topic_matches_sub
 from processes import wait_until
 from rospy.exceptions import TransportTerminated
@@ -43,7 +44,7 @@ class Trigger:
         self._pressed.append(verb)
         if self.error is not None:
             raise self.error
-        return SimpleNamespace(success=self.success, message="as the executor says", expired=self.expired)
+        return ResumeFromScreenResponse(self.success, "as the executor says", self.expired)
 
 
 class Bench:
@@ -64,7 +65,7 @@ class Bench:
     #: What the executor has been asked, and what an approval waits for there.
     asked: list[dict] = []
     disk: threading.Event | None = None
-    answer: SimpleNamespace | None = None
+    answer: ReviewFromScreenResponse | None = None
 
     def __call__(self, **request):
         if self.error is not None:
@@ -74,7 +75,7 @@ class Bench:
             assert self.disk.wait(10.0)
         self.asked = [*self.asked, request]
         said = "approved" if approves else "rejected"
-        return self.answer or SimpleNamespace(success=True, message=said, expired=False)
+        return self.answer or ReviewFromScreenResponse(True, said, False)
 
     def deliver(self, topic, payload, retain=False):
         """Hand over a message as the client does."""
@@ -124,7 +125,7 @@ def test_a_verdict_that_was_carried_out_is_answered_and_counted(bench):
 
 
 def test_what_its_screen_had_shown_goes_to_the_executor_with_it_and_that_it_was_too_old_comes_back(bench):
-    bench.answer = SimpleNamespace(success=False, message="the approval is too old", expired=True)
+    bench.answer = ReviewFromScreenResponse(False, "the approval is too old", True)
     bench.carry_out()
     answer = json.loads(bench.client.published[-1][1])
     assert [(asked["moment"], asked["approve"]) for asked in bench.asked] == [(MOMENT, True)]
@@ -190,7 +191,7 @@ def test_a_rejection_does_not_wait_behind_an_approval_whose_record_waits_for_a_d
     ended, bench.disk = threading.Event(), threading.Event()
     bench.client.disconnect = bench.client.loop_stop = lambda: None
     monkeypatch.setattr(rospy, "is_shutdown", ended.is_set)
-    bench.node.start_lines()
+    bench.node.start_queues()
     approving = threading.Thread(target=bench.node.run)
     approving.start()
     bench.verdict("p1")
@@ -234,7 +235,7 @@ def test_a_verdict_is_answered_although_the_log_fails(bench, monkeypatch, verdic
 def pressing(bench, monkeypatch):
     ended = threading.Event()
     monkeypatch.setattr(rospy, "is_shutdown", ended.is_set)
-    bench.node.start_lines()
+    bench.node.start_queues()
     yield bench
     ended.set()
 
@@ -299,10 +300,10 @@ def test_a_press_is_answered_although_the_log_fails_and_the_next_one_is_taken(pr
         press(pressing, verb, str(number))
         wait_until(lambda: len(acks(pressing, verb)) > number, what="an answer")
         wait_until(
-            lambda: pressing.node.outlets.write_log() or pressing.node.outlets.beside.counts()["the log"] > number
+            lambda: pressing.node.outlets.write_log() or pressing.node.outlets.side_effects.counts()["the log"] > number
         )
     assert [answer["ok"] for answer in acks(pressing, verb)] == [True, True]
-    assert pressing.node.outlets.beside.counts() == {"the log": 2}
+    assert pressing.node.outlets.side_effects.counts() == {"the log": 2}
 
 
 @pytest.mark.parametrize("verb", [STOP, PAUSE, "reject"])
@@ -340,7 +341,7 @@ def test_a_resume_for_which_there_was_no_room_may_be_pressed_again(bench):
     for number in range(remote_interventions.WAITING + 1):
         press(bench, "resume", str(number))
     assert [answer["ok"] for answer in acks(bench, "pause")] == [False] and bench.made.refused == {"busy": 1}
-    bench.node.start_lines()
+    bench.node.start_queues()
     wait_until(lambda: len(bench.pressed) == remote_interventions.WAITING, what="those that waited")
     press(bench, "resume", str(remote_interventions.WAITING))
     wait_until(lambda: len(bench.pressed) == remote_interventions.WAITING + 1, what="the one that had no room")
@@ -351,7 +352,7 @@ def test_a_press_whose_answer_cannot_be_sent_is_carried_out_and_so_is_the_next_o
     with monkeypatch.context() as broken:
         broken.setattr(pressing.client, "publish", fail)
         press(pressing, verb, "1")
-        wait_until(lambda: pressing.node.outlets.beside.counts() == {"the answer": 1}, what="the count")
+        wait_until(lambda: pressing.node.outlets.side_effects.counts() == {"the answer": 1}, what="the count")
     press(pressing, verb, "2")
     wait_until(lambda: acks(pressing, verb), what="an answer")
     assert pressing.pressed == [verb] * 2 and acks(pressing, verb)[0]["id"] == "2"

@@ -10,12 +10,14 @@ import rospy
 from construction_twin.msg import Conflict
 from neighbour_cell import AWAY, BESIDE, CLEAR, NEAR, STEP, other, plan
 from planning_cell import ROBOT
+from sentence_checks import says
 
 from construction_twin.coordination.path_judge import Judgement
 from construction_twin.coordination.path_sweep import PathSweep
 from construction_twin.coordination.plan_book import PlanUnknownError
 from construction_twin.core.errors import PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError, PlanningError, SceneError
+from construction_twin.core.sentences import Sentence
 from construction_twin.ros.nodes import neighbour as neighbour_node
 from construction_twin.ros.nodes.neighbour import NeighbourNode
 from construction_twin.ros.shared import arm_listener
@@ -241,11 +243,15 @@ def test_a_path_is_prepared_while_its_plan_waits(sweeps):
 
 @pytest.mark.parametrize("poses", [here, nowhere])
 def test_without_knowing_what_it_carries_nobody_knows_how_far_it_reaches(poses):
-    with pytest.raises(NeighbourUnknownError, match="was not received"):
+    with pytest.raises(
+        NeighbourUnknownError, check=says("motion.neighbour", problem=Sentence("motion.neighbour.no_scene"))
+    ):
         arm(poses, scene=None).occupied()
     foreign = SceneObject("pole", "box", (0.1, 0.1, 4.0), (0.0, 0.0, 2.0), link="no_such_link")
-    with pytest.raises(NeighbourUnknownError, match="what it carries cannot be used: .*no_such_link"):
+    with pytest.raises(NeighbourUnknownError, check=says("motion.neighbour", neighbour="b")) as caught:
         arm(poses, scene=Scene((foreign,), 0.0)).occupied()
+    problem = caught.value.sentence.values["problem"]
+    assert (problem.key, problem.values["problem"].values["found"]) == ("motion.neighbour.load", "'no_such_link'")
 
 
 def test_a_plan_that_fails_because_the_other_arm_may_be_anywhere_says_so():

@@ -15,6 +15,7 @@ from processes import wait_until
 
 from construction_twin.core.units import radians
 
+pytestmark = pytest.mark.ends_rospy
 #: How far the other PC's clock is ahead [s].
 AHEAD = 10
 HOME = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)

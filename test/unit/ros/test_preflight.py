@@ -18,10 +18,22 @@ from processes import listens, wait_until
 from ros_master import Node, ros_master
 
 from construction_twin.controller import makes
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.commands import preflight
-from construction_twin.ros.commands.node_files import NODE_FILES, node_files_problem
+from construction_twin.ros.commands.node_files import NODE_FILES, ROBOT_NODES, node_files_problem
 from construction_twin.views.roslaunch_call import RoslaunchCall
+
+
+def wrong(name: str, value: str, expected: str) -> Sentence:
+    return Sentence("preflight.wrong", name=name, value=value, expected=expected)
+
+
+def in_use(what: str, port: str, number: int) -> Sentence:
+    more = {"host": "127.0.0.1"} if what != "broker" else {}
+    more |= {"number": number} if what == "rsi" else {}
+    return Sentence(f"preflight.port.{what}", port=port, other=number + 10, **more)
+
 
 ROOT = Path(__file__).resolve().parents[3]
 KR120 = {
@@ -63,15 +75,15 @@ def test_another_make_is_asked_for_its_cycle_its_file_and_its_port(monkeypatch):
     monkeypatch.setitem(makes.MODULES, "frames", "frames_make")
     given = KR120 | {"controller_make": "frames", "rsi_cycle": "8", "ethernet_xml": "none", "servo": "ideal"}
     assert preflight.refusal(given, None, "") == ""
-    assert preflight.make_problem(given | {"rsi_cycle": "4"}) == "rsi_cycle:=4: expected 8"
-    assert (
-        preflight.make_problem(given | {"controller_make": "fanuc"}) == "controller_make:=fanuc: expected rsi or frames"
+    assert preflight.make_problem(given | {"rsi_cycle": "4"}) == wrong("rsi_cycle", "4", "8")
+    assert preflight.make_problem(given | {"controller_make": "fanuc"}) == wrong(
+        "controller_make", "fanuc", "rsi or frames"
     )
     said = preflight.contents_problem(given | {"ethernet_xml": KR120["ethernet_xml"]})
     assert said.startswith("ethernet_xml:=") and said.endswith("expected none: frames has no file for its telegrams")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 50_000))
-        assert preflight.port_problem(given).startswith("rsi_port:=0: UDP port 50000 on 127.0.0.1 is taken")
+        assert preflight.port_problem(given) == in_use("rsi", "0", 50000)
 
 
 def test_an_action_without_its_messages_is_refused_with_what_to_do(monkeypatch):
@@ -246,10 +258,8 @@ def test_a_robot_that_runs_already_is_refused_with_who_runs_it(master):
     said = preflight.running_problem({"robot": "kr120"}, master)
     for node in nodes:
         node.end()
-    assert said.startswith(
-        f"robot:=kr120: it runs already on {master}: /kr120/executor on 127.0.0.1, process 4711 and 1 more nodes"
-    )
-    assert "End that launch first, or give this robot a name of its own, e.g. robot:=kr120_2" in said
+    both = Sentence("preflight.nodes", node="/kr120/executor on 127.0.0.1, process 4711", count=1)
+    assert said == Sentence("preflight.running", robot="kr120", uri=master, nodes=both)
 
 
 def test_another_robot_on_the_same_master_may_start(master):
@@ -275,9 +285,7 @@ def test_a_node_that_does_not_answer_may_live(master):
 
 def test_a_second_rviz_would_end_the_first(master):
     node = Node(master, "/view")
-    assert preflight.running_problem({"robot": "kr120", "gui": "true"}, master).startswith(
-        "gui:=true: rviz runs already"
-    )
+    assert preflight.running_problem({"robot": "kr120", "gui": "true"}, master).key == "preflight.rviz_runs"
     assert preflight.running_problem({"robot": "kr120", "gui": "false"}, master) == ""
     node.end()
 
@@ -293,7 +301,7 @@ def test_every_node_of_a_robot_is_looked_for():
         for name in ("bringup", "twin", "link", "gate", "work")
     ]
     names = {node.get("name") for tree in trees for node in tree.iter("node")} - {"broker", "view", "console"}
-    assert set(preflight.ROBOT_NODES) == names
+    assert set(ROBOT_NODES) == names
 
 
 # -- ports
@@ -306,11 +314,9 @@ def test_a_taken_port_is_refused_before_anything_starts():
         udp.bind(("127.0.0.1", 0))
         broker, rsi = tcp.getsockname()[1], udp.getsockname()[1]
         here = KR120 | {"broker": "true", "broker_port": str(broker), "gateway": "true", "rsi_port": str(rsi)}
-        assert preflight.port_problem(here).startswith(
-            f"broker_port:={broker}: TCP port {broker} on 127.0.0.1 is taken"
-        )
+        assert preflight.port_problem(here) == in_use("broker", str(broker), broker)
         elsewhere = here | {"broker": "false"}
-        assert preflight.port_problem(elsewhere).startswith(f"rsi_port:={rsi}: UDP port {rsi} on 127.0.0.1 is taken")
+        assert preflight.port_problem(elsewhere) == in_use("rsi", str(rsi), rsi)
         assert preflight.port_problem(elsewhere | {"gateway": "false"}) == ""
         assert preflight.port_problem(elsewhere | {"arm": "none"}) == ""
     assert preflight.port_problem(here) == ""
@@ -337,7 +343,7 @@ def test_a_taken_port_of_the_console_is_refused():
         tcp.listen()
         port = tcp.getsockname()[1]
         given = {"console": "true", "console_port": str(port), "console_listen": "127.0.0.1", "arm": "none"}
-        assert preflight.port_problem(given).startswith(f"console_port:={port}: TCP port {port} on 127.0.0.1 is taken")
+        assert preflight.port_problem(given) == in_use("console", str(port), port)
         assert preflight.port_problem(given | {"console": "false"}) == ""
     # another test may take one of them meanwhile, not all
     assert "" in [preflight.port_problem(given | {"console_port": str(free_port())}) for _ in range(5)]
@@ -354,19 +360,16 @@ def test_a_taken_port_of_a_site_s_broker_is_refused_too(tmp_path):
     with socket.socket() as tcp:
         tcp.bind(("127.0.0.1", 0))
         tcp.listen()
-        taken = tcp.getsockname()[1]
+        port = tcp.getsockname()[1]
         file.write_text(
-            f"# listener 1\nlistener 0 {tmp_path}/socket\n  listener {taken} 127.0.0.1\nallow_anonymous false\n"
+            f"# listener 1\nlistener 0 {tmp_path}/socket\n  listener {port} 127.0.0.1\nallow_anonymous false\n"
         )
         given = {"broker": "true", "broker_port": "18830", "broker_config": str(file), "arm": "none"}
-        assert preflight.port_problem(given) == (
-            f"broker_config:={file}: TCP port {taken} of its listener is taken, probably by another MQTT broker; end that one, or "
-            "use it with broker:=false"
-        )
+        assert preflight.port_problem(given) == Sentence("preflight.port.listener", path=str(file), port=port)
         assert preflight.port_problem(given | {"broker": "false"}) == ""
         # the file's own listeners take the place of broker_port
         file.write_text(f"listener 0 {tmp_path}/socket\n")
-        assert preflight.port_problem(given | {"broker_port": str(taken)}) == ""
+        assert preflight.port_problem(given | {"broker_port": str(port)}) == ""
 
 
 @pytest.mark.parametrize(
@@ -407,12 +410,12 @@ def test_an_address_that_is_nobody_s_is_refused_before_anything_starts(monkeypat
     monkeypatch.setenv(variable, "192.0.2.77")  # of a network for documents
     monkeypatch.setattr(preflight, "ADDRESS_TIME", 0.3)
     said = preflight.refusal(KR120, None, "http://127.0.0.1:1")
-    assert said.startswith(f"{variable}=192.0.2.77: nothing of this machine answers at 192.0.2.77 (")
-    assert said.endswith("; give it an address of this machine, or unset it")
+    assert said.key == "preflight.variable" and said.values["variable"] == variable
+    assert said.values["why"].startswith("nothing of this machine answers at 192.0.2.77 (")
     monkeypatch.setenv(variable, "127.0.0.1")
     assert preflight.address_problem(os.environ) == ""
     monkeypatch.setenv(variable, "")
-    assert preflight.address_problem(os.environ).startswith(f"{variable} is set and empty: ")
+    assert preflight.address_problem(os.environ) == Sentence("preflight.variable_empty", variable=variable)
 
 
 def test_a_name_without_an_address_is_refused(monkeypatch):
@@ -438,9 +441,8 @@ def test_a_localhost_without_ipv4_is_refused(monkeypatch):
     monkeypatch.setenv("ROS_IP", "127.0.0.1")
     assert preflight.address_problem(os.environ) == ""
     resolving(monkeypatch, without="localhost")
-    assert preflight.address_problem(os.environ) == (
-        "localhost: it has no IPv4 address (Name or service not known); write the line `127.0.0.1 localhost` into /etc/hosts"
-    )
+    no_address = "it has no IPv4 address (Name or service not known)"
+    assert preflight.address_problem(os.environ) == Sentence("preflight.localhost", why=no_address)
     monkeypatch.setenv("ROS_IPV6", "on")
     assert preflight.address_problem(os.environ) == ""
 
@@ -463,8 +465,8 @@ def test_a_localhost_that_is_the_loopback_of_ipv6_alone_is_refused(monkeypatch):
     monkeypatch.setenv("ROS_IP", "127.0.0.1")
     only_ipv6(monkeypatch, "localhost")
     said = preflight.address_problem(os.environ)
-    assert said.startswith("localhost: it has an address of IPv6 alone, at which no program of ROS listens (")
-    assert said.endswith("; write the line `127.0.0.1 localhost` into /etc/hosts")
+    assert said.key == "preflight.localhost"
+    assert said.values["why"].startswith("it has an address of IPv6 alone, at which no program of ROS listens (")
 
 
 def test_and_so_is_a_name_of_this_machine_that_is(monkeypatch):
@@ -472,9 +474,9 @@ def test_and_so_is_a_name_of_this_machine_that_is(monkeypatch):
         monkeypatch.delenv(variable, raising=False)
     own = rosgraph.network.get_host_name()
     only_ipv6(monkeypatch, own)
-    assert preflight.address_problem(os.environ).startswith(
-        f"this machine's name {own!r}: it has an address of IPv6 alone"
-    )
+    said = preflight.address_problem(os.environ)
+    assert (said.key, said.values["own"]) == ("preflight.machine", repr(own))
+    assert said.values["why"].startswith("it has an address of IPv6 alone")
 
 
 def test_a_machine_that_does_not_know_its_own_name_is_refused(monkeypatch):
@@ -483,7 +485,8 @@ def test_a_machine_that_does_not_know_its_own_name_is_refused(monkeypatch):
     own = rosgraph.network.get_host_name()
     assert preflight.address_problem(os.environ) == ""
     resolving(monkeypatch, without=own)
-    assert preflight.address_problem(os.environ).startswith(f"this machine's name {own!r}: it has no IPv4 address (")
+    said = preflight.address_problem(os.environ)
+    assert said.key == "preflight.machine" and said.values["why"].startswith("it has no IPv4 address (")
 
 
 # -- arguments that nothing reads
@@ -492,7 +495,8 @@ def test_a_machine_that_does_not_know_its_own_name_is_refused(monkeypatch):
 def test_a_misspelt_argument_of_the_call_is_refused_before_anything_else():
     call = RoslaunchCall(("construction_twin", "bringup.launch"), {"robott": "kr120_2"}, {})
     said = preflight.refusal(KR120 | {"arm": "foo"}, call, "")
-    assert said.startswith("robott:=kr120_2: bringup.launch has no such argument; did you mean robot:=kr120_2?")
+    near = {"name": "robott", "value": "kr120_2", "file": "bringup.launch", "near": "robot"}
+    assert said == Sentence("preflight.argument.near", **near)
     path = RoslaunchCall((str(ROOT / "launch" / "experiment.launch"),), {"quick": "true"}, {})
     assert preflight.call_problem(path) == ""
 
@@ -540,8 +544,8 @@ def test_for_roslaunch_the_result_is_on_standard_output(capsys):
 def test_the_sentence_stands_below_the_last_line_of_the_process_that_is_waited_for():
     """As with roslaunch: it starts the one that refuses, reads its output, and then prints lines of its own."""
     child = (
-        "import os; from construction_twin.ros.shared.roslaunch_above import say_below; "
-        "say_below('the sentence', os.getppid()); print('refused')"
+        "import os; from construction_twin.ros.shared.roslaunch_parent import print_after; "
+        "print_after('the sentence', os.getppid()); print('refused')"
     )
     parent = (
         f"import subprocess, sys; run = subprocess.run([sys.executable, '-c', {child!r}], stdout=subprocess.PIPE); "
@@ -555,9 +559,9 @@ def test_the_sentence_stands_below_the_last_line_of_the_process_that_is_waited_f
 def test_what_waits_to_say_a_sentence_holds_no_socket_of_the_process_that_ended(tmp_path):
     """A node's peers would connect to it, and wait for an answer."""
     code = (
-        "import socket, sys; from construction_twin.ros.shared.roslaunch_above import say_below; "
+        "import socket, sys; from construction_twin.ros.shared.roslaunch_parent import print_after; "
         "server = socket.create_server(('127.0.0.1', 0)); print(server.getsockname()[1]); "
-        "say_below('the sentence', int(sys.argv[1]))"
+        "print_after('the sentence', int(sys.argv[1]))"
     )
     said = tmp_path / "said"
     awaited = subprocess.Popen(["cat"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.ros.shared.request_counts import AT_ONCE, PERIOD, RequestCounts
+from construction_twin.mqtt.requests import ANSWERS
+from construction_twin.ros.shared.request_counts import RequestCounts
 
 
 def test_ten_at_once_then_ten_a_second_for_each_account_and_the_rest_is_counted():
     now = [0]
     answers = RequestCounts("verdicts", clock=lambda: now[0])
-    assert [answers.is_due("ada") for _ in range(AT_ONCE + 2)] == [True] * AT_ONCE + [False] * 2
-    assert answers.is_due("bob") and PERIOD * 10 == NANOSECONDS
-    now[0] += PERIOD
+    assert [answers.is_due("ada") for _ in range(ANSWERS + 2)] == [True] * ANSWERS + [False] * 2
+    assert answers.is_due("bob") and ANSWERS == 10
+    now[0] += NANOSECONDS // ANSWERS
     assert [answers.is_due("ada") for _ in range(2)] == [True, False]
     assert answers.report() == {"verdicts malformed, not answered": 3}
 

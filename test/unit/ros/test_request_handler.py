@@ -62,7 +62,7 @@ def test_what_no_check_foresaw_is_answered_too(error, while_reading):
 def test_an_answer_says_why_times_were_replaced():
     cell = Cell()
     points = from_points(ROBOT, ROBOT.joint_names, [HOME, np.add(HOME, 0.1)], times=[0.0, 0.2])
-    answer = cell.handler.answer(lambda asked: cell.pipeline.through(points, HOME, asked, retime=True), REQUEST)
+    answer = cell.handler.answer(lambda asked: cell.pipeline.through(HOME, points, asked, retime=True), REQUEST)
     assert answer.success and "has an acceleration of" in answer.fields["retimed"] and answer.fields["duration"] > 0.2
     assert cell.handler.answer(cell.plan, REQUEST).fields["retimed"] == ""
 

@@ -14,8 +14,8 @@ from construction_twin.srv import ReviewPlanRequest, StopPlanRequest
 from executor_bench import make_plan
 from executor_world import World, records
 
-from construction_twin.core.beside import Beside
 from construction_twin.core.errors import RecordError
+from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution import executor as library
 from construction_twin.execution.executor import ExecutorState
@@ -131,7 +131,7 @@ def test_with_a_helper_that_fails_as_nobody_foresaw(world, monkeypatch, which, h
         world.run(1)
         world.node.do_background_work(True)
     # counted, said, and shown
-    assert sum(world.node.beside.counts().values()) > 0
+    assert sum(world.node.side_effects.counts().values()) > 0
     world.node.do_background_work(True)
     assert any("Unforeseen" in line and "Traceback" in line for _, line in world.logged) or place is rospy
     report = world.node.report()
@@ -201,7 +201,7 @@ def test_a_rejection_that_was_answered_is_on_record_once_although_the_node_ends_
 
 def test_what_fails_when_nobody_has_asked_for_anything_still_ends_the_node(world, monkeypatch):
     world.playing()
-    monkeypatch.setattr(module, "Said", fail)
+    monkeypatch.setattr(module, "ExecutionFields", fail)
     with pytest.raises(Unforeseen):
         world.run(1)
 
@@ -209,23 +209,23 @@ def test_what_fails_when_nobody_has_asked_for_anything_still_ends_the_node(world
 @pytest.mark.parametrize("which", ["stop", "stop_plan", "pause"])
 def test_and_of_what_goes_on_failing_not_before_the_arm_is_at_rest(world, monkeypatch, which):
     prepared(world, which)
-    monkeypatch.setattr(module, "Said", fail)
+    monkeypatch.setattr(module, "ExecutionFields", fail)
     assert act(world, which).success
     begin = len(setpoints(world))
     with pytest.raises(Unforeseen):
         world.run(150)
     assert world.executor.state is (ExecutorState.PAUSED if which == "pause" else ExecutorState.IDLE)
     assert len(setpoints(world)) > begin + 3
-    assert world.node.beside.counts() == {"the executor's state": len(setpoints(world)) - begin - 1}
+    assert world.node.side_effects.counts() == {"the executor's state": len(setpoints(world)) - begin - 1}
 
 
 def test_a_log_that_fails_while_it_is_told_of_is_counted_and_not_told_of_again():
-    beside = Beside()
-    assert beside.do("the forecast", fail) is None and beside.do("the sum", sum, (1, 2)) == 3
+    side_effects = SideEffects()
+    assert side_effects.run("the forecast", fail) is None and side_effects.run("the sum", sum, (1, 2)) == 3
     for _ in range(3):
-        beside.tell(fail)
-    assert beside.counts() == {"the forecast": 1, "the log": 1}
-    assert beside.sentence.startswith("the log failed beside an act") and "(2 so far)" in beside.sentence
+        side_effects.write(fail)
+    assert side_effects.counts() == {"the forecast": 1, "the log": 1}
+    assert side_effects.sentence.startswith("the log failed beside an act") and "(2 so far)" in side_effects.sentence
 
 
 class Mute(Exception):
@@ -236,11 +236,11 @@ class Mute(Exception):
 
 
 def test_an_exception_without_a_text_is_told_all_the_same():
-    beside, told = Beside(), []
+    side_effects, told = SideEffects(), []
 
     def mute():
         raise Mute
 
-    beside.do("the forecast", mute)
-    beside.tell(lambda form, text: told.append(form % text))
+    side_effects.run("the forecast", mute)
+    side_effects.write(lambda form, text: told.append(form % text))
     assert "the forecast failed beside an act that was carried out in mute" in told[0] and "Mute" in told[0]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import threading
+import xmlrpc.client
 from pathlib import Path
 from xml.etree import ElementTree
 
 from processes import wait_until
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
 
@@ -26,6 +28,7 @@ class Server:
         self.go_on.wait(10.0)
         if self.away:
             raise ConnectionRefusedError("nobody there")
+        xmlrpc.client.dumps((session,))  # what cannot travel is refused as the master's proxy does
         self.written.append(session)
 
 
@@ -45,6 +48,12 @@ def test_writes_changes_only():
     for now, session in enumerate(("", "", "s1", "s1", "", "s2", "s2")):
         keep(memory, session, now)
     assert server.written == ["s1", "", "s2"] and memory.problem == ""
+
+
+def test_the_sentence_of_a_link_travels_as_a_text():
+    server, reason = Server(), Sentence("link.halt.sent")
+    keep(StopMemory("", server.write), reason, 0)
+    assert server.written == [reason]
 
 
 def test_what_is_there_already_is_not_written_again():

@@ -10,7 +10,10 @@ from geometry_msgs.msg import Pose
 from visualization_msgs.msg import InteractiveMarkerFeedback
 
 from construction_twin.kinematics.chain import Chain
+from construction_twin.link.goal_request import GoalRequest
+from construction_twin.link.remote_review import ReviewRequest
 from construction_twin.ros.shared import tool_marker_menu as module
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.tool_marker_menu import SHOWN, ToolMarkerMenu
 from construction_twin.ros.shared.tool_marker_shapes import tool_marker, verdict_markers
 from construction_twin.views.marker_goal import MarkerGoal
@@ -24,20 +27,20 @@ class Client:
         self.reviews: list[tuple] = []
         self.calls: list[str] = []
 
-    def review(self, plan_id, plan_hash, approve, reviewer, reason) -> str:
-        self.reviews.append((plan_id, plan_hash, approve, reviewer))
-        return "done"
+    def review(self, verdict: ReviewRequest) -> Outcome:
+        self.reviews.append((verdict.plan_id, verdict.plan_hash, verdict.approve, verdict.reviewer))
+        return Outcome(True, "done")
 
-    def trigger(self, service: str) -> str:
+    def trigger(self, service: str) -> Outcome:
         self.calls.append(service)
-        return "stopped"
+        return Outcome(True, "stopped")
 
-    def plan_to_pose(self, pose) -> str:
-        self.calls.append("plan_to_pose")
-        return "planned"
+    def plan(self, asked: GoalRequest) -> Outcome:
+        self.calls.append(asked.kind)
+        return Outcome(True, "planned")
 
-    def preview(self) -> str:
-        return "shown"
+    def preview(self) -> Outcome:
+        return Outcome(True, "shown")
 
 
 class World:
@@ -123,18 +126,18 @@ def test_a_plan_needs_a_goal(world):
     assert "drag it to a goal first" in world.said[-1] and world.client.calls == []
     world.goal.drag(Chain(ROBOT).forward(ROBOT.home))
     world.menu.choose("Plan")
-    assert world.client.calls == ["plan_to_pose"] and world.said[-1] == "Plan: planned"
+    assert world.client.calls == ["pose"] and world.said[-1] == "Plan: planned"
     world.menu.choose("Back to the tool")
     assert world.goal.pose is None
 
 
 def test_one_plan_at_a_time(world):
-    def second(_pose) -> str:
+    def second(_asked) -> Outcome:
         world.menu.choose("Plan")
-        return "planned"
+        return Outcome(True, "planned")
 
     world.goal.drag(Chain(ROBOT).forward(ROBOT.home))
-    world.client.plan_to_pose = second
+    world.client.plan = second
     world.menu.choose("Plan")
     assert [line for line in world.said if "being made already" in line] and world.said[-1] == "Plan: planned"
 

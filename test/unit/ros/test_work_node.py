@@ -7,6 +7,7 @@ from construction_twin.msg import Engagement, Execution, Plan, Scene, SceneObjec
 from construction_twin.srv import WorkDecideRequest
 from executor_bench import ROOT
 from ifc_models import IfcModel
+from sentence_checks import key_of
 from work_bench import (
     AT_GOAL,
     CARRY,
@@ -22,6 +23,7 @@ from work_bench import (
     Killed,
 )
 
+from construction_twin.core.sentences import Sentence, understood
 from construction_twin.core.work_errors import LedgerError
 from construction_twin.scene.objects import SceneObject as Body
 from construction_twin.work.built import pose_of_tuple
@@ -141,7 +143,7 @@ class TestEngaged:
         bench.run()
         assert bench.events == written and bench.noted == []
         answer = bench.ask()
-        assert not answer.success and "has not said yet where the arm was left engaged" in answer.message
+        assert not answer.success and understood(answer.message).values["problem"].key == "work.back.unsaid"
         assert bench.noted == []
 
     def test_the_ledger_takes_the_stop_then_the_scene_changes_then_the_way_back_is_planned(self, bench):
@@ -149,7 +151,7 @@ class TestEngaged:
         assert bench.events == [*UP_TO_GRIPPED, "stopped"]
         assert bench.noted == [("edit_scene", "stopped")] and bench.scene.hash == after(bench, GRIP)
         answer = bench.ask()
-        assert answer.success and "the way back comes first" in answer.message and answer.plan_id != bench.plan.id
+        assert answer.success and key_of(answer.message) == "work.back.planned" and answer.plan_id != bench.plan.id
         assert bench.noted[1:] == [("plan_way_back", "stopped")]
 
     def test_whoever_asks_before_the_node_has_followed_gets_the_same_order(self, bench):
@@ -175,10 +177,8 @@ class TestEngaged:
         bench.left_engaged("grip", after(bench, GRIP))
         bench.run()
         ((reason, sentence),) = bench.refused
-        assert reason == "engagement" and "'fence' came into the scene" in sentence
-        assert (
-            bench.tasks[-1].reason == f"the arm is engaged: only the way back can be planned, and not yet: {sentence}"
-        )
+        assert reason == "engagement" and (sentence.key, sentence.values["names"]) == ("work.back.added", "'fence'")
+        assert bench.tasks[-1].reason == Sentence("work.back.blocked", problem=sentence)
         answer = bench.ask()
         assert not answer.success and answer.message.endswith(f"not yet: {sentence}")
         bench.run()
@@ -187,7 +187,7 @@ class TestEngaged:
         bench.show(right)
         bench.run()
         assert bench.noted == [("edit_scene", "stopped")] and bench.scene.hash == after(bench, GRIP)
-        assert bench.tasks[-1].reason == "the arm is engaged: only the way back can be planned"
+        assert bench.tasks[-1].reason == Sentence("work.back.only")
         assert bench.ask().success
 
     def test_another_obstacle_is_another_sentence(self, bench):
@@ -227,7 +227,7 @@ class TestEngaged:
         bench.heard.on_engagement(Engagement())
         bench.execution(Execution.IDLE, plan_id=bench.plan.id, outcome="stopped")
         bench.run()
-        assert not bench.tasks[-1].engaged and "asks first" in bench.tasks[-1].reason
+        assert not bench.tasks[-1].engaged and key_of(bench.tasks[-1].reason) == "work.asks_first"
         # engaged there once more, it is looked at anew
         stopped(bench, GRIP, at_boundary=True)
         bench.left_engaged("grip", after(bench, GRIP))
@@ -256,7 +256,7 @@ class TestEngaged:
         bench.execution(Execution.IDLE, plan_id=bench.plan.id, engaged=True)
         bench.node.open()
         answer = bench.ask()
-        assert not answer.success and "how its plan ended is not written yet" in answer.message
+        assert not answer.success and understood(answer.message).values["problem"].key == "work.back.unwritten"
         assert bench.run().noted == []
         stopped(bench, GRIP)
         assert bench.run().noted == [("edit_scene", "stopped")]
@@ -291,7 +291,7 @@ class TestRestart:
         bench.planned().review_file.touch()
         restarted(bench)
         assert bench.events == ["offered", "planned", "dropped"]
-        assert bench.entries[-1].reason == "it was never approved" and bench.row.state == "ready"
+        assert bench.entries[-1].reason == Sentence("work.event.never_approved") and bench.row.state == "ready"
 
     def test_a_plan_that_was_rejected_is_dropped(self, bench):
         bench.planned().record(False)
@@ -302,7 +302,7 @@ class TestRestart:
         bench.planned().record(True, "finished")
         restarted(bench)
         assert bench.events == [*UP_TO_GRIPPED, "releasing", "released", "finished"]
-        assert bench.row.state == "done" and "where exactly is not known" in bench.row.reason
+        assert bench.row.state == "done" and bench.row.reason == Sentence("work.task.unknown")
 
     def test_of_a_plan_that_is_still_known_it_is_also_known_where_the_element_was_to_be(self, bench):
         bench.planned().record(True, "finished")
@@ -319,12 +319,16 @@ class TestRestart:
     def test_of_an_approval_without_an_end_an_open_tool_says_that_nothing_was_gripped(self, bench):
         bench.planned().record(True)
         restarted(bench)
-        assert (bench.events[-1], bench.entries[-1].reason) == ("dropped", "nothing was gripped")
+        assert (bench.events[-1], bench.entries[-1].reason) == ("dropped", Sentence("work.event.nothing_gripped"))
 
     def test_of_an_approval_without_an_end_a_closed_tool_has_a_person_asked(self, bench):
         bench.planned().record(True)
         restarted(bench, closed=True)
-        assert bench.events[-1] == "unknown" and bench.row.state == "asks" and "where is stud" in bench.row.question
+        assert (
+            bench.events[-1] == "unknown"
+            and bench.row.state == "asks"
+            and key_of(bench.row.question) == "work.question.where"
+        )
 
     def test_a_record_that_cannot_be_read_has_a_person_asked(self, bench):
         bench.planned()
@@ -370,7 +374,7 @@ class TestTurnedDown:
         line = bench.entries[-1]
         assert (line.event, line.plan, line.reason) == ("dropped", bench.plan.id, "Ada: too close to the rack")
         assert bench.row.state == "ready"
-        assert bench.row.reason == "its plan was turned down by Ada: too close to the rack"
+        assert bench.row.reason == Sentence("work.task.turned_down", who="Ada", reason="too close to the rack")
         assert bench.ask().success and bench.events[-2:] == ["offered", "planned"]
 
     def test_an_approval_and_a_verdict_on_another_plan_drop_nothing(self, bench):
@@ -447,25 +451,25 @@ class TestTool:
         bench.run()
         assert bench.row.state == "asks"
         said = bench.call("work/decide", answered(answer))
-        assert said.success and "the tool is commanded to grip (vacuum)" in said.message
+        assert said.success and said.message.endswith(Sentence("work.left_closed", names="vacuum", values="vacuum off"))
         bench.run()
         for read in (False, True):
             # whether the cups have caught the element meanwhile or not
             bench.tool(read, commanded=True)
             refused = bench.ask()
-            assert not refused.success and "switch vacuum off by hand, start the program anew" in refused.message
+            assert not refused.success and understood(refused.message).values["values"] == "vacuum off"
         # nor is it moved back while it may hang on the cups
         bench.left_engaged("grip", bench.scene.hash)
         assert not bench.ask().success and "plan_way_back" not in dict(bench.noted)
         bench.tool(False)
-        assert bench.ask().message.startswith("the arm is engaged: the way back comes first")
+        assert key_of(bench.ask().message) == "work.back.planned"
 
     def test_a_grip_that_holds_an_element_is_no_problem(self, bench):
         bench.carrying()
         bench.execution(Execution.IDLE, CARRY, plan_id=bench.plan.id, outcome="held")
         bench.run()
         said = bench.call("work/decide", answered("in_grip"))
-        assert said.success and "commanded" not in said.message
+        assert said.success and key_of(said.message) == "work.answered"
         assert bench.ask().success
 
 
@@ -483,8 +487,8 @@ def test_messages_that_cannot_be_read_are_refused_and_change_nothing(bench):
 
 
 def test_before_the_model_is_read_the_node_says_so(bench):
-    assert [message.reason for message in bench.tasks] == ["the model is being read"]
-    assert bench.ask().message == "the model is being read"
+    assert [message.reason for message in bench.tasks] == [Sentence("work.reading")]
+    assert bench.ask().message == Sentence("work.reading")
 
 
 def test_tasks_that_wait_for_each_other_are_one_sentence_and_the_node_lives(bench, tmp_path):
@@ -509,8 +513,6 @@ def test_tasks_that_wait_for_each_other_are_one_sentence_and_the_node_lives(benc
 def test_a_person_says_by_the_service_what_is_gone(bench):
     bench.ready()
     answer = bench.call("work/decide", WorkDecideRequest(TASK, "removed", "", "eva", ""))
-    assert not answer.success and "takes nothing down" in answer.message
-    assert (
-        "skip, redo, answer, removed or accept"
-        in bench.call("work/decide", WorkDecideRequest(TASK, "x", "", "eva", "")).message
-    )
+    assert not answer.success and key_of(answer.message) == "work.removed_nothing"
+    said = bench.call("work/decide", WorkDecideRequest(TASK, "x", "", "eva", "")).message
+    assert said == Sentence("work.decision", decision="'x'")

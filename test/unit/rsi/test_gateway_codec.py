@@ -92,7 +92,7 @@ def test_nearly_empty_first_packet_is_legal():
 def test_unknown_elements_white_space_and_root_attribute_do_not_matter():
     data = rob(f"\n <Digout o1='1' /> {aipos()} <EStr>hello</EStr><Source1>x</Source1>\n<IPOC>8</IPOC>\n")
     assert parse_robot(data, AXES).measured == radians((1.5,) * 6)
-    assert parse_robot(b"<Rob><IPOC>8</IPOC></Rob>", AXES).stamp == 8
+    assert parse_robot(b"<Rob><IPOC>8</IPOC></Rob>", AXES).controller_ms == 8
 
 
 @pytest.mark.parametrize(
@@ -226,7 +226,7 @@ def test_malformed_telegrams_are_refused_with_their_reason(data, reason):
 def test_deeply_nested_telegrams_are_refused_or_read_without_harm():
     depth = (MAX_TELEGRAM - 40) // 7
     assert depth > 1000 and refused(b"<Rob>" + b"<a>" * depth) == "xml"
-    assert parse_robot(b"<Rob>" + b"<a>" * depth + b"</a>" * depth + b"<IPOC>4</IPOC></Rob>", AXES).stamp == 4
+    assert parse_robot(b"<Rob>" + b"<a>" * depth + b"</a>" * depth + b"<IPOC>4</IPOC></Rob>", AXES).controller_ms == 4
 
 
 @pytest.mark.parametrize(
@@ -281,7 +281,7 @@ def test_precision_outside_the_controllers_range_is_refused(precision):
 @given(six_angles, ipocs, st.sampled_from([None, False, True]))
 def test_corrections_survive_the_wire_to_half_a_decimal(correction, ipoc, stop):
     telegram = parse_sensor(SensorEncoder("ImFree", AXES).encode(correction, ipoc, stop), "ImFree", AXES)
-    assert (telegram.stamp, telegram.stop) == (ipoc, stop)
+    assert (telegram.controller_ms, telegram.stop) == (ipoc, stop)
     for sent, received in zip(correction, telegram.target):
         assert abs(sent - received) <= math.radians(0.5e-6) * (1 + 1e-6)
 
@@ -289,7 +289,7 @@ def test_corrections_survive_the_wire_to_half_a_decimal(correction, ipoc, stop):
 @given(six_angles, six_angles, ipocs, st.integers(0, 2**31), st.integers(1, 32))
 def test_positions_survive_the_wire_to_half_a_decimal(measured, setpoint, ipoc, delay, precision):
     telegram = parse_robot(RobotEncoder(AXES, precision).encode(ipoc, measured, setpoint, POSE, POSE, delay), AXES)
-    assert (telegram.stamp, telegram.missed) == (ipoc, delay)
+    assert (telegram.controller_ms, telegram.missed) == (ipoc, delay)
     tolerance = math.radians(0.5 * 10.0**-precision) * (1 + 1e-6) + 1e-13
     for sent, received in zip(measured + setpoint, telegram.measured + telegram.setpoint):
         assert abs(sent - received) <= tolerance
@@ -314,4 +314,4 @@ def test_mutated_telegrams_raise_nothing_but_telegram_errors(data):
             telegram = parse()
         except TelegramError:
             continue
-        assert 0 <= telegram.stamp < 2**64
+        assert 0 <= telegram.controller_ms < 2**64

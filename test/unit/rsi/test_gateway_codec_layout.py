@@ -45,7 +45,7 @@ def test_a_track_stands_in_its_own_blocks_in_millimetres():
 def test_a_packet_of_a_track_is_read_in_metres():
     telegram = RobotDecoder(AXES, UNITS).parse(encode(Q))
     assert telegram.measured == pytest.approx(Q) and telegram.setpoint == pytest.approx(Q)
-    assert (telegram.stamp, telegram.missed) == (8, 3)
+    assert (telegram.controller_ms, telegram.missed) == (8, 3)
 
 
 def test_blocks_have_six_attributes_however_many_axes_there_are():
@@ -168,7 +168,7 @@ def test_mutated_telegrams_are_read_or_refused_with_a_known_reason(seed):
             except TelegramError as error:
                 assert error.reason in reasons
                 continue
-            assert 0 <= telegram.stamp < 2**64
+            assert 0 <= telegram.controller_ms < 2**64
             for values in filter(
                 None, (getattr(telegram, name, None) for name in ("measured", "setpoint", "correction"))
             ):

@@ -45,7 +45,7 @@ def ask(resort, ipoc, source=PEER):
     if reply is None:
         return None
     read = parse_sensor(reply, "ImFree", AXES)
-    assert read.stamp == ipoc
+    assert read.controller_ms == ipoc
     return read.target
 
 

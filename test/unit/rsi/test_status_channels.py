@@ -13,6 +13,7 @@ from mock_cell import Cell as MockCell
 from processes import ROOT
 
 from construction_twin.core.errors import ConfigurationError, EthernetXmlError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import TelegramInbox
@@ -22,7 +23,7 @@ from construction_twin.rsi.controller_codec import RobotEncoder
 from construction_twin.rsi.ethernet_xml import check_gateway, read_ethernet_xml
 from construction_twin.rsi.gateway_codec import RobotDecoder, parse_robot
 from construction_twin.rsi.layout import RsiLayout
-from construction_twin.rsi.status_channels import ControllerStatus, StatusReader, status_channels
+from construction_twin.rsi.status_channels import RsiStatus, StatusReader, status_channels
 
 POSE = (0.0,) * 6
 BLOCKS = ("AIPos", "ASPos", "Delay")
@@ -45,7 +46,7 @@ def telegram(send, status, ipoc=1000):
     override=st.one_of(st.integers(0, 100), st.just(12.5)),
 )
 def test_what_a_controller_says_is_read_in_any_order_plain_and_dotted(channels, send, mode, program, override):
-    status = ControllerStatus(mode, program, override)
+    status = RsiStatus(mode, program, override)
     assert StatusReader(channels).read(telegram(send, status)) == (status, 0)
 
 
@@ -53,14 +54,14 @@ def test_what_a_controller_says_is_read_in_any_order_plain_and_dotted(channels, 
 def test_the_codec_reads_such_telegrams_as_any_other_and_learns_their_shape(channels, send):
     decoder = RobotDecoder(CONFIG.axes)
     for k, mode in enumerate((3, 3, 3, 1, 1)):
-        read = decoder.parse(telegram(send, ControllerStatus(mode, 3, 100), 1000 + 4 * k))
-        assert (read.stamp, read.measured) == (1000 + 4 * k, pytest.approx(START, abs=1e-8))
+        read = decoder.parse(telegram(send, RsiStatus(mode, 3, 100), 1000 + 4 * k))
+        assert (read.controller_ms, read.measured) == (1000 + 4 * k, pytest.approx(START, abs=1e-8))
 
 
 def test_only_the_channels_that_the_file_declares_are_read():
     assert status_channels(("RIst", "Mode", "GearTorque.A1", "ProgStatus.S", "OvPro.R", "Modes")) == ("Mode", "OvPro.R")
-    data = telegram((*BLOCKS, *PLAIN), ControllerStatus(1, 4, 30))
-    assert StatusReader(("ProgStatus",)).read(data) == (ControllerStatus(program=4), 0)
+    data = telegram((*BLOCKS, *PLAIN), RsiStatus(1, 4, 30))
+    assert StatusReader(("ProgStatus",)).read(data) == (RsiStatus(program=4), 0)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +83,7 @@ def test_only_the_channels_that_the_file_declares_are_read():
 def test_what_is_no_number_of_the_kind_is_not_known_and_counted(text, unreadable):
     status, count = StatusReader(("Mode", "OvPro")).read(b'<Rob Type="KUKA">' + text + b"<IPOC>4</IPOC></Rob>")
     assert count == unreadable
-    assert status == ControllerStatus(
+    assert status == RsiStatus(
         1 if b"Mode>1<" in text or b"1.0000" in text else None, None, 50.0 if b"50" in text else None
     )
 
@@ -90,40 +91,40 @@ def test_what_is_no_number_of_the_kind_is_not_known_and_counted(text, unreadable
 def test_a_reader_follows_every_change():
     reader = StatusReader(PLAIN)
     said = [
-        ControllerStatus(3, 3, 100),
-        ControllerStatus(1, 3, 100),
-        ControllerStatus(1, 4, 100),
-        ControllerStatus(1, 4, 5),
+        RsiStatus(3, 3, 100),
+        RsiStatus(1, 3, 100),
+        RsiStatus(1, 4, 100),
+        RsiStatus(1, 4, 5),
     ]
     assert [reader.read(telegram((*BLOCKS, *PLAIN), status))[0] for status in said] == said
-    assert reader.read(b"<Rob/>") == (ControllerStatus(), 3)
+    assert reader.read(b"<Rob/>") == (RsiStatus(), 3)
 
 
 @pytest.mark.parametrize(
     ("status", "sentence"),
     [
-        (ControllerStatus(), ""),
-        (ControllerStatus(3, 3, 100.0), ""),
-        (ControllerStatus(4, 3, 100.0), ""),
-        (ControllerStatus(1, 3, 100.0), T1),
+        (RsiStatus(), ""),
+        (RsiStatus(3, 3, 100.0), ""),
+        (RsiStatus(4, 3, 100.0), ""),
+        (RsiStatus(1, 3, 100.0), T1),
         (
-            ControllerStatus(mode=2),
+            RsiStatus(mode=2),
             "the controller is in T2: the arm moves only while enabling switch and start key are held",
         ),
-        (ControllerStatus(program=4), STOPPED),
-        (ControllerStatus(1, 4, 100.0), f"{T1}; {STOPPED}"),
-        (ControllerStatus(program=5), "the controller's program has ended (END): reset and start it"),
-        (ControllerStatus(program=2), "the controller's program is at its beginning (RESET): start it"),
+        (RsiStatus(program=4), STOPPED),
+        (RsiStatus(1, 4, 100.0), f"{T1}; {STOPPED}"),
+        (RsiStatus(program=5), "the controller's program has ended (END): reset and start it"),
+        (RsiStatus(program=2), "the controller's program is at its beginning (RESET): start it"),
         (
-            ControllerStatus(program=1),
+            RsiStatus(program=1),
             "no program is selected on the controller (FREE): select and start the RSI program",
         ),
         (
-            ControllerStatus(override=12.5),
+            RsiStatus(override=12.5),
             "the override is 12.5 %: the controller's own motions are slower by that, corrections are not",
         ),
         (
-            ControllerStatus(override=0.0),
+            RsiStatus(override=0.0),
             "the override is 0 %: whether corrections act then is not known, set it to 100 %",
         ),
     ],
@@ -133,11 +134,11 @@ def test_what_speaks_against_a_motion_is_a_sentence(status, sentence):
 
 
 def test_unknown_numbers_are_shown_as_numbers():
-    assert ControllerStatus(7, 9, 50.0).report() == {
+    assert RsiStatus(7, 9, 50.0).report() == {
         "mode": "number 7", "program": "number 9", "override_percent": 50.0,
-        "sentence": "the override is 50 %: the controller's own motions are slower by that, corrections are not",
+        "sentence": Sentence('gateway.rsi.override', percent=50.0),
     }  # fmt: skip
-    assert ControllerStatus().report() == {}
+    assert RsiStatus().report() == {}
 
 
 def test_a_channel_that_is_declared_plain_and_dotted_is_refused():
@@ -185,31 +186,31 @@ class Chain:
 
 def test_the_status_says_what_the_controller_says():
     chain = Chain((*BLOCKS, *DOTTED))
-    chain.hear(telegram((*BLOCKS, *DOTTED), ControllerStatus(1, 4, 100)))
+    chain.hear(telegram((*BLOCKS, *DOTTED), RsiStatus(1, 4, 100)))
     assert chain.gateway.status()["controller"] == {
         "mode": "T1", "program": "STOP", "override_percent": 100.0, "sentence": f"{T1}; {STOPPED}",
     }  # fmt: skip
-    chain.hear(telegram((*BLOCKS, *DOTTED), ControllerStatus(3, 3, 100), 1004))
+    chain.hear(telegram((*BLOCKS, *DOTTED), RsiStatus(3, 3, 100), 1004))
     assert chain.gateway.status()["controller"]["sentence"] == ""
 
 
 def test_without_such_channels_the_status_says_nothing_of_it():
     chain = Chain(BLOCKS)
-    chain.hear(telegram((*BLOCKS, *DOTTED), ControllerStatus(1, 4, 100)))
+    chain.hear(telegram((*BLOCKS, *DOTTED), RsiStatus(1, 4, 100)))
     assert chain.gateway.status()["controller"] == {}
 
 
 def test_a_channel_that_cannot_be_read_ends_no_answers_and_is_counted():
     chain = Chain((*BLOCKS, *DOTTED))
     for k in range(3):
-        assert chain.hear(telegram(BLOCKS, ControllerStatus(), 1000 + 4 * k)) == (0.0, 0.0)
+        assert chain.hear(telegram(BLOCKS, RsiStatus(), 1000 + 4 * k)) == (0.0, 0.0)
     assert chain.gateway.counters["status_channels_unreadable"] == 9
     assert chain.gateway.counters["telegrams"] == 3 and chain.gateway.status()["controller"] == {}
 
 
 def test_when_telegrams_cease_the_reason_holds_the_last_words():
     chain = Chain((*BLOCKS, *PLAIN))
-    chain.hear(telegram((*BLOCKS, *PLAIN), ControllerStatus(3, 4, 100)))
+    chain.hear(telegram((*BLOCKS, *PLAIN), RsiStatus(3, 4, 100)))
     chain.silence()
     assert chain.gateway.state is State.NO_CONTROLLER
     assert chain.gateway.reason == f"no telegram for {CONFIG.timeout:g} s; the last one said: {STOPPED}"
@@ -228,24 +229,24 @@ def mock(channels=PLAIN):
 
 def said(cell, channels=PLAIN):
     data = cell.mock.begin_cycle()
-    cell.mock.receive(cell.encoder.encode((0.0,) * 6, parse_robot(data, cell.config.axes).stamp))
+    cell.mock.receive(cell.encoder.encode((0.0,) * 6, parse_robot(data, cell.config.axes).controller_ms))
     return StatusReader(channels).read(data)[0]
 
 
 @pytest.mark.parametrize("channels", [PLAIN, DOTTED])
 def test_the_mock_says_aut_active_and_full_override_unless_it_is_told_otherwise(channels):
     cell, faults = mock(channels)
-    assert said(cell, channels) == ControllerStatus(3, 3, 100.0)
+    assert said(cell, channels) == RsiStatus(3, 3, 100.0)
     for fault, expected in (
-        (Fault("program", values=(4.0,)), ControllerStatus(3, 4, 100.0)),
-        (Fault("mode", values=(2.0,)), ControllerStatus(2, 4, 100.0)),
-        (Fault("override", values=(0.0,)), ControllerStatus(2, 4, 0.0)),
+        (Fault("program", values=(4.0,)), RsiStatus(3, 4, 100.0)),
+        (Fault("mode", values=(2.0,)), RsiStatus(2, 4, 100.0)),
+        (Fault("override", values=(0.0,)), RsiStatus(2, 4, 0.0)),
     ):
         faults.inject(fault)
         assert said(cell, channels) == expected
     for name in ("program", "mode", "override"):
         faults.end(Fault(name))
-    assert said(cell, channels) == ControllerStatus(3, 3, 100.0)
+    assert said(cell, channels) == RsiStatus(3, 3, 100.0)
     assert cell.mock.running and cell.mock.counters["missed"] == 0
 
 

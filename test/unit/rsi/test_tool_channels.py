@@ -84,7 +84,7 @@ def test_outputs_of_another_driver_stay_what_they_were():
 def test_what_is_sent_is_read(vacuum, lamp, reached):
     data = packet({"Out.vacuum": vacuum, "Out.lamp": lamp, "In.reached": reached})
     assert reader().read(data) == ToolReading((vacuum, lamp), (reached,))
-    assert data.count(b"<Out ") == 1 and RobotDecoder(AXES).parse(data).stamp == 4711
+    assert data.count(b"<Out ") == 1 and RobotDecoder(AXES).parse(data).controller_ms == 4711
 
 
 def test_the_same_reading_is_the_same_object_and_a_change_is_seen_at_once():
@@ -128,7 +128,7 @@ def test_what_is_switched_arrives(switched, stop):
     telegram = SensorDecoder("ImFree", AXES, receive, (), True, SWITCHED).parse(
         encoder.encode(ZERO, 4711, stop, switched)
     )
-    assert (telegram.stamp, telegram.switched, telegram.stop) == (4711, switched, bool(stop))
+    assert (telegram.controller_ms, telegram.switched, telegram.stop) == (4711, switched, bool(stop))
     assert telegram.target == ZERO
 
 

@@ -73,7 +73,7 @@ def edited(tmp_path, change) -> SceneFile:
     ],
 )
 def test_a_file_that_does_not_fit_is_never_ignored(change, tmp_path):
-    with pytest.raises(SceneError, match="scene_edits.json.*move the file away"):
+    with pytest.raises(SceneError, match=r"scene_edits.json.*move the file away"):
         edited(tmp_path, change).load()
 
 

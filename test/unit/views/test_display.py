@@ -15,6 +15,7 @@ from matplotlib import image
 from screenshot import COLOURS, VirtualDisplay, bare_view, fraction, read_picture
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain
 from construction_twin.monitor.states import SyncState
 from construction_twin.robot.description import read_robot_files
@@ -34,7 +35,7 @@ def answers(_host: str, _number: int) -> None:
 
 def test_without_display_one_sentence_says_so():
     problem = display_problem("", answers)
-    assert problem.startswith("there is no display (DISPLAY is not set)") and "goes on" in problem
+    assert problem == Sentence("view.display.none")
 
 
 @pytest.mark.parametrize(
@@ -56,7 +57,7 @@ def test_a_display_that_does_not_answer_is_named():
     def refuses(_host, _number):
         raise ConnectionRefusedError("refused")
 
-    assert ":7 does not answer (refused)" in display_problem(":7", refuses)
+    assert display_problem(":7", refuses) == Sentence("view.display.silent", display=":7", problem="refused")
 
 
 def test_nothing_listens_on_a_display_that_nobody_started():
@@ -71,7 +72,7 @@ def test_a_virtual_display_answers_and_can_be_photographed(tmp_path):
         name = display.environment["DISPLAY"]
         assert display_problem(name, connect_display) == ""
         assert display.capture(tmp_path / "empty.png").shape == (48, 64, 3)
-    assert "does not answer" in display_problem(name, connect_display)
+    assert display_problem(name, connect_display).key == "view.display.silent"
 
 
 def test_the_node_ends_well_without_a_display():

@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plan_samples import make_plan
+from sentence_checks import says
 
 from construction_twin.core.errors import ReviewError
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.plan import Clearance, Plan
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.views.preview import (
@@ -75,7 +77,7 @@ class TestGhost:
         assert preview.pose(100.0) == TWIN
 
     def test_plays_again_and_again_with_a_rest_at_the_goal(self, preview):
-        assert "again and again" in preview.play(2.0, True, 0.0)
+        assert preview.play(2.0, True, 0.0).key == "view.preview.loop"
         period = DURATION / 2.0 + LOOP_REST
         assert preview.pose(DURATION / 2.0 + LOOP_REST / 2) == (1.0, 2.0)
         for time in (0.2, 0.7):
@@ -88,12 +90,12 @@ class TestGhost:
 
     def test_ends_at_speed_zero(self, preview):
         preview.play(1.0, True, 0.0)
-        assert "ended" in preview.play(0.0, False, 0.5)
+        assert preview.play(0.0, False, 0.5).key == "view.preview.ended"
         assert preview.pose(1.0) == GOAL
 
     @pytest.mark.parametrize("speed", [-1.0, math.inf, math.nan])
     def test_refuses_a_speed_that_makes_no_sense(self, preview, speed):
-        with pytest.raises(ReviewError, match="speed"):
+        with pytest.raises(ReviewError, check=says("view.preview.speed")):
             preview.play(speed, False, 0.0)
         assert preview.pose(0.5) == GOAL
 
@@ -103,7 +105,7 @@ class TestGhost:
             preview = Preview()
         else:
             preview.on_verdict("p", approved)
-        with pytest.raises(ReviewError, match="no plan is under review"):
+        with pytest.raises(ReviewError, check=says("view.preview.nothing")):
             preview.play(1.0, False, 0.0)
 
     @pytest.mark.parametrize("approved", [True, False])
@@ -208,4 +210,4 @@ class TestPicture:
         ]
 
     def test_the_text_says_when_there_is_nothing_to_touch(self):
-        assert "nothing to touch" in describe(plan())
+        assert Sentence("view.nothing_near") in describe(plan())

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.views.roslaunch_call import argument_problem, known_arguments, roslaunch_call
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -54,34 +55,32 @@ def test_the_port_in_every_spelling(port):
 
 
 def test_a_misspelt_argument_is_named_with_the_one_that_was_probably_meant():
-    assert problem("bringup.launch", auto_aprove="true") == (
-        "auto_aprove:=true: bringup.launch has no such argument; did you mean auto_approve:=true? `roslaunch --ros-args` lists them"
+    meant = Sentence(
+        "preflight.argument.near", name="auto_aprove", value="true", file="bringup.launch", near="auto_approve"
     )
-    assert problem("bringup.launch", zzz="1") == (
-        "zzz:=1: bringup.launch has no such argument; `roslaunch --ros-args` lists them"
-    )
+    assert problem("bringup.launch", auto_aprove="true") == meant
+    unknown = Sentence("preflight.argument.unknown", name="zzz", value="1", file="bringup.launch")
+    assert problem("bringup.launch", zzz="1") == unknown
 
 
 def test_what_a_file_hands_on_is_known_and_what_it_sets_itself_is_not():
     assert problem("two_robots.launch", decimals="6") == ""
     said = problem("two_robots.launch", rsi_port="5")
-    assert said.startswith("rsi_port:=5: two_robots.launch has no such argument; did you mean rsi_port_")
+    assert said.key == "preflight.argument.near" and said.values["near"].startswith("rsi_port_")
     assert problem("experiment.launch", quick="true", frame_rate="25") == ""
 
 
 def test_an_empty_value_that_roslaunch_drops_is_told_where_the_default_is_another():
-    assert problem("bringup.launch", broker_host="").startswith("broker_host:='': roslaunch drops an empty value, and ")
-    assert problem("bringup.launch", scene="").endswith("; give scene:=none for nothing, a value, or leave it out")
+    assert problem("bringup.launch", broker_host="") == Sentence("preflight.argument.empty", name="broker_host")
+    assert problem("bringup.launch", scene="") == Sentence("preflight.argument.empty_none", name="scene")
     assert problem("bringup.launch", bridge_account="") == ""
 
 
 def test_a_second_sign_in_a_value_is_told_because_roslaunch_drops_the_argument():
     call = roslaunch_call(["roslaunch", "construction_twin", "bringup.launch", "robot_xacro_args:=prefix:=left_ a:=b"])
     assert call is not None
-    assert problem("bringup.launch", **call.given) == (
-        "robot_xacro_args:=prefix:=left_ a:=b: roslaunch drops an argument with a second `:=`, and the default would count; "
-        "write robot_xacro_args:='prefix=left_ a=b'"
-    )
+    values = {"name": "robot_xacro_args", "value": "prefix:=left_ a:=b", "meant": "'prefix=left_ a=b'"}
+    assert problem("bringup.launch", **call.given) == Sentence("preflight.argument.second", **values)
     assert problem("bringup.launch", robot_xacro_args="prefix=left_") == ""
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
-from construction_twin.core.reports import TaskReport, WorkReport
+from construction_twin.core.records import SPACED, document, dumped
+from construction_twin.core.reports import NO_REPORT, TaskReport, WorkReport
 from construction_twin.core.sentences import Sentence, has
 from construction_twin.execution.states import ExecutorState
 from construction_twin.link.states import LinkState
@@ -40,8 +42,33 @@ def states_of(topic: str) -> list[str]:
     return [state for name, state in TABLE if name == topic]
 
 
+def test_a_line_is_sent_with_all_its_fields_in_their_order_as_json_has_them():
+    for heard in (
+        WELL,
+        Heard(sync=Word("HOLDING", NO_REPORT)),
+        Heard(started=True, missing=Missing("nodes", "ä", HERE)),
+    ):
+        found = status_lines(heard)
+        assert dumped(found, marks=SPACED) == json.dumps([asdict(line) for line in found]).encode()
+    keys = [
+        "topic",
+        "state",
+        "words",
+        "values",
+        "level",
+        "sentence",
+        "reason",
+        "said",
+        "waits_for",
+        "who",
+        "todo",
+        "page",
+    ]
+    assert list(document(found[0])) == keys
+
+
 def lines(heard: Heard) -> dict[str, dict]:
-    return {line.topic: line.document() for line in status_lines(heard)}
+    return {line.topic: document(line) for line in status_lines(heard)}
 
 
 def test_every_state_of_every_node_has_words():

@@ -11,6 +11,7 @@ from geometry_msgs.msg import Point
 from visualization_msgs.msg import Marker
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.kinematics.chain import Chain
 from construction_twin.monitor.states import SyncState
 from construction_twin.robot.description import read_robot_files
@@ -78,12 +79,10 @@ def test_the_text_says_state_reason_and_worst_joint_in_short_lines():
 
 def test_the_worst_joint_is_the_one_that_uses_most_of_its_threshold():
     found = worst_joint(("track", "a1", "a2"), (0.002, 0.02, 0.001), (0.005, 0.01, 0.01), (True, False, False))
-    assert found == "a1 differs by 1.146 deg, allowed 0.573"
-    assert (
-        worst_joint(("track", "a1"), (0.004, 0.001), (0.005, 0.01), (True, False))
-        == "track differs by 4.000 mm, allowed 5.000"
-    )
-    assert worst_joint(("a1", "a2"), (math.nan, 0.001), (0.01, 0.01), (False, False)).startswith("a2")
+    assert found == Sentence("view.picture.differs", joint="a1", difference=Quantity(0.02, "rad"), allowed="0.573")
+    found = worst_joint(("track", "a1"), (0.004, 0.001), (0.005, 0.01), (True, False))
+    assert found == Sentence("view.picture.differs", joint="track", difference=Quantity(0.004, "m"), allowed="5.000")
+    assert worst_joint(("a1", "a2"), (math.nan, 0.001), (0.01, 0.01), (False, False)).values["joint"] == "a2"
     assert worst_joint(("a1",), (math.nan,), (0.01,), (False,)) == worst_joint((), (), (), ()) == ""
     assert worst_joint(("a1",), (0.5,), (0.0,), (False,)) == ""
 

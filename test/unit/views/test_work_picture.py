@@ -9,6 +9,7 @@ import pytest
 from plan_samples import make_plan
 
 from construction_twin.core.reports import ExecutionReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.plan import Plan, content_hash
 from construction_twin.robot.segments import Segment, Signal, Switch
@@ -73,7 +74,7 @@ def test_what_is_carried_in_each_segment_and_placed_in_the_end_follows_from_the_
 def test_a_scene_that_is_not_known_is_said_and_the_rest_is_drawn():
     for scene in (None, Scene((TABLE,), 0.01)):
         states = work_states(plan(), CHANGES, scene)
-        assert "not known here" in states.problem
+        assert states.problem == Sentence("view.picture.scene_unknown")
         assert states.placed == tuple(BUILT) and states.loads(3) == tuple(HELD)
 
 
@@ -85,15 +86,15 @@ def test_objects_that_are_not_those_of_the_approved_scenes_are_pointed_out(numbe
     """The hashes are what is approved; what is drawn comes from fields that the approval does not cover."""
     lied = [*CHANGES[:number], change, *CHANGES[number + 1 :]]
     states = work_states(plan(), lied, START)
-    assert f"after {NAMES[number]!r}" in states.problem
+    assert states.problem == Sentence("view.picture.scene_other", segment=repr(NAMES[number]))
     text = picture(plan(), skeleton, 9.0, ToldWork(lied, states, forward, "tool0")).text
-    assert f"LOOK TWICE: {states.problem}" in text
+    assert Sentence("view.picture.problem", problem=states.problem) in text
 
 
 def test_a_removal_of_what_is_not_there_is_drawn_as_nothing_and_pointed_out():
     lied = [SceneChange((), ("nobody",)), *CHANGES[1:]]
     assert work_states(plan(), lied, START).problem == ""  # the scene is the same: nothing is missing in the picture
-    assert work_states(plan(), CHANGES[:1], START).problem.startswith("after 'approach'")
+    assert work_states(plan(), CHANGES[:1], START).problem.values == {"segment": "'approach'"}
 
 
 def test_the_path_is_in_parts_that_join_and_ends_at_one_place_share_a_label():
@@ -150,7 +151,10 @@ def test_of_many_segments_the_text_lists_the_first():
     )
     told = ToldWork((), work_states(long, (), None), lambda q: Pose(np.zeros(3), np.eye(3)), "tool0")
     lines = picture(long, lambda q: np.zeros((2, 3)), 9.0, told).text.splitlines()
-    assert f"{MOST_ROWS} s{MOST_ROWS - 1} 1.00 s" in lines and f"and {count - MOST_ROWS} more" in lines
+    assert (
+        f"{MOST_ROWS} s{MOST_ROWS - 1} 1.00 s" in lines
+        and Sentence("view.picture.more", count=count - MOST_ROWS) in lines
+    )
     assert len(segment_lines(long)) == count + 2
 
 
@@ -185,12 +189,12 @@ def test_the_terminal_shows_a_table_of_the_segments():
     ]
     # without the changes, that there is one
     assert segment_lines(plan())[3].endswith("then vacuum on; the scene changes")
-    assert under_review(plan()).startswith("work plan p of 6 segments and 12.0 s")
+    assert under_review(plan()).key == "view.review.work" and under_review(plan()).values["count"] == 6
 
 
 def test_another_plan_has_no_table():
     motion = plan().trajectory
-    assert segment_lines(make_plan(motion)) == [] and under_review(make_plan(motion)).startswith("plan p of 12.0 s")
+    assert segment_lines(make_plan(motion)) == [] and under_review(make_plan(motion)).key == "view.review.plan"
 
 
 def test_changes_are_told_by_whole_things():

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sentence_checks import because
 from work_samples import building, element, layout, planner, recipes, robot, site
 
 from construction_twin.core.errors import ConfigurationError
@@ -84,7 +85,7 @@ def beside_the_table(tmp_path, properties=None):
     sideways = replace(recipes(), recipes={"brick": brick.model_copy(update={"place": place})})
     scene = found.scene()
     job = found.job_for("b", scene)
-    with pytest.raises(TaskPlanningError, match="would touch ground, or come closer") as caught:
+    with pytest.raises(TaskPlanningError, check=because("work.cannot.would_touch", second="ground")) as caught:
         planner(sideways, limits=SHORT).plan(job, HOME, scene)
     return job, scene, sideways, caught.value
 

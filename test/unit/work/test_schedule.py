@@ -8,6 +8,7 @@ from building_models import box, building, element
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import ScheduleError
 from construction_twin.work.building import Sequence, Task
 from construction_twin.work.schedule import Schedule
@@ -37,7 +38,7 @@ def test_a_finish_start_sequence_keeps_the_second_waiting_and_names_the_first():
     assert ids(schedule.allowed({"a": 0.0}, {}, 1.0)) == []
     assert ids(schedule.allowed({"a": 0.0}, {"a": 2.0}, 2.0)) == ["b"]
     (blocker,) = schedule.blockers("b", {}, {}, 0.0)
-    assert blocker.job.id == "a" and blocker.text == "after 'A' (a) has finished"
+    assert blocker.job.id == "a" and blocker.text == Sentence("work.lag.finished", job="'A' (a)")
 
 
 @pytest.mark.parametrize(("kind", "needs_finish"), [*zip(KINDS, (True, False, True, False), strict=True)])

@@ -14,6 +14,7 @@ import work_bench
 import yaml
 from construction_twin.msg import Execution
 from ifc_models import IfcModel
+from sentence_checks import key_of
 from touch_process import TOP, recipes_file
 from work_bench import Bench
 from work_samples import (
@@ -35,11 +36,13 @@ from work_samples import (
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.reports import WorkReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError, TaskPlanningError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
-from construction_twin.planning.work_plan import AskedSegment, plan_work
+from construction_twin.planning.work_plan import plan_work
+from construction_twin.review.record import Fate
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, product
@@ -49,7 +52,7 @@ from construction_twin.work import processes, tasks
 from construction_twin.work.check import Checker
 from construction_twin.work.check_report import cell_picture, row
 from construction_twin.work.events import Entry
-from construction_twin.work.following import GripReading, OfferOutcome, after_restart, question
+from construction_twin.work.following import GripReading, after_restart, question
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.motions import TaskLimits
 from construction_twin.work.nearest_change import nearest_change
@@ -138,7 +141,8 @@ def test_what_is_not_moved_has_no_slot_and_stands_at_its_place_from_the_beginnin
 def test_it_is_planned_as_every_task_and_changes_no_scene(plan, work):
     assert [part.name for part in plan.segments] == ["to point", "touch", "back", "home"]
     assert [part.engaged for part in plan.segments] == [False, True, True, False]
-    assert all(not part.put and part.scene_after.hash == work.scene().hash for part in plan.segments)
+    assert all(part.change == SceneChange() for part in plan.segments)
+    assert {scene.hash for scene in plan.scenes} == {work.scene().hash}
     assert plan.method == "point 50 0 71 mm" and plan.tool0_T_element is None and plan.clearance > 0.02
 
 
@@ -150,14 +154,8 @@ def test_the_tool_comes_to_the_point_but_for_the_gap(plan, work):
 
 
 def test_whoever_checks_it_for_review_takes_it(plan, work):
-    asked = [
-        AskedSegment(
-            part.name, part.trajectory, part.engaged, part.requires, part.switches, SceneChange(part.put, part.remove)
-        )
-        for part in plan.segments
-    ]
     world = CollisionWorld(robot(), work.scene(), pairs())
-    checked = plan_work("T1", asked, HOME, PlanRequest("test", 0), world, PlanBounds(), lambda: 0.0)
+    checked = plan_work("T1", plan.segments, HOME, PlanRequest("test", 0), world, PlanBounds(), lambda: 0.0)
     assert [part.scene_after for part in checked.segments] == [work.scene().hash] * 4
 
 
@@ -230,10 +228,10 @@ def prepared() -> Prepared:
     return replace(made, stock=StockPlan({}), schedule=Schedule((touched,), (), ()))
 
 
-def segments(scene):
+def segments():
     """Return what the worker plans: to the point, touch (engaged), back."""
-    fetch, grip, _, leave = work_bench.segments(scene)
-    same = {"switches": (), "put": (), "scene": scene, "scene_after": scene}
+    fetch, grip, _, leave = work_bench.segments()
+    same = {"switches": (), "change": SceneChange()}
     back = replace(leave, name="back", trajectory=work_bench.reach(work_bench.AT_STOCK, work_bench.HOME, 1.0, 9))
     return tuple(
         replace(part, **same)
@@ -250,8 +248,8 @@ def bench(monkeypatch, tmp_path) -> Bench:
 
 def begin(one: Bench) -> None:
     """Start the node of a bench with this model."""
-    plan = lambda *_, scene, **__: SimpleNamespace(  # noqa: E731
-        method="point 0 0 0 mm", segments=segments(scene), tool0_T_element=None
+    plan = lambda *_, **__: SimpleNamespace(  # noqa: E731
+        method="point 0 0 0 mm", segments=segments(), tool0_T_element=None
     )
     one.start(SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=plan))
 
@@ -265,7 +263,7 @@ def test_the_node_follows_it_to_its_end_and_the_scene_stays(bench):
     bench.execution(Execution.IDLE, plan_id=bench.plan.id, outcome="finished")
     bench.run()
     assert bench.events == ["offered", "planned", "begun", "finished"]
-    assert (bench.row.state, bench.row.reason) == ("done", "done") and bench.scene.hash == before
+    assert (bench.row.state, bench.row.reason) == ("done", Sentence("work.task.done")) and bench.scene.hash == before
     offered = json.loads(bench.ledger_lines[1])
     assert offered["process"] == "touch" and offered["grip"] == "point 0 0 0 mm" and "pose" not in offered
 
@@ -282,7 +280,7 @@ def test_people_read_of_it_in_the_list_and_can_have_it_done_again(bench):
     facts = from_msg(WorkReport, bench.tasks[-1])
     assert any("Place stud" in line and "done" in line for line in list_lines(facts))
     assert "state      done: done" in show_lines(facts, facts.tasks[0])
-    board = bench.board.opened()
+    board = bench.board
     assert [one.word for one in board.appearances(0)] == ["placed"]
     assert board.redo(work_bench.TASK, "eva", "") == "'Place stud' (T1) is to be done again"
     assert [one.word for one in board.appearances(0)] == ["next"]
@@ -301,9 +299,9 @@ def test_a_stop_at_the_element_asks_whether_it_was_done(bench, answer, state):
     bench.execution(Execution.IDLE, 1, plan_id=bench.plan.id, outcome="stopped")
     bench.run()
     assert bench.row.state == "asks" and tuple(bench.row.answers) == ("done", "not_done")
-    assert bench.row.question.startswith("was the task on stud carried out?")
+    assert key_of(bench.row.question) == "work.question.done"
     assert work_bench.PLACED.name in bench.scene.names
-    board = bench.board.opened()
+    board = bench.board
     board.answer(work_bench.TASK, answer, "eva", "looked")
     assert board.book.tasks[work_bench.TASK].state.value == state
 
@@ -312,8 +310,8 @@ def test_an_open_grip_says_nothing_of_what_was_done(tmp_path):
     offered = TaskMemory("T", TaskState.READY).then(Entry("offered", "T", "E", offer="o", process="touch"))
     begun = offered.then(Entry("begun", "T", "E", plan="p"))
     for memory in (offered, begun):
-        (entry,) = after_restart(memory, "E", OfferOutcome("p", False, None), GripReading(True, False))
-        assert entry.event == "unknown" and "carried out?" in question(memory.then(entry), "stud")
+        (entry,) = after_restart(memory, Fate("p", None), GripReading(True, False))
+        assert entry.event == "unknown" and question(memory.then(entry), "stud").key == "work.question.done"
 
 
 def test_what_is_placed_is_not_done_before_it_was_let_go():
@@ -336,7 +334,8 @@ def test_another_model_asks_whether_it_was_done_and_leaves_nothing_behind_where_
     first.close()
     again = ledger(tmp_path / "l", "b" * 64)
     memory = again.book.tasks["T"]
-    assert memory.possible_answers() == ("done", "not_done") and "another version" in question(memory, "stud")
+    assert memory.possible_answers() == ("done", "not_done")
+    assert question(memory, "stud").values["known"].key == "work.known.stays.done"
     again.close()
     times = count(1_800_000_000_000_000_000)
     other = Ledger(tmp_path / "l", {"U": ()}, "c" * 64, lambda: next(times), "/cell.yaml", {"U": "E"})

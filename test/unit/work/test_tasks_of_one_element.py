@@ -18,6 +18,7 @@ from building_models import building as of_boxes
 from building_models import element as of_box
 from construction_twin.msg import Execution
 from ifc_models import IfcModel
+from sentence_checks import says
 from touch_process import TOP, recipes_file
 from work_bench import CARRY, ELEMENT, LEAVE, Bench
 from work_samples import BRICK, ROOT, element, job, layout, pairs, robot, site
@@ -26,6 +27,7 @@ from construction_twin.core.work_errors import ScheduleError, TaskPlanningError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.scene.objects import Scene, product
+from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work import tasks
 from construction_twin.work.build_report import TaskResult, summary
 from construction_twin.work.building import Sequence, Task
@@ -242,7 +244,7 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
     assert np.allclose(tcp.position, built.position + built.rotation @ np.array(TOP) + (0.0, 0.0, 0.04), atol=2e-4)
     board.ledger.add(Entry("finished", work.touch, element_id))
     assert board.next(NOW) == work.other and not change(scene(), *board.wanted_scene())
-    states = [(row.name, row.element_name, row.state) for row in board.rows(NOW)]
+    states = [(row.name, row.element_name, row.state) for row in board.report(NOW).tasks]
     assert states[:2] == [("place first", "brick0", "done"), ("touch first", "brick0", "done")]
     board.ledger.close()
     written = [
@@ -341,7 +343,7 @@ def test_it_is_placed_again_only_after_what_came_after_was_taken_back(tmp_path):
     one = of_two(tmp_path)
     done(one, PLACE)
     done(one, TOUCH)
-    with pytest.raises(WorkRefused, match="'Touch stud' .T2. came after"):
+    with pytest.raises(WorkRefused, check=says("work.redo_later", later="'Touch stud' (T2)")):
         one.redo(PLACE, "eva", "")
     one.redo(TOUCH, "eva", "")
     assert f"{ELEMENT}/0" in one.wanted_scene()[0] and words(one) == ["next"]
@@ -356,7 +358,7 @@ def test_another_model_asks_of_each_task_what_it_can_have_done(tmp_path):
     done(one, TOUCH)
     one.ledger.close()
     again = of_two(tmp_path, "b" * 64)
-    assert [row.answers for row in again.rows(NOW)] == [("in_stock", "placed", "gone"), ("done", "not_done")]
+    assert [row.answers for row in again.report(NOW).tasks] == [("in_stock", "placed", "gone"), ("done", "not_done")]
     assert {entry.element for entry in read_entries(tmp_path / "l") if entry.event == "unknown"} == {ELEMENT}
 
 
@@ -399,11 +401,11 @@ def test_the_mass_of_an_element_counts_once():
 def test_the_node_has_both_planned_and_follows_them_one_after_the_other(monkeypatch, tmp_path):
     bench = Bench(monkeypatch, tmp_path)
 
-    def plan(*_, task: str, scene: Scene, **__) -> SimpleNamespace:
-        parts = work_bench.segments(scene)
+    def plan(*_, task: str, **__) -> SimpleNamespace:
+        parts = work_bench.segments()
         if task == PLACE:
             return SimpleNamespace(method="top", segments=parts, tool0_T_element=work_bench.HELD)
-        same = {"switches": (), "put": (), "scene": scene, "scene_after": scene}
+        same = {"switches": (), "change": SceneChange()}
         there = work_bench.reach(work_bench.HOME, work_bench.AT_GOAL, 1.0, 9)
         touch = replace(parts[CARRY], name="touch", trajectory=there, **same)
         return SimpleNamespace(method="point", segments=(touch, replace(parts[LEAVE], **same)), tool0_T_element=None)

@@ -15,7 +15,7 @@ const FAULTS = ["link", "sync"];
 
 /** Return the address of a page of the docs as the build writes it (web/docs_pages.js), or "" for what is none. */
 export function addressOf(page) {
-  return typeof page === "string" && PAGE.test(page) ? `docs/${page.replace(/\.md(?=#|$)/, ".html")}` : "";
+  return PAGE.test(page) ? `docs/${page.replace(/\.md(?=#|$)/, ".html")}` : "";
 }
 
 /** Return the page's own line, if it has one: it comes before all others. Words of `texts`, and values. */
@@ -39,10 +39,9 @@ const WORDS = /^\w+\.\w+$/;
  * own, which are English; so is a reason that the robot's programs send without a key.
  */
 export function wordsOf(line, texts) {
-  const known = typeof line.words === "string" && WORDS.test(line.words);
-  const values = typeof line.values === "object" && line.values !== null ? line.values : {};
+  const values = Object.fromEntries(Object.entries(line.values ?? {}).map(([name, value]) => [name, texts.reason(value)]));
   const own = (part) => {
-    const keys = known ? [`line.${line.words}.${part}`, `line.${line.topic}.${line.state}.${part}`] : [];
+    const keys = WORDS.test(line.words) ? [`line.${line.words}.${part}`, `line.${line.topic}.${line.state}.${part}`] : [];
     const key = keys.find((each) => texts.has(each));
     return key === undefined ? null : texts(key, values);
   };
@@ -82,7 +81,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   };
 
   // a person is waited for: in a fault of link or comparison, or as a matter of course, as for a verdict
-  const level = (line) => (line.level === 2 && FAULTS.includes(line.topic) ? "level-2 is-fault" : `level-${Number(line.level) || 0}`);
+  const level = (line) => (line.level === 2 && FAULTS.includes(line.topic) ? "level-2 is-fault" : `level-${line.level ?? 0}`);
   const show = () => {
     const robot = store.robot(store.selected);
     const line = ownLine({connected: connection.state === "connected", robot, now: now()});

@@ -90,7 +90,7 @@ export function make(parent, store, connection, texts, {now = () => performance.
     const {done, all} = counts(now_);
     setText(progress, texts("tasks.progress", {done, all, model: now_.model}));
     bar.setAttribute("value", String(all === 0 ? 0 : done / all));
-    setText(reason, now_.reason);
+    setText(reason, texts.reason(now_.reason));
     reason.hidden = now_.reason === "";
     showNext(now_);
     showAsking(answer, asking(store.selected), connection.account, texts);
@@ -127,7 +127,7 @@ export function make(parent, store, connection, texts, {now = () => performance.
         add(choose, "span", {className: "task-state", text: stateText(task)});
       }
       clear(notes);
-      for (const text of tasks.notes ?? []) add(notes, "li", {text});
+      for (const text of tasks.notes ?? []) add(notes, "li", {text: texts.reason(text)});
     }
     tasks.tasks.forEach((task, number) => {
       list.children[number].firstElementChild.setAttribute("aria-pressed", String(task.id === picked));
@@ -147,14 +147,14 @@ export function make(parent, store, connection, texts, {now = () => performance.
     add(detail, "h3", {text: task.name});
     const element = task.element_name || task.element;
     const lines = [texts("tasks.element", {element}), texts("tasks.state", {state: stateText(task)})];
-    if (task.reason) lines.push(task.reason);
+    if (task.reason) lines.push(texts.reason(task.reason));
     const before = waitsFor(tasks, task);
     if (before.length > 0) lines.push(texts("tasks.after", {tasks: before.join(", ")}));
     if (task.robot) lines.push(texts("tasks.robot", {robot: task.robot}));
     if (typeof task.deviation_mm === "number") {
       lines.push(texts("tasks.deviation", {mm: task.deviation_mm.toFixed(1), deg: (task.deviation_deg ?? 0).toFixed(2)}));
     }
-    if (task.question) lines.push(texts("tasks.question", {question: task.question, answers: (task.answers ?? []).join(", ")}));
+    if (task.question) lines.push(texts("tasks.question", {question: texts.reason(task.question), answers: (task.answers ?? []).join(", ")}));
     for (const text of lines) add(detail, "p", {text});
     if (isAskable(tasks, task)) {
       button(detail, texts("tasks.ask"), () => onAsk(taskRequest(task.id)), {className: "plan-ask", disabled: !canAsk()});

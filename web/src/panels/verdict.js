@@ -30,17 +30,17 @@ export function checksOf(plan, texts) {
     ["hash", plan.hash.slice(0, 12)],
   ];
   const {clearance, use} = plan;
-  if (clearance !== null && clearance !== undefined) {
+  if (clearance !== null) {
     const values = {
-      distance: clearance.distance === null ? "" : (1000 * clearance.distance).toFixed(0), between: (clearance.between ?? []).join(" - "),
-      time: Number(clearance.time).toFixed(1),
+      distance: clearance.distance === null ? "" : (1000 * clearance.distance).toFixed(0), between: clearance.between.join(" - "),
+      time: clearance.time.toFixed(1),
     };
     rows.splice(1, 0, ["clearance", texts(clearance.distance === null ? "verdict.clear" : "verdict.closest", values)]);
   } else {
     rows.splice(1, 0, ["clearance", texts("verdict.not_measured")]);
   }
   for (const kind of ["jerk", "acceleration", "velocity"]) {
-    const values = use?.[kind] ?? [];
+    const values = use[kind];
     if (values.length === 0) continue;
     const most = Math.max(...values);
     const joint = plan.joints[values.indexOf(most)];
@@ -127,7 +127,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
 
   const showPlan = (plan) => {
     const {clearance} = plan;
-    const known = clearance !== null && clearance !== undefined && clearance.distance !== null;
+    const known = clearance !== null && clearance.distance !== null;
     const values = {seconds: plan.duration.toFixed(1), distance: known ? (1000 * clearance.distance).toFixed(0) : ""};
     setText(short, texts(known ? "verdict.short" : "verdict.short_unmeasured", values));
     clear(table);

@@ -216,7 +216,7 @@ export function makeCell(name, overlay, store, redraw) {
     if (path !== null) dispose(path);
     path = null;
     // nothing is shown of a plan that is not what its hash says
-    if (plan !== null && plan.refused === "" && Array.isArray(plan.tool_path)) {
+    if (plan !== null && plan.refused === "") {
       path = pathLine(plan.tool_path, plan.segments ?? []);
       scene.add(path);
     }
@@ -225,7 +225,7 @@ export function makeCell(name, overlay, store, redraw) {
 
   function showGoal() {
     const {goal, plan} = robot() ?? {goal: null, plan: null};
-    const planned = plan !== null && plan.refused === "" && Array.isArray(plan.goal);
+    const planned = plan !== null && plan.refused === "";
     const shown = goal ?? (planned ? {names: plan.joints, positions: plan.goal} : null);
     if (bodies !== null) {
       bodies.goal.visible = shown !== null;

@@ -21,6 +21,8 @@ from rich.table import Table
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused
 from construction_twin.core.files import check_writable
+from construction_twin.link.goal_request import GoalRequest
+from construction_twin.link.remote_review import ReviewRequest
 from construction_twin.msg import Execution, Link, Plan, Sync, ToolState, WorkTask, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.tool import read_tool
@@ -31,7 +33,7 @@ from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import read_parameters
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.transport.subscriber import Subscriber
-from construction_twin.srv import WorkDecide, WorkPlanTask, WorkPlanTaskResponse
+from construction_twin.srv import WorkDecide
 from construction_twin.work.build_report import HEADS, Decision, TaskResult, rows, write_report
 from construction_twin.work.task_board import removed_command
 
@@ -163,15 +165,15 @@ class Builder:
         if len(times.plans) >= _MOST_PLANS:
             raise ConstructionTwinError(f"{title}: {self._row(task).name} is not done after {_MOST_PLANS} plans")
         asked = time.monotonic()
-        rospy.wait_for_service("work/plan", self._settings.timeout)
-        answer: WorkPlanTaskResponse = rospy.ServiceProxy("work/plan", WorkPlanTask)(task)
-        if not answer.success:
-            raise ConstructionTwinError(f"{title}: {self._row(task).name} cannot be planned: {answer.message}")
-        times.planning, plan_id = time.monotonic() - asked, answer.plan_id
+        try:
+            plan = self._client.plan(GoalRequest("work_task", task=task)).fields
+        except RequestRefused as error:
+            raise ConstructionTwinError(f"{title}: {self._row(task).name} cannot be planned: {error}") from error
+        times.planning, plan_id, plan_hash = time.monotonic() - asked, str(plan["plan_id"]), str(plan["plan_hash"])
         times.plans.append(plan_id)
-        self._approve(answer)
+        self._approve(plan_id, plan_hash)
         times.people.append(PERSON)
-        self._decided(f"approved plan {plan_id} of {self._row(task).name}, hash {answer.plan_hash[:12]}")
+        self._decided(f"approved plan {plan_id} of {self._row(task).name}, hash {plan_hash[:12]}")
         began = time.monotonic()
         held = self._held
         patience = self._settings.timeout + _SLOWER * self._duration(plan_id)
@@ -183,19 +185,21 @@ class Builder:
             self._say(f"{title}: {self._execution.outcome}: {self._execution.reason}")
         self._wait(lambda: self._row(task).state not in _UNDER_WAY, f"the ledger to know what became of {task}")
 
-    def _approve(self, answer: WorkPlanTaskResponse) -> None:
+    def _approve(self, plan_id: str, plan_hash: str) -> None:
         """Approve a plan; repeated while it, which travels on a topic of its own, has not reached the executor."""
+
+        verdict = ReviewRequest(plan_id, plan_hash, "approved", PERSON, "nobody is near a mock arm")
 
         def approved() -> bool:
             try:
-                self._client.review(answer.plan_id, answer.plan_hash, True, PERSON, "nobody is near a mock arm")
+                self._client.review(verdict)
             except RequestRefused as error:
                 if "is not under review" in str(error) or "waits" in str(error):
                     return False
                 raise
             return True
 
-        self._wait(approved, f"plan {answer.plan_id} to be approved")
+        self._wait(approved, f"plan {plan_id} to be approved")
 
     def _answer(self, row: WorkTask) -> None:
         """Answer as a person would who looks at the mock's gripper."""
@@ -228,10 +232,8 @@ class Builder:
             self._wait(lambda: self._tasks.schedule == "accepted", "the schedule to be accepted")
 
     def _decide(self, task: str, decision: str, answer: str = "") -> None:
-        rospy.wait_for_service("work/decide", self._settings.timeout)
-        taken = rospy.ServiceProxy("work/decide", WorkDecide)(task, decision, answer, PERSON, "a mock arm")
-        if not taken.success:
-            raise ConstructionTwinError(taken.message)
+        fields = {"task": task, "decision": decision, "answer": answer, "person": PERSON, "reason": "a mock arm"}
+        self._client.ask("work/decide", WorkDecide, **fields)
 
     def _decided(self, what: str) -> None:
         self._decisions.append(Decision(time.time(), PERSON, what))

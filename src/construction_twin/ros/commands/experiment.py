@@ -28,7 +28,7 @@ from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.node import ending_on_signals
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
-from construction_twin.ros.shared.roslaunch_above import roslaunch_above, say_below
+from construction_twin.ros.shared.roslaunch_parent import print_after, roslaunch_parent
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import PlanToJoints
 
@@ -260,8 +260,8 @@ def main() -> int:
     except (ConstructionTwinError, rospy.ROSException, rospy.ServiceException, OSError) as error:
         print(f"experiment: {error}", file=sys.stderr, flush=True)
         # the node is required: what roslaunch says of everything that it ends now would stand below the reason
-        above = roslaunch_above()
-        say_below(f"experiment: {error}", above[0] if above else None)
+        above = roslaunch_parent()
+        print_after(f"experiment: {error}", above[0] if above else None)
         return 1
     render_tables(report.summary, console)
     print_files(console, report.files)

@@ -1,4 +1,4 @@
-"""The nodes' own YAML files in config/, checked as the nodes will read them, before any of them starts."""
+"""The nodes of a robot, and their own YAML files in config/, checked as the nodes will read them, before any of them starts."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import yaml
 
 from construction_twin.controller.makes import DEFAULT
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import read_text
 from construction_twin.ros.nodes import (
@@ -39,6 +40,14 @@ from construction_twin.views.preflight import NONE, is_bare, is_true
 Given = Mapping[str, str]
 Values = dict[str, Any]
 
+#: Nodes of one robot, in its namespace: a second one of a name would end the first.
+ROBOT_NODES = (
+    "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mqtt_review", "mqtt_planner", "mock_rsi", "planner", "scene",
+    "neighbour", "follow_joint_trajectory", "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation", "work",
+    "joint_velocities", "joint_state_publisher",
+    "robot_state_publisher", "physical_state_publisher", "preview_state_publisher", "rsi_gateway",
+    "plc",
+)  # fmt: skip
 #: What the launch files give beside the files, where any value will do.
 _BROKER = {"host": "127.0.0.1", "port": 18830}
 _MARKER = {"self_collision": "", "tf_prefix": "", "reviewer": "operator"}
@@ -190,8 +199,12 @@ def node_files_problem(given: Given, robot: RobotModel, folder: Path) -> str:
     strange = next((name for name in changes if name not in ("scenario", *nodes)), None)
     if strange is not None:
         near = difflib.get_close_matches(str(strange), nodes, n=1)
-        meant = f"; did you mean {near[0]}?" if near else ""
-        return f"scenario:={given['scenario']}: {strange}: expected `scenario`, or the name of a node that it changes{meant}"
+        values = {"path": given["scenario"], "name": str(strange)}
+        return (
+            Sentence("preflight.scenario_near", near=near[0], **values)
+            if near
+            else Sentence("preflight.scenario", **values)
+        )
     for file in NODE_FILES:
         if not file.loaded(given):
             continue

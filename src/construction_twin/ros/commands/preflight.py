@@ -25,6 +25,7 @@ from construction_twin.controller.port import Make
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import check_writable
 from construction_twin.core.network import port_is_free, reaches_itself
+from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.trace import room as trace_room
 from construction_twin.mqtt.account import load_account
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
@@ -32,6 +33,7 @@ from construction_twin.robot.tool import read_tool
 from construction_twin.robot.urdf import expand_xacro, xacro_arguments
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
 from construction_twin.ros.commands.node_files import (
+    ROBOT_NODES,
     controller_settings,
     node_files_problem,
     read_mapping,
@@ -41,7 +43,7 @@ from construction_twin.ros.messages.joint_goals import control_messages
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.master import running
 from construction_twin.ros.shared.params import ros_home, settings_of
-from construction_twin.ros.shared.roslaunch_above import command_lines, roslaunch_above, say_below
+from construction_twin.ros.shared.roslaunch_parent import command_lines, print_after, roslaunch_parent
 from construction_twin.ros.shared.start_claim import claim
 from construction_twin.scenario.definition import read_scenario
 from construction_twin.scene.cell import load_cell
@@ -53,14 +55,6 @@ from construction_twin.views.roslaunch_call import RoslaunchCall, argument_probl
 from construction_twin.work.extras import check_extras
 from construction_twin.work.site import read_site
 
-#: Nodes of one robot, in its namespace: a second one of a name would end the first.
-ROBOT_NODES = (
-    "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mqtt_review", "mqtt_planner", "mock_rsi", "planner", "scene",
-    "neighbour", "follow_joint_trajectory", "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation", "work",
-    "joint_velocities", "joint_state_publisher",
-    "robot_state_publisher", "physical_state_publisher", "preview_state_publisher", "rsi_gateway",
-    "plc",
-)  # fmt: skip
 #: What parses launch files without the master that ROS_MASTER_URI names.
 _WITHOUT_MASTER = ("rostest", "roslaunch-check")
 
@@ -125,7 +119,7 @@ def _check_work(given: Given, robot: RobotModel) -> None:
         return
     check_extras()
     if not readable(given["work_model"]):
-        raise ConfigurationError("its path", given["work_model"], "the absolute path of a file that can be read")
+        raise ConfigurationError("its path", given["work_model"], Sentence("preflight.expected.file"))
     cell = given.get("work_cell", "")
     if not readable(cell):
         raise ConfigurationError("work_cell", cell, "the absolute path of a cell file")
@@ -249,10 +243,10 @@ def make_problem(given: Given) -> str:
     """Return a sentence about a make of controller that is not known, or a cycle that it has not; empty when there is none."""
     name, cycle = given.get("controller_make", DEFAULT), given.get("rsi_cycle")
     if name not in MODULES:
-        return f"controller_make:={name}: expected {' or '.join(MODULES)}"
+        return Sentence("preflight.wrong", name="controller_make", value=name, expected=" or ".join(MODULES))
     cycles = [str(known) for known in _make(given).cycles]
     if cycle is not None and cycle not in cycles:
-        return f"rsi_cycle:={cycle}: expected {' or '.join(cycles)}"
+        return Sentence("preflight.wrong", name="rsi_cycle", value=cycle, expected=" or ".join(cycles))
     return ""
 
 
@@ -267,7 +261,8 @@ def contents_problem(given: Given) -> str:
     try:
         robot = _read_robot(given)
     except ConstructionTwinError as error:
-        return f"robot_config:={given['robot_config']} with robot_xacro:={given['robot_xacro']}: {error}"
+        files = {"config": given["robot_config"], "xacro": given["robot_xacro"]}
+        return Sentence("preflight.robot", problem=error.sentence, **files)
     for name, check in CONTENTS:
         if name not in given:
             continue
@@ -297,17 +292,15 @@ def running_problem(given: Given, uri: str) -> str:
     robot = given.get("robot", "")
     nodes = running([f"/{robot}/{name}" for name in ROBOT_NODES], uri) if robot else []
     if nodes:
-        others = f" and {len(nodes) - 1} more nodes" if len(nodes) > 1 else ""
-        return (
-            f"robot:={robot}: it runs already on {uri}: {nodes[0]}{others}; a second start would end them one by one. End that "
-            f"launch first, or give this robot a name of its own, e.g. robot:={robot}_2"
-        )
+        first, more = nodes[0], len(nodes) - 1
+        names = Sentence("preflight.nodes", node=str(first), count=more) if more else str(first)
+        return Sentence("preflight.running", robot=robot, uri=uri, nodes=names)
     consoles = running(["/console"], uri) if is_true(given, "console") else []
     if consoles:
-        return f"console:=true: a console runs already on {uri}; use that one, and give console:=false console_files:=true here"
+        return Sentence("preflight.console_runs", uri=uri)
     windows = running(["/view"], uri) if is_true(given, "gui") else []
     if windows:
-        return f"gui:=true: rviz runs already on {uri}: {windows[0]}; a second one would end it. Use view.launch, or leave it out"
+        return Sentence("preflight.rviz_runs", uri=uri, window=str(windows[0]))
     return ""
 
 
@@ -321,19 +314,16 @@ def address_problem(environ: Mapping[str, str]) -> str:
         return ""
     variable = next((name for name in ("ROS_HOSTNAME", "ROS_IP") if name in environ), "")
     if variable and not environ[variable]:
-        return f"{variable} is set and empty: give it an address of this machine, or unset it"
+        return Sentence("preflight.variable_empty", variable=variable)
     own = environ[variable] if variable else rosgraph.network.get_host_name()
     why = reaches_itself(own, ADDRESS_TIME)
     if why and variable:
-        return f"{variable}={own}: {why}; give it an address of this machine, or unset it"
+        return Sentence("preflight.variable", variable=variable, own=own, why=why)
     if why:
-        return (
-            f"this machine's name {own!r}: {why}; write it into /etc/hosts beside 127.0.1.1, or set ROS_IP to an address of this "
-            "machine"
-        )
+        return Sentence("preflight.machine", own=repr(own), why=why)
     master = urllib.parse.urlsplit(rosgraph.get_master_uri()).hostname or ""
     why = reaches_itself(master, ADDRESS_TIME) if master == "localhost" else ""
-    return f"localhost: {why}; write the line `127.0.0.1 localhost` into /etc/hosts" if why else ""
+    return Sentence("preflight.localhost", why=why) if why else ""
 
 
 def claim_problem(given: Given, uri: str, pid: int) -> str:
@@ -343,12 +333,7 @@ def claim_problem(given: Given, uri: str, pid: int) -> str:
     """
     robot = given.get("robot", "")
     other = claim(robot, uri, pid) if robot else ""
-    if not other:
-        return ""
-    return (
-        f"robot:={robot}: {other}; a second start would end its nodes one by one. End that launch first, or give this robot a name "
-        f"of its own, e.g. robot:={robot}_2"
-    )
+    return Sentence("preflight.claimed", robot=robot, other=other) if other else ""
 
 
 def port_problem(given: Given) -> str:
@@ -360,22 +345,13 @@ def port_problem(given: Given) -> str:
         listeners = _listeners(given.get("broker_config", ""))
     for number in listeners:
         if not port_is_free(socket.SOCK_STREAM, number):
-            return (
-                f"broker_config:={given['broker_config']}: TCP port {number} of its listener is taken, probably by another MQTT "
-                "broker; end that one, or use it with broker:=false"
-            )
+            return Sentence("preflight.port.listener", path=given["broker_config"], port=number)
     page_port, page_host = given.get("console_port", ""), given.get("console_listen", "127.0.0.1")
     if is_true(given, "console") and page_port and not port_is_free(socket.SOCK_STREAM, int(page_port), page_host):
-        return (
-            f"console_port:={page_port}: TCP port {page_port} on {page_host} is taken, or {page_host} is no address here; "
-            f"give a free one, e.g. console_port:={int(page_port) + 10}"
-        )
+        return Sentence("preflight.port.console", port=page_port, host=page_host, other=int(page_port) + 10)
     listens = is_true(given, "broker") and not listeners
     if listens and port and not port_is_free(socket.SOCK_STREAM, int(port)):
-        return (
-            f"broker_port:={port}: TCP port {port} on 127.0.0.1 is taken, probably by another MQTT broker; use it with "
-            f"broker:=false, or give a free one, e.g. broker_port:={int(port) + 10}"
-        )
+        return Sentence("preflight.port.broker", port=port, other=int(port) + 10)
     # once it has started, roslaunch starts it again whenever it ends: what can never work is refused here
     if is_true(given, "broker") and given.get("broker_config"):
         cause = trial(given["broker_config"], int(port or DEFAULT_PORT))
@@ -387,10 +363,7 @@ def port_problem(given: Given) -> str:
     number = int(port) or _port_of_controller(given)
     host = given.get("rsi_listen", "127.0.0.1")
     if not port_is_free(socket.SOCK_DGRAM, number, host):
-        return (
-            f"rsi_port:={port}: UDP port {number} on {host} is taken, or {host} is no address of this machine; probably another "
-            f"rsi_gateway or KUKA's TestServer runs: end it, or give rsi_listen and a free rsi_port, e.g. rsi_port:={number + 10}"
-        )
+        return Sentence("preflight.port.rsi", port=port, number=number, host=host, other=number + 10)
     return ""
 
 
@@ -457,7 +430,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     for_roslaunch = "--for-roslaunch" in words
-    above = roslaunch_above() if for_roslaunch else None
+    above = roslaunch_parent() if for_roslaunch else None
     pid, call = above if above is not None else (None, None)
     given = dict(word.split(":=", 1) for word in words if ":=" in word)
     uri = _master(call)
@@ -466,7 +439,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sentence = claim_problem(given, uri, pid)
     if sentence:
         print(f"preflight: {sentence}", file=sys.stderr, flush=True)
-        say_below(f"preflight: {sentence}", pid)
+        print_after(f"preflight: {sentence}", pid)
         if for_roslaunch:
             print("refused")
         return 0 if for_roslaunch else 1

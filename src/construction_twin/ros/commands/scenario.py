@@ -34,7 +34,7 @@ from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.node import ending_on_signals
 from construction_twin.ros.shared.params import robot_from_parameters, settings_of
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
-from construction_twin.ros.shared.roslaunch_above import roslaunch_above, say_below
+from construction_twin.ros.shared.roslaunch_parent import print_after, roslaunch_parent
 from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario, read_scenario
@@ -361,8 +361,8 @@ def main() -> int:
             verdict = run_scenario(_checked(given), content, console)
     except (ConstructionTwinError, rospy.ROSException, OSError) as error:
         print(f"scenario: {error}", file=sys.stderr, flush=True)
-        above = roslaunch_above()
-        say_below(f"scenario: {error}", above[0] if above else None)
+        above = roslaunch_parent()
+        print_after(f"scenario: {error}", above[0] if above else None)
         return 1
     print_verdict(verdict, console)
     console.print(f"Written: {Path(given['results_dir']).expanduser() / given['name'] / VERDICT}", soft_wrap=True)

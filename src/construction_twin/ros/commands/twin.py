@@ -11,18 +11,24 @@ import os
 import sys
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused, SilenceError
+from construction_twin.core.sentences import Sentence
+from construction_twin.link.goal_request import GoalRequest
+from construction_twin.link.remote_review import ReviewRequest
 from construction_twin.msg import Execution
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import BY_ACTION, Plan
+from construction_twin.ros.messages.plan_services import pose_fields
 from construction_twin.ros.shared.master import TO_DO, await_master, expect_publisher, publishing_nodes
 from construction_twin.ros.shared.operator_client import OperatorClient
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.shared.robot_listener import RobotListener
-from construction_twin.views.arguments import Exit, check, parser, split_lists
+from construction_twin.views.arguments import TRIGGERS, Exit, check, parser, split_lists
 from construction_twin.views.goals import joint_goal, pose_goal
 from construction_twin.views.texts import caller_line, plan_lines, status_lines
 
@@ -47,40 +53,33 @@ class Command:
     def run(self) -> Exit:
         """Do it; see `OperatorClient` for what is raised."""
         name = self._options.command
-        if name in ("stop", "pause", "resume", "reset"):
-            print(self._client.trigger(name))
-            return Exit.DONE
+        if name in TRIGGERS:
+            return _print(self._client.trigger(name))
         return getattr(self, f"_{name}")()
 
     def _plan(self) -> Exit:
-        options, client = self._options, self._client
-        scale, duration = options.speed or 0.0, options.duration or 0.0
+        options = self._options
+        goal: dict[str, Any]
         if options.csv is not None:
-            print(client.plan_from_csv(str(Path(options.csv).absolute()), scale, options.columns))
+            kind, goal = "csv", {"path": str(Path(options.csv).absolute()), "columns": options.columns}
         elif options.joints is not None:
-            print(client.plan_to_joints(joint_goal(options.joints, self._robot()), duration, scale))
-        elif options.line:
-            print(
-                client.plan_line(
-                    pose_goal(options.pose, options.frame), options.frame, (options.tool_speed or 0.0) / 1e3, scale
-                )
-            )
+            kind, goal = "joints", {"joints": joint_goal(options.joints, self._robot())}
         else:
-            print(
-                client.plan_to_pose(
-                    pose_goal(options.pose, options.frame), options.frame, options.configuration, duration, scale
-                )
-            )
-        return Exit.DONE
+            kind, goal = "line" if options.line else "pose", pose_fields(pose_goal(options.pose, options.frame))
+            speed = (options.tool_speed or 0.0) / 1e3
+            goal |= {"frame": options.frame, "configuration": options.configuration, "speed": speed}
+        return self._plan_to(kind, **goal)
 
     def _home(self) -> Exit:
+        return self._plan_to("joints", joints=self._robot().home)
+
+    def _plan_to(self, kind: str, **goal: Any) -> Exit:
         options = self._options
-        print(self._client.plan_to_joints(self._robot().home, options.duration or 0.0, options.speed or 0.0))
-        return Exit.DONE
+        asked = GoalRequest(kind, duration=options.duration or 0.0, speed_scale=options.speed or 0.0, **goal)
+        return _print(self._client.plan(asked))
 
     def _back(self) -> Exit:
-        print(self._client.trigger("plan_way_back"))
-        return Exit.DONE
+        return _print(self._client.plan(GoalRequest("way_back")))
 
     def _show(self) -> Exit:
         listener = self._listener()
@@ -93,7 +92,7 @@ class Command:
         listener.wait(lambda: listener.newest("plan") is not None, min(LATCHED, options.timeout))
         newest = listener.newest("plan")
         if newest is None:
-            raise RequestRefused("no plan was made since the planner started; plan one, then export it")
+            raise RequestRefused(Sentence("view.refused.no_plan_made"))
         plan = listener.plan(newest.id)
         if plan is None:
             raise RequestRefused(listener.refused)
@@ -106,14 +105,13 @@ class Command:
         return Exit.DONE
 
     def _preview(self) -> Exit:
-        print(self._client.preview(self._options.speed))
-        return Exit.DONE
+        return _print(self._client.preview(self._options.speed))
 
     def _work(self) -> Exit:
         """Do one step of the work from a building model; approving is as for every plan, once the plan is that of a task."""
         from construction_twin.ros.commands.twin_work import WorkCommand
 
-        work = WorkCommand(self._options, self._namespace, account_name())
+        work = WorkCommand(self._options, self._namespace, account_name(), self._client)
         if self._options.step != "approve":
             return work.run()
         return self._approve(work.plan_under_review())
@@ -124,23 +122,19 @@ class Command:
         listener = self._listener()
         plan = self._under_review(listener)
         if expected and plan.id != expected:
-            raise RequestRefused(
-                f"plan {plan.id} is under review, not {expected} of the task; see `twin show`, `twin work list`"
-            )
+            raise RequestRefused(Sentence("view.refused.not_of_task", plan=plan.id, expected=expected))
         self._print_plan(plan, listener)
         if not options.yes and not _confirmed():
             print("not approved; the plan still waits", file=sys.stderr)
             return Exit.NOT_CONFIRMED
-        print(self._verdict(plan, True))
+        self._review(plan, "approved")
         return self._wait(listener, plan) if options.wait else Exit.DONE
 
     def _reject(self) -> Exit:
-        print(self._verdict(self._under_review(self._listener()), False))
-        return Exit.DONE
+        return self._review(self._under_review(self._listener()), "rejected")
 
     def _arm(self) -> Exit:
-        print(self._client.arm(self._options.responsible))
-        return Exit.DONE
+        return _print(self._client.arm(self._options.responsible))
 
     def _status(self) -> Exit:
         listener = self._listener()
@@ -148,7 +142,9 @@ class Command:
         self._await_latched(listener)
         snapshot = listener.snapshot()
         if snapshot.link is snapshot.sync is snapshot.execution is None:
-            raise SilenceError(self._namespace, "no node reports", "start bringup, or give another --robot")
+            raise SilenceError(
+                self._namespace, Sentence("view.silent.no_reports"), Sentence("view.to_do.bringup_or_robot")
+            )
         print("\n".join(status_lines(snapshot)))
         if not self._options.ready:
             return Exit.DONE
@@ -181,15 +177,15 @@ class Command:
         expect_publisher(f"{self._namespace}/execution")
         if not listener.wait(lambda: listener.newest("execution") is not None, self._options.timeout):
             topic = f"{self._namespace}/execution"
-            raise SilenceError(topic, "the executor does not report", "start bringup, or see why the node is down")
+            raise SilenceError(topic, Sentence("view.silent.executor"), Sentence("view.to_do.bringup_or_down"))
         listener.wait(lambda: listener.publishers("plan") > 0, self._options.timeout)
         self._await_latched(listener)
         plan = listener.under_review()
         if plan is None:
-            raise RequestRefused(listener.refused or "no plan waits for approval; plan one, then review it")
+            raise RequestRefused(listener.refused or Sentence("view.refused.no_plan"))
         wanted = getattr(self._options, "plan_id", "")
         if not plan.id.startswith(wanted):
-            raise RequestRefused(f"plan {wanted} is not under review; {plan.id} is")
+            raise RequestRefused(Sentence("view.refused.other_plan", wanted=wanted, plan=plan.id))
         return plan
 
     def _await_latched(self, listener: RobotListener) -> None:
@@ -226,9 +222,9 @@ class Command:
         caller = listener.newest("plan_caller")
         return caller_line(caller.client, caller.connected)
 
-    def _verdict(self, plan: Plan, approve: bool) -> str:
+    def _review(self, plan: Plan, verdict: str) -> Exit:
         reviewer = self._options.reviewer or account_name()
-        return self._client.review(plan.id, plan.hash, approve, reviewer, self._options.reason)
+        return _print(self._client.review(ReviewRequest(plan.id, plan.hash, verdict, reviewer, self._options.reason)))
 
     def _wait(self, listener: RobotListener, plan: Plan) -> Exit:
         """Wait for the motion's end, print it, and return its exit code."""
@@ -257,8 +253,8 @@ def connect(options: argparse.Namespace) -> None:
     if not rospy.has_param(f"{namespace}/robot/name"):
         suffix = "/robot/name"
         names = sorted(name.removesuffix(suffix) for name in rospy.get_param_names() if name.endswith(suffix))
-        known = f"known here: {', '.join(names)}; give --robot" if names else TO_DO
-        raise SilenceError(namespace, "there is no robot of this name", known)
+        known = Sentence("view.to_do.robots", robots=", ".join(names)) if names else TO_DO
+        raise SilenceError(namespace, Sentence("view.silent.no_robot"), known)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -288,6 +284,11 @@ def main(arguments: list[str] | None = None) -> int:
 def _report(error: ConstructionTwinError, code: Exit) -> Exit:
     print(f"twin: {error}", file=sys.stderr)
     return code
+
+
+def _print(outcome: Outcome) -> Exit:
+    print(outcome.message)
+    return Exit.DONE
 
 
 def account_name() -> str:

@@ -10,6 +10,7 @@ import rospy
 
 from construction_twin.core.errors import SilenceError
 from construction_twin.core.motion_errors import NeighbourUnknownError
+from construction_twin.core.sentences import Sentence
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import parse_urdf
@@ -94,4 +95,4 @@ class SceneCommand:
         try:
             return scene_from_msg(rospy.wait_for_message(topic, SceneMsg, self._options.timeout))
         except rospy.ROSException as error:
-            raise SilenceError(topic, "the scene node does not publish", "see why it is down") from error
+            raise SilenceError(topic, Sentence("view.silent.scene"), Sentence("view.to_do.down")) from error

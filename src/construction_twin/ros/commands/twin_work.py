@@ -9,11 +9,14 @@ from geometry_msgs.msg import PoseStamped
 
 from construction_twin.core.errors import RequestRefused, SilenceError
 from construction_twin.core.reports import WorkReport
+from construction_twin.core.sentences import Sentence
+from construction_twin.link.goal_request import GoalRequest
 from construction_twin.msg import WorkTasks
+from construction_twin.ros.messages.convert import pose_to_msg
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.master import expect_publisher
-from construction_twin.ros.shared.operator_client import pose_to_msg
-from construction_twin.srv import WorkDecide, WorkMeasured, WorkPlanTask
+from construction_twin.ros.shared.operator_client import OperatorClient
+from construction_twin.srv import WorkDecide, WorkMeasured
 from construction_twin.views.arguments import Exit
 from construction_twin.views.goals import pose_goal
 from construction_twin.views.work_texts import chosen, list_lines, note_lines, show_lines
@@ -29,8 +32,8 @@ class WorkCommand:
         account: The user's name, for the record.
     """
 
-    def __init__(self, options: argparse.Namespace, namespace: str, account: str):
-        self._options, self._namespace, self._account = options, namespace, account
+    def __init__(self, options: argparse.Namespace, namespace: str, account: str, client: OperatorClient):
+        self._options, self._namespace, self._account, self._client = options, namespace, account, client
 
     def run(self) -> Exit:
         """Do it.
@@ -51,7 +54,7 @@ class WorkCommand:
         work = self._work()
         found = next((task.plan_id for task in work.tasks if task.state == "planned" and task.plan_id), "")
         if not found:
-            raise RequestRefused(f"no plan of a task is under review: {work.reason}; `twin work next` has one planned")
+            raise RequestRefused(Sentence("view.refused.no_task_plan", reason=work.reason))
         return found
 
     def _list(self) -> None:
@@ -59,7 +62,7 @@ class WorkCommand:
 
     def _next(self) -> None:
         task = chosen(self._work().tasks, self._options.task).id if self._options.task else ""
-        print(self._call("work/plan", WorkPlanTask, task=task).message)
+        print(self._client.plan(GoalRequest("work_task", task=task)).message)
 
     def _show(self) -> None:
         work = self._work()
@@ -75,7 +78,7 @@ class WorkCommand:
         answer = options.answer if step == "answer" else ""
         person = options.person or self._account
         fields = {"task": task, "decision": _DECISIONS[step], "answer": answer, "person": person}
-        print(self._call("work/decide", WorkDecide, reason=options.reason, **fields).message)
+        print(self._client.ask("work/decide", WorkDecide, reason=options.reason, **fields).message)
 
     def _measured(self) -> None:
         options = self._options
@@ -83,7 +86,7 @@ class WorkCommand:
         pose.header.frame_id = options.frame
         person = options.person or self._account
         request = {"element": options.element, "pose": pose, "person": person, "reason": options.reason}
-        print(self._call("work/measured", WorkMeasured, **request).message)
+        print(self._client.ask("work/measured", WorkMeasured, **request).message)
 
     def _work(self) -> WorkReport:
         """Return the newest report of the work node."""
@@ -92,17 +95,6 @@ class WorkCommand:
         try:
             message = rospy.wait_for_message(topic, WorkTasks, self._options.timeout)
         except rospy.ROSException as error:
-            to_do = "start bringup with work_model and work_cell, or see why the node is down"
-            raise SilenceError(topic, "the work node does not report", to_do) from error
+            to_do = Sentence("view.to_do.work")
+            raise SilenceError(topic, Sentence("view.silent.work"), to_do) from error
         return from_msg(WorkReport, message)
-
-    def _call(self, name: str, kind: type, **request):
-        service = f"{self._namespace}/{name}"
-        try:
-            rospy.wait_for_service(service, self._options.timeout)
-            answer = rospy.ServiceProxy(service, kind)(**request)
-        except (rospy.ROSException, rospy.ServiceException) as error:
-            raise SilenceError(service, f"no answer ({error})", "see why the node work is down") from error
-        if not answer.success:
-            raise RequestRefused(answer.message)
-        return answer

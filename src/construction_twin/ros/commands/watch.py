@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.live import Live
 
 from construction_twin.core.errors import SilenceError
+from construction_twin.core.sentences import Sentence
 from construction_twin.ros.shared.robot_listener import RobotListener
 from construction_twin.views.dashboard import render
 
@@ -28,7 +29,8 @@ def watch(listener: RobotListener, rate: float, once: bool, timeout: float) -> N
         SilenceError: If no robot reports.
     """
     if not listener.wait(lambda: listener.newest("sync") or listener.newest("link"), timeout):
-        raise SilenceError("sync and link", f"no report (waited {timeout:g} s)", "start bringup, or give --robot")
+        nothing = Sentence("view.silent.nothing", seconds=timeout)
+        raise SilenceError("sync and link", nothing, Sentence("view.to_do.give_robot"))
     console = Console(highlight=False)
     listener.snapshot()  # begins to count
     if once:

@@ -14,12 +14,7 @@ if TYPE_CHECKING:
     from construction_twin.ros.messages.convert import plan_to_msg as plan_to_msg
     from construction_twin.ros.messages.convert import pose_from_msg as pose_from_msg
     from construction_twin.ros.messages.convert import pose_from_transform_msg as pose_from_transform_msg
-    from construction_twin.ros.messages.convert import segment_from_msg as segment_from_msg
     from construction_twin.ros.messages.convert import segment_to_msg as segment_to_msg
-    from construction_twin.ros.messages.convert import signal_from_msg as signal_from_msg
-    from construction_twin.ros.messages.convert import signal_to_msg as signal_to_msg
-    from construction_twin.ros.messages.convert import switch_from_msg as switch_from_msg
-    from construction_twin.ros.messages.convert import switch_to_msg as switch_to_msg
     from construction_twin.ros.messages.convert import trajectory_from_msg as trajectory_from_msg
     from construction_twin.ros.messages.convert import trajectory_to_msg as trajectory_to_msg
     from construction_twin.ros.messages.joint_goals import trajectory_goal as trajectory_goal

@@ -10,11 +10,12 @@ from collections.abc import Sequence
 
 import genpy
 import numpy as np
-from geometry_msgs.msg import Point, Transform
+from geometry_msgs.msg import Point, Quaternion, Transform
 from geometry_msgs.msg import Pose as PoseMsg
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.motion_errors import TrajectoryError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Plan as PlanMsg
@@ -22,10 +23,12 @@ from construction_twin.msg import Segment as SegmentMsg
 from construction_twin.msg import Signal as SignalMsg
 from construction_twin.msg import ToolSwitch
 from construction_twin.msg import WorkSegment as WorkSegmentMsg
-from construction_twin.robot.frames import quaternion_to_rotation
+from construction_twin.planning.work_segment import WorkSegment
+from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_quaternion
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.segments import Segment, Signal, Switch
 from construction_twin.robot.trajectory import Trajectory
+from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.scene_convert import object_from_msg, object_to_msg
 from construction_twin.scene.scene_change import SceneChange
 
@@ -115,36 +118,52 @@ def plan_from_msg(msg: PlanMsg) -> Plan:
         trajectory=trajectory_from_msg(msg.trajectory),
         report=_report_from_msg(msg),
         task=msg.task,
-        segments=tuple(map(segment_from_msg, msg.segments)),
+        segments=tuple(from_msg(Segment, segment) for segment in msg.segments),
     )
 
 
 def segment_to_msg(segment: Segment, change: SceneChange = SceneChange()) -> SegmentMsg:
-    """Return the message; `change` is what makes of its scene the one after it."""
-    return SegmentMsg(
+    """Return the message; `change` is what makes of its scene the one after it.
+
+    Back, `records.from_msg` gives the segment and `change_from_msg` the change.
+    """
+    msg = to_msg(segment, SegmentMsg)
+    _add_change(msg, change)
+    return msg
+
+
+def work_segment_to_msg(segment: WorkSegment) -> WorkSegmentMsg:
+    """Return the message."""
+    msg = WorkSegmentMsg(
         name=segment.name,
-        end=segment.end,
+        trajectory=trajectory_to_msg(segment.trajectory),
         engaged=segment.engaged,
-        requires=list(map(signal_to_msg, segment.requires)),
-        switches=list(map(switch_to_msg, segment.switches)),
-        scene=segment.scene,
-        scene_after=segment.scene_after,
-        put=list(map(object_to_msg, change.put)),
-        remove=list(change.remove),
+        requires=[to_msg(signal, SignalMsg) for signal in segment.requires],
+        switches=[to_msg(switch, ToolSwitch) for switch in segment.switches],
+    )
+    _add_change(msg, segment.change)
+    return msg
+
+
+def work_segment_from_msg(msg: WorkSegmentMsg) -> WorkSegment:
+    """Return the segment.
+
+    Raises:
+        TrajectoryError: If it is not a trajectory with velocities and accelerations.
+        SceneError: If an object does not describe one.
+    """
+    return WorkSegment(
+        msg.name,
+        trajectory_from_msg(msg.trajectory),
+        msg.engaged,
+        tuple(from_msg(Signal, signal) for signal in msg.requires),
+        tuple(from_msg(Switch, switch) for switch in msg.switches),
+        change_from_msg(msg),
     )
 
 
-def segment_from_msg(msg: SegmentMsg) -> Segment:
-    """Return the segment, without its change of the scene (`change_from_msg`)."""
-    return Segment(
-        name=msg.name,
-        end=msg.end,
-        engaged=msg.engaged,
-        requires=tuple(map(signal_from_msg, msg.requires)),
-        switches=tuple(map(switch_from_msg, msg.switches)),
-        scene=msg.scene,
-        scene_after=msg.scene_after,
-    )
+def _add_change(msg: SegmentMsg | WorkSegmentMsg, change: SceneChange) -> None:
+    msg.put, msg.remove = list(map(object_to_msg, change.put)), list(change.remove)
 
 
 def change_from_msg(msg: SegmentMsg | WorkSegmentMsg) -> SceneChange:
@@ -156,34 +175,13 @@ def change_from_msg(msg: SegmentMsg | WorkSegmentMsg) -> SceneChange:
     return SceneChange(tuple(map(object_from_msg, msg.put)), tuple(msg.remove))
 
 
-def switch_to_msg(switch: Switch) -> ToolSwitch:
-    """Return the message."""
-    confirm = list(map(signal_to_msg, switch.confirm))
-    return ToolSwitch(output=switch.output, value=switch.value, confirm=confirm, timeout=switch.timeout)
-
-
-def switch_from_msg(msg: ToolSwitch) -> Switch:
-    """Return the switch."""
-    return Switch(msg.output, msg.value, tuple(map(signal_from_msg, msg.confirm)), msg.timeout)
-
-
-def signal_to_msg(signal: Signal) -> SignalMsg:
-    """Return the message."""
-    return SignalMsg(name=signal.name, value=signal.value)
-
-
-def signal_from_msg(msg: SignalMsg) -> Signal:
-    """Return the signal."""
-    return Signal(msg.name, msg.value)
-
-
 def _report_from_msg(msg: PlanMsg) -> PlanReport:
     point = msg.clearance_point
     measured = (msg.clearance_time, point.x, point.y, point.z, *msg.velocity_use, *msg.acceleration_use, *msg.jerk_use)
     # an infinite clearance is valid: there is nothing to touch
     if math.isnan(msg.clearance) or not all(map(math.isfinite, measured)):
-        found = f"clearance {msg.clearance} at {msg.clearance_time} s, limit usage {[*measured[4:]]}"
-        raise TrajectoryError(f"plan {msg.id} was measured as {found}; expected numbers")
+        found = {"clearance": msg.clearance, "time": msg.clearance_time, "usage": str([*measured[4:]])}
+        raise TrajectoryError(Sentence("motion.trajectory.measured", plan=msg.id, **found))
     return PlanReport(
         Clearance(msg.clearance, tuple(msg.clearance_between), (point.x, point.y, point.z), msg.clearance_time),
         LimitUsage(tuple(msg.velocity_use), tuple(msg.acceleration_use), tuple(msg.jerk_use)),
@@ -198,6 +196,11 @@ def pose_from_msg(msg: PoseMsg) -> Pose:
         KinematicsError: If the orientation is not a unit quaternion within 1e-3.
     """
     return Pose(_vector(msg.position), quaternion_to_rotation(_quaternion(msg.orientation)))
+
+
+def pose_to_msg(pose: Pose) -> PoseMsg:
+    """Return the message of a pose."""
+    return PoseMsg(Point(*map(float, pose.position)), Quaternion(*rotation_to_quaternion(pose.rotation).tolist()))
 
 
 def pose_from_transform_msg(msg: Transform) -> Pose:

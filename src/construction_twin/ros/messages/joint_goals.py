@@ -15,6 +15,7 @@ import genpy
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import ConfigurationError, GoalError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.joint_tolerances import AskedTolerance, Tolerances, check_joint_names
 from construction_twin.execution.tracking import Motion, Sample
@@ -81,7 +82,7 @@ def trajectory_goal(goal, goal_id: str, client: str, robot: RobotModel, defaults
     check_joint_names(robot, goal.trajectory.joint_names)
     seconds = goal.goal_time_tolerance.to_nsec() / NANOSECONDS
     if not 0.0 <= seconds <= LONGEST:
-        raise GoalError(f"goal_time_tolerance is {seconds:g} s; expected 0 (the default) to {LONGEST:g}")
+        raise GoalError(Sentence("reason.goal.time_tolerance", seconds=seconds, longest=LONGEST))
     return TrajectoryGoal(
         goal_id,
         client,

@@ -10,21 +10,17 @@ from trajectory_msgs.msg import JointTrajectory
 
 from construction_twin.core.files import read_file
 from construction_twin.core.motion_errors import PlanningError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoint_file import parse_waypoints
 from construction_twin.planning.waypoints import Waypoints, from_points
-from construction_twin.planning.work_plan import AskedSegment, in_segment
+from construction_twin.planning.work_plan import in_segment
+from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.messages.convert import (
-    change_from_msg,
-    pose_from_msg,
-    signal_from_msg,
-    switch_from_msg,
-    trajectory_from_msg,
-)
+from construction_twin.ros.messages.convert import pose_from_msg, work_segment_from_msg
 from construction_twin.scene.objects import product
 
 #: Largest CSV file [bytes]: 20000 waypoints with velocities, 15 columns of 20 characters, are 6 MiB.
@@ -59,9 +55,7 @@ def check_asked(asked: PlanRequest, now: int) -> None:
     """
     if asked.created_ns > now:
         late = (asked.created_ns - now) / NANOSECONDS
-        raise PlanningError(
-            f"the request says that it was asked for {late:.3f} s from now, expected before; set the clocks of both alike"
-        )
+        raise PlanningError(Sentence("motion.asked.future", late=late))
 
 
 def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint]:
@@ -81,27 +75,18 @@ def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint
     return path
 
 
-def asked_segments(segments: Iterable) -> list[AskedSegment]:
+def work_segments(messages: Iterable) -> list[WorkSegment]:
     """Return the segments of a work plan that is asked for.
 
     Raises:
         SegmentError: If one is not a trajectory with velocities and accelerations, or its objects do not make sense; names the
             segment.
     """
-    asked = []
-    for number, msg in enumerate(segments):
+    segments = []
+    for number, msg in enumerate(messages):
         with in_segment(number, msg.name):
-            asked.append(
-                AskedSegment(
-                    msg.name,
-                    trajectory_from_msg(msg.trajectory),
-                    msg.engaged,
-                    tuple(map(signal_from_msg, msg.requires)),
-                    tuple(map(switch_from_msg, msg.switches)),
-                    change_from_msg(msg),
-                )
-            )
-    return asked
+            segments.append(work_segment_from_msg(msg))
+    return segments
 
 
 def read_waypoints(path: str, robot: RobotModel, columns: str = "") -> Waypoints:
@@ -112,16 +97,16 @@ def read_waypoints(path: str, robot: RobotModel, columns: str = "") -> Waypoints
         PlanningError: If the file cannot be read.
     """
     if not Path(path).is_absolute():
-        raise PlanningError(f"the file is {path!r}; expected an absolute path on the planner's machine")
+        raise PlanningError(Sentence("motion.file.relative", path=repr(path)))
     try:
         text = read_file(path, _LARGEST_FILE).decode("utf-8")
     except OSError as error:
-        message = f"{path} cannot be read: {error.strerror}; expected a CSV file on the planner's machine"
-        raise PlanningError(message) from error
+        found = Sentence("motion.file.unreadable", path=str(path), problem=str(error.strerror))
+        raise PlanningError(found) from error
     except UnicodeDecodeError as error:
-        raise PlanningError(f"{path} cannot be read: it is not text in UTF-8; save it as CSV") from error
+        raise PlanningError(Sentence("motion.file.no_text", path=str(path))) from error
     except ValueError as error:  # a null character in the path
-        raise PlanningError(f"{path!r} cannot be read: {error}") from error
+        raise PlanningError(Sentence("motion.file.bad_path", path=repr(path), problem=str(error))) from error
     return parse_waypoints(text, robot, columns)
 
 

@@ -6,11 +6,13 @@ import genpy
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.engagement import Engagement
 from construction_twin.msg import Engagement as EngagementMsg
-from construction_twin.msg import ToolCommand, ToolState
-from construction_twin.ros.messages.convert import signal_to_msg, trajectory_to_msg
+from construction_twin.msg import Signal, ToolCommand, ToolState
+from construction_twin.ros.messages.convert import trajectory_to_msg
+from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.transport.joint_stream import to_time
 
 
@@ -28,11 +30,13 @@ def tool_report_from_msg(msg: ToolState) -> ToolReport:
     )
     for what, names, values in together:
         if len(names) != len(values):
-            raise PayloadError("tool", f"{len(names)} {what} have {len(values)} values; expected as many")
+            raise PayloadError(
+                "tool", Sentence("reason.refused.tool_lengths", names=len(names), what=what, values=len(values))
+            )
     try:
         states = [SwitchState(state) for state in msg.switch_states]
     except ValueError as error:
-        raise PayloadError("tool", f"{error}; expected the state of a switch as in ToolState.msg") from error
+        raise PayloadError("tool", Sentence("reason.refused.switch_state", problem=str(error))) from error
     return ToolReport(
         known=msg.known,
         tool=msg.tool,
@@ -83,6 +87,6 @@ def engagement_to_msg(engagement: Engagement | None, tool: ToolReport) -> Engage
         reason=engagement.reason,
         trajectory=trajectory_to_msg(engagement.path.trajectory),
         end=engagement.path.end,
-        requires=[signal_to_msg(signal) for signal in requires],
+        requires=[to_msg(signal, Signal) for signal in requires],
         scenes=list(engagement.scenes_of(requires)),
     )

@@ -18,7 +18,6 @@ import pydantic
 import rospy
 from std_srvs.srv import Trigger
 
-from construction_twin.core.beside import Beside
 from construction_twin.core.errors import (
     ConstructionTwinError,
     ExecutionError,
@@ -30,6 +29,7 @@ from construction_twin.core.errors import (
 from construction_twin.core.freshness import LIFETIME, Moment, is_newer, parse_moment, staleness
 from construction_twin.core.reports import ExecutionReport, ToolReport
 from construction_twin.core.sentences import Sentence
+from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
@@ -109,7 +109,7 @@ PAUSE = 0.0005
 #: States in which an act of a person is under way.
 BRAKING = (ExecutorState.STOPPING, ExecutorState.PAUSING)
 
-Told = TypeVar("Told")
+_Result = TypeVar("_Result")
 
 
 class Settings(NodeSettings):
@@ -134,8 +134,8 @@ class Settings(NodeSettings):
         return names
 
 
-class Said(NamedTuple):
-    """What is reported of the executor in one message: made in every cycle, so that a change is noticed."""
+class ExecutionFields(NamedTuple):
+    """Fields of Execution.msg, which is published when one changes; they are read in every cycle."""
 
     state: ExecutorState
     reason: str
@@ -161,11 +161,21 @@ class Outputs:
     engagement: Sink
 
 
-class Snapshot(NamedTuple):
-    """The executor in one cycle, as far as there is something to tell; `told` is what is worth a line in the log."""
+class LoggedState(NamedTuple):
+    """What of the executor is worth a line in the log when it changes."""
 
-    said: Said
-    told: tuple
+    state: ExecutorState
+    cause: str
+    standing: bool
+    plan_start: int
+    outcome: str
+
+
+class Snapshot(NamedTuple):
+    """The executor in one cycle, as far as there is something to report."""
+
+    fields: ExecutionFields
+    logged: LoggedState
     plan: PlanContent | None
     rate: float
     limit: float
@@ -174,7 +184,7 @@ class Snapshot(NamedTuple):
     stamp: int
 
 
-def _tell(_what: str, part: Callable[..., Told], *arguments: object) -> Told:
+def _do(_what: str, part: Callable[..., _Result], *arguments: object) -> _Result:
     """Call a part whose failure ends the node, as everywhere else."""
     return part(*arguments)
 
@@ -206,13 +216,13 @@ class ExecutorNode:
         self._log = log
         self._outputs = outputs
         self._engagements = engagements
-        self._told_engagement: tuple | None = None
+        self._reported_engagement: tuple | None = None
         self._record_problem = ""
         self._engagement_problem = ""
-        self._said = DeferredLog()
-        self._beside = executor.beside
+        self._log_queue = DeferredLog()
+        self._side_effects = executor.side_effects
         # safety acts, and how many of them were told of: until then, and while the arm brakes, what tells cannot end this node
-        self._acts = self._acts_told = 0
+        self._acts = self._acts_reported = 0
         # of the newest pause or stop that was answered; a screen that has not seen it resumes nothing
         self._rested: Moment | None = None
         # by the wall clock, and by the one that nobody sets [ns]
@@ -223,8 +233,8 @@ class ExecutorNode:
         self._without_person = without_person
         self._session: str | None = None
         self._sync_at = 0
-        self._reported: Said | None = None
-        self._told: tuple = ()
+        self._reported: ExecutionFields | None = None
+        self._logged: LoggedState | None = None
         self._diagnostics = diagnostics
         found = engagements.read()
         if found is not None:
@@ -232,9 +242,9 @@ class ExecutorNode:
             rospy.logwarn("%s", executor.engaged())
 
     @property
-    def beside(self) -> Beside:
+    def side_effects(self) -> SideEffects:
         """What tells of a stop, a pause or a rejection, and cannot fail it."""
-        return self._beside
+        return self._side_effects
 
     def run(self) -> None:
         """Publish one setpoint per cycle until shutdown."""
@@ -263,7 +273,7 @@ class ExecutorNode:
         try:
             state = SyncState(message.state)
         except ValueError:
-            self._diagnostics.refuse("sync", f"sync state {message.state} is unknown; expected one of Sync.msg")
+            self._diagnostics.refuse("sync", Sentence("reason.refused.sync_state", state=message.state))
             return
         with self._lock:
             self._sync_at = time.monotonic_ns()
@@ -389,7 +399,7 @@ class ExecutorNode:
             self._publish_verdict(taken.verdict)
         else:
             # what was answered is on record, also where the node ends before its next cycle
-            self._beside.do("the record", self._log.defer, taken.verdict)
+            self._side_effects.run("the record", self._log.defer, taken.verdict)
         return Outcome(True, taken.sentence)
 
     def on_stop(self, _request) -> Outcome:
@@ -398,10 +408,10 @@ class ExecutorNode:
             self._note_act()
             sentence = self._executor.stop(self._asked_until())
             self._note_rest()
-            braking = self._beside.do("the forecast of a stop", self._executor.braking)
+            braking = self._side_effects.run("the forecast of a stop", self._executor.braking)
         # it brakes already; the forecast takes some cycles' time, and must not hold up a setpoint
         if braking is not None:
-            forecast = self._beside.do("the forecast of a stop", self._forecast, braking)
+            forecast = self._side_effects.run("the forecast of a stop", self._forecast, braking)
             forecast = forecast or Sentence("executor.stop.no_forecast")
             sentence = Sentence("executor.both", first=sentence, second=forecast)
         self._say(rospy.logwarn, "stop: %s", sentence)
@@ -412,7 +422,7 @@ class ExecutorNode:
 
     def on_stop_plan(self, request: StopPlanRequest) -> Outcome:
         """Brake one plan on its path; what waits is left alone."""
-        caller = self._beside.do("the name of a caller", caller_of, request)
+        caller = self._side_effects.run("the name of a caller", caller_of, request)
 
         def stop() -> str:
             with self._lock:
@@ -440,7 +450,7 @@ class ExecutorNode:
         elif isinstance(error, ExpiredError):
             self._diagnostics.refuse("too_old", str(error))
         else:
-            self._beside.do("the count of refusals", self._diagnostics.count, request, str(error))
+            self._side_effects.run("the count of refusals", self._diagnostics.count, request, str(error))
             self._say(rospy.logwarn, "%s refused: %s", request, error)
         return Outcome(False, str(error), isinstance(error, ExpiredError))
 
@@ -449,11 +459,11 @@ class ExecutorNode:
 
     def _note_rest(self) -> None:
         # where the moment cannot be read, no screen can show a later one
-        self._rested = self._beside.do("the moment of an act", present) or Moment("", 0)
+        self._rested = self._side_effects.run("the moment of an act", present) or Moment("", 0)
 
     def _say(self, write: Callable[..., None], *words) -> None:
         """Have a line written after the answer."""
-        self._beside.do("the log", self._said.add, write, *words)
+        self._side_effects.run("the log", self._log_queue.add, write, *words)
 
     def on_release(self, request: ReleaseEngagementRequest) -> Outcome:
         """Take a person's word that the arm was freed; recorded before it counts."""
@@ -533,8 +543,8 @@ class ExecutorNode:
         """
         self.write_records()
         # where a stop leaves the arm is written down here
-        told = self._acts == self._acts_told
-        (_tell if told else self._beside.do)("the engagement", self.keep_engagement)
+        reported = self._acts == self._acts_reported
+        (_do if reported else self._side_effects.run)("the engagement", self.keep_engagement)
         with self._lock:
             self._readings.note(now_ns(), time.monotonic_ns())
             self._executor.queue.scene_alive = scene_alive
@@ -551,9 +561,9 @@ class ExecutorNode:
     def write_records(self) -> None:
         """Write what is kept to log and record; not for the path of the setpoints."""
         # the lines of a stop are among these
-        self._beside.do("the log", self._said.flush)
-        self._beside.tell(rospy.logerr)
-        self._beside.do("the record", self._flush_record)
+        self._side_effects.run("the log", self._log_queue.flush)
+        self._side_effects.write(rospy.logerr)
+        self._side_effects.run("the record", self._flush_record)
 
     def _flush_record(self) -> None:
         try:
@@ -580,9 +590,9 @@ class ExecutorNode:
                 keeper.on_written(present)
         self._engagement_problem = ""
         left = present if engaged else None
-        told = left, left.requires(tool) if left is not None else ()
-        if told != self._told_engagement:
-            self._told_engagement = told
+        report = left, left.requires(tool) if left is not None else ()
+        if report != self._reported_engagement:
+            self._reported_engagement = report
             message = engagement_to_msg(left, tool)
             message.header.stamp = rospy.Time.now()
             self._outputs.engagement.publish(message)
@@ -591,7 +601,9 @@ class ExecutorNode:
 
     def _publish_verdict(self, verdict: Verdict) -> None:
         reason = f": {verdict.reason}" if verdict.reason else ""
-        self._said.add(rospy.loginfo, "plan %s %s by %s%s", verdict.plan_id, verdict.verdict, verdict.reviewer, reason)
+        self._log_queue.add(
+            rospy.loginfo, "plan %s %s by %s%s", verdict.plan_id, verdict.verdict, verdict.reviewer, reason
+        )
         message = Review(
             plan_id=verdict.plan_id,
             plan_hash=verdict.plan_hash,
@@ -610,31 +622,31 @@ class ExecutorNode:
         executor = self._executor
         with self._lock:
             acts, brakes = self._acts, executor.state in BRAKING
-            tell = _tell if acts == self._acts_told else self._beside.do
+            run = _do if acts == self._acts_reported else self._side_effects.run
             events, orders = executor.take_events(), executor.take_orders()
-            now = tell("the executor's state", self._snapshot)
+            now = run("the executor's state", self._snapshot)
         for order in orders:
             command = order_to_msg(order)
             command.header.stamp = rospy.Time.now()
             self._outputs.tool_command.publish(command)
-        if now is not None and now.said != self._reported:
-            self._reported = now.said
-            tell("the topic execution", self._publish_execution, now)
+        if now is not None and now.fields != self._reported:
+            self._reported = now.fields
+            run("the topic execution", self._publish_execution, now)
         for event in events:
             if not (isinstance(event, Verdict) and event.verdict == REJECTED):
                 # a person's rejection was kept for the record when it was carried out
-                tell("the record", self._log.defer, event)
+                run("the record", self._log.defer, event)
             if isinstance(event, Verdict):
-                tell("the topic review", self._publish_verdict, event)
+                run("the topic review", self._publish_verdict, event)
         if now is not None:
-            tell("the log", self._note_changes, now)
+            run("the log", self._note_changes, now)
         if not brakes:
-            self._acts_told = acts
+            self._acts_reported = acts
 
     def _snapshot(self) -> Snapshot:
-        """Return what there is to be told; to be called under the lock."""
+        """Return what there is to report; to be called under the lock."""
         executor, limit, work = self._executor, self._limit, self._executor.segment_run
-        said = Said(
+        fields = ExecutionFields(
             executor.state,
             executor.reason,
             executor.plan_start,
@@ -646,22 +658,23 @@ class ExecutorNode:
             work.expected_scene if work is not None and executor.state in ACTIVE else "",
             executor.engagement.engaged,
         )
-        told = executor.state, executor.cause, executor.limit.standing, executor.plan_start, executor.outcome
+        standing = executor.limit.standing
+        logged = LoggedState(executor.state, executor.cause, standing, executor.plan_start, executor.outcome)
         # with the state: a stop that comes after this stamp is not known to the report
         stamp = now_ns()
-        return Snapshot(said, told, executor.plan, executor.rate, limit.limit, limit.state, limit.reason, stamp)
+        return Snapshot(fields, logged, executor.plan, executor.rate, limit.limit, limit.state, limit.reason, stamp)
 
     def _note_changes(self, now: Snapshot) -> None:
         if now.limit_state is not self._limit_state:
             self._limit_state = now.limit_state
             warns = now.limit_state in (LimitState.SILENT, LimitState.MISSING)
-            self._said.add(rospy.logwarn if warns else rospy.loginfo, "%s", now.limit_reason)
-        if now.told != self._told:
-            self._told = now.told
-            self._said.add(rospy.loginfo, "%s: %s", now.said.state.name, now.said.reason)
+            self._log_queue.add(rospy.logwarn if warns else rospy.loginfo, "%s", now.limit_reason)
+        if now.logged != self._logged:
+            self._logged = now.logged
+            self._log_queue.add(rospy.loginfo, "%s: %s", now.fields.state.name, now.fields.reason)
 
     def _publish_execution(self, now: Snapshot) -> None:
-        report = execution_report(now.said, now.plan, now.rate, now.limit, now.stamp)
+        report = execution_report(now.fields, now.plan, now.rate, now.limit, now.stamp)
         self._outputs.execution.publish(to_msg(report, Execution))
 
     def report(self) -> Report:
@@ -675,51 +688,42 @@ class ExecutorNode:
             "records": log.state.lines,
             "records lost": log.lost,
             "SHA-256 of the last record": log.state.head,
-        } | self._beside.report()
+        } | self._side_effects.report()
         if problem := self._record_problem or self._engagement_problem:
             return Report(ERROR, problem, values)
         with self._lock:
             engaged = executor.engaged() if executor.engagement.engaged else ""
         if engaged:
             return Report(WARN, engaged, values)
-        if failed := self._beside.sentence:
+        if failed := self._side_effects.sentence:
             return Report(WARN, failed, values)
         slow = self._limit.state in (LimitState.SILENT, LimitState.MISSING)
         level = WARN if slow or executor.state in (ExecutorState.WAITING, ExecutorState.HELD) else OK
         return Report(level, f"{executor.state.name}: {executor.reason}", values)
 
 
-#: In the order of `Outputs`.
-PUBLISHES = (
-    PosePublication("next/joint_states"),
-    Publication("execution", Execution, queue_size=10, latch=True),
-    Publication("review", Review, queue_size=10, latch=True),
-    # not latched: a bridge that is started again must not take a switch that was meant for another moment
-    Publication("tool_command", ToolCommand, queue_size=50, tcp_nodelay=True),
-    Publication("engagement", Engagement, queue_size=5, latch=True),
-)
-
-
-def execution_report(said: Said, plan: PlanContent | None, rate: float, limit: float, stamp: int) -> ExecutionReport:
-    """Return the report of what is said at the moment `stamp` [ns]."""
+def execution_report(
+    fields: ExecutionFields, plan: PlanContent | None, rate: float, limit: float, stamp: int
+) -> ExecutionReport:
+    """Return the report at the moment `stamp` [ns]."""
     report = ExecutionReport(
-        state=said.state.value,
-        text=said.state.name,
-        reason=said.reason,
-        outcome=said.outcome,
+        state=fields.state.value,
+        text=fields.state.name,
+        reason=fields.reason,
+        outcome=fields.outcome,
         rate=rate,
         speed_limit=limit,
-        segment=said.segment,
-        at_boundary=said.at_boundary,
-        wants_scene=bool(said.expected_scene),
-        expected_scene=said.expected_scene,
-        engaged=said.engaged,
+        segment=fields.segment,
+        at_boundary=fields.at_boundary,
+        wants_scene=bool(fields.expected_scene),
+        expected_scene=fields.expected_scene,
+        engaged=fields.engaged,
         stamp=stamp,
     )
     if plan is None:
         return report
-    name = plan.segments[said.segment].name if said.segment >= 0 else ""
-    start, duration = said.plan_start, plan.trajectory.duration
+    name = plan.segments[fields.segment].name if fields.segment >= 0 else ""
+    start, duration = fields.plan_start, plan.trajectory.duration
     return replace(report, plan_id=plan.id, plan_start=start, duration=duration, segment_name=name)
 
 
@@ -737,7 +741,13 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> ExecutorNode:
         executor,
         SpeedLimit(settings.speed_limit_deadline, settings.speed_limit_silent, settings.speed_limit_required),
         log,
-        Outputs(*(ports.publishers[each.topic] for each in PUBLISHES)),
+        Outputs(
+            next=ports.publishers["next/joint_states"],
+            execution=ports.publishers["execution"],
+            review=ports.publishers["review"],
+            tool_command=ports.publishers["tool_command"],
+            engagement=ports.publishers["engagement"],
+        ),
         EngagementFile(log.path.with_name(f"{log.path.stem}_engagement.json"), robot.joint_names),
         ports.diagnostics,
         WithoutPerson(settings.auto_approve, settings.auto_approve_sources),
@@ -754,7 +764,14 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> ExecutorNode:
 
 INTERFACE = Interface(
     report=ExecutorNode.report,
-    publishes=PUBLISHES,
+    publishes=(
+        PosePublication("next/joint_states"),
+        Publication("execution", Execution, queue_size=10, latch=True),
+        Publication("review", Review, queue_size=10, latch=True),
+        # not latched: a bridge that is started again must not take a switch that was meant for another moment
+        Publication("tool_command", ToolCommand, queue_size=50, tcp_nodelay=True),
+        Publication("engagement", Engagement, queue_size=5, latch=True),
+    ),
     hears=(
         PoseSubscription("twin/joint_states", ExecutorNode.on_twin, queue_size=1, pause=TWIN_PAUSE),
         Subscription("sync", Sync, ExecutorNode.on_sync, queue_size=50, tcp_nodelay=True),

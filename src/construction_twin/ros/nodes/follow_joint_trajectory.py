@@ -19,6 +19,7 @@ import rospy
 from actionlib import ServerGoalHandle
 
 from construction_twin.core.errors import GoalError, GoalJointsError
+from construction_twin.core.sentences import Sentence
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.goal_states import GoalState
 from construction_twin.execution.joint_tolerances import Tolerances
@@ -262,7 +263,7 @@ class FollowJointTrajectoryNode:
 
     def _take_execution(self, message: Execution) -> None:
         if message.state not in ExecutorState._value2member_map_:
-            sentence = f"execution state {message.state} is unknown; expected one of Execution.msg"
+            sentence = Sentence("reason.refused.execution_state", state=message.state)
             self._diagnostics.refuse("execution", sentence)
             return
         state, start, now = ExecutorState(message.state), from_time(message.plan_start), time.monotonic_ns()

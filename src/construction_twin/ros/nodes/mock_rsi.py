@@ -16,6 +16,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger, TriggerRequest
 
 from construction_twin.core.errors import ConfigurationError, RequestRefused
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import to_wire
 from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.network import MockRsi
@@ -197,7 +198,7 @@ class MockRsiNode:
         try:
             done = self._mock.request(action)
         except TimeoutError as error:
-            raise RequestRefused("the controller's loop did not answer within 1 s") from error
+            raise RequestRefused(Sentence("view.refused.mock_silent")) from error
         rospy.loginfo(done)
         return done
 

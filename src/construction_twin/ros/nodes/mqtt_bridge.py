@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import http.client
-import json
 import threading
 import time
 import uuid
@@ -18,9 +17,11 @@ import rospy
 from diagnostic_msgs.msg import KeyValue
 from std_srvs.srv import SetBool, Trigger
 
-from construction_twin.core.beside import Beside
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import ToolReport
+from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
@@ -34,6 +35,7 @@ from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
     PLC,
     PROTOCOL,
+    BridgeStatus,
     CommandProperties,
     Control,
     StateProperties,
@@ -72,11 +74,6 @@ from construction_twin.srv import TakeResponsibility
 POLL = 0.02
 #: So long a failed request waits for the gateway's word that nothing of it is in force [s].
 WITHDRAWAL = 1.0
-#: What `halt` answers with a bare PLC, which takes no control message.
-HALTED_PLC = (
-    "no more strings are sent to the PLC, and the plan is dropped: a PLC that is lawful brakes on silence; a person arms "
-    "again, by name"
-)
 #: Parameter in the robot's namespace: whether the arm leads. A node that is started again goes on with it.
 MIRROR_MODE = "mirror_mode"
 #: The same: why a person is waited for, a sentence; empty: nobody is. The launch file clears it.
@@ -167,8 +164,8 @@ class MqttBridge:
         self._broker = broker
         self._client = client
         # what tells of a halt, and cannot fail it
-        self._beside, self._said = Beside(), DeferredLog()
-        self._connection = report_of(broker, self._said)
+        self._side_effects, self._log_queue = SideEffects(), DeferredLog()
+        self._connection = report_of(broker, self._log_queue)
         # why only a person leads on, for the bridge after this one
         self._waits = waits
         self._memory = StopMemory(waits, remember, WAITS)
@@ -199,9 +196,8 @@ class MqttBridge:
         while not rospy.is_shutdown():
             self.poll()
             time.sleep(POLL)
-        self._client.publish(
-            self._topics.bridge_status, json.dumps({"state": "offline", "reason": "bridge stopped"}), 1, True
-        )
+        ended = dumped(BridgeStatus("offline", "bridge stopped"), marks=SPACED)
+        self._client.publish(self._topics.bridge_status, ended, 1, True)
         self._client.disconnect()
         self._client.loop_stop()
 
@@ -232,8 +228,8 @@ class MqttBridge:
 
     def write_log(self) -> None:
         """Write what is to be said, and what has failed: not for the poll, which waits for no disk and no terminal."""
-        self._beside.do("the log", self._said.flush)
-        self._beside.tell(rospy.logerr)
+        self._side_effects.run("the log", self._log_queue.flush)
+        self._side_effects.write(rospy.logerr)
 
     # -- ROS to MQTT
 
@@ -256,7 +252,7 @@ class MqttBridge:
     def _send_control(self, control: Control) -> None:
         # the log may wait for a disk or for rosout; what is to stop the arm does not
         self._publish_control(control)
-        self._said.add(rospy.loginfo, "%s, session %s", control.verb, control.session)
+        self._log_queue.add(rospy.loginfo, "%s, session %s", control.verb, control.session)
 
     def on_speed_limit(self, message: SpeedLimit) -> None:
         """Take a speed limit; it is sent with the next poll."""
@@ -268,9 +264,9 @@ class MqttBridge:
             self._diagnostics.refuse(error.reason, str(error))
 
     def on_tool_command(self, message: ToolCommand) -> None:
-        """Take a switch, or the wish that none of those that are armed fires."""
+        """Take a switch, or the request that none of those that are armed fires."""
         if message.verb not in (ToolCommand.ARM, ToolCommand.VOID):
-            self._diagnostics.refuse("tool_command", f"tool_command with verb {message.verb}; expected ARM or VOID")
+            self._diagnostics.refuse("tool_command", Sentence("link.tool.verb", verb=message.verb))
             return
         with self._lock:
             supervisor, control = self._supervisor, None
@@ -279,16 +275,17 @@ class MqttBridge:
                 control = self._tool.void(session) if supervisor.sends_control else None
             else:
                 armed = supervisor.state is LinkState.ARMED and supervisor.sends_control
-                obstacle = "" if armed else f"the link is {supervisor.state.name}: {supervisor.reason}"
+                obstacle = "" if armed else self._link_sentence
                 if armed and (not message.plan_id or message.plan_id != self._played):
-                    obstacle = f"switch of plan {message.plan_id!r}, but the executor plays {self._played!r}"
+                    plans = {"plan": repr(message.plan_id), "present": repr(self._played)}
+                    obstacle = Sentence("link.tool.other_plan", **plans)
                 stamp = message.stamp.to_nsec()
                 control = self._tool.switch(message.id, message.output, bool(message.value), stamp, session, obstacle)
         if control is not None:
             self._publish_control(control)
         self._publish_tool()
         told = "void" if message.verb == ToolCommand.VOID else f"{message.id} {message.output}"
-        self._said.add(rospy.loginfo, "tool: %s", told)
+        self._log_queue.add(rospy.loginfo, "tool: %s", told)
 
     def on_execution(self, message: Execution) -> None:
         """Take which plan is played: only its switches are armed."""
@@ -303,7 +300,7 @@ class MqttBridge:
             control = self._tool.on_gate(message.state == Sync.IN_SYNC, session) if supervisor.sends_control else None
         if control is not None:
             self._publish_control(control)
-            self._said.add(rospy.loginfo, "tool: void, the monitor's gate is closed")
+            self._log_queue.add(rospy.loginfo, "tool: void, the monitor's gate is closed")
 
     def _publish_tool(self) -> None:
         """Tell what is known of the tool, when it has changed."""
@@ -320,11 +317,15 @@ class MqttBridge:
     def _tool_obstacle(self) -> str:
         """Return why the gateway's last word on the tool is not one on the present; "" when it is."""
         if not self._supervisor.sends_control:
-            return "a bare PLC has no tool here: no switch is possible"
+            return Sentence("link.tool.plc")
         state = self._supervisor.state
         if state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.MISMATCH):
-            return f"the link is {state.name}: {self._supervisor.reason}"
+            return self._link_sentence
         return ""
+
+    @property
+    def _link_sentence(self) -> Sentence:
+        return Sentence("link.is_in", state=self._supervisor.state.name, reason=self._supervisor.reason)
 
     def _publish_control(self, control: Control) -> bool:
         self._client.publish(self._topics.control, control.to_json(), qos=1)
@@ -358,7 +359,7 @@ class MqttBridge:
         received, now = now_ns(), time.monotonic_ns()
         try:
             if retained:
-                raise PayloadError("retained", "retained state: its age is unknown")
+                raise PayloadError("retained", Sentence("link.payload.retained_state"))
             q = self._codec.decode(payload)
             # where the link carries properties, a pose without them is not the gateway's
             properties = self._read_beside(pairs) if pairs or self._properties else None
@@ -409,9 +410,8 @@ class MqttBridge:
             self._diagnostics.refuse(error.reason, str(error))
             return
         if answer.get("verb") == "speed_limit" and not answer.get("ok"):
-            self._diagnostics.refuse(
-                "speed_limit", f"gateway refused the speed limit: {str(answer.get('reason'))[:200]}"
-            )
+            reason = str(answer.get("reason"))[:200]
+            self._diagnostics.refuse("speed_limit", Sentence("link.speed_limit_refused", reason=reason))
         with self._lock:
             self._supervisor.on_answer(answer, time.monotonic_ns())
             self._tool.on_answer(answer)
@@ -447,7 +447,7 @@ class MqttBridge:
             request(time.monotonic_ns())
             number = self._supervisor.requests
         armed, sentence = self._wait_for_request(number, halts, before)
-        return Outcome(armed, f"armed, {sentence}" if armed else sentence)
+        return Outcome(armed, Sentence("link.armed", reason=sentence) if armed else sentence)
 
     def _wait_for_request(self, number: int, halts: int, before: str) -> tuple[bool, str]:
         """Wait as `_wait_for_arming` for the session that a person asked for; what fails is withdrawn, also at the gateway."""
@@ -480,15 +480,16 @@ class MqttBridge:
                 if supervisor.state is LinkState.ARMED and is_asked_for() and not supervisor.inputs.fault:
                     return True, supervisor.reason
                 if supervisor.halts != halts:
-                    return False, f"not armed: halt was called meanwhile: {supervisor.state.name}, {supervisor.reason}"
+                    return False, Sentence("link.not_armed.halted", why=supervisor.sentence)
                 if supervisor.state is LinkState.NEEDS_RESET and is_asked_for():
-                    sentence = f"not armed: NEEDS_RESET, {supervisor.reason}"
+                    sentence = Sentence("link.not_armed.ended", why=supervisor.sentence)
                     give_up(sentence)
                     return False, sentence
                 if late:
-                    reason, refused = supervisor.reason, supervisor.inputs.why_no_pose(time.monotonic_ns())
-                    because = f"{reason}; {refused}" if refused and refused not in reason else reason
-                    sentence = f"not armed within {timeout:g} s: {supervisor.state.name}, {because}"
+                    why, refused = supervisor.sentence, supervisor.inputs.why_no_pose(time.monotonic_ns())
+                    if refused and refused not in why:
+                        why = Sentence("executor.both", first=why, second=refused)
+                    sentence = Sentence("link.not_armed.late", timeout=timeout, why=why)
                     give_up(sentence)
                     return False, sentence
             time.sleep(POLL)
@@ -499,32 +500,27 @@ class MqttBridge:
             session, mirrored = self._supervisor.session, self._supervisor.mirrors
             tells = self._supervisor.sends_control
             # the link is not armed from here on: the executor drops its plan, no command is sent, and the gateway brakes on silence
-            self._supervisor.halt("stopped at the gateway on request; call reset" if tells else HALTED_PLC)
-        sent = tells and self._beside.do("the stop for the gateway", self._send_stop, session)
+            self._supervisor.halt(Sentence("link.halt.asked" if tells else "link.halt.plc"))
+        sent = tells and self._side_effects.run("the stop for the gateway", self._send_stop, session)
         if mirrored:
             # in a thread of its own: a master that hangs must not hold up the answer
-            remember = partial(self._beside.do, "what outlasts this node", self._remember_mirror)
+            remember = partial(self._side_effects.run, "what outlasts this node", self._remember_mirror)
             threading.Thread(target=remember, daemon=True).start()
         if not tells:
-            return Outcome(True, HALTED_PLC)
+            return Outcome(True, Sentence("link.halt.plc"))
         if not sent:
-            return Outcome(
-                False,
-                "the stop could not be sent to the gateway, which brakes by itself, because no more commands come; the cause is on "
-                "/diagnostics; call reset to go on",
-            )
+            return Outcome(False, Sentence("link.halt.unsent"))
         if not self._client.is_connected():
-            return Outcome(
-                False,
-                "no connection to the broker: the gateway brakes by itself, because no more commands come; call reset to go on",
-            )
-        return Outcome(True, "stop sent to the gateway, plan dropped; call reset to go on")
+            return Outcome(False, Sentence("link.halt.no_broker"))
+        return Outcome(True, Sentence("link.halt.sent"))
 
     def _send_stop(self, session: str) -> bool:
         control = Control(uuid.uuid4().hex, session, "stop")
         sent = self._publish_control(control)
         # after the answer: it waits for a disk, or for rosout
-        self._beside.do("the log", self._said.add, rospy.loginfo, "%s, session %s", control.verb, control.session)
+        self._side_effects.run(
+            "the log", self._log_queue.add, rospy.loginfo, "%s, session %s", control.verb, control.session
+        )
         return sent
 
     def on_mirror(self, request) -> str:
@@ -534,36 +530,40 @@ class MqttBridge:
             before, halts, requests = supervisor.session, supervisor.halts, supervisor.requests
             sentence = supervisor.begin_mirror(now) if request.data else supervisor.end_mirror(now)
             number = supervisor.requests
-        sentence += self._remember_mirror()
+        problem = self._remember_mirror()
+        if problem:
+            sentence = Sentence("link.mirror.not_kept", sentence=sentence, problem=problem)
         if number != requests:
             armed, why = self._wait_for_request(number, halts, before)
-            sentence += "" if armed else f"; {why}"
+            if not armed:
+                sentence = both(sentence, why)
         return sentence
 
     def _remember_mirror(self) -> str:
-        """Keep the mode beyond this process; return what is to be added to the answer when the master does not take it."""
+        """Keep the mode beyond this process; return why the master does not take it, "" when it does."""
         try:
             # one after the other, and each what is the case then: several threads write
             with self._mirror_lock:
                 rospy.set_param(MIRROR_MODE, self._supervisor.mirrors)
         except (OSError, rospy.ROSException, xmlrpc.client.Error, http.client.HTTPException) as error:
             rospy.logwarn("mirror mode would not outlast this node: %s was not written (%s)", MIRROR_MODE, error)
-            return f"; it would not outlast this node, because the master did not take it ({error})"
+            return str(error) or type(error).__name__
         return ""
 
     # -- reports
 
-    def _status_report(self) -> str:
+    def _status_report(self) -> bytes:
         with self._lock:
             supervisor = self._supervisor
-            status = {
-                "state": supervisor.state.name.lower(),
-                "reason": supervisor.reason,
-                "session": supervisor.session,
-                "protocol": PROTOCOL,
-            }
-            beside = {"responsible": supervisor.responsible, "not_checked": supervisor.not_checked}
-        return json.dumps(status | beside if beside["not_checked"] else status)
+            status = BridgeStatus(
+                supervisor.state.name.lower(),
+                supervisor.reason,
+                supervisor.session,
+                PROTOCOL,
+                supervisor.responsible if supervisor.not_checked else None,
+                supervisor.not_checked or None,
+            )
+        return dumped(status, marks=SPACED)
 
     def _publish_link(self) -> None:
         with self._lock:
@@ -580,19 +580,19 @@ class MqttBridge:
         self._outputs.link.publish(self._link_message(*state, status, values))
         if changed:
             self._client.publish(self._topics.bridge_status, self._status_report(), qos=1, retain=True)
-            self._said.add(rospy.loginfo, "%s: %s", state[0].name, state[1])
+            self._log_queue.add(rospy.loginfo, "%s: %s", state[0].name, state[1])
 
     def _reason(self) -> str:
         """Return the supervisor's sentence; without a connection also why there is none, else why the arm may not move."""
         reason, why = self._supervisor.reason, self._connection.sentence
         state = self._supervisor.state
         if state is LinkState.DISCONNECTED:
-            return f"{reason}: {why}" if why else reason
+            return Sentence("executor.link", state=reason, reason=why) if why else reason
         # a status of a gateway that is gone says nothing of now
         if state is LinkState.GATEWAY_OFFLINE:
             return reason
         status = self._supervisor.status
-        return "; ".join(part for part in (reason, controller_sentence(status), clock_sentence(status)) if part)
+        return both(reason, controller_sentence(status), clock_sentence(status))
 
     def _link_message(self, state: LinkState, reason: str, session: str, status: dict, values: dict[str, str]) -> Link:
         # a copy: other threads go on counting
@@ -629,10 +629,10 @@ class MqttBridge:
             values |= {f"not checked: {topic}": what for topic, _, what in parts}
         if not self._properties:
             values["comparison"] = "instant: the link carries no MQTT 5 properties"
-        values |= self._beside.report()
+        values |= self._side_effects.report()
         if self._memory.problem:
             return Report(WARN, f"{state.name}: {reason}; {self._memory.problem}", values)
-        if failed := self._beside.sentence:
+        if failed := self._side_effects.sentence:
             return Report(WARN, f"{state.name}: {reason}; {failed}", values)
         level = OK if state in (LinkState.ARMED, LinkState.MIRROR) else WARN
         return Report(level, f"{state.name}: {reason}", values)
@@ -650,7 +650,12 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
         JointStringCodec.of(robot, config.decimals),
         broker,
         make_client(broker, unique_id(robot.name, "bridge"), topics.bridge_status, direct=True),
-        Outputs(*(ports.publishers[each.topic] for each in PUBLISHES)),
+        Outputs(
+            physical=ports.publishers["physical/joint_states"],
+            feedback=ports.publishers["physical/feedback"],
+            link=ports.publishers["link"],
+            tool=ports.publishers["tool"],
+        ),
         ports.diagnostics,
         # not a private parameter: those hold settings, and this was asked for while the bridge ran
         mirrors=rospy.get_param(MIRROR_MODE, False) is True,
@@ -661,16 +666,14 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
     return bridge
 
 
-#: In the order of `Outputs`.
-PUBLISHES = (
-    PosePublication("physical/joint_states"),
-    PosePublication("physical/feedback", Feedback),
-    Publication("link", Link, queue_size=10, latch=True),
-    Publication("tool", ToolState, queue_size=50, latch=True),
-)
 INTERFACE = Interface(
     report=MqttBridge.report,
-    publishes=PUBLISHES,
+    publishes=(
+        PosePublication("physical/joint_states"),
+        PosePublication("physical/feedback", Feedback),
+        Publication("link", Link, queue_size=10, latch=True),
+        Publication("tool", ToolState, queue_size=50, latch=True),
+    ),
     hears=(
         PoseSubscription("command/joint_states", MqttBridge.on_command),
         Subscription("speed_limit", SpeedLimit, MqttBridge.on_speed_limit, queue_size=5),

@@ -12,13 +12,12 @@ import secrets
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import genpy
 import pydantic
 import rospy
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import PayloadError, PoseUnknownError
@@ -33,9 +32,10 @@ from construction_twin.mqtt.requests import NAMELESS_TRAJECTORY, TRAJECTORY, Req
 from construction_twin.msg import Execution, Link, Plan, Review, Sync, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
+from construction_twin.ros.messages.plan_services import PLAN_SERVICES
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.console_feed import ConsoleFeed, deployment_of
-from construction_twin.ros.shared.console_requests import ConsoleRequests, PlanServices, RobotContext
+from construction_twin.ros.shared.console_requests import ConsoleRequests, RobotContext
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
@@ -51,26 +51,17 @@ from construction_twin.ros.shared.ports import (
 from construction_twin.ros.shared.pose_judge import PoseJudge
 from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.ros.shared.request_counts import RequestCounts
-from construction_twin.ros.shared.request_line import RequestLine
+from construction_twin.ros.shared.request_queue import RequestQueue
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.persistent_service import call
-from construction_twin.srv import (
-    PlanCartesian,
-    PlanToJoints,
-    PlanToPose,
-    PlanTrajectory,
-    PlanTrajectoryResponse,
-    WorkPlanTask,
-)
+from construction_twin.srv import PlanTrajectory, PlanTrajectoryResponse
 
 #: Motions that may wait while one is checked; a person sends one at a time.
 WAITING = 4
 #: For so long after its answer the same bytes are the same message, sent twice by QoS 1 or by a sender that was run again [s].
 REPEAT_WINDOW = 5.0
-#: Shortest time between two motions of one sender [s]: nobody alone holds up the others.
-SENDER_PAUSE = 1.0
 #: What `sync` and `link` repeat by themselves counts as lost after so long [s].
 SYNC_AGE, LINK_AGE = 0.5, 3.0
 
@@ -83,7 +74,7 @@ class Settings(MqttSettings):
     """Private parameters; see config/mqtt_planner.yaml.
 
     Attributes:
-        trajectories: Whether motions, and wishes for plans, are taken by MQTT.
+        trajectories: Whether motions, and requests for plans, are taken by MQTT.
         self_collision: YAML of the link pairs that are not checked; empty: no joint values are found for poses that are dragged.
         private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
     """
@@ -158,7 +149,7 @@ class MqttPlanner:
         self._poses = Poses(None, None)
         self._connection = report_of(broker)
         self.outlets = Outlets(self._publish_answer, lambda reason, sentence: self.refuse(reason, sentence))
-        self._line = RequestLine(WAITING, REPEAT_WINDOW, SENDER_PAUSE, lambda: time.monotonic())
+        self._queue = RequestQueue(WAITING, REPEAT_WINDOW, lambda: time.monotonic())
         kinds = (NAMELESS_TRAJECTORY, TRAJECTORY) if settings.trajectories else ()
         self._motions = tuple(map(self._motion_endpoint, kinds))
         self._diagnostics = diagnostics
@@ -167,12 +158,12 @@ class MqttPlanner:
         return Endpoint(
             kind, self._topics, self._read_motion, self._carry_out, self._counts, self.outlets,
             lambda motion: f"trajectory {motion.asked.id!r} from {motion.sender or 'an unknown sender'}",
-            lambda _motion: self._line,
+            lambda _motion: self._queue,
         )  # fmt: skip
 
     @property
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """What takes requests: motions, and of consoles wishes for plans and poses."""
+        """What takes requests: motions, and of consoles requests for plans and poses."""
         if self._consoles is None:
             return self._motions
         plans = (self._consoles.plan_requests,) if self._settings.trajectories else ()
@@ -205,12 +196,12 @@ class MqttPlanner:
             return self._execution is not None and bool(self._execution[0].engaged)
 
     @property
-    def line(self) -> RequestLine:
+    def queue(self) -> RequestQueue:
         """Where requests wait for their turn."""
-        return self._line
+        return self._queue
 
     def serve_consoles(self, feed: ConsoleFeed, requests: ConsoleRequests) -> None:
-        """Take what tells consoles more than `view`, and what carries out their wishes."""
+        """Take what tells consoles more than `view`, and what carries out their requests."""
         self._feed, self._consoles = feed, requests
 
     def publish_now(self, topic: str, payload: bytes, qos: int, retain: bool = False) -> None:
@@ -244,7 +235,7 @@ class MqttPlanner:
 
     def run_waiting(self, patience: float = 0.0) -> None:
         """Carry out all requests that wait; wait so long [s] for the first one."""
-        self._line.run(patience)
+        self._queue.run(patience)
         self.outlets.write_log()
 
     # -- motions from MQTT
@@ -268,8 +259,8 @@ class MqttPlanner:
         self._connection.lost(reason_code)
 
     def _read_motion(self, incoming: Incoming) -> _Motion:
-        advice = " (max_trajectory_bytes); use fewer points"
-        document = incoming.read_document("trajectory", self._settings.max_trajectory_bytes, advice)
+        limit = self._settings.max_trajectory_bytes
+        document = incoming.read_document("trajectory", limit, "max_trajectory_bytes")
         return _Motion(parse_trajectory(document, self._joints), incoming.account)
 
     def _carry_out(self, motion: _Motion) -> Outcome:
@@ -284,9 +275,8 @@ class MqttPlanner:
             retime=True,
             source=source_of(asked.source, motion.sender, self._proven),
         )
-        notes = [*asked.notes, *_timing_notes(asked, answer)]
-        plan = {"plan_id": answer.plan_id, "plan_hash": answer.plan_hash, "duration": answer.duration, "notes": notes}
-        return Outcome(answer.success, answer.message, fields=plan)
+        outcome = Outcome.of(answer)
+        return replace(outcome, fields={**outcome.fields, "notes": [*asked.notes, *_timing_notes(asked, answer)]})
 
     def _publish_answer(self, topic: str, payload: bytes, qos: int) -> None:
         # what asks for no acknowledgement is of the past when it cannot be sent at once
@@ -379,7 +369,7 @@ class MqttPlanner:
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
-        values: dict[str, object] = {**self._counts.report(), "trajectories waiting": self._line.waiting}
+        values: dict[str, object] = {**self._counts.report(), "trajectories waiting": self._queue.waiting}
         values |= self._consoles.counts if self._consoles is not None else {}
         if not self._client.is_connected():
             return Report(WARN, self._connection.sentence or "connecting to the broker", values)
@@ -424,8 +414,8 @@ def _timing_notes(asked: TrajectoryRequest, answer: PlanTrajectoryResponse) -> l
     """Return that the times were replaced, and why, where they were."""
     if not answer.retimed:
         return []
-    wished = (asked.points[-1].time_ns - asked.points[0].time_ns) / NANOSECONDS
-    return [f"timed anew: {answer.duration:.3f} s instead of {wished:.3f} s, because {answer.retimed}"]
+    requested = (asked.points[-1].time_ns - asked.points[0].time_ns) / NANOSECONDS
+    return [f"timed anew: {answer.duration:.3f} s instead of {requested:.3f} s, because {answer.retimed}"]
 
 
 def _pose_view(stream: LatestPose | None, settings: Settings) -> PoseView | None:
@@ -451,20 +441,14 @@ def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: P
             files.drop_building()
     deployment = deployment_of(rospy.get_param("startup", None), rospy.get_namespace().rstrip("/"))
     feed = ConsoleFeed(topics, robot.base_link, node.publish_now, node.refuse, deployment, files)
-    services = PlanServices(
-        rospy.ServiceProxy("plan_to_joints", PlanToJoints),
-        rospy.ServiceProxy("plan_to_pose", PlanToPose),
-        rospy.ServiceProxy("plan_cartesian", PlanCartesian),
-        rospy.ServiceProxy("plan_way_back", Trigger),
-        rospy.ServiceProxy("work/plan", WorkPlanTask),
-    )
+    services = {kind: rospy.ServiceProxy(service.name, service.kind) for kind, service in PLAN_SERVICES.items()}
     around = RobotContext(
         twin=lambda: _positions(poses.twin, settings.max_pose_age),
         has_work=lambda: ports.connections("work/tasks") > 0,
         is_engaged=node.is_engaged,
     )
     requests = ConsoleRequests(
-        topics, node.joints, node.line, services, PoseJudge(robot, settings.self_collision, lambda: feed.scene), around,
+        topics, node.joints, node.queue, services, PoseJudge(robot, settings.self_collision, lambda: feed.scene), around,
         node.outlets, node.source_of,
     )  # fmt: skip
     node.serve_consoles(feed, requests)

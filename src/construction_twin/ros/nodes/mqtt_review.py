@@ -5,7 +5,6 @@ A node of its own: the bridge has 4 ms.
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from bisect import bisect_left
@@ -18,25 +17,28 @@ from std_srvs.srv import Trigger
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.motion_errors import PlanningError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_review import (
+    ClearanceView,
     PlanBoard,
     PlanView,
-    RemoteReview,
+    ReviewRequest,
     SegmentView,
     SwitchView,
+    UseView,
     parse_review,
     recorded_reason,
 )
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
-from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
-from construction_twin.mqtt.requests import NAMELESS_REVIEW, REVIEW, RequestKind
+from construction_twin.mqtt.requests import NAMELESS_REVIEW, PRESSED, REVIEW, RequestKind
 from construction_twin.msg import Link, Plan, PlanCaller, Review
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.segments import segments_content
 from construction_twin.ros.messages.convert import plan_from_msg
+from construction_twin.ros.messages.plan_services import request_fields
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
@@ -45,17 +47,12 @@ from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import Interface, Ports, Subscription
 from construction_twin.ros.shared.remote_interventions import EXECUTOR, remote_interventions
 from construction_twin.ros.shared.request_counts import RequestCounts
-from construction_twin.ros.shared.request_line import RequestLine
+from construction_twin.ros.shared.request_queue import RequestQueue
 from construction_twin.ros.transport.persistent_service import PersistentService, call, call_twice
 from construction_twin.srv import ResumeFromScreen, ReviewFromScreen
 
 #: Verdicts that may wait while one is carried out; a tablet sends one at a time.
 WAITING = 8
-#: Why a verdict on `review` is refused where the broker knows accounts.
-_NAMELESS = (
-    "a verdict on review names nobody: on a broker with accounts publish it on review/<account>; if the broker refuses that, its "
-    "rules are old: run make_site again"
-)
 #: Period at which the node compares what the broker holds with what it should hold [s].
 CHECK_PERIOD = 1.0
 #: Between two writings of the log [s].
@@ -117,7 +114,7 @@ class MqttReview:
             self._publish_answer, lambda reason, sentence: self.refuse(reason, sentence), safety=True
         )
         self._connection = report_of(broker, self.outlets.log)
-        self.approvals, self.rejections = RequestLine(WAITING), RequestLine(WAITING)
+        self.approvals, self.rejections = RequestQueue(WAITING), RequestQueue(WAITING)
         self.interventions = remote_interventions(topics, interventions, self._pressed, self.outlets)
         self.endpoints: tuple[Endpoint, ...] = (
             self._verdict_endpoint(NAMELESS_REVIEW),
@@ -126,28 +123,28 @@ class MqttReview:
         )
         self._diagnostics = diagnostics
 
-    def _verdict_endpoint(self, kind: RequestKind) -> Endpoint[RemoteReview]:
+    def _verdict_endpoint(self, kind: RequestKind) -> Endpoint[ReviewRequest]:
         # where the broker knows accounts, one in no name is refused where it arrives
         nameless = kind is NAMELESS_REVIEW and bool(self._settings.account)
         return Endpoint(
             kind, self._topics, _read_verdict, _refuse_nameless if nameless else self._call_executor,
             self._verdicts, self.outlets, _describe,
-            None if nameless else lambda review: self.approvals if review.approves else self.rejections,
+            None if nameless else lambda review: self.approvals if review.approve else self.rejections,
         )  # fmt: skip
 
     def connect(self) -> None:
         """Connect to the broker, and serve the connection in a thread of its own."""
         on_message = {endpoint.topic: endpoint.on_message for endpoint in self.endpoints}
         on_message[self._topics.plan] = lambda message: self.on_own_plan(bytes(message.payload))
-        self.start_lines()
+        self.start_queues()
         threading.Thread(target=self.run_log, name="log", daemon=True).start()
         threading.Thread(target=self.run_connections, name="connections", daemon=True).start()
         connect(self._client, self._broker, self._connection, self.on_connect, self.on_disconnect, on_message)
 
-    def start_lines(self) -> None:
+    def start_queues(self) -> None:
         """Begin to carry out what waits for no approval, each kind in a thread of its own."""
-        for name, line in {"reject": self.rejections, **self.interventions.lines}.items():
-            threading.Thread(target=_run_line, args=(line,), name=name, daemon=True).start()
+        for name, queue in {"reject": self.rejections, **self.interventions.queues}.items():
+            threading.Thread(target=_run_queue, args=(queue,), name=name, daemon=True).start()
 
     @property
     def refuse(self) -> Callable[[str, str], None]:
@@ -258,22 +255,15 @@ class MqttReview:
         """Note what the broker holds."""
         self._seen = payload
 
-    def _call_executor(self, review: RemoteReview) -> Outcome:
+    def _call_executor(self, review: ReviewRequest) -> Outcome:
         """Give a verdict to the executor; return what it says."""
-        request = {
-            "plan_id": review.plan_id,
-            "plan_hash": review.plan_hash,
-            "approve": review.approves,
-            "reviewer": review.reviewer,
-            "reason": recorded_reason(review),
-            "moment": review.moment,
-        }
-        if review.approves:
-            answer = call(self._give_approval, EXECUTOR, **request)
+        fields = request_fields(ReviewFromScreen, replace(review, reason=recorded_reason(review)))
+        if review.approve:
+            answer = call(self._give_approval, EXECUTOR, **fields)
         else:
             # over the connection that is open, as a stop
-            answer = call_twice(self._give_rejection, EXECUTOR, **request)
-        return Outcome(answer.success, answer.message, answer.expired)
+            answer = call_twice(self._give_rejection, EXECUTOR, **fields)
+        return Outcome.of(answer)
 
     def _publish_answer(self, topic: str, payload: bytes, qos: int) -> None:
         self._client.publish(topic, payload, qos=qos)
@@ -283,31 +273,31 @@ class MqttReview:
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
         values: dict[str, object] = dict(
-            self._verdicts.report() | self._pressed.report() | self.outlets.beside.report()
+            self._verdicts.report() | self._pressed.report() | self.outlets.side_effects.report()
         )
-        if failed := self.outlets.beside.sentence:
+        if failed := self.outlets.side_effects.sentence:
             return Report(WARN, failed, values)
         if not self._client.is_connected():
             return Report(WARN, self._connection.sentence or "connecting to the broker", values)
         return Report(OK, "a plan is shown" if self._board.payload else "no plan to review", values)
 
 
-def _run_line(line: RequestLine) -> None:
+def _run_queue(queue: RequestQueue) -> None:
     while not rospy.is_shutdown():
-        line.run(0.2)
+        queue.run(0.2)
 
 
-def _read_verdict(incoming: Incoming) -> RemoteReview:
+def _read_verdict(incoming: Incoming) -> ReviewRequest:
     review = parse_review(incoming.payload, incoming.retained, incoming.account)
     incoming.echo |= {name: getattr(review, name) for name in ("plan_id", "plan_hash", "verdict", "reviewer")}
     return review
 
 
-def _refuse_nameless(review: RemoteReview) -> Outcome:
-    raise PayloadError("sender", _NAMELESS)
+def _refuse_nameless(review: ReviewRequest) -> Outcome:
+    raise PayloadError("sender", Sentence("link.payload.nameless"))
 
 
-def _describe(review: RemoteReview) -> str:
+def _describe(review: ReviewRequest) -> str:
     return f"{review.verdict} of plan {review.plan_id} by {review.reviewer}"
 
 
@@ -319,15 +309,10 @@ def plan_view(message: Plan) -> PlanView:
     Raises:
         PlanningError: If a work plan is not what its hash says.
     """
-    points = message.trajectory.points
-    clearance = None
-    if message.velocity_use:
-        clearance = {
-            "distance": message.clearance if math.isfinite(message.clearance) else None,
-            "time": message.clearance_time,
-            "between": list(message.clearance_between),
-            "point": _xyz(message.clearance_point),
-        }
+    points, is_work = message.trajectory.points, bool(message.segments)
+    clearance = ClearanceView(
+        message.clearance, message.clearance_time, message.clearance_between, _xyz(message.clearance_point)
+    )
     return PlanView(
         id=message.id,
         hash=message.hash,
@@ -338,20 +323,17 @@ def plan_view(message: Plan) -> PlanView:
         created_ns=message.header.stamp.to_nsec(),
         duration=message.duration,
         planning_time=message.planning_time,
-        joint_names=message.trajectory.joint_names,
+        joints=message.trajectory.joint_names,
         start=points[0].positions if points else (),
         goal=points[-1].positions if points else (),
+        waypoints=len(message.tool_path),
         tool_path=[_xyz(point) for point in message.tool_path],
-        clearance=clearance,
-        use={
-            "velocity": message.velocity_use,
-            "acceleration": message.acceleration_use,
-            "jerk": message.jerk_use,
-        },
-        task=message.task,
-        segments=segment_views(message),
-        content=_content(message),
+        clearance=clearance if message.velocity_use else None,
+        use=UseView(message.velocity_use, message.acceleration_use, message.jerk_use),
         trajectory=_trajectory(message),
+        task=message.task if is_work else None,
+        content=_content(message) if is_work else None,
+        segments=segment_views(message) if is_work else None,
     )
 
 
@@ -384,9 +366,7 @@ def segment_views(message: Plan) -> list[SegmentView]:
 
 
 def _content(message: Plan) -> str:
-    """Return the text that a work plan's hash covers; "" for other plans."""
-    if not message.segments:
-        return ""
+    """Return the text that a work plan's hash covers."""
     plan = plan_from_msg(message)
     return segments_content(plan.trajectory.content_hash(), plan.task, plan.segments)
 
@@ -413,14 +393,16 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttReview:
     topics = Topics(settings.prefix, robot.name)
     client = make_client(broker, unique_id(robot.name, "review"), topics.plan, will="")
     give_approval = rospy.ServiceProxy("review_from_screen", ReviewFromScreen)
-    # `stop` and `pause` may be called twice
-    services = {name: PersistentService(name, Trigger) for name in (STOP, PAUSE)}
-    services[RESUME] = rospy.ServiceProxy("resume_from_screen", ResumeFromScreen)
+    # what starts nothing may be called twice
+    twice = {kind.name: PersistentService(kind.name, Trigger) for kind in PRESSED if not kind.starts}
+    once = {
+        kind.name: rospy.ServiceProxy(f"{kind.name}_from_screen", ResumeFromScreen) for kind in PRESSED if kind.starts
+    }
     # a plan is rejected once, and a second time it is said to be
     reject = PersistentService("review_from_screen", ReviewFromScreen)
-    connections = (services[STOP], services[PAUSE], reject)
+    connections = (*twice.values(), reject)
     node = MqttReview(
-        settings, robot.name, broker, client, give_approval, services, ports.diagnostics, reject, connections
+        settings, robot.name, broker, client, give_approval, twice | once, ports.diagnostics, reject, connections
     )
     node.connect()
     return node

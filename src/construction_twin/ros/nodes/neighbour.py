@@ -14,6 +14,7 @@ from construction_twin.coordination.path_judge import Judgement, Others, PathJud
 from construction_twin.coordination.plan_book import PlanUnknownError
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.conflict_verdicts import VERDICT_TIMEOUT
 from construction_twin.msg import Conflict as ConflictMsg
@@ -39,8 +40,8 @@ DELAY = 0.1
 
 
 @dataclass(frozen=True)
-class Said:
-    """What the log was told of a plan last.
+class LoggedVerdict:
+    """What stands in the log of a plan.
 
     Attributes:
         clear: No conflict was found.
@@ -78,7 +79,7 @@ class NeighbourNode:
         self._moveit = moveit
         self._checks, self._longest = 0, 0.0
         self._failure = ""
-        self._said: dict[str, Said] = {}
+        self._logged: dict[str, LoggedVerdict] = {}
 
     def run(self) -> None:
         """Check again and again, in the main thread: an unexpected exception ends the process, which is then started anew."""
@@ -97,7 +98,7 @@ class NeighbourNode:
         try:
             plans = self._own.plans()
         except PlanUnknownError as error:
-            self._note(WARN, f"our own plan is not known: {error}", {})
+            self._note(WARN, Sentence("reason.neighbour.own_plan_unknown", problem=error.sentence), {})
             return
         followed, waiting = plans.followed, plans.waiting
         others = self._others()
@@ -150,7 +151,9 @@ class NeighbourNode:
             try:
                 return judge(others)
             except ConstructionTwinError as error:
-                self._failure = f"a plan cannot be compared with {self._settings.name}: {error}"
+                self._failure = Sentence(
+                    "reason.neighbour.not_compared", neighbour=self._settings.name, problem=error.sentence
+                )
         return Judgement(True, 0.0, self._failure)
 
     def _poses(self) -> tuple[np.ndarray, ...]:
@@ -169,21 +172,23 @@ class NeighbourNode:
         )
         message.header.stamp = stamp
         self._publisher.publish(message)
-        said = Said(verdict.blocked, verdict.time < 0.0)
-        if self._said.get(plan_id) != said:
-            self._said[plan_id] = said
+        logged = LoggedVerdict(verdict.blocked, verdict.time < 0.0)
+        if self._logged.get(plan_id) != logged:
+            self._logged[plan_id] = logged
             (rospy.logwarn if verdict.blocked else rospy.loginfo)("plan %s: %s", plan_id, verdict.sentence)
 
     def _forget(self, kept: dict) -> None:
         self._judge.forget(kept)
-        self._said = {plan_id: said for plan_id, said in self._said.items() if plan_id in kept}
+        self._logged = {plan_id: logged for plan_id, logged in self._logged.items() if plan_id in kept}
 
     def _sum_up(self, verdicts: dict[str, Judgement], others: Others | None) -> None:
         if self._failure or others is None:
             self._note(ERROR, self._failure, {"obstacles": 0})
             return
         blocked = "; ".join(verdict.sentence for verdict in verdicts.values() if verdict.blocked)
-        sentence = blocked or others.unknown or f"{self._settings.name} blocks no path"
+        sentence = (
+            blocked or others.unknown or Sentence("reason.neighbour.blocks_nothing", neighbour=self._settings.name)
+        )
         self._note(WARN if blocked or others.unknown else OK, sentence, {"obstacles": len(others.obstacles)})
 
     def report(self) -> Report:

@@ -201,7 +201,7 @@ class PcaMonitorNode:
                     self._behaviour = behaviour
                     self._note_changes()
         except ConfigurationError as error:
-            raise RequestRefused(f"{error}; nothing was changed") from error
+            raise RequestRefused(Sentence("view.refused.unchanged", problem=error.sentence)) from error
         self._publish(now)
         return f"changed {difference}" if difference else "nothing to change"
 
@@ -210,7 +210,7 @@ class PcaMonitorNode:
     def on_plan(self, message: Plan) -> None:
         """Note where a plan ends, for a re-plan."""
         if not message.trajectory.points:
-            self._diagnostics.refuse("plan", f"plan {message.id} has no points; expected at least a start and a goal")
+            self._diagnostics.refuse("plan", Sentence("reason.refused.plan_points", plan=message.id))
             return
         if message.segments:
             # its rest is dropped: tool and scene may be in between, so that whoever gave the task plans it anew

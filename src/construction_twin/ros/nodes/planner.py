@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger, TriggerRequest
 from trajectory_msgs.msg import JointTrajectory
 
 from construction_twin.core.motion_errors import EngagedError, PlanningError, SceneError
+from construction_twin.core.sentences import Sentence
 from construction_twin.execution.way_back import scene_problem
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
@@ -27,20 +28,17 @@ from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.executed_path import ExecutedPath
 from construction_twin.robot.plan import Plan
-from construction_twin.ros.messages.convert import (
-    plan_to_msg,
-    pose_from_msg,
-    signal_from_msg,
-    trajectory_from_msg,
-)
+from construction_twin.robot.segments import Signal
+from construction_twin.ros.messages.convert import plan_to_msg, pose_from_msg, trajectory_from_msg
 from construction_twin.ros.messages.plan_requests import (
-    asked_segments,
     check_asked,
     plan_request,
     read_waypoints,
     tool_waypoints,
     trajectory_waypoints,
+    work_segments,
 )
+from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.arm_listener import listen_to_other_arm, neighbour_settings
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
@@ -200,7 +198,7 @@ class PlannerNode:
 
         def read() -> Callable[[PlanRequest], Plan]:
             waypoints = read_waypoints(request.path, self._robot, request.columns)
-            return lambda asked: self._pipeline.through(waypoints, self._present_pose(), asked)
+            return lambda asked: self._pipeline.through(self._present_pose(), waypoints, asked)
 
         return self._requests.answer_read(read, self._request(request, request.path))
 
@@ -214,9 +212,9 @@ class PlannerNode:
         changes: list[SceneChange] = []
 
         def read() -> Callable[[PlanRequest], Plan]:
-            segments = asked_segments(request.segments)
+            segments = work_segments(request.segments)
             changes.extend(segment.change for segment in segments)
-            return lambda asked: self._pipeline.work(request.task, segments, self._present_pose(), asked)
+            return lambda asked: self._pipeline.work(self._present_pose(), request.task, segments, asked)
 
         asked = PlanRequest(str(uuid.uuid4()), now_ns(), request.source or f"task {request.task}")
         return self._requests.answer_read(read, asked, changes)
@@ -227,16 +225,16 @@ class PlannerNode:
 
         def read() -> Callable[[PlanRequest], Plan]:
             if left is None:
-                raise PlanningError(
-                    "the arm was not left inside an engaged segment: there is no way back, any motion can be planned"
-                )
+                raise PlanningError(Sentence("motion.no_way_back"))
             path = ExecutedPath(trajectory_from_msg(left.trajectory), left.end)
-            requires = tuple(map(signal_from_msg, left.requires))
+            requires = tuple(from_msg(Signal, signal) for signal in left.requires)
 
             def plan(asked: PlanRequest) -> Plan:
-                made = self._pipeline.way_back(left.task, path, requires, self._present_pose(), asked)
+                made = self._pipeline.way_back(self._present_pose(), left.task, path, requires, asked)
                 if made.scene not in left.scenes:
-                    raise PlanningError(f"there is no way back now: {scene_problem(made.scene, left.scenes)}")
+                    raise PlanningError(
+                        Sentence("motion.no_way_back_now", problem=scene_problem(made.scene, left.scenes))
+                    )
                 return made
 
             return plan
@@ -256,7 +254,7 @@ class PlannerNode:
 
         def read() -> Callable[[PlanRequest], Plan]:
             waypoints = trajectory_waypoints(msg, self._robot)
-            return lambda asked: self._pipeline.through(waypoints, self._present_pose(), asked, retime)
+            return lambda asked: self._pipeline.through(self._present_pose(), waypoints, asked, retime)
 
         return read
 

@@ -11,6 +11,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain
 from construction_twin.monitor.states import SyncState
 from construction_twin.msg import Sync
@@ -69,7 +70,7 @@ class SyncViewNode:
     def on_sync(self, message: Sync) -> None:
         """Take the monitor's state."""
         if message.state not in SyncState._value2member_map_:
-            self._diagnostics.refuse("sync", f"sync state {message.state} is unknown; expected one of Sync.msg")
+            self._diagnostics.refuse("sync", Sentence("reason.refused.sync_state", state=message.state))
             return
         with self._lock:
             self._last, self._heard = message, time.monotonic()
@@ -79,7 +80,7 @@ class SyncViewNode:
         with self._lock:
             last, silent = self._last, time.monotonic() - self._heard > SILENCE
         if last is None or silent:
-            picture = SyncState.WAITING, headline(SyncState.WAITING, "no report on sync: is pca_monitor running?", "")
+            picture = SyncState.WAITING, headline(SyncState.WAITING, Sentence("view.sync_silent"), "")
         else:
             state = SyncState(last.state)
             worst = worst_joint(last.name, last.error, last.threshold, self._robot.linear)

@@ -16,17 +16,18 @@ from visualization_msgs.msg import InteractiveMarkerFeedback, MarkerArray
 
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import KinematicsError, SceneError
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.msg import Execution
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.messages.convert import pose_from_msg
+from construction_twin.ros.messages.convert import pose_from_msg, pose_to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.marker_server import MarkerServer
 from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.operator_client import OperatorClient, pose_to_msg
+from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, Publication, Subscription
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
 from construction_twin.ros.shared.tool_marker_menu import ToolMarkerMenu
@@ -87,7 +88,7 @@ class ToolMarkerNode:
         self._world: CollisionWorld | None = None
         self._place: Pose | None = None
         self._verdict: PoseVerdict | None = None
-        self._problem = "the twin's pose is not known yet"
+        self._problem: str = Sentence("view.tool.no_pose")
         self._drawn: MarkerArray | None = None
         self._finished = ""
         namespace = rospy.get_namespace()
@@ -143,10 +144,11 @@ class ToolMarkerNode:
     def _read(self, feedback: InteractiveMarkerFeedback) -> Pose:
         frame = feedback.header.frame_id
         if frame not in ("", self._frame):
-            raise PayloadError("pose", f"marker pose in frame {frame!r}; expected {self._frame!r}, as the marker is")
+            raise PayloadError("pose", Sentence("reason.refused.marker_frame", frame=frame, expected=self._frame))
         pose = pose_from_msg(feedback.pose)
         if not np.isfinite(pose.position).all():
-            raise PayloadError("pose", f"marker at {pose.position.tolist()} m; expected finite numbers")
+            found = str(pose.position.tolist())
+            raise PayloadError("pose", Sentence("reason.refused.marker_position", found=found))
         return pose
 
     def on_click(self, feedback: InteractiveMarkerFeedback) -> None:

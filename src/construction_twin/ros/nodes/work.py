@@ -28,13 +28,13 @@ from visualization_msgs.msg import MarkerArray
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.motion_errors import FrameError
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.msg import Engagement, Execution, Plan, Review, Scene, ToolState, WorkTasks
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.messages.convert import pose_from_msg, pose_from_transform_msg
+from construction_twin.ros.messages.convert import pose_from_msg, pose_from_transform_msg, work_segment_to_msg
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import tf_frame
-from construction_twin.ros.messages.work_convert import work_segment_to_msg
 from construction_twin.ros.messages.work_marker_convert import work_marker_array
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.frame_listener import FRAMES
@@ -193,7 +193,8 @@ class WorkNode:
         self._lock = threading.RLock()
         self._work: _Opened | None = None
         #: Why there is no work, and whether there will be none any more.
-        self._problem, self._broken = "the model is being read", False
+        self._problem: str = Sentence("work.reading")
+        self._broken = False
         self._told: WorkTasks | None = None
         self._drawn: frozenset[str] = frozenset()
         self._publish()
@@ -320,7 +321,7 @@ class WorkNode:
     def on_plan_task(self, request: WorkPlanTaskRequest) -> Outcome:
         """Have a task planned, or while the arm is engaged the way back."""
         if not self._planning.acquire(timeout=self._settings.service_timeout):
-            raise WorkRefused("a task is being planned already; wait for it")
+            raise WorkRefused(Sentence("work.busy"))
         try:
             return self._plan_task(request.task)
         finally:
@@ -346,11 +347,9 @@ class WorkNode:
             scene = heard.scene
             wanted, alone = board.wanted_scene()
         if scene is None:
-            raise WorkRefused("the scene is not known; see why the scene node is down")
+            raise WorkRefused(Sentence("work.scene_unknown"))
         if change(scene, wanted, alone) != SceneChange():
-            raise WorkRefused(
-                "the scene could not be made what the ledger says; /diagnostics of the node work says why"
-            )
+            raise WorkRefused(Sentence("work.scene_wrong"))
         start = self._inputs.twin_pose()
         began = time.monotonic()
         try:
@@ -405,22 +404,23 @@ class WorkNode:
                 raise WorkRefused(problem)
             if unnamed:
                 board.add(Entry("planned", task, plan=answer.plan_id, offer=offer))
-        sentence = f"{title}: plan {answer.plan_id} of {answer.duration:.1f} s with {plan.method} waits for approval"
+        sentence = Sentence("work.plan", task=title, plan=answer.plan_id, duration=answer.duration, method=plan.method)
         return _under_review(sentence, task, answer.plan_id, answer.plan_hash, answer.duration)
 
     def _plan_way_back(self, asked: str) -> Outcome:
         heard = self.heard
         if problem := self._opened().scene.make_for_way_back():
-            raise WorkRefused(f"the arm is engaged, only the way back can be planned, and not yet: {problem}")
-        before = heard.plan.id if heard.plan is not None else ""
+            raise WorkRefused(Sentence("work.back.not_yet", problem=problem))
+        before = heard.plan.message.id if heard.plan is not None else ""
         problem, answer = self._outputs.plan_way_back(TriggerRequest())
         if answer is None or not answer.success:
-            raise WorkRefused(f"the arm is engaged, only the way back can be planned: {problem or answer.message}")
-        heard.wait_for(lambda: heard.plan is not None and heard.plan.id != before, SCENE_TIME)
-        plan = heard.plan
-        if plan is None or plan.id == before:
-            raise WorkRefused("the way back was planned, but is not published")
-        sentence = f"the arm is engaged: the way back comes first; {answer.message}"
+            raise WorkRefused(Sentence("work.back.refused", problem=problem or answer.message))
+        heard.wait_for(lambda: heard.plan is not None and heard.plan.message.id != before, SCENE_TIME)
+        known = heard.plan
+        if known is None or known.message.id == before:
+            raise WorkRefused(Sentence("work.back.unpublished"))
+        plan = known.message
+        sentence = Sentence("work.back.planned", answer=answer.message)
         return _under_review(sentence, asked, plan.id, plan.hash, plan.duration)
 
     def on_decide(self, request: WorkDecideRequest) -> str:
@@ -428,7 +428,8 @@ class WorkNode:
         with self._lock:
             sentence = self._decided(self._opened().board, request)
             problem = self._left_closed() if request.decision == "answer" else ""
-            sentence += f"; {problem}" if problem else ""
+            if problem:
+                sentence = Sentence("executor.both", first=sentence, second=problem)
         rospy.loginfo("%s (%s)", sentence, request.person)
         self.heard.announce()
         return sentence
@@ -441,7 +442,7 @@ class WorkNode:
             return board.answer(request.task, request.answer, request.person, request.reason)
         if request.decision in DECISIONS:
             return DECISIONS[request.decision](board, request.task, request.person, request.reason)
-        raise WorkRefused(f"decision {request.decision!r}; expected skip, redo, answer, removed or accept_schedule")
+        raise WorkRefused(Sentence("work.decision", decision=repr(request.decision)))
 
     def on_measured(self, request: WorkMeasuredRequest) -> Outcome:
         """Take where a person has measured an element."""
@@ -450,7 +451,7 @@ class WorkNode:
             found = self._opened().board.measured(request.element, pose, request.person, request.reason)
         self.heard.announce()
         distance, angle = found.distance * 1e3, math.degrees(found.angle)
-        sentence = f"{request.element} is {distance:.2f} mm and {angle:.3f} deg from where the model has it"
+        sentence = Sentence("work.measured", element=request.element, distance=distance, angle=angle)
         return Outcome(True, sentence, fields={"deviation_mm": distance, "deviation_deg": angle})
 
     def _pose_in_base(self, request: WorkMeasuredRequest) -> Pose:
@@ -507,8 +508,7 @@ class WorkNode:
         report = self._work.board.report(time.time_ns())
         if engaged:
             blocked = self._work.scene.blocked
-            reason = "the arm is engaged: only the way back can be planned"
-            reason += f", and not yet: {blocked}" if blocked else ""
+            reason = Sentence("work.back.blocked", problem=blocked) if blocked else Sentence("work.back.only")
             report = replace(report, engaged=True, reason=reason)
         return to_msg(report, WorkTasks)
 
@@ -546,7 +546,7 @@ def _call(name: str, kind: type, timeout: float, request: Any) -> tuple[str, Any
         rospy.wait_for_service(service, timeout)
         return "", rospy.ServiceProxy(service, kind)(request)
     except (rospy.ROSException, rospy.ServiceException) as error:
-        return f"{service} does not answer: {error}", None
+        return Sentence("work.silent", service=service, problem=str(error)), None
 
 
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:

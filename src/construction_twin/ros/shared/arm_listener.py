@@ -17,6 +17,7 @@ from construction_twin.coordination.path_sweep import PathSweep, PlanPosition
 from construction_twin.coordination.plan_book import PlanBook, PlanUnknownError
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError, SceneError
+from construction_twin.core.sentences import Sentence
 from construction_twin.msg import Execution, Plan, Review, Scene
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanValue
@@ -250,12 +251,12 @@ class OtherArm:
     def _take_carried(self) -> None:
         name, scene = self._bare.name, self._listener.scene
         if scene is None:
-            raise NeighbourUnknownError(name, "its scene, with what it carries, was not received")
+            raise NeighbourUnknownError(name, Sentence("motion.neighbour.no_scene"))
         if scene.hash != self._carried_by:
             try:
                 self._shape = self._bare.carrying(scene.objects)
             except SceneError as error:
-                raise NeighbourUnknownError(name, f"what it carries cannot be used: {error}") from error
+                raise NeighbourUnknownError(name, Sentence("motion.neighbour.load", problem=error.sentence)) from error
             self._carried_by, self._sweeps = scene.hash, {}
 
     def _prepare(self, *plans: PlanValue | None) -> None:

@@ -5,14 +5,13 @@ Everything here was published on ROS already; it is put into the words and files
 
 from __future__ import annotations
 
-import json
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.records import dumped
+from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import WorkReport
 from construction_twin.link.remote_review import PlanBoard
 from construction_twin.mqtt.messages import Topics
@@ -172,7 +171,7 @@ class ConsoleFeed:
             seen = Seen(*words, feedback=self._arm_seen, twin=self._twin_seen, scene=self._scene is not None)
             missing = first_missing(seen, deployment)
             heard = replace(heard, started=True, missing=missing, arm=deployment.arm != "none")
-        return json.dumps([line.document() for line in status_lines(heard)]).encode()
+        return dumped(status_lines(heard), marks=SPACED)
 
 
 def _word(report: Link | Sync | Execution | None) -> Word | None:

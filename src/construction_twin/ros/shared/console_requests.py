@@ -1,59 +1,42 @@
 """Plan and IK requests of consoles: handed to the planner's own services, and answered. Nothing here moves.
 
-What a plan service makes waits for a person's verdict as any plan. A plan request is carried out in its turn (`RequestLine`); the
+What a plan service makes waits for a person's verdict as any plan. A plan request is carried out in its turn (`RequestQueue`); the
 pose of an IK request, which is dragged, is worth solving only while it is the newest of its account, in a thread of its own
-(`NewestLine`).
+(`NewestQueue`).
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import rospy
-from geometry_msgs.msg import Point, PoseStamped, Quaternion
-from geometry_msgs.msg import Pose as PoseMsg
 
 from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.core.freshness import Moment, staleness
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.rate_limit import RollingWindow, SenderLimits
 from construction_twin.core.sentences import Sentence
-from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.remote_request import MAX_BYTES, IkRequest, RemoteRequest, parse_ik, parse_plan_request
+from construction_twin.link.goal_request import MAX_BYTES, GoalRequest, IkRequest, parse_ik, parse_plan_request
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ClosestView
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import IK, PLAN_REQUEST
-from construction_twin.msg import CartesianWaypoint
 from construction_twin.robot.frames import quaternion_to_rotation
-from construction_twin.ros.shared.endpoint import FLOOD, TOO_OLD, Endpoint, Incoming, Outlets
+from construction_twin.ros.messages.plan_services import PLAN_SERVICES
+from construction_twin.ros.shared.endpoint import TOO_OLD, Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.pose_judge import PoseJudge
 from construction_twin.ros.shared.request_counts import RequestCounts
-from construction_twin.ros.shared.request_line import NewestLine, RequestLine
+from construction_twin.ros.shared.request_queue import NewestQueue, RequestQueue
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.persistent_service import call
 
-#: Poses of one account that are taken in any second.
-IK_RATE = 15
 #: Accounts whose poses wait at once; each has one at most.
 IK_ACCOUNTS = 16
 #: How often the closest two bodies are looked for [s].
 CLOSEST_PERIOD = 0.2
-
-
-@dataclass(frozen=True)
-class PlanServices:
-    """The services that make plans, as `rospy.ServiceProxy` has them."""
-
-    to_joints: rospy.ServiceProxy
-    to_pose: rospy.ServiceProxy
-    line: rospy.ServiceProxy
-    way_back: rospy.ServiceProxy
-    work_task: rospy.ServiceProxy
 
 
 @dataclass(frozen=True)
@@ -77,7 +60,7 @@ class RobotContext:
 class _PlanAsked:
     """A plan request, who asked (for the reviewer), and when it arrived [ns of ROS time]."""
 
-    asked: RemoteRequest
+    asked: GoalRequest
     account: str
     arrived: int
 
@@ -86,7 +69,8 @@ class ConsoleRequests:
     """The endpoints of plan and IK requests.
 
     Args:
-        line: Where plan requests wait.
+        queue: Where plan requests wait.
+        services: Those that make plans, by kind of request.
         source_of: Takes an account; returns who asks, for the reviewer.
 
     Attributes:
@@ -98,8 +82,8 @@ class ConsoleRequests:
         self,
         topics: Topics,
         joints: Joints,
-        line: RequestLine,
-        services: PlanServices,
+        queue: RequestQueue,
+        services: Mapping[str, rospy.ServiceProxy],
         judge: PoseJudge,
         around: RobotContext,
         outlets: Outlets,
@@ -108,12 +92,11 @@ class ConsoleRequests:
         self._joints = joints
         self._services, self._judge, self._around = services, judge, around
         self._refuse, self._source_of = outlets.refuse, source_of
-        self._rate = SenderLimits(lambda: RollingWindow(IK_RATE))
         self._plans = RequestCounts("plan_requests", "under review", "no plan")
         self._poses = RequestCounts("ik", "solved", "not solved")
-        self.poses = NewestLine(
+        self.poses = NewestQueue(
             IK_ACCOUNTS,
-            f"{IK_ACCOUNTS} accounts drag poses already; try again",
+            Sentence("link.payload.accounts", count=IK_ACCOUNTS),
             lambda: self._poses.add(False, "overtaken"),
         )
         self._closest: tuple[ClosestView, float] | None = None
@@ -126,10 +109,10 @@ class ConsoleRequests:
             self._plans,
             outlets,
             _describe,
-            lambda _: line,
+            lambda _: queue,
         )
         self.ik: Endpoint[IkRequest] = Endpoint(
-            IK, topics, self._read_pose, self._solve, self._poses, outlets, line=lambda _: self.poses
+            IK, topics, self._read_pose, self._solve, self._poses, outlets, queue=lambda _: self.poses
         )
 
     @property
@@ -148,57 +131,35 @@ class ConsoleRequests:
     def _carry_out(self, request: _PlanAsked) -> Outcome:
         # it may have waited too long for its turn
         self._demand_fresh(request.asked)
-        return self._make(request.asked, request.account, request.arrived)
+        asked, kind = request.asked, request.asked.kind
+        if kind == "way_back" and self._around.has_work() and self._around.is_engaged():
+            # the node `work` makes the scene right before it has the way back planned
+            kind = "work_task"
+        if kind == "work_task" and not self._around.has_work():
+            return Outcome(False, Sentence("link.no_work"))
+        # a stop between the message and its turn voids the plan
+        source, arrived = self._source_of(request.account), to_time(request.arrived)
+        fields = PLAN_SERVICES[kind].fields(asked, source=source, asked=arrived)
+        return Outcome.of(call(self._services[kind], "its node", **fields))
 
-    def _demand_fresh(self, asked: RemoteRequest) -> None:
+    def _demand_fresh(self, asked: GoalRequest) -> None:
         """Refuse a plan request (PayloadError) that is too old to be begun."""
         if problem := staleness(asked.moment, self._around.clock()):
             raise PayloadError(TOO_OLD, Sentence("executor.void.request", problem=problem))
 
-    def _make(self, asked: RemoteRequest, account: str, arrived: int) -> Outcome:
-        """Have a plan made by the service of its kind."""
-        services, scales = (
-            self._services,
-            {"speed_scale": asked.speed_scale, "acceleration_scale": asked.acceleration_scale},
-        )
-        common = {"source": self._source_of(account), **scales}
-        if asked.kind == "joints":
-            # a stop between the message and its turn voids the plan
-            return self._call(services.to_joints, goal=list(asked.joints), asked=to_time(arrived), **common)
-        if asked.kind == "pose":
-            goal = PoseStamped(pose=_pose_msg(asked))
-            return self._call(services.to_pose, goal=goal, configuration=asked.configuration, **common)
-        if asked.kind == "line":
-            waypoints = [CartesianWaypoint(pose=_pose_msg(asked))]
-            return self._call(services.line, waypoints=waypoints, speed=asked.speed, **common)
-        if asked.kind == "way_back" and not (self._around.has_work() and self._around.is_engaged()):
-            return self._call(services.way_back)
-        # the node `work` makes the scene right before it has the way back planned
-        if not self._around.has_work():
-            return Outcome(False, "no building model is worked on here; start bringup with work_model and work_cell")
-        return self._call(services.work_task, task=asked.task)
-
-    @staticmethod
-    def _call(service: rospy.ServiceProxy, **request: object) -> Outcome:
-        answer = call(service, "its node", **request)
-        plan = {name: getattr(answer, name) for name in ("plan_id", "plan_hash", "duration") if hasattr(answer, name)}
-        return Outcome(answer.success, answer.message, fields=plan)
-
     # -- IK requests
 
     def _read_pose(self, incoming: Incoming) -> IkRequest:
-        if not self._rate.take(incoming.account, round(time.monotonic() * NANOSECONDS)):
-            raise PayloadError(FLOOD, f"more than {IK_RATE} poses in a second from {incoming.account}")
         return parse_ik(incoming.read_document("ik", MAX_BYTES), self._joints)
 
     def _solve(self, asked: IkRequest) -> Outcome:
         seed = asked.seed or tuple(self._around.twin())
         if not seed:
-            return Outcome(False, "the twin's pose is not known, and no seed was given")
+            return Outcome(False, Sentence("link.no_seed"))
         try:
             verdict = self._judge.judge(asked.position, quaternion_to_rotation(asked.orientation), seed)
         except (ConfigurationError, SceneError) as error:
-            raise PayloadError("ik", str(error)) from error
+            raise PayloadError("ik", error.sentence) from error
         joints = None if verdict.q is None else dict(zip(self._joints.names, map(float, verdict.q)))
         found = {"reach": verdict.reach.value, "joints": joints, "between": verdict.between}
         return Outcome(joints is not None, verdict.sentence, fields=found, counted=verdict.reach.value)
@@ -241,7 +202,3 @@ class ConsoleRequests:
 
 def _describe(request: _PlanAsked) -> str:
     return f"plan_request {request.asked.id!r} ({request.asked.kind}) from {request.account}"
-
-
-def _pose_msg(asked: RemoteRequest) -> PoseMsg:
-    return PoseMsg(Point(*asked.position), Quaternion(*asked.orientation))

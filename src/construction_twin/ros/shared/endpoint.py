@@ -1,13 +1,14 @@
 """A request by MQTT, from its message to its answer: one `Endpoint` for each kind.
 
-An endpoint is what differs: its kind (`mqtt.requests`: topics, answer), how a message is read (a pure function of `link` or
-`mqtt`), where it waits (`request_line`), and what carries it out. What all have in common is here. A message that cannot be read is
-refused and counted, and answered at a pace. What was asked for is carried out first and answered next; counts and log lines come
-after that, and hold up nothing (`deferred_log`). Of a safety act none of them can fail it either (`core.beside`).
+An endpoint is what differs: its kind (`mqtt.requests`), how a message is read (a pure function of `link` or `mqtt`), where it waits
+(`request_queue`), and what carries it out. What all have in common is here. A message that cannot be read is refused and counted,
+and answered at a pace. What was asked for is carried out first and answered next; counts and log lines come after that, and hold up
+nothing (`deferred_log`). Of a safety act none of them can fail it either (`core.side_effects`).
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -16,21 +17,20 @@ from typing import Any, Generic, TypeVar
 import rospy
 from paho.mqtt.client import MQTTMessage
 
-from construction_twin.core.beside import Beside
 from construction_twin.core.errors import PayloadError, ServiceSilentError
-from construction_twin.link.json_fields import read_document
+from construction_twin.core.side_effects import SideEffects
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import request_id
+from construction_twin.mqtt.json_fields import read_document
 from construction_twin.mqtt.messages import Topics, account_of
 from construction_twin.mqtt.requests import RequestKind
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.request_counts import RequestCounts
-from construction_twin.ros.shared.request_line import Line, Request
+from construction_twin.ros.shared.request_queue import Queue, Request
 
-#: Reasons of a PayloadError: what its screen had shown is too old; it came before, and was answered then; it is one of too many.
-TOO_OLD, REPEATED, FLOOD = "too_old", "repeated", "ik_rate"
-#: What is refused for these is not answered: that would be as much again.
-UNANSWERED = (REPEATED, FLOOD)
+#: Reasons of a PayloadError: what its screen had shown is too old; it came before, and was answered then.
+TOO_OLD, REPEATED = "too_old", "repeated"
 
 Asked = TypeVar("Asked")
 
@@ -50,9 +50,9 @@ class Incoming:
     retained: bool
     echo: dict[str, str] = field(default_factory=dict)
 
-    def read_document(self, what: str, limit: int, advice: str = "") -> dict[str, Any]:
+    def read_document(self, what: str, limit: int, parameter: str = "") -> dict[str, Any]:
         """Return the JSON object of a request whose answer repeats its id; PayloadError, and arguments, as of `json_fields`."""
-        document = read_document(self.payload, self.retained, what, limit, advice)
+        document = read_document(self.payload, self.retained, what, limit, parameter)
         self.echo["id"] = request_id(document)
         return document
 
@@ -68,7 +68,7 @@ class Outlets:
             nobody foresaw ends the node, as everywhere (docs/architecture.md).
 
     Attributes:
-        beside: What was told beside a safety act, and failed.
+        side_effects: What ran beside a safety act, and failed.
         log: What `write_log` writes.
     """
 
@@ -76,15 +76,15 @@ class Outlets:
         self, publish: Callable[[str, bytes, int], object], refuse: Callable[[str, str], None], safety: bool = False
     ):
         self.publish, self.refuse = publish, refuse
-        self.beside = Beside()
+        self.side_effects = SideEffects()
         self.log = DeferredLog()
         #: Takes a part's name, the part and its arguments; returns what the part returns, or None where it failed beside an act.
-        self.tell: Callable[..., Any] = self.beside.do if safety else _just_do
+        self.tell: Callable[..., Any] = self.side_effects.run if safety else _just_do
 
     def write_log(self) -> None:
         """Write what is to be said, and what has failed; for a thread that may wait for a disk or a terminal."""
         self.tell("the log", self.log.flush)
-        self.beside.tell(rospy.logerr)
+        self.side_effects.write(rospy.logerr)
 
 
 def _just_do(_what: str, part: Callable[..., Any], *arguments: object) -> Any:
@@ -98,7 +98,8 @@ class Endpoint(Generic[Asked]):
         read: Returns what is asked for, or raises PayloadError.
         carry_out: Does it. May raise PayloadError, which is refused and counted then, and ServiceSilentError.
         describe: Returns in a few words who asks for what, for the log; None: there is no line of it.
-        line: Takes what is asked for; returns where that waits. None: it is carried out where it arrives, and waits for nothing.
+        queue: Takes what is asked for; returns where that waits, and is kept to its kind's pace. None: it is carried out where it
+            arrives, and waits for nothing.
     """
 
     def __init__(
@@ -110,11 +111,13 @@ class Endpoint(Generic[Asked]):
         counts: RequestCounts,
         outlets: Outlets,
         describe: Callable[[Asked], str] | None = None,
-        line: Callable[[Asked], Line] | None = None,
+        queue: Callable[[Asked], Queue] | None = None,
     ):
         self.topic, self.qos = topics.of(kind), kind.qos
         self._kind, self._topics, self._read, self._act = kind, topics, read, carry_out
-        self._counts, self._outlets, self._describe, self._line = counts, outlets, describe, line
+        self._counts, self._outlets, self._describe, self._queue = counts, outlets, describe, queue
+        # a newer one follows: this one is not worth reading, and answering it would be as much again
+        self._unread = kind.pace.limits() if kind.pace is not None and not kind.qos else None
 
     def on_message(self, message: MQTTMessage) -> None:
         """Take a message from the connection's thread."""
@@ -132,15 +135,21 @@ class Endpoint(Generic[Asked]):
 
     def take(self, incoming: Incoming) -> None:
         """Take a message whose account is known."""
+        account = incoming.account
+        if self._unread is not None and not self._unread.take(account, round(time.monotonic() * NANOSECONDS)):
+            self._count_refusal(
+                f"{self._kind.name}_rate", f"{self._kind.name} too often from {account}: {self._kind.pace}"
+            )
+            return
         try:
             asked = self._read(incoming)
         except PayloadError as error:
             self._refuse_unread(incoming, error)
             return
-        if self._line is None:
+        if self._queue is None:
             self._act_and_answer(incoming, asked)
             return
-        self._line(asked).take(
+        self._queue(asked).take(
             Request(
                 self._kind.name,
                 incoming.account,
@@ -148,11 +157,12 @@ class Endpoint(Generic[Asked]):
                 partial(self._act_and_answer, incoming, asked),
                 partial(self._refuse, incoming),
                 partial(self._repeat, incoming),
+                self._kind.pace if self._unread is None else None,
             )
         )
 
     def _refuse_unread(self, incoming: Incoming, error: PayloadError) -> None:
-        if error.reason not in UNANSWERED and self._counts.is_due(incoming.account):
+        if self._counts.is_due(incoming.account):
             self._send(incoming, Outcome(False, str(error), error.reason == TOO_OLD))
         self._count_refusal(error.reason, str(error))
 
@@ -178,7 +188,7 @@ class Endpoint(Generic[Asked]):
         except PayloadError as error:
             refused, outcome = error, Outcome(False, str(error), error.reason == TOO_OLD)
         answer = b""
-        if refused is None or refused.reason not in UNANSWERED:
+        if refused is None or refused.reason != REPEATED:
             answer = self._send(incoming, outcome)
             self._counts.add(outcome.success, outcome.counted)
         if refused is not None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError, ExecutionError
 from construction_twin.core.files import read_file, write_whole
+from construction_twin.core.sentences import Sentence
 from construction_twin.execution.engagement import Engagement, from_text, to_text
 
 #: Largest file [bytes]: a path of some minutes.
@@ -48,5 +49,5 @@ class EngagementFile:
             else:
                 write_whole(self._path, to_text(engagement))
         except OSError as error:
-            words = "where the arm may be left is not on the disk, so no engaged segment is entered or left; mend it"
-            raise ExecutionError(f"{self._path}: {error.strerror or error}: {words}") from error
+            failed = {"path": str(self._path), "problem": error.strerror or str(error)}
+            raise ExecutionError(Sentence("executor.engagement_not_written", **failed)) from error

@@ -17,6 +17,7 @@ import rosbag
 import rosbag.bag
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.sentences import Sentence
 from construction_twin.evaluation.bag import check_definition
 
 #: rosbag's function from a connection to its message class is one per process.
@@ -47,16 +48,14 @@ def open_bag(path: str | Path, kinds: Iterable[type[genpy.Message]]) -> Iterator
             with rosbag.Bag(str(path)) as bag:
                 yield bag
         except rosbag.ROSBagUnindexedException as error:
-            raise ConstructionTwinError(
-                f"{path} was not closed properly; run `rosbag reindex {path}` and try again"
-            ) from error
+            raise ConstructionTwinError(Sentence("view.bag.unclosed", path=str(path))) from error
         except (rosbag.ROSBagException, genpy.DeserializationError, OSError) as error:
-            raise ConstructionTwinError(f"{path} cannot be read as a rosbag: {error}") from error
+            unreadable = Sentence("view.bag.unreadable", path=str(path), problem=str(error))
+            raise ConstructionTwinError(unreadable) from error
         except (ValueError, LookupError, EOFError) as error:
             # rosbag takes what it finds for text, lengths and numbers of connections
-            raise ConstructionTwinError(
-                f"{path} cannot be read as a rosbag: it is damaged, or another kind of file ({error})"
-            ) from error
+            damaged = Sentence("view.bag.damaged", path=str(path), problem=str(error))
+            raise ConstructionTwinError(damaged) from error
         finally:
             rosbag.bag._get_message_type = original
 

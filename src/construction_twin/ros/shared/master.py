@@ -14,6 +14,7 @@ from typing import Any
 import rosgraph
 
 from construction_twin.core.errors import ConfigurationError, SilenceError
+from construction_twin.core.sentences import Sentence
 
 #: How long a command waits for the master [s].
 TIMEOUT = 5.0
@@ -22,7 +23,7 @@ NODE_TIMEOUT = 2.0
 #: The same for a command's two questions to a node without which it can do nothing: in all less than a second [s].
 ANSWER = 0.4
 #: What to do when there is none.
-TO_DO = "start bringup, or set ROS_MASTER_URI"
+TO_DO = Sentence("view.to_do.master")
 #: How often a master that does not answer is asked again [s].
 _POLL = 0.5
 _CALLER = "/construction_twin"
@@ -46,9 +47,9 @@ class RunningNode:
 
     def __str__(self) -> str:
         if self.pid is None:
-            return f"{self.name} on {self.host} (does not answer; if it has ended, `rosnode cleanup` removes it)"
-        doubt = "" if self.tells_name else " (which tells no name; if it has ended, `rosnode cleanup` removes it)"
-        return f"{self.name} on {self.host}, process {self.pid}{doubt}"
+            return Sentence("preflight.node_mute", name=self.name, host=self.host)
+        key = "preflight.node" if self.tells_name else "preflight.node_nameless"
+        return Sentence(key, name=self.name, host=self.host, pid=self.pid)
 
 
 class _Transport(xmlrpc.client.Transport):
@@ -92,7 +93,7 @@ def await_master(timeout: float = TIMEOUT) -> None:
     try:
         ask(uri, timeout, "getPid")
     except FAILURES as error:
-        problem = f"no ROS master answers ({error})"
+        problem = Sentence("view.silent.no_master", problem=str(error))
         raise SilenceError(uri, problem, TO_DO) from error
 
 
@@ -124,7 +125,7 @@ def publishing_nodes(topic: str) -> list[str]:
     try:
         _, (publishers, _, _) = ask(uri, TIMEOUT, "getSystemState")
     except FAILURES as error:
-        raise SilenceError(uri, f"no ROS master answers ({error})", TO_DO) from error
+        raise SilenceError(uri, Sentence("view.silent.no_master", problem=str(error)), TO_DO) from error
     return [name for published, nodes in publishers if published == topic for name in nodes]
 
 
@@ -142,8 +143,8 @@ def expect_publisher(topic: str, patience: float = ANSWER) -> None:
     answers = (node.pid for _ in range(2) for node in running(names, rosgraph.get_master_uri(), patience))
     if not any(answers):
         who = " and ".join(names)
-        problem = f"{who} has ended, or does not answer" if names else "no node publishes it"
-        raise SilenceError(topic, problem, "start bringup, or see why the node is down")
+        problem = Sentence("view.silent.ended", nodes=who) if names else Sentence("view.silent.unpublished")
+        raise SilenceError(topic, problem, Sentence("view.to_do.bringup_or_down"))
 
 
 def running(names: Iterable[str], uri: str, patience: float = NODE_TIMEOUT) -> list[RunningNode]:

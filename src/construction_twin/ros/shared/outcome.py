@@ -24,6 +24,12 @@ class Outcome:
     fields: Mapping[str, object] = field(default_factory=dict)
     counted: str = ""
 
+    @classmethod
+    def of(cls, answer: Any) -> Outcome:
+        """Return what became of a request by a service's answer; what it has no field for stays as it is without."""
+        known = {name: getattr(answer, name) for name in answer.__slots__}
+        return cls(known.pop("success"), known.pop("message"), known.pop("expired", False), known)
+
     def response(self, kind: Any) -> Any:
         """Return the response of a kind of service; what it has no field for is left out."""
         made = kind._response_class(success=self.success, message=self.message)

@@ -1,27 +1,27 @@
 """`stop`, `pause` and `resume` by MQTT, carried out by the executor and answered there; part of mqtt_review.
 
-Each verb has a line and a thread of its own: a stop and a pause wait for nothing else that was asked for. The gateway reads the
+Each verb has a queue and a thread of its own: a stop and a pause wait for nothing else that was asked for. The gateway reads the
 same stops itself, so this one brakes along the path what the gateway brakes within its limits, and voids the plans that wait.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
 import rospy
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.mqtt import requests
-from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP, Intervention, parse_intervention
+from construction_twin.core.sentences import Sentence
+from construction_twin.mqtt.interventions import Intervention, parse_intervention
 from construction_twin.mqtt.messages import Topics
-from construction_twin.mqtt.requests import RequestKind
+from construction_twin.mqtt.requests import PRESSED, RequestKind
 from construction_twin.ros.shared.endpoint import REPEATED, Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.request_counts import RequestCounts
-from construction_twin.ros.shared.request_line import RequestLine
+from construction_twin.ros.shared.request_queue import RequestQueue
 from construction_twin.ros.transport.persistent_service import call, call_twice
 
 #: What may wait while one is carried out, for each of the verbs.
@@ -37,11 +37,11 @@ class RemoteInterventions:
     """What takes interventions, and where they wait.
 
     Attributes:
-        lines: Of each verb; a thread for each of them.
+        queues: Of each verb; a thread for each of them.
     """
 
     endpoints: tuple[Endpoint[Intervention], ...]
-    lines: Mapping[str, RequestLine]
+    queues: Mapping[str, RequestQueue]
 
 
 def remote_interventions(
@@ -50,30 +50,29 @@ def remote_interventions(
     """Return what takes interventions and gives them to the executor.
 
     Args:
-        services: The executor's of each verb; that of `resume` takes `moment`, the others may be called twice.
+        services: The executor's of each verb; that of one that starts motion takes `moment`, the others may be called twice.
     """
-    lines = {verb: RequestLine(WAITING) for verb in (STOP, PAUSE, RESUME)}
+    queues = {kind.name: RequestQueue(WAITING) for kind in PRESSED}
     known: deque[Intervention] = deque(maxlen=MEMORY)
 
-    def resume(wanted: Intervention) -> Outcome:
+    def start(wanted: Intervention) -> Outcome:
         if wanted in known:
             # it must not start again what was paused since
-            raise PayloadError(REPEATED, f"{wanted.verb} {wanted.id!r} of account {wanted.account} came before")
+            names = {"verb": wanted.verb, "id": repr(wanted.id), "account": wanted.account}
+            raise PayloadError(REPEATED, Sentence("link.payload.again", **names))
         known.append(wanted)
         # it asks the master first; when a pause overtakes it, its moment is older than that pause, and it is void
-        answer = call(services[RESUME], EXECUTOR, moment=wanted.moment)
-        return Outcome(answer.success, answer.message, answer.expired)
+        return Outcome.of(call(services[wanted.verb], EXECUTOR, moment=wanted.moment))
 
     def brake(wanted: Intervention) -> Outcome:
-        answer = call_twice(services[wanted.verb], EXECUTOR)
-        return Outcome(answer.success, answer.message)
+        return Outcome.of(call_twice(services[wanted.verb], EXECUTOR))
 
-    def endpoint(kind: RequestKind, act: Callable[[Intervention], Outcome]) -> Endpoint[Intervention]:
-        read, line = partial(_read, kind.name), lines[kind.name]
-        return Endpoint(kind, topics, read, act, counts, outlets, _describe, lambda _: line)
+    def endpoint(kind: RequestKind) -> Endpoint[Intervention]:
+        read, queue = partial(_read, kind.name), queues[kind.name]
+        act = start if kind.starts else brake
+        return Endpoint(kind, topics, read, act, counts, outlets, _describe, lambda _: queue)
 
-    endpoints = endpoint(requests.STOP, brake), endpoint(requests.PAUSE, brake), endpoint(requests.RESUME, resume)
-    return RemoteInterventions(endpoints, lines)
+    return RemoteInterventions(tuple(map(endpoint, PRESSED)), queues)
 
 
 def _read(verb: str, incoming: Incoming) -> Intervention:

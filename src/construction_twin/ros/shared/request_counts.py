@@ -1,7 +1,6 @@
 """What became of the requests of one kind, for `/diagnostics`, and how often an account is told that it sent what cannot be read.
 
-Who floods a topic must cost no more than the reading. What can be read is not bounded here: a person's verdict, stop, pause or
-resume is always answered.
+Who floods a topic must cost no more than the reading.
 """
 
 from __future__ import annotations
@@ -11,11 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 
-from construction_twin.core.rate_limit import SenderLimits, TokenBucket
-from construction_twin.core.units import NANOSECONDS
-
-#: Answers to one account have this time between them [ns] in the long run, and so many come at once; as the gateway's.
-PERIOD, AT_ONCE = NANOSECONDS // 10, 10
+from construction_twin.mqtt.requests import answer_limits
 
 
 class RequestCounts:
@@ -37,7 +32,7 @@ class RequestCounts:
         self._kind = kind
         self._words = {True: done, False: not_done}
         self._clock = clock
-        self._answers = SenderLimits(lambda: TokenBucket(NANOSECONDS // PERIOD, AT_ONCE))
+        self._answers = answer_limits()
         self._lock = threading.Lock()
         self._unanswered = 0
         self._counts: Counter[str] = Counter()

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.ros.shared.master import FAILURES, TIMEOUT, ask
 
 #: Where the parameters of the claims are, one for each start.
@@ -69,7 +70,7 @@ def claim(robot: str, uri: str, pid: int, folder: Path | None = None, clock: Cal
     own = Claim.of(pid, clock())
     other = _claim_in_file(own, robot, uri, folder or Path(tempfile.gettempdir(), f"construction_twin_{os.getuid()}"))
     other = other or _claim_on_master(own, robot, uri)
-    return "" if other is None else f"process {other.pid} on {other.host} has begun to start it on {uri}"
+    return "" if other is None else Sentence("preflight.begun", pid=other.pid, host=other.host, uri=uri)
 
 
 def _claim_in_file(own: Claim, robot: str, uri: str, folder: Path) -> Claim | None:

@@ -56,7 +56,8 @@ class StopMemory:
 
     def _put(self, session: str) -> None:
         try:
-            self._write(session)
+            # XML-RPC takes a plain text only: a sentence has its key in the console and in logs, not here
+            self._write(str(session))
         except (OSError, rospy.ROSException, xmlrpc.client.Error, http.client.HTTPException) as error:
             self.problem = f"that it is stopped would not outlast this node: {self._name} was not written ({error})"
             return

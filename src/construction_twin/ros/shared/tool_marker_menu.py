@@ -13,9 +13,13 @@ from interactive_markers.menu_handler import MenuHandler
 from visualization_msgs.msg import InteractiveMarkerFeedback
 
 from construction_twin.core.errors import ConstructionTwinError, RequestRefused
-from construction_twin.kinematics.chain import Pose
+from construction_twin.core.sentences import Sentence
+from construction_twin.link.goal_request import GoalRequest
+from construction_twin.link.remote_review import ReviewRequest
 from construction_twin.robot.plan import Plan
+from construction_twin.ros.messages.plan_services import pose_fields
 from construction_twin.ros.shared.operator_client import OperatorClient
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.tool_marker_shapes import NAME
 from construction_twin.views.marker_goal import MarkerGoal
 
@@ -67,14 +71,14 @@ class ToolMarkerMenu:
         self._run = run
         self._planning = threading.Lock()
         self._shown = ShownPlan()
-        self._actions: dict[str, Callable[[], str]] = {
-            "Plan": lambda: self._plan(lambda: client.plan_to_pose(self._demand_goal())),
-            "Plan straight line": lambda: self._plan(lambda: client.plan_line(self._demand_goal())),
+        self._actions: dict[str, Callable[[], Outcome]] = {
+            "Plan": lambda: self._plan(lambda: self._pose_request("pose")),
+            "Plan straight line": lambda: self._plan(lambda: self._pose_request("line")),
             "Preview": client.preview,
-            "Approve": lambda: self._review(True),
-            "Reject": lambda: self._review(False),
+            "Approve": lambda: self._review("approved"),
+            "Reject": lambda: self._review("rejected"),
             STOP: lambda: client.trigger("stop"),
-            "Plan to home": lambda: self._plan(lambda: client.plan_to_joints(home)),
+            "Plan to home": lambda: self._plan(lambda: GoalRequest("joints", joints=tuple(home))),
             "Back to the tool": self._back,
         }
         self._menu = MenuHandler()
@@ -108,7 +112,7 @@ class ToolMarkerMenu:
     def _do(self, title: str) -> None:
         self._say(f"{title} ...")
         try:
-            sentence = self._actions[title]()
+            sentence = self._actions[title]().message
         except ConstructionTwinError as error:
             rospy.logwarn("%s: %s", title, error)
             self._say(f"{title}: {error}")
@@ -118,30 +122,30 @@ class ToolMarkerMenu:
         rospy.loginfo("%s: %s", title, sentence)
         self._say(f"{title}: {sentence}")
 
-    def _plan(self, request: Callable[[], str]) -> str:
+    def _plan(self, request: Callable[[], GoalRequest]) -> Outcome:
         """Ask for a plan, unless another request is under way."""
         if not self._planning.acquire(blocking=False):
-            raise RequestRefused("a plan is being made already; wait for it")
+            raise RequestRefused(Sentence("view.tool.busy"))
         try:
-            return request()
+            return self._client.plan(request())
         finally:
             self._planning.release()
 
-    def _demand_goal(self) -> Pose:
+    def _pose_request(self, kind: str) -> GoalRequest:
         pose = self._goal.pose
         if pose is None:
-            raise RequestRefused("the marker is at the tool; drag it to a goal first")
-        return pose
+            raise RequestRefused(Sentence("view.tool.at_tool"))
+        return GoalRequest(kind, **pose_fields(pose))
 
-    def _review(self, approve: bool) -> str:
+    def _review(self, verdict: str) -> Outcome:
         plan = self._under_review()
         if plan is None:
-            raise RequestRefused("no plan waits for approval; plan one first")
+            raise RequestRefused(Sentence("view.tool.no_plan"))
         shown = self._shown
         if shown.plan_id != plan.id or time.monotonic() - shown.since < SHOWN:
-            raise RequestRefused(f"plan {plan.id[:8]} has only just come; look at it, then choose again")
-        return self._client.review(plan.id, plan.hash, approve, self._reviewer, "by the marker's menu")
+            raise RequestRefused(Sentence("view.tool.too_new", plan=plan.id[:8]))
+        return self._client.review(ReviewRequest(plan.id, plan.hash, verdict, self._reviewer, "by the marker's menu"))
 
-    def _back(self) -> str:
+    def _back(self) -> Outcome:
         self._goal.drop()
-        return "the marker follows the tool"
+        return Outcome(True, Sentence("view.tool.dropped"))

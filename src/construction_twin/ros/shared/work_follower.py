@@ -11,11 +11,10 @@ import rospy
 
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.reports import EngagementReport, ExecutionReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain
-from construction_twin.msg import Plan as PlanMsg
 from construction_twin.review.record import Fate
 from construction_twin.ros.messages.convert import trajectory_from_msg
-from construction_twin.ros.messages.work_convert import end_from_msg
 from construction_twin.ros.shared.work_listener import KnownPlan, WorkListener
 from construction_twin.work import engaged_scene, following
 from construction_twin.work.built import as_built, pose_of_tuple, pose_tuple
@@ -82,19 +81,18 @@ class WorkFollower:
         self, memory: TaskMemory, left: EngagementReport, known: KnownPlan, report: ExecutionReport
     ) -> None:
         """Write how the task's plan ended inside an engaged segment: what the tool has done by then is done."""
-        plan = known.message
-        followed = self._followed(memory, plan)
+        followed = self._followed(memory, known)
         if followed is None:
             return
-        numbers = [number for number, segment in enumerate(plan.segments) if segment.name == left.segment]
-        mine = report.plan_id == plan.id
+        numbers = [number for number, segment in enumerate(known.segments) if segment.name == left.segment]
+        mine = report.plan_id == known.message.id
         # after a restart of the executor only the segment's name is known
         number = report.segment if mine else numbers[0] if len(numbers) == 1 else -1
-        confirmed = 0 <= number < len(plan.segments) and engaged_scene.confirmed(left, known.steps[number])
+        confirmed = 0 <= number < len(known.segments) and engaged_scene.confirmed(left, known.segments[number])
         ended = ExecutionReport(
             text="",
             reason=left.reason,
-            plan_id=plan.id,
+            plan_id=known.message.id,
             outcome=(report.outcome if mine else "") or "stopped",
             segment=number,
             # only there the arm still stands as it let go
@@ -119,14 +117,14 @@ class WorkFollower:
         """Return what is known of the task that is under review or under way; None: none is."""
         return self._board.book.tasks.get(self._board.book.busy)
 
-    def _followed(self, memory: TaskMemory, plan: PlanMsg | None) -> Followed | None:
+    def _followed(self, memory: TaskMemory, known: KnownPlan | None) -> Followed | None:
         """Return a plan of a task as it is followed; None when it is another's."""
-        if plan is None or plan.task != memory.task:
+        if known is None or known.message.task != memory.task:
             return None
+        plan = known.message
         if plan.id != memory.plan and not (memory.offer and memory.offer in plan.source):
             return None
-        ends = tuple(map(end_from_msg, plan.segments))
-        return following.followed(plan.id, memory, ends, self._board.prepared.tool)
+        return following.followed(plan.id, memory, known.segments, known.changes, self._board.prepared.tool)
 
     def _as_built(
         self, memory: TaskMemory, followed: Followed, report: ExecutionReport
@@ -147,9 +145,9 @@ class WorkFollower:
     def _planned_pose(self, followed: Followed) -> tuple[float, ...] | None:
         """Return where the arm was to let go [rad], [m]; None when the plan is not known any more."""
         known = self._heard.work_plan(followed.id)
-        if known is None or not 0 <= followed.releases < len(known.message.segments):
+        if known is None or not 0 <= followed.releases < len(known.segments):
             return None
-        end = known.message.segments[followed.releases].end
+        end = known.segments[followed.releases].end
         return tuple(trajectory_from_msg(known.message.trajectory).sample(end)[0])
 
     # -- a task that nobody reports
@@ -178,8 +176,8 @@ class WorkFollower:
         ended = ExecutionReport("", "", fate.plan, fate.outcome)
         unseen = following.followed_unseen(fate.plan, memory, fate.outcome)
         # where the element was to be let go is known as long as the plan is
-        plan = self._heard.plan
-        followed = self._followed(memory, plan) if plan is not None and plan.id == fate.plan else None
+        known = self._heard.plan
+        followed = self._followed(memory, known) if known is not None and known.message.id == fate.plan else None
         built, source = self._as_built(memory, followed, ended) if followed is not None else ((), "")
         self._add(following.follow(memory, unseen, ended, self.grip(), built, source), rospy.logwarn)
 
@@ -197,9 +195,9 @@ class WorkFollower:
         memory = self._under_way()
         review = self._heard.review(memory.plan) if memory is not None else None
         if memory is not None and memory.state is TaskState.PLANNED and review is not None and not review.approved:
-            reason = f"{review.reviewer}: {review.reason}"
-            self._board.add(Entry("dropped", memory.task, plan=memory.plan, reason=reason))
-            self._board.failures[memory.task] = f"its plan was turned down by {reason}"
+            who, why = review.reviewer, review.reason
+            self._board.add(Entry("dropped", memory.task, plan=memory.plan, reason=f"{who}: {why}"))
+            self._board.failures[memory.task] = Sentence("work.task.turned_down", who=who, reason=why)
 
     def _doubt_if_open(self) -> None:
         """Have it asked about what counts as carried, when the tool is surely open."""

@@ -15,12 +15,13 @@ from construction_twin.core.reports import EngagementReport, ExecutionReport
 from construction_twin.msg import Engagement, Execution, Plan, Review, ToolState
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.review.record import Fate, read_fate
+from construction_twin.robot.segments import Segment
 from construction_twin.robot.tool import Tool
+from construction_twin.ros.messages.convert import change_from_msg
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.messages.work_convert import step_from_msg
 from construction_twin.scene.objects import Scene
-from construction_twin.work.engaged_scene import Step
+from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work.following import GripReading, grip_of
 
 #: Verdicts that are remembered.
@@ -31,14 +32,16 @@ _KEPT_PLANS, _KEPT_SCENES = 4, 12
 
 @dataclass(frozen=True, eq=False)
 class KnownPlan:
-    """A work plan that was published.
+    """A plan that was published.
 
     Attributes:
-        steps: What its segments change in the scene.
+        segments: Of a work plan.
+        changes: What each of them does to the scene.
     """
 
     message: Plan
-    steps: tuple[Step, ...]
+    segments: tuple[Segment, ...]
+    changes: tuple[SceneChange, ...]
 
 
 class WorkListener:
@@ -68,7 +71,7 @@ class WorkListener:
         self._heard = threading.Condition()
         self._news: queue.SimpleQueue[None] = queue.SimpleQueue()
         self.execution: ExecutionReport | None = None
-        self.plan: Plan | None = None
+        self.plan: KnownPlan | None = None
         self.engagement: EngagementReport | None = None
         self.scene: Scene | None = None
         self.tool: ToolState | None = None
@@ -90,15 +93,17 @@ class WorkListener:
     def on_plan(self, message: Plan) -> None:
         """Take a plan; one whose segments cannot be read is refused."""
         try:
-            steps = tuple(map(step_from_msg, message.segments))
+            changes = tuple(map(change_from_msg, message.segments))
         except SceneError as error:
             self._refuse("plan", str(error))
             return
+        segments = tuple(from_msg(Segment, segment) for segment in message.segments)
+        plan = KnownPlan(message, segments, changes)
         with self._news_comes():
-            self.plan, self._plan_offered = message, True
+            self.plan, self._plan_offered = plan, True
             # a way back changes nothing, and may be planned again and again
-            if any(step.before != step.after for step in steps):
-                _keep(self._work_plans, message.id, KnownPlan(message, steps), _KEPT_PLANS)
+            if any(segment.scene != segment.scene_after for segment in segments):
+                _keep(self._work_plans, message.id, plan, _KEPT_PLANS)
 
     def on_engagement(self, message: Engagement) -> None:
         """Take whether, and where, the arm was left engaged."""
@@ -205,7 +210,8 @@ class WorkListener:
             plan_id: Empty: the plan is known by the offer alone.
             offer: Part of the plan's source; empty: its id must fit.
         """
-        plan = self.plan
+        known = self.plan
+        plan = known.message if known is not None else None
         if plan is not None and (plan.id == plan_id or (offer and offer in plan.source)):
             if plan.id not in self._verdicts and self._publishers("plan"):
                 return Fate(plan.id, False, under_review=True)
@@ -221,7 +227,7 @@ class WorkListener:
             self._plan_offered = False
         # an executor that is still there has the plan, whatever became of the planner
         gone = not self._plan_offered and not self._publishers("execution")
-        if not (gone and self.plan is not None and self.plan.id == plan_id):
+        if not (gone and self.plan is not None and self.plan.message.id == plan_id):
             return False
         self.plan = None
         return True

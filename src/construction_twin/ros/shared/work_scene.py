@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from construction_twin.core.reports import ExecutionReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.ros.messages.scene_convert import object_to_msg
 from construction_twin.ros.shared.work_follower import WorkFollower
 from construction_twin.ros.shared.work_listener import WorkListener
@@ -55,9 +56,10 @@ class WorkScene:
 
     def change_as_planned(self, report: ExecutionReport | None) -> None:
         """Change the scene as planned, when a report, which has been followed, says that the executor waits for it."""
-        board, plan, scene = self._board, self._heard.plan, self._heard.scene
-        if report is None or plan is None or scene is None:
+        board, known, scene = self._board, self._heard.plan, self._heard.scene
+        if report is None or known is None or scene is None:
             return
+        plan = known.message
         if not report.wants_scene or report.plan_id != plan.id or not 0 <= report.segment < len(plan.segments):
             return
         segment = plan.segments[report.segment]
@@ -86,31 +88,29 @@ class WorkScene:
         """
         left, board = self._heard.left, self._board
         if left is None:
-            return (
-                "the executor has not said yet where the arm was left engaged; its log says whether the disk takes it"
-            )
+            return Sentence("work.back.unsaid")
         with self._lock:
             scene = self._heard.scene
             if scene is None:
-                return "the scene is not known; see why the scene node is down"
+                return Sentence("work.scene_unknown")
             if scene.hash in left.scenes:
                 self.unblock()
                 return ""
             if self._heard.playing:
-                return "a plan is under way, and the scene is not the one for the way back; wait for its end"
+                return Sentence("work.back.playing")
             self._follower.follow(self._heard.execution)
             self._follower.settle_if_lost()
             memory = board.book.tasks.get(left.task)
             if memory is not None and memory.plan == left.plan_id and memory.state in UNDER_WAY:
-                return f"{board.title(left.task)}: how its plan ended is not written yet; ask again"
+                return Sentence("work.back.unwritten", task=board.title(left.task))
             known = self._heard.work_plan(left.plan_id)
-            steps = known.steps if known is not None else ()
-            about = (left.plan_id, left.scenes, scene.hash, bool(steps), memory.state if memory else None)
+            segments, changes = (known.segments, known.changes) if known is not None else ((), ())
+            about = (left.plan_id, left.scenes, scene.hash, bool(segments), memory.state if memory else None)
             if about == self._blocked_in:
                 return self.blocked
             element = board.element_of(left.task) if memory is not None else ""
             forms = board.forms(left.task) if memory is not None else ()
-            found = engaged_scene.due(left, scene, steps, self._heard.scenes(), element, forms)
+            found = engaged_scene.due(left, scene, segments, changes, self._heard.scenes(), element, forms)
         if found.change is None:
             self.blocked, self._blocked_in = found.sentence, about
             self._refuse("engagement", found.sentence)
@@ -135,5 +135,5 @@ class WorkScene:
             return sentence
         heard = self._heard
         if not heard.wait_for(lambda: heard.scene is not None and heard.scene.hash == answer.hash, SCENE_TIME):
-            return "the scene was changed, but is not published"
+            return Sentence("work.scene_unpublished")
         return ""

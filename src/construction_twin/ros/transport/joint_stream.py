@@ -11,6 +11,7 @@ import rospy
 from sensor_msgs.msg import JointState
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.msg import Feedback
 from construction_twin.ros.transport.pose_message import PoseMessage
@@ -57,8 +58,10 @@ def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ..
             or set(message.name) != set(names)
             or len(message.name) != len(names)
         ):
-            found = f"joint state names {message.name}, {len(message.position)} positions"
-            raise PayloadError("names", f"{found}; expected {list(names)}")
+            found, expected = str(message.name), str(list(names))
+            count = len(message.position)
+            key = "reason.refused.joint_state_names"
+            raise PayloadError("names", Sentence(key, found=found, count=count, expected=expected))
         by_name = dict(zip(message.name, message.position))
         q = tuple(by_name[name] for name in names)
     if not all(map(math.isfinite, q)):
@@ -67,7 +70,7 @@ def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ..
 
 
 def _not_finite(q: tuple[float, ...]) -> PayloadError:
-    return PayloadError("values", f"joint state with positions {q}; expected finite numbers")
+    return PayloadError("values", Sentence("reason.refused.joint_state_values", found=str(q)))
 
 
 class JointPublisher:

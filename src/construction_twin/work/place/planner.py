@@ -13,13 +13,14 @@ from typing import TypeVar
 import numpy as np
 
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.objects import Scene, product
 from construction_twin.work.contacts import FALL
 from construction_twin.work.jobs import WorkPlan
-from construction_twin.work.motions import Failed, Free, Part, Search
+from construction_twin.work.motions import Failed, Free, PlanBuilder, Search
 from construction_twin.work.pieces import Pieces
 from construction_twin.work.place.grips import Grip, find_grips
 from construction_twin.work.place.phases import Scenes, Ways, direction, scenes, ways
@@ -52,14 +53,14 @@ def check(search: Search) -> None:
     job = search.job
     mass_of(job, search.name, search.recipe, search.tool.tool)
     if job.base_T_stock is None:
-        raise TaskPlanningError(job.task, f"{job.called} has no place in stock")
+        raise TaskPlanningError(job.task, Sentence("work.cannot.no_stock", element=job.called))
     if search.held is None:
         _check_stock(search)
         return
     carried = {item.name for item in search.scene.objects if item.link}
     for item in job.bodies:
         if item.name not in carried:
-            raise TaskPlanningError(job.task, f"{item.name} is not carried in the scene; expected it in the grip")
+            raise TaskPlanningError(job.task, Sentence("work.cannot.not_carried", body=item.name))
     if falls := _falls(search):
         raise TaskPlanningError(job.task, falls, SET_DOWN)
 
@@ -83,11 +84,14 @@ def _whole(search: Search) -> WorkPlan:
     except SceneError as error:
         raise TaskPlanningError(job.task, str(error), GRIP) from error
     if not grips.grips:
-        raise TaskPlanningError(job.task, f"recipe {search.name!r} finds no grip: {grips.reason}", GRIP)
-    furthest = Failed(GRIP, "", "no grip")
+        raise TaskPlanningError(
+            job.task, Sentence("work.cannot.no_grip", recipe=repr(search.name), reason=grips.reason), GRIP
+        )
+    furthest = Failed(GRIP, "", Sentence("work.cannot.none_tried"))
     for tried, grip in enumerate(grips.grips):
         if tried and search.late:
-            reason = f"{furthest.reason} ({tried} of {len(grips.grips)} grips tried in {search.limits.budget:g} s)"
+            values = {"tried": tried, "count": len(grips.grips), "seconds": search.limits.budget}
+            reason = Sentence("work.cannot.tried", reason=furthest.reason, **values)
             furthest = Failed(furthest.stage, furthest.method, reason)
             break
         try:
@@ -123,15 +127,16 @@ def _check_stock(search: Search) -> None:
     assert job.base_T_stock is not None
     present = {item.name: item for item in search.scene.objects}
     if not job.bodies:
-        raise TaskPlanningError(job.task, f"element {job.element} has no bodies; it cannot be gripped")
+        raise TaskPlanningError(job.task, Sentence("work.cannot.no_bodies", element=job.element))
     for item in job.bodies:
         found = present.get(item.name)
         if found is None:
-            raise TaskPlanningError(job.task, f"{item.name} is not in the scene; the element has to be in stock")
+            raise TaskPlanningError(job.task, Sentence("work.cannot.not_in_stock", body=item.name))
         away = float(np.linalg.norm(product(job.base_T_stock, item.pose).position - found.pose.position))
-        if found.link or away > _ELSEWHERE:
-            where = f"carried by {found.link}" if found.link else f"{1e3 * away:.1f} mm from its place in stock"
-            raise TaskPlanningError(job.task, f"{item.name} is {where}; expected in stock")
+        if found.link:
+            raise TaskPlanningError(job.task, Sentence("work.cannot.carried", body=item.name, link=found.link))
+        if away > _ELSEWHERE:
+            raise TaskPlanningError(job.task, Sentence("work.cannot.elsewhere", body=item.name, away=1e3 * away))
 
 
 def _falls(search: Search) -> str:
@@ -141,11 +146,7 @@ def _falls(search: Search) -> str:
     others = [item for item in search.scene.objects if not item.link and item.name not in own]
     if recipe.place.fastened or search.shapes.holder(job.bodies, job.base_T_goal, others, np.array(job.up)):
         return ""
-    return (
-        f"nothing holds {job.element_name or job.element} when the tool lets go: nothing that stands is under it within "
-        f"{1e3 * FALL:.0f} mm. If it is fastened before, by what the model does not show, say so: `fastened: true` in the "
-        "recipe's `place`, or the property CTwin_RobotTask.Fastened"
-    )
+    return Sentence("work.cannot.falls", element=job.element_name or job.element, gap=1e3 * FALL)
 
 
 def _with_grip(search: Search, grip: Grip) -> WorkPlan:
@@ -202,7 +203,7 @@ def _check_bodies(search: Search, at: Ways, there: Scenes, grip: Grip) -> None:
     for stage, scene, pose in places:
         found = search.shapes.obstruction(scene, pose)
         if found is not None:
-            raise Failed(stage, grip.name, f"{found[0]} would touch {found[1]}, or come closer than the padding")
+            raise Failed(stage, grip.name, Sentence("work.cannot.would_touch", first=found[0], second=found[1]))
 
 
 def _options(directions: tuple, lengths: tuple[float, ...], base_T_element: Pose) -> list[np.ndarray]:
@@ -296,7 +297,7 @@ class _OneWay:
             except Failed as failed:
                 furthest = _further(furthest, failed)
                 continue
-            return self._planned(self._carried(carry, goal, search.scene), goal)
+            return self._carried(PlanBuilder(search, search.scene), carry, goal)
         assert furthest is not None
         raise furthest
 
@@ -370,36 +371,23 @@ class _OneWay:
         grip, release = search.tool.tool.grip, search.tool.tool.release
         # a sensor that is stuck, or a scrap on the cups, is found before anything is gripped
         held, empty = grip.signals(), release.signals()
-        parts = [
-            Part(TO_STOCK, fetch.trajectory, False, empty, (), there.fetch, there.approach, fetch.clearance),
-            Part(APPROACH, stock.approach, True, empty, grip.switches(), there.approach, there.lift),
-            Part(LIFT, stock.lift, True, held, (), there.lift, there.carry),
-            *self._carried(carry, goal, there.carry),
-        ]
-        return self._planned(parts, goal)
+        made = PlanBuilder(search, there.fetch)
+        made.add(TO_STOCK, fetch.trajectory, False, empty, (), there.approach, fetch.clearance)
+        made.add(APPROACH, stock.approach, True, empty, grip.switches(), there.lift)
+        made.add(LIFT, stock.lift, True, held, (), there.carry)
+        return self._carried(made, carry, goal)
 
-    def _carried(self, carry: Free, goal: _Goal, scene: Scene) -> list[Part]:
-        """Return the parts with the element in the grip, which begin in a scene, and the retreat."""
-        there, tool = self.scenes, self.search.tool.tool
+    def _carried(self, made: PlanBuilder, carry: Free, goal: _Goal) -> WorkPlan:
+        """Return the plan that goes on with the element in the grip, up to its end."""
+        search, there, tool = self.search, self.scenes, self.search.tool.tool
         held, empty = tool.grip.signals(), tool.release.signals()
-        engaged = self._recipe.carry_engaged
-        return [
-            Part(CARRY, carry.trajectory, engaged, held, (), scene, there.set_down, carry.clearance),
-            Part(SET_DOWN, goal.set_down, True, held, tool.release.switches(), there.set_down, there.retreat),
-            Part(RETREAT, goal.retreat, True, empty, (), there.retreat, there.done),
-        ]
-
-    def _planned(self, parts: list[Part], goal: _Goal) -> WorkPlan:
-        search, done = self.search, self.scenes.done
+        made.add(CARRY, carry.trajectory, self._recipe.carry_engaged, held, (), there.set_down, carry.clearance)
+        made.add(SET_DOWN, goal.set_down, True, held, tool.release.switches(), there.retreat)
+        made.add(RETREAT, goal.retreat, True, empty, (), there.done)
         if search.end is not None:
-            home = self._free(END, goal.retreat.positions[-1], search.end, self._recipe.free_speed_scale, done)
-            empty = search.tool.tool.release.signals()
-            parts = [*parts, Part(END, home.trajectory, False, empty, (), done, done, home.clearance)]
-        planning_time = search.clock() - search.began
-        segments = tuple(part.segment() for part in parts)
-        return WorkPlan(
-            search.job, self.grip.name, segments, planning_time, search.clearance(parts), self.at.tool0_T_element
-        )
+            home = self._free(END, goal.retreat.positions[-1], search.end, self._recipe.free_speed_scale, there.done)
+            made.add(END, home.trajectory, False, empty, (), there.done, home.clearance)
+        return made.plan(self.grip.name, self.at.tool0_T_element)
 
     @property
     def _recipe(self) -> PlaceRecipe:

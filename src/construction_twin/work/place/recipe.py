@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.robot.tool import Tool
 from construction_twin.work.jobs import WorkJob
@@ -171,21 +172,16 @@ def mass_of(job: WorkJob, name: str, recipe: PlaceRecipe, tool: Tool) -> float:
     if mass is None:
         raise TaskPlanningError(
             job.task,
-            f"the mass of {job.called} is not known: give it a weight or a density in the model, {PROPERTY_SET}.Mass, or "
-            f"recipe {name!r} a mass",
+            Sentence("work.cannot.mass_unknown", element=job.called, property_set=PROPERTY_SET, recipe=repr(name)),
         )
     if not mass > 0.0:
-        raise TaskPlanningError(job.task, f"{job.called} has a mass of {mass:g} kg; expected above 0")
+        raise TaskPlanningError(job.task, Sentence("work.cannot.mass_zero", element=job.called, mass=mass))
+    names = {"element": job.called, "tool": repr(tool.name)}
     if mass > tool.payload:
-        raise TaskPlanningError(
-            job.task, f"{job.called} has {mass:.1f} kg; tool {tool.name!r} carries at most {tool.payload:g} kg"
-        )
+        raise TaskPlanningError(job.task, Sentence("work.cannot.payload", mass=mass, payload=tool.payload, **names))
     if tool.mass + mass > tool.load:
-        raise TaskPlanningError(
-            job.task,
-            f"{job.called} and tool {tool.name!r} together have {tool.mass + mass:.1f} kg; the controller's load data are for "
-            f"{tool.load:g} kg",
-        )
+        both = tool.mass + mass
+        raise TaskPlanningError(job.task, Sentence("work.cannot.load", mass=both, load=tool.load, **names))
     return mass
 
 

@@ -37,7 +37,7 @@ def command_lines() -> list[tuple[int, list[str]]]:
     return found
 
 
-def roslaunch_above() -> tuple[int, RoslaunchCall] | None:
+def roslaunch_parent() -> tuple[int, RoslaunchCall] | None:
     """Return number and call of the roslaunch that started this process; None when none did."""
     for pid, words in command_lines():
         call = roslaunch_call(words)
@@ -46,7 +46,7 @@ def roslaunch_above() -> tuple[int, RoslaunchCall] | None:
     return None
 
 
-def say_below(sentence: str, pid: int | None, patience: float = PATIENCE) -> None:
+def print_after(sentence: str, pid: int | None, patience: float = PATIENCE) -> None:
     """Have a sentence printed on standard error when another process has ended.
 
     Args:

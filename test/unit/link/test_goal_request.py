@@ -11,16 +11,16 @@ from hypothesis import strategies as st
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment
-from construction_twin.link.json_fields import read_document
-from construction_twin.link.remote_request import (
+from construction_twin.link.goal_request import (
     KINDS,
     MAX_BYTES,
+    GoalRequest,
     IkRequest,
-    RemoteRequest,
     parse_ik,
     parse_plan_request,
 )
 from construction_twin.link.remote_trajectory import Joints
+from construction_twin.mqtt.json_fields import read_document
 
 JOINTS = Joints(("joint_a1", "track"), (False, True))
 POSE = {"position": [1.5, 0.0, 2], "orientation": [0.0, 0.0, 0.0, 1.0]}
@@ -48,12 +48,12 @@ def refused(document: dict, parse=parse_plan_request) -> str:
 def test_every_kind_is_read_with_all_that_belongs_to_it():
     assert set(REQUESTS) == set(KINDS)
     read = {kind: parse_plan_request(asked(kind), JOINTS) for kind in KINDS}
-    assert read["joints"] == RemoteRequest("7", "joints", MOMENT, (0.5, 2.0), speed_scale=0.5)
-    assert read["pose"] == RemoteRequest(
-        "7", "pose", MOMENT, (), (1.5, 0.0, 2.0), (0.0, 0.0, 0.0, 1.0), "front up positive", acceleration_scale=0.25
+    assert read["joints"] == GoalRequest("joints", "7", MOMENT, (0.5, 2.0), speed_scale=0.5)
+    assert read["pose"] == GoalRequest(
+        "pose", "7", MOMENT, (), (1.5, 0.0, 2.0), (0.0, 0.0, 0.0, 1.0), "front up positive", acceleration_scale=0.25
     )
-    assert read["line"] == RemoteRequest("7", "line", MOMENT, (), (1.5, 0.0, 2.0), (0.0, 0.0, 0.0, 1.0), speed=0.1)
-    assert read["way_back"] == RemoteRequest("7", "way_back", MOMENT)
+    assert read["line"] == GoalRequest("line", "7", MOMENT, (), (1.5, 0.0, 2.0), (0.0, 0.0, 0.0, 1.0), speed=0.1)
+    assert read["way_back"] == GoalRequest("way_back", "7", MOMENT)
     assert read["work_task"].task == "2O2Fr$t4X7Zf8NOew3FLOH"
     assert parse_plan_request({"id": "8", "kind": "work_task", "moment": str(MOMENT)}, JOINTS).task == "", (
         "the next one"

@@ -1,8 +1,8 @@
 """What runs beside an act that must not fail: a report, a record, a forecast. Standard library only.
 
-A safety act (stop, stop_plan, pause, halt, reject) is carried out and answered whatever else fails. `Beside.do` is the one place
-where an unexpected exception ends neither the act nor the node: it is counted, and told after the answer. The act itself never runs
-here.
+A safety act (stop, stop_plan, pause, halt, reject) is carried out and answered whatever else fails. `SideEffects.run` is the one
+place where an unexpected exception ends neither the act nor the node: it is counted, and written after the answer. The act itself
+never runs here.
 """
 
 from __future__ import annotations
@@ -50,16 +50,16 @@ class Failure:
         return "".join(traceback.format_exception(self.error))
 
 
-class Beside:
+class SideEffects:
     """Runs what may fail beside an act, and keeps count of what did. Used by several threads; waits for none of them."""
 
     def __init__(self):
         self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()
-        self._untold: deque[Failure] = deque(maxlen=KEPT)
+        self._unwritten: deque[Failure] = deque(maxlen=KEPT)
         self._last = ""
 
-    def do(self, what: str, part: Callable[..., _Result], *arguments: object) -> _Result | None:
+    def run(self, what: str, part: Callable[..., _Result], *arguments: object) -> _Result | None:
         """Return what a part returns; None after an unexpected exception, which is counted and kept until it is told.
 
         Args:
@@ -73,37 +73,37 @@ class Beside:
             failure = Failure(what, error)
             with self._lock:
                 self._counts[what] += 1
-                self._untold.append(failure)
+                self._unwritten.append(failure)
                 self._last = failure.sentence
             return None
 
     def take(self) -> list[Failure]:
         """Return what has failed since the last call, oldest first, to be written to a log."""
         with self._lock:
-            failures = list(self._untold)
-            self._untold.clear()
+            failures = list(self._unwritten)
+            self._unwritten.clear()
         return failures
 
     @property
-    def untold(self) -> bool:
+    def unwritten(self) -> bool:
         """Whether something has failed since the last `take`."""
-        return bool(self._untold)
+        return bool(self._unwritten)
 
-    def tell(self, write: Callable[[str, str], object], failures: list[Failure] | None = None) -> None:
+    def write(self, log: Callable[[str, str], object], failures: list[Failure] | None = None) -> None:
         """Write what has failed since the last call; not for a thread that must not wait.
 
         Args:
-            write: Takes ``"%s"`` and a text, as `rospy.logerr`. When it fails itself, that is counted and the text is lost: what
+            log: Takes ``"%s"`` and a text, as `rospy.logerr`. When it fails itself, that is counted and the text is lost: what
                 failed is still in `report`.
             failures: What to write; by default what `take` returns.
         """
         failures = self.take() if failures is None else failures
         for failure in failures:
-            self.do("the log", write, "%s", f"{failure.sentence}\n{failure.trace}")
+            self.run("the log", log, "%s", f"{failure.sentence}\n{failure.trace}")
         if failures:
             with self._lock:
                 # otherwise a log that fails would be told of in the log, again and again
-                self._untold = deque((each for each in self._untold if each.what != "the log"), maxlen=KEPT)
+                self._unwritten = deque((each for each in self._unwritten if each.what != "the log"), maxlen=KEPT)
 
     @property
     def sentence(self) -> str:

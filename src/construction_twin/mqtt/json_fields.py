@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.sentences import Sentence
 from construction_twin.mqtt.messages import demand_live, parse_object
 
 #: Takes what stands at a key, and the key; returns what it checked.
@@ -20,21 +21,24 @@ MAX_TEXT = 64
 LARGEST = 1e6
 
 
-def read_document(payload: bytes, retained: bool, what: str, limit: int, advice: str = "") -> dict[str, Any]:
+def read_document(payload: bytes, retained: bool, what: str, limit: int, parameter: str = "") -> dict[str, Any]:
     """Return the JSON object of a message.
 
     Args:
         retained: The message's retain flag.
         what: ``trajectory``, ``plan_request`` or ``ik``, for the sentence.
         limit: Longest payload that is read [bytes].
-        advice: What to do about a longer one.
+        parameter: That sets the limit, where a motion can have fewer points; "" for none.
 
     Raises:
         PayloadError: ``retained``, ``size`` or ``format``.
     """
     demand_live(retained, what)
     if len(payload) > limit:
-        raise PayloadError("size", f"{what} of {len(payload)} bytes; at most {limit} are read{advice}")
+        refusal = Sentence("link.payload.size", what=what, bytes=len(payload), limit=limit)
+        if parameter:
+            refusal = Sentence("link.payload.size_here", refusal=refusal, parameter=parameter)
+        raise PayloadError("size", refusal)
     return parse_object(payload, "format", limit)
 
 
@@ -47,25 +51,22 @@ def number(value: object, place: str) -> float:
     """Return a number between -LARGEST and LARGEST; true and false are none."""
     # true and false are numbers to Python
     if type(value) not in (int, float) or not -LARGEST <= value <= LARGEST:  # type: ignore[operator]
-        raise PayloadError(
-            "values", f"{place} holds {shown(value)}; expected a number between -{LARGEST:g} and {LARGEST:g}"
-        )
+        found = Sentence("link.payload.number", place=place, found=shown(value), lowest=-LARGEST, largest=LARGEST)
+        raise PayloadError("values", found)
     return float(value)  # type: ignore[arg-type]
 
 
 def list_of(value: object, place: str) -> list:
     """Return a list, of whatever."""
     if not isinstance(value, list):
-        raise PayloadError("format", f"{place} is {shown(value)}; expected a list")
+        raise PayloadError("format", Sentence("link.payload.list", place=place, found=shown(value)))
     return value
 
 
 def text(value: object, key: str) -> str:
     """Return a printable text of at most MAX_TEXT characters in one line."""
     if not isinstance(value, str) or len(value) > MAX_TEXT or not value.isprintable():
-        raise PayloadError(
-            "format", f"{key} is {shown(value)}; expected a text of at most {MAX_TEXT} characters in one line"
-        )
+        raise PayloadError("format", Sentence("link.payload.text", key=key, found=shown(value), longest=MAX_TEXT))
     return value
 
 
@@ -73,7 +74,7 @@ def own_id(value: object, key: str) -> str:
     """Return a text as `text` does, which is not empty."""
     found = text(value, key)
     if not found:
-        raise PayloadError("format", "the id is empty; expected a text of your own, which the answer repeats")
+        raise PayloadError("format", Sentence("link.payload.id"))
     return found
 
 
@@ -81,26 +82,30 @@ def fraction(value: object, key: str) -> float:
     """Return a fraction of the limits, 0 for the planner's default."""
     scale = number(value, key)
     if not 0.0 <= scale <= 1.0:
-        raise PayloadError("values", f"{key} is {scale:g}; expected a fraction from 0 (the planner's default) to 1")
+        raise PayloadError("values", Sentence("link.payload.fraction", key=key, found=scale))
     return scale
 
 
 def keys(document: object, what: str, needed: Sequence[str], known: Sequence[str]) -> None:
     """Check that a document is an object with every key that is needed, and none that is not known."""
     if not isinstance(document, dict):
-        raise PayloadError("format", f"{what} is {shown(document)}; expected an object with {', '.join(needed)}")
+        found = Sentence("link.payload.object", what=what, found=shown(document), needed=", ".join(needed))
+        raise PayloadError("format", found)
     missing = [key for key in needed if key not in document]
     unknown = [key for key in document if key not in known]
     if missing or unknown:
-        wrong = f"without {', '.join(missing)}" if missing else f"with the unknown key {shown(unknown[0])}"
-        raise PayloadError("format", f"{what} {wrong}; expected {', '.join(needed)}, known are {', '.join(known)}")
+        key, wrong = (
+            ("missing", {"missing": ", ".join(missing)}) if missing else ("unknown", {"found": shown(unknown[0])})
+        )
+        names = {"what": what, "needed": ", ".join(needed), "known": ", ".join(known)}
+        raise PayloadError("format", Sentence(f"link.payload.key_{key}", **wrong, **names))
 
 
 def shown(value: object) -> str:
     """Return what was found, short enough for a sentence; of what is nested only the kind."""
     if isinstance(value, (dict, list)) and any(isinstance(item, (dict, list)) for item in value):
-        return f"{'an object' if isinstance(value, dict) else 'a list'} of {len(value)}"
+        return Sentence(f"link.payload.{'an_object' if isinstance(value, dict) else 'a_list'}", count=len(value))
     if isinstance(value, int) and abs(value) > LARGEST:
-        return f"a whole number of {value.bit_length()} bits"
+        return Sentence("link.payload.a_number", bits=value.bit_length())
     words = repr(value[:8] if isinstance(value, list) else value)
     return words if len(words) <= 96 else words[:93] + "..."

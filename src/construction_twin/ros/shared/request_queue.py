@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from construction_twin.core.rate_limit import SenderLimits, TokenBucket
+from construction_twin.core.rate_limit import Pace, SenderLimits
 from construction_twin.core.units import NANOSECONDS
 
 
@@ -26,6 +26,7 @@ class Request:
         carry_out: Does it and answers; returns the answer, empty when it could not be sent.
         refuse: Takes a reason and a sentence; counts it and says no.
         repeat: Takes the answer that was given, empty when it is still to come; counts that the message came again, and answers.
+        pace: How often its sender may ask, kept where each is carried out; None: as often as it likes.
     """
 
     kind: str
@@ -34,6 +35,7 @@ class Request:
     carry_out: Callable[[], bytes]
     refuse: Callable[[str, str], None]
     repeat: Callable[[bytes], None]
+    pace: Pace | None = None
 
     @property
     def digest(self) -> bytes:
@@ -41,15 +43,15 @@ class Request:
         return hashlib.sha256(b"\0".join((self.kind.encode(), self.sender.encode(), self.payload))).digest()
 
 
-class Line(Protocol):
+class Queue(Protocol):
     """Where requests wait."""
 
     def take(self, request: Request) -> None:
         """Let a request wait for its turn, or answer why not."""
 
 
-class NewestLine:
-    """A line in which only the newest request of each sender waits: what it asked for before is not worth doing any more.
+class NewestQueue:
+    """A queue in which only the newest request of each sender waits: what it asked for before is not worth doing any more.
 
     Args:
         most: Senders that may wait at once.
@@ -84,13 +86,12 @@ class NewestLine:
             request.carry_out()
 
 
-class RequestLine:
-    """The line; requests come from the connection's thread, and are carried out in another.
+class RequestQueue:
+    """The queue; requests come from the connection's thread, and are carried out in another.
 
     Args:
         most: Requests that may wait.
         repeat_window: For so long after its answer the same message is the same request [s]; 0: each is another one.
-        pause: Shortest time between two requests of one sender [s]; 0: none.
         clock: Returns the present time [s], monotonic.
     """
 
@@ -98,16 +99,15 @@ class RequestLine:
         self,
         most: int,
         repeat_window: float = 0.0,
-        pause: float = 0.0,
         clock: Callable[[], float] = time.monotonic,
     ):
-        self._most, self._repeat_window, self._pause = most, repeat_window, pause
+        self._most, self._repeat_window = most, repeat_window
         self._clock = clock
         self._lock = threading.Lock()
         self._waiting: queue.Queue[Request] = queue.Queue(most)
         #: Digest of a request to its answer and when that was given; None: it is not answered yet.
         self._answered: dict[bytes, tuple[bytes | None, float]] = {}
-        self._senders = SenderLimits(lambda: TokenBucket(1.0 / pause, 1)) if pause else None
+        self._limits: dict[Pace, SenderLimits] = {}
 
     @property
     def waiting(self) -> int:
@@ -135,17 +135,19 @@ class RequestLine:
 
     def _problem(self, request: Request) -> str:
         """Let it wait; return why it cannot, empty when it does."""
-        now = round(self._clock() * NANOSECONDS)
-        if self._senders is not None and (wait := self._senders.wait(request.sender, now)):
+        now, pace = round(self._clock() * NANOSECONDS), request.pace
+        limits = self._limits.setdefault(pace, pace.limits()) if pace is not None else None
+        if pace is not None and limits is not None and (wait := limits.wait(request.sender, now)):
             # rounded up: who tries again then is not too early
             after = math.ceil(10.0 * wait / NANOSECONDS) / 10.0
-            return f"one motion in {self._pause:g} s is taken from a sender; try again in {after:.1f} s"
+            motions = "one motion" if pace.most == 1 else f"no more than {pace.most}"
+            return f"{motions} in {pace.seconds:g} s is taken from a sender; try again in {after:.1f} s"
         try:
             self._waiting.put_nowait(request)
         except queue.Full:
             return f"{self._most} requests are waiting already; try again"
-        if self._senders is not None:
-            self._senders.take(request.sender, now)
+        if limits is not None:
+            limits.take(request.sender, now)
         return ""
 
     def _is_repeated(self, request: Request) -> bool:

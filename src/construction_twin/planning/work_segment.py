@@ -1,0 +1,31 @@
+"""A segment of a work plan before it is checked: a motion that whoever carries out a task has made, and what happens at its end.
+
+SI; joint vectors in the order of `RobotModel.joint_names`. The checked one, whose scenes are named by their hashes, is
+`robot.segments.Segment`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from construction_twin.robot.segments import Signal, Switch
+from construction_twin.robot.trajectory import Trajectory
+from construction_twin.scene.scene_change import SceneChange
+
+
+@dataclass(frozen=True, eq=False)
+class WorkSegment:
+    """One part of a work plan, from rest to rest: `WorkSegment.msg`.
+
+    Attributes:
+        trajectory: From rest to rest; begins where the one before ends.
+        engaged, requires, switches: As in `robot.segments.Segment`.
+        change: Of the scene, after the switches: `put` and `remove` of the message.
+    """
+
+    name: str
+    trajectory: Trajectory
+    engaged: bool = False
+    requires: tuple[Signal, ...] = ()
+    switches: tuple[Switch, ...] = ()
+    change: SceneChange = SceneChange()

@@ -1,0 +1,73 @@
+"""The services that make plans, by the kind of `GoalRequest`: one table for consoles, the command line and the marker in rviz.
+
+A field of a request reaches the service's field of the same name; only a goal has other forms there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from geometry_msgs.msg import Point, PoseStamped, Quaternion
+from geometry_msgs.msg import Pose as PoseMsg
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+from construction_twin.kinematics.chain import Pose
+from construction_twin.link.goal_request import GoalRequest
+from construction_twin.msg import CartesianWaypoint
+from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.srv import PlanCartesian, PlanFromCsv, PlanToJoints, PlanToPose, WorkPlanTask
+
+
+def request_fields(kind: Any, record: object, **further: object) -> dict[str, object]:
+    """Return the fields of a request of a kind of service that a record has, by name, and those of `further` that it takes."""
+    slots = kind._request_class.__slots__
+    found = {name: getattr(record, name) for name in slots if hasattr(record, name)}
+    return found | {name: value for name, value in further.items() if name in slots}
+
+
+@dataclass(frozen=True)
+class PlanService:
+    """A service that makes plans.
+
+    Attributes:
+        goal: Returns the fields that are not called, or not formed, as those of the request.
+    """
+
+    name: str
+    kind: Any
+    goal: Callable[[GoalRequest], dict[str, object]] = lambda _: {}
+
+    def fields(self, request: GoalRequest, **further: object) -> dict[str, object]:
+        """Return the fields of the service's request; those of `further` that it does not take are left out."""
+        return request_fields(self.kind, request, **further) | self.goal(request)
+
+
+def pose_fields(pose: Pose) -> dict[str, Any]:
+    """Return the fields of a `GoalRequest` that name a pose."""
+    return {
+        "position": tuple(map(float, pose.position)),
+        "orientation": tuple(rotation_to_quaternion(pose.rotation).tolist()),
+    }
+
+
+def _pose(asked: GoalRequest) -> PoseMsg:
+    return PoseMsg(Point(*asked.position), Quaternion(*asked.orientation))
+
+
+PLAN_SERVICES: Mapping[str, PlanService] = {
+    "joints": PlanService("plan_to_joints", PlanToJoints, lambda asked: {"goal": list(asked.joints)}),
+    "pose": PlanService(
+        "plan_to_pose", PlanToPose, lambda asked: {"goal": PoseStamped(Header(frame_id=asked.frame), _pose(asked))}
+    ),
+    "line": PlanService(
+        "plan_cartesian",
+        PlanCartesian,
+        lambda asked: {"frame_id": asked.frame, "waypoints": [CartesianWaypoint(pose=_pose(asked))]},
+    ),
+    "csv": PlanService("plan_from_csv", PlanFromCsv),
+    "way_back": PlanService("plan_way_back", Trigger),
+    "work_task": PlanService("work/plan", WorkPlanTask),
+}

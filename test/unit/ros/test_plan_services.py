@@ -1,0 +1,86 @@
+"""What is asked of the services that make plans, by the command line as by a console, and what is read of their answers."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import rospy
+from construction_twin.srv import PlanToPose, PlanToPoseRequest, ReviewFromScreen, ReviewPlan
+from executor_bench import ROBOT
+
+from construction_twin.link.goal_request import KINDS, GoalRequest
+from construction_twin.link.remote_review import ReviewRequest
+from construction_twin.ros.commands import twin
+from construction_twin.ros.messages.plan_services import PLAN_SERVICES, request_fields
+from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.views.arguments import parser
+
+
+def test_every_kind_of_request_has_a_service_that_takes_its_fields():
+    assert {*KINDS, "csv"} == set(PLAN_SERVICES)
+    for kind, service in PLAN_SERVICES.items():
+        asked = GoalRequest(kind, position=(1.0, 2.0, 3.0), orientation=(0.0, 0.0, 0.0, 1.0))
+        rospy.ServiceProxy(service.name, service.kind).request_class(
+            **service.fields(asked, source="ada", asked=rospy.Time(7))
+        )
+
+
+def test_a_field_reaches_the_services_field_of_its_name_and_a_goal_is_formed():
+    asked = GoalRequest(
+        "pose", position=(1.0, 2.0, 3.0), orientation=(0.0, 0.0, 1.0, 0.0), configuration="front", duration=2.5,
+        speed_scale=0.5, acceleration_scale=0.25, frame="stock",
+    )  # fmt: skip
+    request = PlanToPoseRequest(**PLAN_SERVICES["pose"].fields(asked, source="ada", asked=rospy.Time(7)))
+    assert (request.source, request.configuration, request.duration) == ("ada", "front", 2.5)
+    assert (request.speed_scale, request.acceleration_scale, request.goal.header.frame_id) == (0.5, 0.25, "stock")
+    assert (request.goal.pose.position.y, request.goal.pose.orientation.z) == (2.0, 1.0)
+
+
+def test_a_verdict_has_the_same_fields_from_a_terminal_and_from_a_tablet():
+    verdict = ReviewRequest("p", "h", "approved", "Ada", "fine", moment="c0ffee00-5000")
+    given = {"plan_id": "p", "plan_hash": "h", "approve": True, "reviewer": "Ada", "reason": "fine"}
+    assert request_fields(ReviewPlan, verdict) == given
+    assert request_fields(ReviewFromScreen, verdict) == given | {"moment": "c0ffee00-5000"}
+
+
+def test_an_answer_is_read_with_every_field_that_it_has():
+    plan = {"plan_id": "p", "plan_hash": "h", "duration": 2.5}
+    assert Outcome.of(Outcome(True, "done", fields=plan).response(PlanToPose)) == Outcome(True, "done", fields=plan)
+    assert Outcome.of(Outcome(False, "late", expired=True).response(ReviewFromScreen)) == Outcome(False, "late", True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kind", "fields"),
+    [
+        (["--joints", "0", "-90", "90", "0", "90", "180"], "joints", {
+            "joints": pytest.approx((0.0, -math.pi / 2, math.pi / 2, 0.0, math.pi / 2, math.pi)), "duration": 3.0,
+        }),
+        (["--pose", "1500", "0", "2000", "0", "0", "0", "--configuration", "front", "--frame", "stock"], "pose", {
+            "position": (1.5, 0.0, 2.0), "orientation": (0.0, 0.0, 0.0, 1.0), "configuration": "front", "frame": "stock",
+        }),
+        (["--pose", "1500", "0", "2000", "0", "0", "0", "--line", "--tool-speed", "250"], "line", {"speed": 0.25}),
+        (["--csv", "/tmp/path.csv", "--columns", "deg"], "csv", {"path": "/tmp/path.csv", "columns": "deg"}),
+    ],
+)  # fmt: skip
+def test_the_command_line_asks_for_what_its_options_say(monkeypatch, capsys, arguments, kind, fields):
+    asked = []
+
+    class Client:
+        def __init__(self, *_):
+            pass
+
+        def plan(self, request: GoalRequest) -> Outcome:
+            asked.append(request)
+            return Outcome(True, "waiting for review")
+
+    monkeypatch.setattr(twin, "OperatorClient", Client)
+    monkeypatch.setattr(twin, "robot_from_parameters", lambda _: ROBOT)
+    options = parser("kr120").parse_args(
+        ["plan", *arguments, "--speed", "50", *(["--duration", "3"] * (kind == "joints"))]
+    )
+    assert twin.Command(options).run() == 0 and capsys.readouterr().out == "waiting for review\n"
+    (request,) = asked
+    assert (request.kind, request.speed_scale) == (kind, 0.5)
+    for name, value in fields.items():
+        assert getattr(request, name) == value
