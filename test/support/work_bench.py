@@ -42,8 +42,7 @@ from construction_twin.work.events import Entry
 from construction_twin.work.ledger import read_entries
 from construction_twin.work.racks import Slot, StockPlan
 from construction_twin.work.schedule import Job, Schedule
-from construction_twin.work.shared_board import SharedBoard
-from construction_twin.work.task_board import ElementFacts, Prepared
+from construction_twin.work.task_board import ElementFacts, Prepared, TaskBoard
 
 TASK, ELEMENT = "T1", "E1"
 _CHAIN = Chain(ROBOT)
@@ -62,7 +61,7 @@ FETCH, GRIP, CARRY, LEAVE = range(4)
 def prepared() -> Prepared:
     """Return a model of one element, which one task places."""
     goal, stock = (product(_CHAIN.forward(q), HELD) for q in (AT_GOAL, AT_STOCK))
-    facts = ElementFacts("stud", "IfcMember", "", (BODY,), goal, np.zeros((1, 3, 3)))
+    facts = ElementFacts("stud", (BODY,), goal, np.zeros((1, 3, 3)))
     schedule = Schedule((Job(TASK, TASK, "Place stud", ELEMENT, (), ()),), (), (), False)
     slots = StockPlan({ELEMENT: Slot(ELEMENT, "rack", 1, 0, stock, "")})
     tool = work_samples.tool().tool
@@ -129,14 +128,12 @@ class Bench:
             folder="work", arm="mock", max_pose_age=0.5, service_timeout=1.0, listen_time=0.02, retry_time=0.01,
         ).model_copy(update=files)  # fmt: skip
         refuse = self.refuse
-        self.board = SharedBoard("the model is being read")
         self.heard = WorkListener(self.publishers.__getitem__, lambda: False, self.review_file, refuse)
         self.node = module.WorkNode(
             settings,
             ROBOT,
             {},
             worker or SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=self._planned),
-            self.board,
             self.heard,
             module.Inputs(lambda: HOME, lambda: self.arm_pose(), lambda *_: None),
             module.Outputs(
@@ -159,9 +156,14 @@ class Bench:
 
     def kill(self) -> None:
         """End the node where it stands; what it had heard is lost, the ledger is not."""
-        self.board.opened().ledger.close()
+        self.board.ledger.close()
         self.noted.clear()
         self.tasks.clear()
+
+    @property
+    def board(self) -> TaskBoard:
+        """The node's board of tasks."""
+        return self.node._opened().board
 
     def run(self, times: int = 8) -> Bench:
         """Let the node do what follows from all it has heard, and try again what does not work."""

@@ -18,6 +18,8 @@ from construction_twin.core.units import seconds
 
 #: Why nothing is known of the tool before the first report.
 NO_REPORT = Sentence("executor.tool.no_report")
+#: Numbers of the states WAITING and IDLE of `Execution.msg`.
+_NOTHING_PLAYED = (0, 1)
 #: A number that may be nan, which JSON has as null.
 _OrNan = Annotated[float, {"type": ["number", "null"]}]
 
@@ -118,6 +120,16 @@ class ExecutionReport:
     state: int = 0
     stamp: int = 0
 
+    @property
+    def playing(self) -> bool:
+        """Whether a plan is under way, paused or held included."""
+        return self.state not in _NOTHING_PLAYED
+
+    @property
+    def ended(self) -> str:
+        """Outcome of the last plan; empty while one is under way."""
+        return "" if self.playing else self.outcome
+
     def progress(self, now: float) -> float | None:
         """Return how much of a plan's time is over at `now` [s], 0 to 1; None unless a plan is being played."""
         if self.text != "PLAYING" or not self.plan_start or self.duration <= 0.0:
@@ -194,6 +206,25 @@ class WorkReport:
     reason: str
     tasks: tuple[TaskReport, ...]
     notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class EngagementReport:
+    """Where an arm was left engaged: `Engagement.msg`, without the path.
+
+    Attributes:
+        plan_id, task, segment: The work plan that ended inside, its task, and the name of the segment.
+        scenes: Hashes of the scenes in which it may go back; they change with the tool's inputs.
+        reason: One sentence: why the plan ended.
+        engaged: False: it was not left engaged, and the rest is empty.
+    """
+
+    plan_id: str
+    segment: str
+    scenes: tuple[str, ...]
+    task: str = ""
+    reason: str = ""
+    engaged: bool = True
 
 
 class SwitchState(Enum):

@@ -73,17 +73,19 @@ class _Deferred:
 
 @dataclass(frozen=True)
 class Fate:
-    """What the record says of one plan.
+    """What became of one plan, as the record says.
 
     Attributes:
         plan: Its id; empty: the record has none that fits.
         approved: None: the record cannot be read.
         outcome: Of its execution; empty: none is recorded.
+        under_review: It waits for its verdict.
     """
 
     plan: str
     approved: bool | None
     outcome: str = ""
+    under_review: bool = False
 
 
 def read_fate(path: str | Path, plan_id: str, source: str = "") -> Fate:

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from construction_twin.work.schedule import Job as Job
     from construction_twin.work.schedule import Schedule as Schedule
     from construction_twin.work.schedule import Wait as Wait
-    from construction_twin.work.shared_board import SharedBoard as SharedBoard
     from construction_twin.work.site import CellFile as CellFile
     from construction_twin.work.site import Site as Site
     from construction_twin.work.site import pose_of as pose_of

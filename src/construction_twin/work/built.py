@@ -6,7 +6,7 @@ Metres, radians; poses in the robot's base_link unless the name says otherwise. 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_quaternion
 from construction_twin.scene.objects import Scene, SceneObject, product, relative
+from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work.task_memory import TaskMemory
 from construction_twin.work.task_states import TaskState
 
@@ -72,61 +73,39 @@ def as_built(base_T_tool0: Pose, base_T_tool0_planned: Pose, tool0_T_element: Po
     return product(built, relative(planned, base_T_goal))
 
 
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """An element as the scene has it.
-
-    Attributes:
-        bodies: Convex pieces ``<GlobalId>/0``, ..., in the element's frame.
-        base_T_stock: None: it is in no rack.
-    """
-
-    bodies: tuple[SceneObject, ...]
-    base_T_stock: Pose | None
-    base_T_goal: Pose
+def placed_at(memory: TaskMemory, base_T_goal: Pose) -> Pose:
+    """Return where a placed element stands: as built, as far as that is known, else where the model has it."""
+    return pose_of_tuple(memory.base_T_element) if memory.base_T_element else base_T_goal
 
 
 def objects_of(
-    element: Piece, memory: TaskMemory | None, in_stock: bool, tip_link: str
+    bodies: Sequence[SceneObject], memory: TaskMemory | None, base_T_stock: Pose | None, base_T_goal: Pose, link: str
 ) -> tuple[SceneObject, ...] | None:
     """Return the scene's objects of one element as the ledger has it; None: what is there is left as it is.
 
     Args:
+        bodies: Convex pieces ``<GlobalId>/0``, ..., in the element's frame.
         memory: Of the task that places it; None: no task does, it stands where the model has it.
-        in_stock: It has been delivered, if it was not taken.
-        tip_link: What carries the tool.
+        base_T_stock: None: it does not lie in its stock, even if it was not taken.
+        link: What carries the tool.
     """
     if memory is None:
-        return _at(element, element.base_T_goal)
+        return at(bodies, base_T_goal)
     if memory.state is TaskState.ASKS:
         return None
     if memory.placed:
-        where = pose_of_tuple(memory.base_T_element) if memory.base_T_element else element.base_T_goal
-        return _at(element, where)
+        return at(bodies, placed_at(memory, base_T_goal))
     if memory.in_grip:
-        held = pose_of_tuple(memory.tool0_T_element)
-        return tuple(item.moved(product(held, item.pose), tip_link) for item in element.bodies)
-    if memory.gone or not in_stock or element.base_T_stock is None:
-        return ()
-    return _at(element, element.base_T_stock)
+        return at(bodies, pose_of_tuple(memory.tool0_T_element), link)
+    return () if memory.gone or base_T_stock is None else at(bodies, base_T_stock)
 
 
-def _at(element: Piece, base_T_element: Pose) -> tuple[SceneObject, ...]:
-    return tuple(item.moved(product(base_T_element, item.pose)) for item in element.bodies)
+def at(bodies: Sequence[SceneObject], pose: Pose, link: str = "") -> tuple[SceneObject, ...]:
+    """Return bodies in an element's frame at the element's pose: in the robot's base_link, or on a link."""
+    return tuple(item.moved(product(pose, item.pose), link) for item in bodies)
 
 
-@dataclass(frozen=True)
-class Change:
-    """What makes one scene of another: objects that are put, and names that are removed."""
-
-    put: tuple[SceneObject, ...]
-    remove: tuple[str, ...]
-
-    def __bool__(self) -> bool:
-        return bool(self.put or self.remove)
-
-
-def change(scene: Scene, wanted: Mapping[str, SceneObject], left_alone: Collection[str]) -> Change:
+def change(scene: Scene, wanted: Mapping[str, SceneObject], left_alone: Collection[str]) -> SceneChange:
     """Return what has to change so that the work's objects are the wanted ones; others are not touched.
 
     Args:
@@ -134,10 +113,6 @@ def change(scene: Scene, wanted: Mapping[str, SceneObject], left_alone: Collecti
         left_alone: GlobalIds of elements whose objects stay as they are.
     """
     there = {item.name: item for item in scene.objects}
-    put = tuple(item for name, item in wanted.items() if name not in there or not _same(there[name], item))
+    put = tuple(item for name, item in wanted.items() if name not in there or there[name].contents() != item.contents())
     mine = [name for name in there if "/" in name and name.split("/", 1)[0] not in left_alone]
-    return Change(put, tuple(name for name in mine if name not in wanted))
-
-
-def _same(one: SceneObject, other: SceneObject) -> bool:
-    return one.contents() == other.contents()
+    return SceneChange(put, tuple(name for name in mine if name not in wanted))

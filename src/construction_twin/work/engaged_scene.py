@@ -10,23 +10,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.reports import EngagementReport
 from construction_twin.core.sentences import Sentence, Value
 from construction_twin.robot.segments import Segment
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
-
-
-@dataclass(frozen=True)
-class Left:
-    """Where an arm was left engaged, as the topic `engagement` tells.
-
-    Attributes:
-        scenes: Hashes of the scenes in which it may go back; they change with the tool's inputs.
-    """
-
-    plan: str
-    segment: str
-    scenes: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +31,7 @@ class Due:
 
 
 def due(
-    left: Left,
+    left: EngagementReport,
     scene: Scene,
     segments: Sequence[Segment],
     changes: Sequence[SceneChange],
@@ -73,10 +61,10 @@ def due(
     scenes = " or ".join(each[:12] for each in left.scenes) or "none is known"
     if segments:
         return _why_not(left, "none", scene=scene.hash[:12], scenes=scenes)
-    return _why_not(left, "forgotten", plan=left.plan, scene=scene.hash[:12], scenes=scenes)
+    return _why_not(left, "forgotten", plan=left.plan_id, scene=scene.hash[:12], scenes=scenes)
 
 
-def confirmed(left: Left, segment: Segment) -> bool:
+def confirmed(left: EngagementReport, segment: Segment) -> bool:
     """Return whether the engagement says that what a segment switches at its end has happened, so that its change is due."""
     return segment.scene_after != segment.scene and set(left.scenes) == {segment.scene_after}
 
@@ -107,7 +95,7 @@ def _wanted(
     return None
 
 
-def _lead(left: Left, scene: Scene, wanted: Scene, mine: set[str]) -> Due:
+def _lead(left: EngagementReport, scene: Scene, wanted: Scene, mine: set[str]) -> Due:
     """Return the change from the present scene to a wanted one, or what of it is not the work's to change."""
     there, then = ({item.name: item for item in one.objects} for one in (scene, wanted))
     put = [item for name, item in then.items() if name not in there or _differ(there[name], item)]
@@ -143,8 +131,8 @@ def _differ(one: SceneObject, other: SceneObject) -> bool:
     return one.contents() != other.contents()
 
 
-def _why_not(left: Left, why: str, **values: Value) -> Due:
-    where = Sentence("work.left", segment=repr(left.segment), plan=left.plan)
+def _why_not(left: EngagementReport, why: str, **values: Value) -> Due:
+    where = Sentence("work.left", segment=repr(left.segment), plan=left.plan_id)
     return Due(sentence=Sentence(f"work.back.{why}", left=where, **values))
 
 

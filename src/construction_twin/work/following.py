@@ -10,7 +10,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from construction_twin.core.reports import ExecutionReport
 from construction_twin.core.sentences import Sentence, has
+from construction_twin.review.record import Fate
 from construction_twin.robot.segments import Segment
 from construction_twin.robot.tool import Tool
 from construction_twin.scene.scene_change import SceneChange
@@ -40,28 +42,6 @@ class Followed:
 
 
 @dataclass(frozen=True)
-class Report:
-    """What the executor says.
-
-    Attributes:
-        plan: Id of the plan that is played, or was last; empty: none since it started.
-        playing: The plan is under way, paused or held included.
-        outcome: Of the last plan; empty while it is under way.
-        segment: Of the plan under way; -1: not known.
-        confirmed: It has ended at the end of that segment, and the tool did there what was asked of it.
-    """
-
-    plan: str
-    playing: bool
-    outcome: str
-    segment: int = -1
-    at_boundary: bool = False
-    wants_scene: bool = False
-    reason: str = ""
-    confirmed: bool = False
-
-
-@dataclass(frozen=True)
 class GripReading:
     """What the tool says of its grip.
 
@@ -79,22 +59,6 @@ class GripReading:
     def surely_open(self) -> bool:
         """Whether nothing can be held."""
         return self.known and not self.closed
-
-
-@dataclass(frozen=True)
-class OfferOutcome:
-    """What became of a plan that was offered, as records and topics tell it.
-
-    Attributes:
-        plan: Its id; empty: no plan of that offer was ever seen.
-        started: Somebody approved it; None: not known.
-        outcome: Of its execution, as the record has it; empty: it has none.
-    """
-
-    plan: str
-    under_review: bool
-    started: bool | None
-    outcome: str = ""
 
 
 def followed(
@@ -141,9 +105,8 @@ class _Events:
         memory: What they leave of the task.
     """
 
-    def __init__(self, memory: TaskMemory, element: str, plan: str):
-        self.memory = memory
-        self._element, self._plan = element, plan
+    def __init__(self, memory: TaskMemory, plan: str):
+        self.memory, self._plan = memory, plan
         self.entries: list[Entry] = []
 
     @property
@@ -153,51 +116,40 @@ class _Events:
 
     def add(self, event: TaskEvent, reason: str = "", pose: tuple[float, ...] = (), source: str = "") -> None:
         """Add one event."""
-        task, element = self.memory.task, self._element
-        entry = Entry(event.value, task, element, plan=self._plan, pose=pose, source=source, reason=reason)
+        entry = Entry(event.value, self.memory.task, plan=self._plan, pose=pose, source=source, reason=reason)
         self.memory = self.memory.then(entry)
         self.entries.append(entry)
 
 
 def follow(
     memory: TaskMemory,
-    element: str,
     plan: Followed,
-    report: Report,
+    report: ExecutionReport,
     grip: GripReading,
     as_built: tuple[float, ...] = (),
     source: str = "",
+    confirmed: bool = False,
 ) -> list[Entry]:
     """Return the events that a report adds to the task of a plan; none when it says nothing new of it.
 
     Args:
         as_built: Length 7 or 0. Where the element stands if it is let go now; empty: not known.
         source: Where that comes from, `events.MEASURED` or `events.PLANNED`.
+        confirmed: The plan has ended at the end of the report's segment, and the tool did there what was asked of it.
     """
-    if report.plan != plan.id or memory.state not in (TaskState.PLANNED, *UNDER_WAY):
+    if report.plan_id != plan.id or memory.state not in (TaskState.PLANNED, *UNDER_WAY):
         return []
-    events = _Events(memory, element, plan.id)
+    events = _Events(memory, plan.id)
     if memory.state is TaskState.PLANNED:
-        if not report.playing and not report.outcome:
+        if not report.playing and not report.ended:
             return []
         if not memory.plan:
             events.add(TaskEvent.PLANNED)
         events.add(TaskEvent.BEGUN)
-    ended = not report.playing and bool(report.outcome)
-    # a plan that has come to its end has been through everything
-    segment = 10**6 if ended and report.outcome == FINISHED else report.segment
-    _through(events, plan, segment, report, as_built, source)
-    if ended:
-        _end(events, plan, report, grip)
-    return events.entries
-
-
-def _through(
-    events: _Events, plan: Followed, segment: int, report: Report, as_built: tuple[float, ...], source: str
-) -> None:
-    """Add what lies behind, up to the present segment."""
-    confirmed = report.confirmed or (report.wants_scene and report.playing)
-    stands = report.at_boundary or report.wants_scene or report.confirmed
+    # what lies behind, up to the present segment; a plan that has come to its end has been through everything
+    segment = 10**6 if report.ended == FINISHED else report.segment
+    stands = report.at_boundary or report.wants_scene or confirmed
+    confirmed = confirmed or (report.wants_scene and report.playing)
 
     def behind(number: int, at_its_end: bool) -> bool:
         # of a plan that is not known any more, no segment says that the grip closed or let go
@@ -211,9 +163,12 @@ def _through(
         events.add(TaskEvent.RELEASING)
     if events.state is TaskState.RELEASING and behind(plan.releases, confirmed):
         events.add(TaskEvent.RELEASED, pose=as_built, source=source if as_built else "")
+    if report.ended:
+        _end(events, plan, report, grip)
+    return events.entries
 
 
-def _end(events: _Events, plan: Followed, report: Report, grip: GripReading) -> None:
+def _end(events: _Events, plan: Followed, report: ExecutionReport, grip: GripReading) -> None:
     reason = f"{report.outcome}: {report.reason}"
     if events.state is TaskState.WORKING and events.memory.stays:
         # from the first engaged segment on only a person sees what was done
@@ -230,18 +185,18 @@ def _end(events: _Events, plan: Followed, report: Report, grip: GripReading) -> 
     events.add(TaskEvent.NOT_GRIPPED if surely_not else TaskEvent.STOPPED, reason)
 
 
-def after_restart(memory: TaskMemory, element: str, verdict: OfferOutcome, grip: GripReading) -> list[Entry]:
+def after_restart(memory: TaskMemory, fate: Fate, grip: GripReading) -> list[Entry]:
     """Return the events of a task whose plan the executor does not report any more, or never did.
 
     Args:
-        verdict: Of the plan that the ledger names.
+        fate: Of the plan that the ledger names.
     """
-    events = _Events(memory, element, verdict.plan or memory.plan)
+    events = _Events(memory, fate.plan or memory.plan)
     if memory.state is TaskState.PLANNED:
-        if verdict.under_review:
+        if fate.under_review:
             if not memory.plan:
                 events.add(TaskEvent.PLANNED)
-        elif verdict.started is False:
+        elif fate.approved is False:
             events.add(TaskEvent.DROPPED, Sentence("work.event.never_approved"))
         elif grip.surely_open and not memory.in_grip and not memory.stays:
             # nothing can have been carried: the line that must be written before is not there

@@ -7,19 +7,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from construction_twin.core.reports import TaskReport
+from construction_twin.core.reports import TaskReport, WorkReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import WorkError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Tool
 from construction_twin.scene.objects import SceneObject, product
 from construction_twin.work.book import Book
-from construction_twin.work.built import Deviation, Piece, deviation, objects_of, pose_of_tuple, pose_tuple
+from construction_twin.work.built import Deviation, at, deviation, objects_of, placed_at, pose_of_tuple, pose_tuple
 from construction_twin.work.events import ACCEPTED, Entry
 from construction_twin.work.following import GripReading, question
 from construction_twin.work.ledger import Ledger
@@ -47,14 +46,12 @@ class ElementFacts:
     """What is known of an element that is to be placed.
 
     Attributes:
-        bodies: Convex pieces in the element's frame.
+        bodies: Convex pieces ``<GlobalId>/0``, ..., in the element's frame.
         triangles: Shape (t, 3, 3). For pictures, in the element's frame [m].
         mass: That is planned with [kg]; None: nobody says.
     """
 
     name: str
-    ifc_class: str
-    type_name: str
     bodies: tuple[SceneObject, ...]
     base_T_goal: Pose
     triangles: np.ndarray
@@ -176,6 +173,13 @@ class TaskBoard:
         """What the ledger says now."""
         return self.ledger.book
 
+    def add(self, entry: Entry) -> None:
+        """Write an event of a task, with the task's element; when this returns it is on the disk.
+
+        Raises as `Ledger.add`.
+        """
+        self.ledger.add(replace(entry, element=self.element_of(entry.task)))
+
     @property
     def notes(self) -> tuple[str, ...]:
         """What a person should know of model, schedule and ledger before anything is accepted or planned."""
@@ -295,14 +299,12 @@ class TaskBoard:
 
         Raises WorkRefused.
         """
-        self._known(task)
-        self._named(person)
-        state = self.book.tasks[task].state
+        state = self._memory(task, person).state
         if state is TaskState.ASKS:
             raise WorkRefused(self._asking("work.asks_first", task))
         if state not in (TaskState.WAITING, TaskState.READY, TaskState.HELD):
             raise self._not_in(state, "work.no_skip", task)
-        self._add("skipped", task, person=person, reason=reason)
+        self.add(Entry("skipped", task, person=person, reason=reason))
         if task in self.prepared.removals:
             return Sentence("work.skipped_removal", task=self.title(task), element=self._element(task).name)
         key = "work.skipped" if self.prepared.stays(task) else "work.skipped_stock"
@@ -313,14 +315,12 @@ class TaskBoard:
 
         Raises WorkRefused.
         """
-        self._known(task)
-        self._named(person)
+        memory = self._memory(task, person)
         if task not in self.prepared.removals:
             raise WorkRefused(Sentence("work.removed_nothing", task=self.title(task)))
-        memory = self.book.tasks[task]
         if memory.state is TaskState.DONE:
             raise WorkRefused(Sentence("work.removed_already", element=self._element(task).name))
-        self._add("removed", task, person=person, reason=reason)
+        self.add(Entry("removed", task, person=person, reason=reason))
         return Sentence("work.removed", person=person, element=self._element(task).name)
 
     def redo(self, task: str, person: str, reason: str) -> str:
@@ -328,22 +328,19 @@ class TaskBoard:
 
         Raises WorkRefused.
         """
-        self._known(task)
-        self._named(person)
-        book = self.book
-        if book.tasks[task].state is TaskState.CARRIED:
-            said = reason or Sentence("work.redo_doubt")
-            self._add("unknown", task, person=person, reason=said)
+        state = self._memory(task, person).state
+        if state is TaskState.CARRIED:
+            self.add(Entry("unknown", task, person=person, reason=reason or Sentence("work.redo_doubt")))
             return self._asking("work.asks", task)
-        if book.tasks[task].state not in (TaskState.DONE, TaskState.SKIPPED, TaskState.HELD):
-            raise self._not_in(book.tasks[task].state, "work.redo_not_yet", task)
-        later = book.followers(task)
+        if state not in (TaskState.DONE, TaskState.SKIPPED, TaskState.HELD):
+            raise self._not_in(state, "work.redo_not_yet", task)
+        later = self.book.followers(task)
         if later:
             raise WorkRefused(Sentence("work.redo_later", later=self.title(later[0]), task=self.title(task)))
         taken_down, stays = task in self.prepared.removals, self.prepared.stays(task)
         if not taken_down and not stays:
             self._slot_free(task)
-        self._add("redone", task, person=person, reason=reason)
+        self.add(Entry("redone", task, person=person, reason=reason))
         if taken_down:
             return Sentence("work.redo_removal", element=self._element(task).name)
         if stays:
@@ -356,7 +353,7 @@ class TaskBoard:
         if not held:
             return ""
         reason = Sentence("work.lost")
-        self._add("unknown", held[0], reason=reason)
+        self.add(Entry("unknown", held[0], reason=reason))
         return self._asking("work.lost_asks", held[0], reason=reason)
 
     def answer(self, task: str, answer: str, person: str, reason: str) -> str:
@@ -364,9 +361,7 @@ class TaskBoard:
 
         Raises WorkRefused.
         """
-        self._known(task)
-        self._named(person)
-        memory = self.book.tasks[task]
+        memory = self._memory(task, person)
         possible = memory.possible_answers()
         if not possible:
             raise self._not_in(memory.state, "work.answer_nothing", task)
@@ -377,7 +372,7 @@ class TaskBoard:
             )
         if answer == "in_stock":
             self._slot_free(task)
-        self._add("answered", task, answer=answer, person=person, reason=reason)
+        self.add(Entry("answered", task, answer=answer, person=person, reason=reason))
         meaning, name = Sentence(f"work.answer.{answer}"), self._element(task).name
         return Sentence("work.answered", task=self.title(task), element=name, answer=meaning)
 
@@ -397,7 +392,7 @@ class TaskBoard:
         if not (found.distance <= _FARTHEST and np.isfinite(found.angle)):
             distance, name = f"{found.distance:.3g}", self._element(task).name
             raise WorkRefused(Sentence("work.measured_far", distance=distance, element=name, most=_FARTHEST))
-        self._add("measured", task, pose=pose_tuple(pose), person=person, reason=reason)
+        self.add(Entry("measured", task, pose=pose_tuple(pose), person=person, reason=reason))
         return found
 
     # -- what stands where
@@ -419,10 +414,8 @@ class TaskBoard:
         for element in self._elements():
             if element in gone:
                 continue
-            facts, slot = self.prepared.elements[element], self.prepared.stock.slots.get(element)
-            stock = slot.base_T_element if slot is not None else None
-            piece = Piece(facts.bodies, stock, facts.base_T_goal)
-            objects = objects_of(piece, self._placing(element), element in present, self._tip_link)
+            facts, stock = self.prepared.elements[element], self._stock(element) if element in present else None
+            objects = objects_of(facts.bodies, self._placing(element), stock, facts.base_T_goal, self._tip_link)
             if objects is None:
                 alone.append(element)
             else:
@@ -445,16 +438,14 @@ class TaskBoard:
     def forms(self, task: str) -> tuple[tuple[SceneObject, ...], ...]:
         """Return the objects of a task's element as the record can have them: in its stock, in the grip, at its place."""
         facts, memory = self._element(task), self._placing(self.element_of(task))
-        slot = self.prepared.stock.slots.get(self.element_of(task))
-        places = [(slot.base_T_element, "")] if slot is not None else []
+        stock = self._stock(self.element_of(task))
+        places = [(stock, "")] if stock is not None else []
         if memory is not None and memory.base_T_element:
             places.append((pose_of_tuple(memory.base_T_element), ""))
         if memory is not None and memory.tool0_T_element:
             places.append((pose_of_tuple(memory.tool0_T_element), self._tip_link))
         places.append((facts.base_T_goal, ""))
-        return tuple(
-            tuple(item.moved(product(place, item.pose), link) for item in facts.bodies) for place, link in places
-        )
+        return tuple(at(facts.bodies, place, link) for place, link in places)
 
     def _elements(self) -> list[str]:
         """Return the elements that jobs place or work on, in their order."""
@@ -492,8 +483,7 @@ class TaskBoard:
             states = {self.book.tasks[task].state for task in mine}
             placed, where = False, facts.base_T_goal
             if memory is not None and memory.placed:
-                placed = True
-                where = pose_of_tuple(memory.base_T_element) if memory.base_T_element else facts.base_T_goal
+                placed, where = True, placed_at(memory, facts.base_T_goal)
             if placed and self._is_off(element):
                 word = "off"
             elif following in mine:
@@ -505,8 +495,7 @@ class TaskBoard:
             found.append(Appearance(element, facts.name, word, where))
             if memory is not None and memory.in_grip:
                 found.append(Appearance(element, facts.name, "carried", pose_of_tuple(memory.tool0_T_element)))
-            elif element in present:
-                stock = self.prepared.stock.slots[element].base_T_element
+            elif element in present and (stock := self._stock(element)) is not None:
                 found.append(Appearance(element, facts.name, "stock", stock))
         return tuple(found)
 
@@ -515,9 +504,18 @@ class TaskBoard:
         far = None if task is None else self.deviation(task)
         return far is not None and (far.distance > OFF or far.angle > OFF_ANGLE)
 
-    def rows(self, now: int) -> tuple[TaskReport, ...]:
-        """Return every task, in order."""
-        return tuple(self._row(task, now) for task in self.book.tasks)
+    def report(self, now: int) -> WorkReport:
+        """Return what is published of the work while the arm is not engaged."""
+        return WorkReport(
+            model=self.prepared.model,
+            model_hash=self.prepared.digest,
+            schedule=self.schedule_word,
+            engaged=False,
+            next=self.next(now),
+            reason=self.summary(now),
+            tasks=tuple(self._row(task, now) for task in self.book.tasks),
+            notes=self.notes,
+        )
 
     def title(self, task: str) -> str:
         """Return a task's name for sentences."""
@@ -567,14 +565,17 @@ class TaskBoard:
 
     def _reason(self, task: str, now: int) -> str:
         """Return what a task waits for, with what a person should know of it and its element while that can still matter."""
-        reason = self._waits_for(task, now)
+        reason = self._stands(task, now)
         if self.book.tasks[task].state is not TaskState.DONE:
             for remark in self.prepared.schedule.remarks.get(task, ()):
                 before = {"reason": reason} if reason else {}
                 reason = Sentence("work.noted" if before else "work.note", remark=remark, **before)
         return reason
 
-    def _waits_for(self, task: str, now: int) -> str:
+    def _waits_for(self, task: str) -> str:
+        return f"waits for {', '.join(map(self.title, self.book.missing(task)))}"
+
+    def _stands(self, task: str, now: int) -> str:
         memory = self.book.tasks[task]
         if memory.state is TaskState.WAITING:
             return Sentence("work.task.waits", tasks=self._missing(task))
@@ -618,6 +619,11 @@ class TaskBoard:
         blockers = self.prepared.schedule.blockers(task, started, finished, now / 1e9)
         return Sentence("work.lag.waits", task=self.title(task), until=blockers[0].text) if blockers else ""
 
+    def _stock(self, element: str) -> Pose | None:
+        """Return where an element lies before it is taken; None: it has no slot."""
+        slot = self.prepared.stock.slots.get(element)
+        return None if slot is None else slot.base_T_element
+
     def _present(self) -> tuple[str, ...]:
         """Return the elements that lie in their stock."""
         return self.prepared.stock.present(self._taken())
@@ -639,12 +645,12 @@ class TaskBoard:
     def _element(self, task: str) -> ElementFacts:
         return self.prepared.elements[self.element_of(task)]
 
-    def _add(self, event: str, task: str, **said: Any) -> None:
-        self.ledger.add(Entry(event, task, self.element_of(task), **said))
-
-    def _known(self, task: str) -> None:
+    def _memory(self, task: str, person: str) -> TaskMemory:
+        """Return what is known of a task of which a person says something; refuse one that there is not, or nobody's word."""
         if task not in self.book.tasks:
             raise WorkRefused(Sentence("work.no_task", task=repr(task)))
+        self._named(person)
+        return self.book.tasks[task]
 
     @staticmethod
     def _named(person: str) -> None:

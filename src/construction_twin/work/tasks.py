@@ -95,7 +95,7 @@ def prepare(
     for element in dict.fromkeys((*order, *removed)):
         read = building.element(element)
         elements[element] = ElementFacts(
-            read.name or read.tag or element, read.ifc_class, read.type_name, pieces.get(element, ()),
+            read.name or read.tag or element, pieces.get(element, ()),
             layout.base_T_goal(element), element_triangles(read), _mass(site, building, schedule, read),
         )  # fmt: skip
     notes = [

@@ -39,7 +39,6 @@ from construction_twin.robot.segments import Segment, segments_content
 from construction_twin.ros.messages.convert import segment_to_msg, trajectory_from_msg
 from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.tool import tool_report_from_msg, tool_report_to_msg
-from construction_twin.ros.messages.work_convert import report_from_msg
 from construction_twin.ros.nodes import executor as executor_node
 from construction_twin.ros.nodes import mqtt_planner, mqtt_review
 from construction_twin.scene.objects import Scene, SceneObject
@@ -293,8 +292,8 @@ def screen(wide: Wide) -> str:
 
 def followed(wide: Wide) -> str:
     """Return what the work node reads of the executor."""
-    read = report_from_msg(wide.execution())
-    return repr((read.plan, read.playing, read.outcome, read.segment, read.at_boundary, read.wants_scene, read.reason))
+    read = from_msg(ExecutionReport, wide.execution())
+    return repr((read.plan_id, read.playing, read.ended, read.segment, read.at_boundary, read.wants_scene, read.reason))
 
 
 def hash_of(message: Plan) -> str:

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from construction_twin.core.reports import EngagementReport
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.segments import Segment
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.work.engaged_scene import Due, Left, confirmed, due
+from construction_twin.work.engaged_scene import Due, confirmed, due
 
 SIDE = (0.1, 0.1, 0.1)
 
@@ -39,8 +40,8 @@ PLAN = ((GRIP, LET_GO), (SceneChange((HELD,)), SceneChange((PLACED,))))
 UNKNOWN = ((), ())
 
 
-def left(*scenes: Scene) -> Left:
-    return Left("p1", "lower", tuple(one.hash for one in scenes))
+def left(*scenes: Scene) -> EngagementReport:
+    return EngagementReport("p1", "lower", tuple(one.hash for one in scenes))
 
 
 def led(found: Due, present: Scene) -> str:

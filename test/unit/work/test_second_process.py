@@ -42,6 +42,7 @@ from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.work_plan import plan_work
+from construction_twin.review.record import Fate
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, product
@@ -51,7 +52,7 @@ from construction_twin.work import processes, tasks
 from construction_twin.work.check import Checker
 from construction_twin.work.check_report import cell_picture, row
 from construction_twin.work.events import Entry
-from construction_twin.work.following import GripReading, OfferOutcome, after_restart, question
+from construction_twin.work.following import GripReading, after_restart, question
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.motions import TaskLimits
 from construction_twin.work.nearest_change import nearest_change
@@ -279,7 +280,7 @@ def test_people_read_of_it_in_the_list_and_can_have_it_done_again(bench):
     facts = from_msg(WorkReport, bench.tasks[-1])
     assert any("Place stud" in line and "done" in line for line in list_lines(facts))
     assert "state      done: done" in show_lines(facts, facts.tasks[0])
-    board = bench.board.opened()
+    board = bench.board
     assert [one.word for one in board.appearances(0)] == ["placed"]
     assert board.redo(work_bench.TASK, "eva", "") == "'Place stud' (T1) is to be done again"
     assert [one.word for one in board.appearances(0)] == ["next"]
@@ -300,7 +301,7 @@ def test_a_stop_at_the_element_asks_whether_it_was_done(bench, answer, state):
     assert bench.row.state == "asks" and tuple(bench.row.answers) == ("done", "not_done")
     assert key_of(bench.row.question) == "work.question.done"
     assert work_bench.PLACED.name in bench.scene.names
-    board = bench.board.opened()
+    board = bench.board
     board.answer(work_bench.TASK, answer, "eva", "looked")
     assert board.book.tasks[work_bench.TASK].state.value == state
 
@@ -309,7 +310,7 @@ def test_an_open_grip_says_nothing_of_what_was_done(tmp_path):
     offered = TaskMemory("T", TaskState.READY).then(Entry("offered", "T", "E", offer="o", process="touch"))
     begun = offered.then(Entry("begun", "T", "E", plan="p"))
     for memory in (offered, begun):
-        (entry,) = after_restart(memory, "E", OfferOutcome("p", False, None), GripReading(True, False))
+        (entry,) = after_restart(memory, Fate("p", None), GripReading(True, False))
         assert entry.event == "unknown" and question(memory.then(entry), "stud").key == "work.question.done"
 
 

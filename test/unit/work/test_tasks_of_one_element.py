@@ -243,8 +243,8 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
     tcp = product(Chain(robot()).forward(plan.segments[1].trajectory.positions[-1]), pose_of(made.tool.tool0_T_tcp))
     assert np.allclose(tcp.position, built.position + built.rotation @ np.array(TOP) + (0.0, 0.0, 0.04), atol=2e-4)
     board.ledger.add(Entry("finished", work.touch, element_id))
-    assert board.next(NOW) == work.other and not change(scene(), *board.wanted_scene())
-    states = [(row.name, row.element_name, row.state) for row in board.rows(NOW)]
+    assert board.next(NOW) == work.other and change(scene(), *board.wanted_scene()) == SceneChange()
+    states = [(row.name, row.element_name, row.state) for row in board.report(NOW).tasks]
     assert states[:2] == [("place first", "brick0", "done"), ("touch first", "brick0", "done")]
     board.ledger.close()
     written = [
@@ -358,7 +358,7 @@ def test_another_model_asks_of_each_task_what_it_can_have_done(tmp_path):
     done(one, TOUCH)
     one.ledger.close()
     again = of_two(tmp_path, "b" * 64)
-    assert [row.answers for row in again.rows(NOW)] == [("in_stock", "placed", "gone"), ("done", "not_done")]
+    assert [row.answers for row in again.report(NOW).tasks] == [("in_stock", "placed", "gone"), ("done", "not_done")]
     assert {entry.element for entry in read_entries(tmp_path / "l") if entry.event == "unknown"} == {ELEMENT}
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 import work_samples
 
+from construction_twin.core.reports import ExecutionReport
+from construction_twin.review.record import Fate
 from construction_twin.robot.segments import Segment, Switch
 from construction_twin.scene.objects import SceneObject
 from construction_twin.scene.scene_change import SceneChange
@@ -17,8 +19,6 @@ from construction_twin.work.following import (
     FINISHED,
     Followed,
     GripReading,
-    OfferOutcome,
-    Report,
     after_restart,
     follow,
     followed,
@@ -35,15 +35,19 @@ STANDS = (1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 1.0)
 PLAN = Followed("p1", grips=1, releases=3)
 #: As the work node follows it when the topic `plan` has another one by now.
 UNKNOWN_PLAN = Followed("p1", grips=-2, releases=-2)
+#: States of `Execution.msg`.
+IDLE, PLAYING = 1, 2
 OPEN, CLOSED, UNKNOWN = GripReading(True, False), GripReading(True, True), GripReading(False, False)
 
 
-def play(segment: int, at_boundary: bool = False, wants_scene: bool = False) -> Report:
-    return Report("p1", True, "", segment, at_boundary, wants_scene)
+def play(segment: int, at_boundary: bool = False, wants_scene: bool = False, plan_id: str = "p1") -> ExecutionReport:
+    return ExecutionReport(
+        "PLAYING", "", plan_id, segment=segment, at_boundary=at_boundary, wants_scene=wants_scene, state=PLAYING
+    )
 
 
-def end(outcome: str, segment: int = -1) -> Report:
-    return Report("p1", False, outcome, segment, reason="why")
+def end(outcome: str, segment: int = -1, plan_id: str = "p1") -> ExecutionReport:
+    return ExecutionReport("IDLE", "why", plan_id, outcome, segment=segment, state=IDLE)
 
 
 #: Everything the executor says of a plan of five segments, and what the tool's grip is then.
@@ -87,8 +91,8 @@ class Node:
     def offer(self) -> None:
         self.add(Entry("offered", "stud", "E", offer="o1", grip="top", pose=HELD_AS))
 
-    def hear(self, report: Report, grip: GripReading, plan: Followed = PLAN) -> None:
-        for entry in follow(self.memory, "E", plan, report, grip, STANDS):
+    def hear(self, report: ExecutionReport, grip: GripReading, plan: Followed = PLAN) -> None:
+        for entry in follow(self.memory, plan, report, grip, STANDS):
             self.add(entry)
 
 
@@ -157,7 +161,7 @@ def test_a_kill_after_any_line_with_everything_else_gone_too(tmp_path, lines, gr
         pass
     again = Node(tmp_path / "ledger")
     before = again.memory.state
-    for entry in after_restart(again.memory, "E", OfferOutcome("p1", False, None), grip):
+    for entry in after_restart(again.memory, Fate("p1", None), grip):
         again.add(entry)
     state = again.memory.state
     if before is TaskState.DONE or before is TaskState.RETREATING:
@@ -228,13 +232,13 @@ def test_an_element_that_is_in_the_grip_is_carried_on(tmp_path):
     node.add(Entry("offered", "stud", "E", offer="o2"))
     carried = Followed("p2", grips=-1, releases=1)
     for report in (
-        Report("p2", True, "", 0),
-        Report("p2", True, "", 1, True),
-        Report("p2", True, "", 1, True, True),
-        Report("p2", True, "", 2),
-        Report("p2", False, "finished"),
+        play(0, plan_id="p2"),
+        play(1, True, plan_id="p2"),
+        play(1, True, True, plan_id="p2"),
+        play(2, plan_id="p2"),
+        end("finished", plan_id="p2"),
     ):
-        for entry in follow(node.memory, "E", carried, report, CLOSED, STANDS):
+        for entry in follow(node.memory, carried, report, CLOSED, STANDS):
             node.add(entry)
     assert node.memory.state is TaskState.DONE and node.memory.placed
 
@@ -242,32 +246,28 @@ def test_an_element_that_is_in_the_grip_is_carried_on(tmp_path):
 def test_other_plans_are_none_of_its_business(tmp_path):
     node = Node(tmp_path / "ledger")
     run(node, REPORTS[:3])
-    for report in (Report("other", True, "", 0), Report("", False, ""), Report("other", False, "finished")):
-        assert follow(node.memory, "E", PLAN, report, OPEN) == []
+    for report in (play(0, plan_id="other"), end("", plan_id=""), end("finished", plan_id="other")):
+        assert follow(node.memory, PLAN, report, OPEN) == []
 
 
 @pytest.mark.parametrize(
-    ("verdict", "grip", "state"),
+    ("fate", "grip", "state"),
     [
-        (OfferOutcome("p1", True, None), UNKNOWN, TaskState.PLANNED),
-        (OfferOutcome("p1", False, False), UNKNOWN, TaskState.READY),
-        (OfferOutcome("", False, False), UNKNOWN, TaskState.READY),
-        (OfferOutcome("p1", False, True), UNKNOWN, TaskState.ASKS),
-        (OfferOutcome("p1", False, None), CLOSED, TaskState.ASKS),
-        (OfferOutcome("p1", False, True), OPEN, TaskState.READY),
+        (Fate("p1", False, under_review=True), UNKNOWN, TaskState.PLANNED),
+        (Fate("p1", False), UNKNOWN, TaskState.READY),
+        (Fate("", False), UNKNOWN, TaskState.READY),
+        (Fate("p1", True), UNKNOWN, TaskState.ASKS),
+        (Fate("p1", None), CLOSED, TaskState.ASKS),
+        (Fate("p1", True), OPEN, TaskState.READY),
     ],
 )
-def test_an_offer_whose_fate_was_not_seen(tmp_path, verdict, grip, state):
+def test_an_offer_whose_fate_was_not_seen(tmp_path, fate, grip, state):
     node = Node(tmp_path / "ledger")
     node.offer()
-    for entry in after_restart(node.memory, "E", verdict, grip):
+    for entry in after_restart(node.memory, fate, grip):
         node.add(entry)
     assert node.memory.state is state
     assert node.memory.plan == ("p1" if state is TaskState.PLANNED else "")
-
-
-def left_engaged(segment: int, confirmed: bool) -> Report:
-    return Report("p1", False, "stopped", segment, reason="why", confirmed=confirmed)
 
 
 @pytest.mark.parametrize(
@@ -287,7 +287,7 @@ def test_what_the_tool_did_before_a_stop_is_written_when_the_engagement_says_so(
     node.add(Entry("offered", "stud", "E1", offer="o1", pose=HELD_AS))
     for event in ["planned", "begun", "gripping", *before]:
         node.add(Entry(event, "stud", "E1", plan="p1", offer="o1"))
-    entries = follow(node.memory, "E1", PLAN, left_engaged(segment, confirmed), CLOSED, STANDS, "measured")
+    entries = follow(node.memory, PLAN, end("stopped", segment), CLOSED, STANDS, "measured", confirmed)
     assert [entry.event for entry in entries] == events
     for entry in entries:
         node.add(entry)

@@ -16,7 +16,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,7 +28,6 @@ from visualization_msgs.msg import MarkerArray
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.motion_errors import FrameError
-from construction_twin.core.reports import WorkReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.msg import Engagement, Execution, Plan, Review, Scene, ToolState, WorkTasks
@@ -58,6 +57,7 @@ from construction_twin.ros.shared.work_listener import WorkListener
 from construction_twin.ros.shared.work_scene import SCENE_TIME, Call, WorkScene
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.objects import product
+from construction_twin.scene.scene_change import SceneChange
 from construction_twin.srv import (
     EditScene,
     PlanWork,
@@ -76,7 +76,6 @@ from construction_twin.work.glb import ShownElement, glb
 from construction_twin.work.jobs import WorkPlan
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.recipe import DEFAULT
-from construction_twin.work.shared_board import SharedBoard
 from construction_twin.work.task_board import Prepared, TaskBoard, WorkRefused
 from construction_twin.work.task_states import TaskState
 from construction_twin.work.worker import Worker, WorkerError
@@ -145,21 +144,26 @@ class Outputs:
 NOT_MEASURED = {"deviation_mm": math.nan, "deviation_deg": math.nan}
 
 
-def _planned(sentence: str, task: str, plan_id: str, plan_hash: str, duration: float) -> Outcome:
-    fields = {"task": task, "plan_id": plan_id, "plan_hash": plan_hash, "duration": duration}
-    return Outcome(True, sentence, fields=fields)
+@dataclass(frozen=True, eq=False)
+class _Opened:
+    """What works on a model that was read.
+
+    Attributes:
+        follower: Writes into the ledger what follows from what was heard.
+        scene: Has the collision scene changed after that.
+    """
+
+    board: TaskBoard
+    follower: WorkFollower
+    scene: WorkScene
 
 
 class WorkNode:
     """Answers people, has tasks planned, and does what follows from what was heard; `start` gives it topics and services.
 
-    A WorkListener has what was heard. What follows from it a WorkFollower writes into the ledger, and only then a WorkScene has the
-    collision scene changed.
-
     Args:
         planner: The planner node's settings, with which tasks are planned.
         worker: The process that reads models and plans.
-        board: Opened by `open`.
 
     Attributes:
         heard: What the topics say.
@@ -171,7 +175,6 @@ class WorkNode:
         robot: RobotModel,
         planner: Mapping[str, object],
         worker: Worker,
-        board: SharedBoard,
         heard: WorkListener,
         inputs: Inputs,
         outputs: Outputs,
@@ -182,14 +185,16 @@ class WorkNode:
         self._planner = planner
         self._base_frame = tf_frame(settings.tf_prefix, robot.base_link)
         self._worker = worker
-        self._shared = board
         self._planning = threading.Lock()
         self.heard = heard
         self._inputs, self._outputs = inputs, outputs
         self._diagnostics = diagnostics
-        refuse = diagnostics.refuse
-        self._follower = WorkFollower(board, heard, Chain(robot), inputs.arm_pose, refuse)
-        self._scene = WorkScene(board, heard, self._follower, outputs.edit_scene, refuse)
+        #: Guards board and ledger; never held while somebody else is waited for who may wait for it.
+        self._lock = threading.RLock()
+        self._work: _Opened | None = None
+        #: Why there is no work, and whether there will be none any more.
+        self._problem: str = Sentence("work.reading")
+        self._broken = False
         self._told: WorkTasks | None = None
         self._drawn: frozenset[str] = frozenset()
         self._publish()
@@ -205,30 +210,30 @@ class WorkNode:
         # without news, too: what did not work before is tried again
         if self.heard.wait_for_news(self._settings.retry_time):
             self._publish()
-        if self._shared.board is None:
+        if self._work is None:
             return
         try:
-            self._catch_up()
+            self._catch_up(self._work)
         except ConstructionTwinError as error:
             # of the ledger: nothing is done without it, and the executor waits for the scene in vain
             self._fail(str(error))
 
-    def _catch_up(self) -> None:
+    def _catch_up(self, work: _Opened) -> None:
         # one report for both: the scene may change only after what was written of it
         report = self.heard.execution
-        with self._shared.lock:
-            self._follower.catch_up(report)
-            idle = self._shared.board is not None and not self._shared.board.book.busy
-        self._scene.change_as_planned(report)
+        with self._lock:
+            work.follower.catch_up(report)
+            idle = not work.board.book.busy
+        work.scene.change_as_planned(report)
         engaged = self.heard.engaged
         if not engaged:
-            self._scene.unblock()
+            work.scene.unblock()
         if (idle or engaged) and not self.heard.playing and self._planning.acquire(blocking=False):
             try:
                 if engaged:
-                    self._scene.make_for_way_back()
+                    work.scene.make_for_way_back()
                 elif self.heard.executor_said:
-                    self._scene.tidy()
+                    work.scene.tidy()
             finally:
                 self._planning.release()
         self._publish()
@@ -273,11 +278,13 @@ class WorkNode:
             rospy.loginfo("%s", note)
         if files is not None:
             self._show_building(prepared, files)
-        self._shared.open(board)
+        heard, refuse = self.heard, self._diagnostics.refuse
+        follower = WorkFollower(board, heard, Chain(self._robot), self._inputs.arm_pose, refuse)
+        scene = WorkScene(board, self._lock, heard, follower, self._outputs.edit_scene, refuse)
+        self._work = _Opened(board, follower, scene)
         # nothing is tidied before it is known whether the arm was left engaged
-        heard = self.heard
         heard.wait_for(lambda: heard.execution is not None and not heard.unsaid, min(1.0, settings.listen_time))
-        self._recall(board)
+        self._recall(self._work)
 
     def _show_building(self, prepared: Prepared, files: PrivateFiles) -> None:
         """Write the model where a console serves it; without it everything else goes on."""
@@ -292,19 +299,24 @@ class WorkNode:
         except ConstructionTwinError as error:
             self._diagnostics.refuse("building", str(error))
 
-    def _recall(self, board: TaskBoard) -> None:
+    def _recall(self, work: _Opened) -> None:
         """Find out what became of a plan that the ledger has as offered or under way."""
-        if not board.book.busy:
+        if not work.board.book.busy:
             return
         heard = self.heard
         # latched messages come within a moment of the connection; the executor may only now be starting
         heard.wait_for(lambda: heard.execution is not None and heard.tool_said, self._settings.listen_time)
         heard.wait_for(lambda: heard.plan is not None and not heard.unsaid, min(1.0, self._settings.listen_time))
-        with self._shared.lock:
-            self._follower.follow(heard.execution)
-            self._follower.settle()
+        with self._lock:
+            work.follower.follow(heard.execution)
+            work.follower.settle()
 
     # -- services
+
+    def _opened(self) -> _Opened:
+        if self._work is None:
+            raise WorkRefused(self._problem)
+        return self._work
 
     def on_plan_task(self, request: WorkPlanTaskRequest) -> Outcome:
         """Have a task planned, or while the arm is engaged the way back."""
@@ -323,12 +335,11 @@ class WorkNode:
         if heard.engaged:
             heard.wait_for(lambda: not heard.unsaid, SCENE_TIME)
         if heard.engaged:
-            if problem := self._scene.make_for_way_back():
-                raise WorkRefused(Sentence("work.back.not_yet", problem=problem))
             return self._plan_way_back(asked)
-        task, board = self._allowed(asked)
-        self._scene.tidy()
-        with self._shared.lock:
+        task, work = self._allowed(asked)
+        board = work.board
+        work.scene.tidy()
+        with self._lock:
             # while the scene was made right, somebody may have said something else
             self._allowed(task)
             memory = board.book.tasks[task]
@@ -337,7 +348,7 @@ class WorkNode:
             wanted, alone = board.wanted_scene()
         if scene is None:
             raise WorkRefused(Sentence("work.scene_unknown"))
-        if change(scene, wanted, alone):
+        if change(scene, wanted, alone) != SceneChange():
             raise WorkRefused(Sentence("work.scene_wrong"))
         start = self._inputs.twin_pose()
         began = time.monotonic()
@@ -350,65 +361,56 @@ class WorkNode:
             raise
         board.failures.pop(task, None)
         rospy.loginfo("%s: planned with %s in %.2f s", board.title(task), plan.method, time.monotonic() - began)
-        return self._offer(task, plan, board)
+        return self._offer(task, plan, work)
 
     def _left_closed(self) -> str:
-        with self._shared.lock:
-            board = self._shared.opened()
-            return board.left_closed(self.heard.grip(board.prepared.tool))
+        with self._lock:
+            work = self._opened()
+            return work.board.left_closed(work.follower.grip())
 
-    def _allowed(self, asked: str) -> tuple[str, TaskBoard]:
-        with self._shared.lock:
-            board = self._shared.opened()
+    def _allowed(self, asked: str) -> tuple[str, _Opened]:
+        with self._lock:
+            work = self._opened()
             now = time.time_ns()
-            task = asked or board.next(now)
-            if not task:
-                raise WorkRefused(board.summary(now))
-            obstacle = board.obstacle(task, now)
+            task = asked or work.board.next(now)
+            obstacle = work.board.obstacle(task, now) if task else work.board.summary(now)
             if obstacle:
                 raise WorkRefused(obstacle)
-            return task, board
+            return task, work
 
-    def _offer(self, task: str, plan: WorkPlan, board: TaskBoard) -> Outcome:
+    def _offer(self, task: str, plan: WorkPlan, work: _Opened) -> Outcome:
         """Have the planner check a plan and put it under review; the ledger knows of it before."""
-        offer, element = uuid.uuid4().hex[:12], board.element_of(task)
-        title = board.title(task)
+        board, offer = work.board, uuid.uuid4().hex[:12]
+        title, process = board.title(task), board.prepared.schedule.job(task).process
         held = () if plan.tool0_T_element is None else pose_tuple(plan.tool0_T_element)
-        process = board.prepared.schedule.job(task).process
-        with self._shared.lock:
+        named = "" if process == DEFAULT else process
+        with self._lock:
             self._allowed(task)
-            entry = Entry(
-                "offered",
-                task,
-                element,
-                offer=offer,
-                grip=plan.method,
-                pose=held,
-                process="" if process == DEFAULT else process,
-            )
-            board.ledger.add(entry)
+            board.add(Entry("offered", task, offer=offer, grip=plan.method, pose=held, process=named))
         segments = [work_segment_to_msg(segment) for segment in plan.segments]
-        how = plan.method if process == DEFAULT else f"{process}, {plan.method}"
+        how = f"{named}, {plan.method}" if named else plan.method
         request = PlanWorkRequest(task=task, source=f"{title} by {how}, offer {offer}", segments=segments)
         problem, answer = self._outputs.plan_work(request)
-        with self._shared.lock:
+        with self._lock:
             memory = board.book.tasks[task]
-            if answer is None:
-                if memory.state is TaskState.PLANNED and not memory.plan:
-                    self._follower.settle_offer(task, offer)
+            unnamed = memory.state is TaskState.PLANNED and not memory.plan
+            if answer is None or not answer.success:
+                if answer is not None:
+                    problem = answer.message
+                    board.add(Entry("dropped", task, offer=offer, reason=problem))
+                elif unnamed:
+                    work.follower.settle_offer(task, offer)
                 board.failures[task] = problem
                 raise WorkRefused(problem)
-            if not answer.success:
-                board.ledger.add(Entry("dropped", task, element, offer=offer, reason=answer.message))
-                board.failures[task] = answer.message
-                raise WorkRefused(answer.message)
-            if memory.state is TaskState.PLANNED and not memory.plan:
-                board.ledger.add(Entry("planned", task, element, plan=answer.plan_id, offer=offer))
+            if unnamed:
+                board.add(Entry("planned", task, plan=answer.plan_id, offer=offer))
         sentence = Sentence("work.plan", task=title, plan=answer.plan_id, duration=answer.duration, method=plan.method)
-        return _planned(sentence, task, answer.plan_id, answer.plan_hash, answer.duration)
+        return _under_review(sentence, task, answer.plan_id, answer.plan_hash, answer.duration)
 
     def _plan_way_back(self, asked: str) -> Outcome:
         heard = self.heard
+        if problem := self._opened().scene.make_for_way_back():
+            raise WorkRefused(Sentence("work.back.not_yet", problem=problem))
         before = heard.plan.message.id if heard.plan is not None else ""
         problem, answer = self._outputs.plan_way_back(TriggerRequest())
         if answer is None or not answer.success:
@@ -419,12 +421,12 @@ class WorkNode:
             raise WorkRefused(Sentence("work.back.unpublished"))
         plan = known.message
         sentence = Sentence("work.back.planned", answer=answer.message)
-        return _planned(sentence, asked, plan.id, plan.hash, plan.duration)
+        return _under_review(sentence, asked, plan.id, plan.hash, plan.duration)
 
     def on_decide(self, request: WorkDecideRequest) -> str:
         """Take what a person decides of a task or the schedule."""
-        with self._shared.lock:
-            sentence = self._decided(self._shared.opened(), request)
+        with self._lock:
+            sentence = self._decided(self._opened().board, request)
             problem = self._left_closed() if request.decision == "answer" else ""
             if problem:
                 sentence = Sentence("executor.both", first=sentence, second=problem)
@@ -436,21 +438,17 @@ class WorkNode:
     def _decided(board: TaskBoard, request: WorkDecideRequest) -> str:
         if request.decision == "accept_schedule":
             return board.accept(request.person, request.reason)
-        if request.decision == "skip":
-            return board.skip(request.task, request.person, request.reason)
-        if request.decision == "redo":
-            return board.redo(request.task, request.person, request.reason)
         if request.decision == "answer":
             return board.answer(request.task, request.answer, request.person, request.reason)
-        if request.decision == "removed":
-            return board.removed(request.task, request.person, request.reason)
+        if request.decision in DECISIONS:
+            return DECISIONS[request.decision](board, request.task, request.person, request.reason)
         raise WorkRefused(Sentence("work.decision", decision=repr(request.decision)))
 
     def on_measured(self, request: WorkMeasuredRequest) -> Outcome:
         """Take where a person has measured an element."""
         pose = self._pose_in_base(request)
-        with self._shared.lock:
-            found = self._shared.opened().measured(request.element, pose, request.person, request.reason)
+        with self._lock:
+            found = self._opened().board.measured(request.element, pose, request.person, request.reason)
         self.heard.announce()
         distance, angle = found.distance * 1e3, math.degrees(found.angle)
         sentence = Sentence("work.measured", element=request.element, distance=distance, angle=angle)
@@ -472,12 +470,13 @@ class WorkNode:
     def _fail(self, sentence: str) -> None:
         """Go on without the work: its record or its model cannot be used."""
         rospy.logerr("%s", sentence)
-        self._shared.fail(sentence)
+        with self._lock:
+            self._problem, self._work, self._broken = sentence, None, True
         self._publish()
 
     def _publish(self) -> None:
-        with self._shared.lock:
-            message = self._message()
+        with self._lock:
+            work, message = self._work, self._message()
         if self._told is not None:
             message.header.stamp = self._told.header.stamp
             if message == self._told or repr(message) == repr(self._told):
@@ -485,13 +484,11 @@ class WorkNode:
         message.header.stamp = rospy.Time.now()
         self._told = message
         self._outputs.tasks.publish(message)
-        self._draw()
+        if work is not None:
+            self._draw(work.board)
 
-    def _draw(self) -> None:
-        board = self._shared.board
-        if board is None:
-            return
-        with self._shared.lock:
+    def _draw(self, board: TaskBoard) -> None:
+        with self._lock:
             shown = board.appearances(time.time_ns())
         drawn = []
         for one in shown:
@@ -505,49 +502,36 @@ class WorkNode:
 
     def _message(self) -> WorkTasks:
         engaged = self.heard.execution is not None and self.heard.execution.engaged
-        board, now = self._shared.board, time.time_ns()
-        if board is None:
-            said = WorkReport(
-                model=Path(self._settings.model).name,
-                model_hash="",
-                schedule="",
-                engaged=engaged,
-                reading=not self._shared.broken,
-                next="",
-                reason=self._shared.problem,
-                tasks=(),
-                notes=(),
-            )
-            return to_msg(said, WorkTasks)
-        reason = board.summary(now)
+        if self._work is None:
+            model, reading = Path(self._settings.model).name, not self._broken
+            return WorkTasks(model=model, engaged=engaged, reading=reading, reason=self._problem)
+        report = self._work.board.report(time.time_ns())
         if engaged:
-            blocked = self._scene.blocked
+            blocked = self._work.scene.blocked
             reason = Sentence("work.back.blocked", problem=blocked) if blocked else Sentence("work.back.only")
-        said = WorkReport(
-            model=board.prepared.model,
-            model_hash=board.prepared.digest,
-            schedule=board.schedule_word,
-            engaged=engaged,
-            next=board.next(now),
-            reason=reason,
-            tasks=board.rows(now),
-            notes=tuple(board.notes),
-        )
-        return to_msg(said, WorkTasks)
+            report = replace(report, engaged=True, reason=reason)
+        return to_msg(report, WorkTasks)
 
     def report(self) -> Report:
         """Return the state of the work for `/diagnostics`."""
-        shared = self._shared
-        board = shared.board
-        if board is None:
-            return Report(ERROR if shared.broken else WARN, shared.problem)
-        with shared.lock:
-            book = board.book
-            values: dict[str, object] = {state.value: len(book.in_state(state)) for state in TaskState}
+        with self._lock:
+            if self._work is None:
+                return Report(ERROR if self._broken else WARN, self._problem)
+            board = self._work.board
+            values: dict[str, object] = {state.value: len(board.book.in_state(state)) for state in TaskState}
             values |= {"lines of the ledger": board.ledger.lines, "SHA-256 of the last line": board.ledger.head}
             values["notes on the model"] = len(board.notes)
-            asks = bool(book.in_state(TaskState.ASKS))
+            asks = bool(board.book.in_state(TaskState.ASKS))
             return Report(WARN if asks else OK, board.summary(time.time_ns()), values)
+
+
+#: What a person says of a task, without more than a reason.
+DECISIONS = {"skip": TaskBoard.skip, "redo": TaskBoard.redo, "removed": TaskBoard.removed}
+
+
+def _under_review(sentence: str, task: str, plan_id: str, plan_hash: str, duration: float) -> Outcome:
+    fields = {"task": task, "plan_id": plan_id, "plan_hash": plan_hash, "duration": duration}
+    return Outcome(True, sentence, fields=fields)
 
 
 def ledger_path(folder: Path, robot: str, model: str) -> Path:
@@ -581,7 +565,6 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:
         robot,
         rospy.get_param("planner", {}),
         worker,
-        SharedBoard(Sentence("work.reading")),
         WorkListener(ports.connections, rospy.is_shutdown, review_file, refuse),
         Inputs(functools.partial(twin.pose, age, age), functools.partial(arm.pose, age, age), frames.transform),
         Outputs(

@@ -1,6 +1,6 @@
 """What the work node writes into the ledger of a building: what the executor's reports say of the task under way.
 
-Everything but `WorkFollower.grip` is to be called under the board's lock. When a method returns, its lines are on the disk.
+Everything but `WorkFollower.grip` is to be called under the node's lock. When a method returns, its lines are on the disk.
 """
 
 from __future__ import annotations
@@ -10,17 +10,17 @@ from collections.abc import Callable
 import rospy
 
 from construction_twin.core.errors import PayloadError, PoseUnknownError
+from construction_twin.core.reports import EngagementReport, ExecutionReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain
-from construction_twin.msg import Engagement, Execution
+from construction_twin.review.record import Fate
 from construction_twin.ros.messages.convert import trajectory_from_msg
-from construction_twin.ros.messages.work_convert import is_playing, left_from_msg, report_from_msg
 from construction_twin.ros.shared.work_listener import KnownPlan, WorkListener
 from construction_twin.work import engaged_scene, following
 from construction_twin.work.built import as_built, pose_of_tuple, pose_tuple
 from construction_twin.work.events import MEASURED, PLANNED, Entry
-from construction_twin.work.following import Followed, GripReading, OfferOutcome
-from construction_twin.work.shared_board import SharedBoard
+from construction_twin.work.following import Followed, GripReading
+from construction_twin.work.task_board import TaskBoard
 from construction_twin.work.task_memory import TaskMemory
 from construction_twin.work.task_states import UNDER_WAY, TaskState
 
@@ -36,17 +36,17 @@ class WorkFollower:
 
     def __init__(
         self,
-        board: SharedBoard,
+        board: TaskBoard,
         heard: WorkListener,
         chain: Chain,
         arm_pose: Callable[[], tuple[float, ...]],
         refuse: Callable[[str, str], None],
     ):
-        self._shared, self._heard = board, heard
+        self._board, self._heard = board, heard
         self._chain, self._arm_pose = chain, arm_pose
         self._refuse = refuse
 
-    def catch_up(self, report: Execution | None) -> None:
+    def catch_up(self, report: ExecutionReport | None) -> None:
         """Write all that a report, verdicts and tool have to say, and settle what nobody will report any more."""
         self.follow(report)
         self._drop_if_turned_down()
@@ -55,86 +55,82 @@ class WorkFollower:
 
     def grip(self) -> GripReading:
         """Return what the tool says of its grip."""
-        board = self._shared.board
-        return GripReading(False, False) if board is None else self._heard.grip(board.prepared.tool)
+        return self._heard.grip(self._board.prepared.tool)
 
     # -- the task under way
 
-    def follow(self, report: Execution | None) -> None:
+    def follow(self, report: ExecutionReport | None) -> None:
         """Write what a report says of the task under way."""
-        plan, left, memory = self._heard.plan, self._heard.left, self._under_way()
+        left, memory = self._heard.left, self._under_way()
         if memory is None or report is None or self._heard.unsaid:
             return
-        task = memory.task
         known = self._heard.work_plan(left.plan_id) if left is not None else None
         if left is not None and left.plan_id == memory.plan and known is not None:
-            if report.plan_id != memory.plan or not is_playing(report):
-                self._follow_left(task, left, known, report)
+            if report.plan_id != memory.plan or not report.playing:
+                self._follow_left(memory, left, known, report)
                 return
-        followed = self._followed(task, plan) if plan is not None else None
+        followed = self._followed(memory, self._heard.plan)
         if followed is None or followed.id != report.plan_id:
             # without the plan nothing can be told of its segments; its end will be heard
             if not memory.plan or report.plan_id != memory.plan or not report.outcome:
                 return
             followed = following.followed_unseen(memory.plan, memory, report.outcome)
-        self._write(task, followed, report_from_msg(report))
+        self._write(memory, followed, report)
 
-    def _follow_left(self, task: str, left: Engagement, known: KnownPlan, report: Execution) -> None:
+    def _follow_left(
+        self, memory: TaskMemory, left: EngagementReport, known: KnownPlan, report: ExecutionReport
+    ) -> None:
         """Write how the task's plan ended inside an engaged segment: what the tool has done by then is done."""
-        followed = self._followed(task, known)
+        followed = self._followed(memory, known)
         if followed is None:
             return
         numbers = [number for number, segment in enumerate(known.segments) if segment.name == left.segment]
         mine = report.plan_id == known.message.id
         # after a restart of the executor only the segment's name is known
         number = report.segment if mine else numbers[0] if len(numbers) == 1 else -1
-        confirmed = 0 <= number < len(known.segments) and engaged_scene.confirmed(
-            left_from_msg(left), known.segments[number]
-        )
-        outcome = (report.outcome if mine else "") or "stopped"
-        said = following.Report(
-            plan=known.message.id,
-            playing=False,
-            outcome=outcome,
+        confirmed = 0 <= number < len(known.segments) and engaged_scene.confirmed(left, known.segments[number])
+        ended = ExecutionReport(
+            text="",
+            reason=left.reason,
+            plan_id=known.message.id,
+            outcome=(report.outcome if mine else "") or "stopped",
             segment=number,
             # only there the arm still stands as it let go
             at_boundary=mine and (confirmed or report.at_boundary),
-            reason=left.reason,
-            confirmed=confirmed,
         )
-        self._write(task, followed, said)
+        self._write(memory, followed, ended, confirmed)
 
-    def _write(self, task: str, followed: Followed, said: following.Report) -> None:
+    def _write(self, memory: TaskMemory, followed: Followed, report: ExecutionReport, confirmed: bool = False) -> None:
         """Write the lines that follow from a report."""
-        board = self._shared.opened()
-        built, source = self._as_built(task, followed, said) if followed.releases >= 0 else ((), "")
-        memory, element = board.book.tasks[task], board.element_of(task)
-        self._add(following.follow(memory, element, followed, said, self.grip(), built, source), rospy.loginfo)
+        built, source = self._as_built(memory, followed, report) if followed.releases >= 0 else ((), "")
+        events = following.follow(memory, followed, report, self.grip(), built, source, confirmed)
+        self._add(events, rospy.loginfo)
 
     def _add(self, entries: list[Entry], log: Callable[..., None]) -> None:
         """Add events to the ledger, in their order."""
-        board = self._shared.opened()
         for entry in entries:
-            board.ledger.add(entry)
-            log("%s: %s%s", board.title(entry.task), entry.event, f"; {entry.reason}" if entry.reason else "")
+            self._board.add(entry)
+            reason = f"; {entry.reason}" if entry.reason else ""
+            log("%s: %s%s", self._board.title(entry.task), entry.event, reason)
 
     def _under_way(self) -> TaskMemory | None:
-        """Return what is known of the task that is under review or under way; None: none is, or there is no board."""
-        board = self._shared.board
-        return board.book.tasks[board.book.busy] if board is not None and board.book.busy else None
+        """Return what is known of the task that is under review or under way; None: none is."""
+        return self._board.book.tasks.get(self._board.book.busy)
 
-    def _followed(self, task: str, known: KnownPlan) -> Followed | None:
+    def _followed(self, memory: TaskMemory, known: KnownPlan | None) -> Followed | None:
         """Return a plan of a task as it is followed; None when it is another's."""
-        board, plan = self._shared.opened(), known.message
-        memory = board.book.tasks[task]
-        if plan.task != task or not (plan.id == memory.plan or (memory.offer and memory.offer in plan.source)):
+        if known is None or known.message.task != memory.task:
             return None
-        return following.followed(plan.id, memory, known.segments, known.changes, board.prepared.tool)
+        plan = known.message
+        if plan.id != memory.plan and not (memory.offer and memory.offer in plan.source):
+            return None
+        return following.followed(plan.id, memory, known.segments, known.changes, self._board.prepared.tool)
 
-    def _as_built(self, task: str, followed: Followed, report: following.Report) -> tuple[tuple[float, ...], str]:
+    def _as_built(
+        self, memory: TaskMemory, followed: Followed, report: ExecutionReport
+    ) -> tuple[tuple[float, ...], str]:
         """Return where the element stands if let go now: by the arm's own pose at the boundary, else by the plan's; and which."""
-        board = self._shared.opened()
-        memory, planned = board.book.tasks[task], self._planned_pose(followed)
+        planned = self._planned_pose(followed)
         if planned is None or not memory.tool0_T_element or memory.state is TaskState.RETREATING:
             return (), ""
         q, source = planned, PLANNED
@@ -143,7 +139,7 @@ class WorkFollower:
                 q, source = self._arm_pose(), MEASURED
             except (PoseUnknownError, PayloadError) as error:
                 self._refuse("pose", f"the planned pose is taken for the arm's: {error}")
-        held, goal = pose_of_tuple(memory.tool0_T_element), board.goal(task)
+        held, goal = pose_of_tuple(memory.tool0_T_element), self._board.goal(memory.task)
         return pose_tuple(as_built(self._chain.forward(q), self._chain.forward(planned), held, goal)), source
 
     def _planned_pose(self, followed: Followed) -> tuple[float, ...] | None:
@@ -173,29 +169,24 @@ class WorkFollower:
             return
         if report is not None and memory.plan and report.plan_id == memory.plan:
             return
-        verdict = self._heard.verdict(memory.plan, memory.offer)
-        if verdict.outcome != following.FINISHED:
-            self._settle(memory, verdict)
+        fate = self._heard.fate(memory.plan, memory.offer)
+        if fate.outcome != following.FINISHED:
+            self._settle(memory, fate)
             return
-        ended = following.Report(verdict.plan, False, verdict.outcome)
-        followed = following.followed_unseen(verdict.plan, memory, verdict.outcome)
-        built, source = self._planned_end(memory.task, verdict.plan)
-        element = self._shared.opened().element_of(memory.task)
-        self._add(following.follow(memory, element, followed, ended, self.grip(), built, source), rospy.logwarn)
+        ended = ExecutionReport("", "", fate.plan, fate.outcome)
+        unseen = following.followed_unseen(fate.plan, memory, fate.outcome)
+        # where the element was to be let go is known as long as the plan is
+        known = self._heard.plan
+        followed = self._followed(memory, known) if known is not None and known.message.id == fate.plan else None
+        built, source = self._as_built(memory, followed, ended) if followed is not None else ((), "")
+        self._add(following.follow(memory, unseen, ended, self.grip(), built, source), rospy.logwarn)
 
     def settle_offer(self, task: str, offer: str) -> None:
         """Settle a task whose plan was offered to a planner that did not answer: it may have published it before it went away."""
-        self._settle(self._shared.opened().book.tasks[task], self._heard.verdict("", offer))
+        self._settle(self._board.book.tasks[task], self._heard.fate("", offer))
 
-    def _settle(self, memory: TaskMemory, verdict: OfferOutcome) -> None:
-        element = self._shared.opened().element_of(memory.task)
-        self._add(following.after_restart(memory, element, verdict, self.grip()), rospy.logwarn)
-
-    def _planned_end(self, task: str, plan_id: str) -> tuple[tuple[float, ...], str]:
-        """Return where the element was to be let go by a plan that has been carried out; empty when it is not known any more."""
-        plan = self._heard.plan
-        followed = self._followed(task, plan) if plan is not None and plan.message.id == plan_id else None
-        return ((), "") if followed is None else self._as_built(task, followed, following.Report(plan_id, False, ""))
+    def _settle(self, memory: TaskMemory, fate: Fate) -> None:
+        self._add(following.after_restart(memory, fate, self.grip()), rospy.logwarn)
 
     # -- what others say
 
@@ -204,14 +195,13 @@ class WorkFollower:
         memory = self._under_way()
         review = self._heard.review(memory.plan) if memory is not None else None
         if memory is not None and memory.state is TaskState.PLANNED and review is not None and not review.approved:
-            board, task, who, why = self._shared.opened(), memory.task, review.reviewer, review.reason
-            board.ledger.add(Entry("dropped", task, board.element_of(task), plan=memory.plan, reason=f"{who}: {why}"))
-            board.failures[task] = Sentence("work.task.turned_down", who=who, reason=why)
+            who, why = review.reviewer, review.reason
+            self._board.add(Entry("dropped", memory.task, plan=memory.plan, reason=f"{who}: {why}"))
+            self._board.failures[memory.task] = Sentence("work.task.turned_down", who=who, reason=why)
 
     def _doubt_if_open(self) -> None:
         """Have it asked about what counts as carried, when the tool is surely open."""
-        board = self._shared.board
-        if board is not None and not self._heard.playing and self.grip().surely_open:
-            sentence = board.lost()
+        if not self._heard.playing and self.grip().surely_open:
+            sentence = self._board.lost()
             if sentence:
                 rospy.logwarn("%s", sentence)

@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.reports import EngagementReport, ExecutionReport
 from construction_twin.msg import Engagement, Execution, Plan, Review, ToolState
 from construction_twin.msg import Scene as SceneMsg
-from construction_twin.review.record import read_fate
+from construction_twin.review.record import Fate, read_fate
 from construction_twin.robot.segments import Segment
 from construction_twin.robot.tool import Tool
 from construction_twin.ros.messages.convert import change_from_msg
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.messages.work_convert import is_playing
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.work.following import GripReading, OfferOutcome, grip_of
+from construction_twin.work.following import GripReading, grip_of
 
 #: Verdicts that are remembered.
 _KEPT = 100
@@ -69,9 +70,9 @@ class WorkListener:
         self._refuse = refuse
         self._heard = threading.Condition()
         self._news: queue.SimpleQueue[None] = queue.SimpleQueue()
-        self.execution: Execution | None = None
+        self.execution: ExecutionReport | None = None
         self.plan: KnownPlan | None = None
-        self.engagement: Engagement | None = None
+        self.engagement: EngagementReport | None = None
         self.scene: Scene | None = None
         self.tool: ToolState | None = None
         #: The planner that published the plan is still there, and gives it to an executor that starts anew.
@@ -86,11 +87,8 @@ class WorkListener:
 
     def on_execution(self, message: Execution) -> None:
         """Take what the executor does."""
-
-        def hear() -> None:
-            self.execution = message
-
-        self._hear(hear)
+        with self._news_comes():
+            self.execution = from_msg(ExecutionReport, message)
 
     def on_plan(self, message: Plan) -> None:
         """Take a plan; one whose segments cannot be read is refused."""
@@ -101,38 +99,26 @@ class WorkListener:
             return
         segments = tuple(from_msg(Segment, segment) for segment in message.segments)
         plan = KnownPlan(message, segments, changes)
-
-        def hear() -> None:
+        with self._news_comes():
             self.plan, self._plan_offered = plan, True
             # a way back changes nothing, and may be planned again and again
             if any(segment.scene != segment.scene_after for segment in segments):
                 _keep(self._work_plans, message.id, plan, _KEPT_PLANS)
 
-        self._hear(hear)
-
     def on_engagement(self, message: Engagement) -> None:
         """Take whether, and where, the arm was left engaged."""
-
-        def hear() -> None:
-            self.engagement = message
-
-        self._hear(hear)
+        with self._news_comes():
+            self.engagement = from_msg(EngagementReport, message)
 
     def on_review(self, message: Review) -> None:
         """Take a verdict."""
-
-        def hear() -> None:
+        with self._news_comes():
             _keep(self._verdicts, message.plan_id, message, _KEPT)
-
-        self._hear(hear)
 
     def on_tool(self, message: ToolState) -> None:
         """Take what the tool's outputs and inputs read."""
-
-        def hear() -> None:
+        with self._news_comes():
             self.tool = message
-
-        self._hear(hear)
 
     def on_scene(self, message: SceneMsg) -> None:
         """Take the scene; one that cannot be read is refused."""
@@ -141,16 +127,15 @@ class WorkListener:
         except SceneError as error:
             self._refuse("scene", str(error))
             return
-
-        def hear() -> None:
+        with self._news_comes():
             self.scene = scene
             _keep(self._scenes, scene.hash, scene, _KEPT_SCENES)
 
-        self._hear(hear)
-
-    def _hear(self, change_state: Callable[[], None]) -> None:
+    @contextmanager
+    def _news_comes(self) -> Iterator[None]:
+        """Let what is heard be changed while nobody reads it, then wake whoever waits for it."""
         with self._heard:
-            change_state()
+            yield
             self._heard.notify_all()
         self.announce()
 
@@ -186,7 +171,7 @@ class WorkListener:
     @property
     def playing(self) -> bool:
         """Whether a plan is under way, paused or held included."""
-        return self.execution is not None and is_playing(self.execution)
+        return self.execution is not None and self.execution.playing
 
     @property
     def engaged(self) -> bool:
@@ -194,7 +179,7 @@ class WorkListener:
         return (self.execution is not None and self.execution.engaged) or self.left is not None
 
     @property
-    def left(self) -> Engagement | None:
+    def left(self) -> EngagementReport | None:
         """Where the arm was left engaged; None: it was not, or that is not known yet."""
         return self.engagement if self.engagement is not None and self.engagement.engaged else None
 
@@ -218,7 +203,7 @@ class WorkListener:
         """Return the verdict on a plan as the topic told it; None: it told none."""
         return self._verdicts.get(plan_id)
 
-    def verdict(self, plan_id: str, offer: str) -> OfferOutcome:
+    def fate(self, plan_id: str, offer: str) -> Fate:
         """Return what became of a plan, from the topics, else from the executor's record.
 
         Args:
@@ -229,10 +214,9 @@ class WorkListener:
         plan = known.message if known is not None else None
         if plan is not None and (plan.id == plan_id or (offer and offer in plan.source)):
             if plan.id not in self._verdicts and self._publishers("plan"):
-                return OfferOutcome(plan.id, True, False)
+                return Fate(plan.id, False, under_review=True)
             plan_id = plan.id
-        fate = read_fate(self._review_file, plan_id, offer)
-        return OfferOutcome(fate.plan, False, fate.approved, fate.outcome)
+        return read_fate(self._review_file, plan_id, offer)
 
     def forget_if_nobody_has(self, plan_id: str) -> bool:
         """Return whether a plan under review went with planner and executor, so that nobody can approve it any more.

@@ -5,19 +5,20 @@ The ledger comes first: the scene changes only after what is known of the task i
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
+from construction_twin.core.reports import ExecutionReport
 from construction_twin.core.sentences import Sentence
-from construction_twin.msg import Execution
 from construction_twin.ros.messages.scene_convert import object_to_msg
-from construction_twin.ros.messages.work_convert import left_from_msg
 from construction_twin.ros.shared.work_follower import WorkFollower
 from construction_twin.ros.shared.work_listener import WorkListener
+from construction_twin.scene.scene_change import SceneChange
 from construction_twin.srv import EditSceneRequest
 from construction_twin.work import engaged_scene
 from construction_twin.work.built import change
-from construction_twin.work.shared_board import SharedBoard
+from construction_twin.work.task_board import TaskBoard
 from construction_twin.work.task_states import UNDER_WAY
 
 #: Calls a service with a request; returns why there is no answer, and the answer.
@@ -27,9 +28,10 @@ SCENE_TIME = 2.0
 
 
 class WorkScene:
-    """Has the scene changed by the scene node. To be called without the board's lock: the scene node is waited for.
+    """Has the scene changed by the scene node. To be called without the lock: the scene node is waited for.
 
     Args:
+        lock: Of the board.
         edit_scene: The scene node's service, see `Call`.
         refuse: Counts what could not be done; takes reason and sentence.
 
@@ -39,22 +41,23 @@ class WorkScene:
 
     def __init__(
         self,
-        board: SharedBoard,
+        board: TaskBoard,
+        lock: threading.RLock,
         heard: WorkListener,
         follower: WorkFollower,
         edit_scene: Call,
         refuse: Callable[[str, str], None],
     ):
-        self._shared, self._heard, self._follower = board, heard, follower
+        self._board, self._lock, self._heard, self._follower = board, lock, heard, follower
         self._edit_scene, self._refuse = edit_scene, refuse
         self.blocked = ""
         #: Of what that was said.
         self._blocked_in: tuple | None = None
 
-    def change_as_planned(self, report: Execution | None) -> None:
+    def change_as_planned(self, report: ExecutionReport | None) -> None:
         """Change the scene as planned, when a report, which has been followed, says that the executor waits for it."""
-        board, known, scene = self._shared.board, self._heard.plan, self._heard.scene
-        if board is None or report is None or known is None or scene is None:
+        board, known, scene = self._board, self._heard.plan, self._heard.scene
+        if report is None or known is None or scene is None:
             return
         plan = known.message
         if not report.wants_scene or report.plan_id != plan.id or not 0 <= report.segment < len(plan.segments):
@@ -63,41 +66,36 @@ class WorkScene:
         task = board.book.busy
         if not task or board.book.tasks[task].plan != plan.id or scene.hash == segment.scene_after:
             return
-        self._edit(
-            EditSceneRequest(before=segment.scene, put=segment.put, remove=segment.remove, after=segment.scene_after)
-        )
+        self._edit(EditSceneRequest(segment.scene, segment.put, segment.remove, segment.scene_after))
 
     def tidy(self) -> None:
         """Make the scene what the ledger says: tool, stock, placed elements."""
-        scene, board = self._heard.scene, self._shared.board
-        if scene is None or board is None:
+        scene = self._heard.scene
+        if scene is None:
             return
-        with self._shared.lock:
-            if board.in_doubt:
+        with self._lock:
+            if self._board.in_doubt:
                 return
-            wanted, alone = board.wanted_scene()
+            wanted, alone = self._board.wanted_scene()
         wrong = change(scene, wanted, alone)
-        if wrong:
-            put = [object_to_msg(item) for item in wrong.put]
-            self._edit(EditSceneRequest(before=scene.hash, put=put, remove=list(wrong.remove)))
+        if wrong != SceneChange():
+            self._change(scene.hash, wrong)
 
     def make_for_way_back(self) -> str:
         """Make the scene one in which an engaged arm can go back; return why not, empty when it is.
 
         What the ledger has to say of the stop is on the disk before.
         """
-        left = self._heard.left
+        left, board = self._heard.left, self._board
         if left is None:
             return Sentence("work.back.unsaid")
-        with self._shared.lock:
-            board, scene = self._shared.board, self._heard.scene
+        with self._lock:
+            scene = self._heard.scene
             if scene is None:
                 return Sentence("work.scene_unknown")
             if scene.hash in left.scenes:
                 self.unblock()
                 return ""
-            if board is None:
-                return self._shared.problem
             if self._heard.playing:
                 return Sentence("work.back.playing")
             self._follower.follow(self._heard.execution)
@@ -107,27 +105,26 @@ class WorkScene:
                 return Sentence("work.back.unwritten", task=board.title(left.task))
             known = self._heard.work_plan(left.plan_id)
             segments, changes = (known.segments, known.changes) if known is not None else ((), ())
-            about = (left.plan_id, tuple(left.scenes), scene.hash, bool(segments), memory.state if memory else None)
+            about = (left.plan_id, left.scenes, scene.hash, bool(segments), memory.state if memory else None)
             if about == self._blocked_in:
                 return self.blocked
             element = board.element_of(left.task) if memory is not None else ""
             forms = board.forms(left.task) if memory is not None else ()
-            found = engaged_scene.due(
-                left_from_msg(left), scene, segments, changes, self._heard.scenes(), element, forms
-            )
+            found = engaged_scene.due(left, scene, segments, changes, self._heard.scenes(), element, forms)
         if found.change is None:
             self.blocked, self._blocked_in = found.sentence, about
             self._refuse("engagement", found.sentence)
             return found.sentence
-        put = [object_to_msg(item) for item in found.change.put]
-        request = EditSceneRequest(before=scene.hash, put=put, remove=list(found.change.remove), after=found.after)
         # tried again as long as the scene node refuses
-        self.blocked, self._blocked_in = self._edit(request), None
+        self.blocked, self._blocked_in = self._change(scene.hash, found.change, found.after), None
         return self.blocked
 
     def unblock(self) -> None:
         """Forget why the scene of an engaged arm could not be made right."""
         self.blocked, self._blocked_in = "", None
+
+    def _change(self, before: str, wanted: SceneChange, after: str = "") -> str:
+        return self._edit(EditSceneRequest(before, list(map(object_to_msg, wanted.put)), list(wanted.remove), after))
 
     def _edit(self, request: EditSceneRequest) -> str:
         """Have the scene changed; return why not, empty when it was and the change has arrived here."""
