@@ -135,7 +135,11 @@ def run_tool(program: str, *arguments: object) -> str:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         raise ConstructionTwinError(
             Sentence(
-                "view.site.program_failed", program=program, step=arguments[0], status=done.returncode, problem=last
+                "view.site.program_failed",
+                program=program,
+                step=str(arguments[0]),
+                status=done.returncode,
+                problem=last,
             )
         )
     return done.stdout
