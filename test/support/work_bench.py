@@ -163,7 +163,7 @@ class Bench:
     @property
     def board(self) -> TaskBoard:
         """The node's board of tasks."""
-        return self.node._opened().board
+        return self.node.board
 
     def run(self, times: int = 8) -> Bench:
         """Let the node do what follows from all it has heard, and try again what does not work."""

@@ -191,7 +191,8 @@ def test_a_connection_that_the_network_has_reset_is_ended_at_the_broker_before_t
         with Speaker(Broker("127.0.0.1", server.getsockname()[1], keepalive=3), ID, direct) as program:
             wait_until(lambda: len(listener.messages) == 1, what="its first word")
             line.reset()
-            wait_until(lambda: len(listener.messages) == 3, 20.0, "its last will, and its word after the return")
+            # one more where the reset was before the first word's acknowledgement: paho sends that word again
+            wait_until(lambda: len(listener.messages) >= 3, 20.0, "its last will, and its word after the return")
         words = [payload for _, payload in listener.messages]
         assert words[:3] == [b"here", OFFLINE.encode(), b"here"]
         assert program.welcomes == 2

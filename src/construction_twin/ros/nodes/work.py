@@ -313,6 +313,11 @@ class WorkNode:
 
     # -- services
 
+    @property
+    def board(self) -> TaskBoard:
+        """The tasks of the building that is open; WorkRefused, with the problem, where none is."""
+        return self._opened().board
+
     def _opened(self) -> _Opened:
         if self._work is None:
             raise WorkRefused(self._problem)
@@ -426,7 +431,7 @@ class WorkNode:
     def on_decide(self, request: WorkDecideRequest) -> str:
         """Take what a person decides of a task or the schedule."""
         with self._lock:
-            sentence = self._decided(self._opened().board, request)
+            sentence = self._decided(self.board, request)
             problem = self._left_closed() if request.decision == "answer" else ""
             if problem:
                 sentence = Sentence("executor.both", first=sentence, second=problem)
@@ -448,7 +453,7 @@ class WorkNode:
         """Take where a person has measured an element."""
         pose = self._pose_in_base(request)
         with self._lock:
-            found = self._opened().board.measured(request.element, pose, request.person, request.reason)
+            found = self.board.measured(request.element, pose, request.person, request.reason)
         self.heard.announce()
         distance, angle = found.distance * 1e3, math.degrees(found.angle)
         sentence = Sentence("work.measured", element=request.element, distance=distance, angle=angle)
