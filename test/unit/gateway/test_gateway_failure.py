@@ -12,6 +12,7 @@ import pytest
 from processes import wait_until
 from service_cell import AXES, CONFIG, PATIENT, cell, motion, stream
 
+from construction_twin.core.follower import Follower
 from construction_twin.core.units import CYCLE
 from construction_twin.gateway.states import State
 
@@ -43,7 +44,8 @@ PARTS = {
     "telegram decoder": lambda service: (service._inbox, "_parse"),
     "RSI session": lambda service: (service.gateway._controller, "take"),
     "playout": lambda service: (service.gateway._player._playout, "advance"),
-    "follower": lambda service: (service.gateway._player.follower, "follow"),
+    # the class: a reply that did not arrive places another follower, at rest where the arm stands
+    "follower": lambda service: (Follower, "follow"),
     "reply's encoder": lambda service: (service._encoder, "encode"),
     "reply's socket": lambda service: (service, "_answer"),
     "state publisher": lambda service: (service._mqtt.client, "send_stream"),
@@ -79,7 +81,7 @@ def assert_it_brakes_and_holds(controller, begin, missed=1):
 
 
 @pytest.mark.parametrize("part", PARTS)
-def test_the_arm_brakes_is_held_and_a_person_is_asked_for(part, broker, topics, caplog):
+def test_the_arm_brakes_is_held_and_a_person_is_asked_for(part, broker, topics, caplog, monkeypatch):
     with (
         caplog.at_level(logging.CRITICAL, "rsi_gateway"),
         cell(broker, topics, config=PATIENT) as (service, controller, client),
@@ -88,7 +90,8 @@ def test_the_arm_brakes_is_held_and_a_person_is_asked_for(part, broker, topics, 
         stream(client, controller, (motion(k) for k in range(80)))
         owner, name = PARTS[part](service)
         begin = len(controller.replies)
-        setattr(owner, name, broken_once(getattr(owner, name)) if part == "reply's socket" else broken)
+        fault = broken_once(getattr(owner, name)) if part == "reply's socket" else broken
+        monkeypatch.setattr(owner, name, fault)
         for k in range(80, 100):
             client.command(motion(k))
             time.sleep(0.004)
