@@ -12,7 +12,7 @@ import select
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 
 #: Time asleep, short enough to see what delays a single reply; and the delay of a wake-up that counts as a pause [ns].
@@ -25,21 +25,22 @@ CYCLE, HELD_UP = 4_000_000, 2_000_000
 
 
 class MachineProbe(ExitStack):
-    """Watches every core until the end of the block.
+    """Watches cores until the end of the block.
 
     Args:
         realtime: SCHED_FIFO priority of the 250 Hz path; the probe's is 20 above it. 0: none, and the probe also sees what that
             path does.
         period: Time asleep between two wake-ups [ns]: a shorter pause may pass unseen, and every wake-up costs processor time.
+        cores: Numbers of those to watch; None: every one that this process may use.
 
     Attributes:
         watches: One per core.
     """
 
-    def __init__(self, realtime: int, period: int = PERIOD):
+    def __init__(self, realtime: int, period: int = PERIOD, cores: Iterable[int] | None = None):
         super().__init__()
         priority = realtime + 20 if realtime else 0
-        self.watches = [self._start(core, priority, period) for core in sorted(os.sched_getaffinity(0))]
+        self.watches = [self._start(core, priority, period) for core in cores or sorted(os.sched_getaffinity(0))]
 
     def _start(self, core: int, priority: int, period: int) -> subprocess.Popen:
         command = [sys.executable, __file__, str(core), str(priority), str(period)]

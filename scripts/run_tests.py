@@ -14,22 +14,24 @@ yields no result counts as one failure.
 
 Lint, the unit tests that need no real time and those of the page run beside each other, the unit tests in two processes per core
 (pytest-xdist), the file that took longest last time first: what each took is kept in `.ws/test_durations.json`. A file stays in one
-process, because its tests may share a broker, a port or what a fixture made. Whatever runs at 250 Hz has the machine to
-itself, and a probe per core (benchmarks/machine.py) watches it: if the machine runs no process for `HALT`, arm and gateway brake as
-they should, and a test that expects a finished motion fails without a fault of ours. Such a failure shows nothing: it is reported,
-and the test is run again, `AGAIN` times at most. A failure counts if the machine ran meanwhile, or if the probe has no priority
-above the tested processes.
+process, because its tests may share a broker, a port or what a fixture made. Whatever runs at 250 Hz has a core to itself: the unit
+tests of it run one file per core at a time, the launch tests, whose programs fill the machine, one after the other. A probe per
+core (benchmarks/machine.py) watches: if the machine runs no process for `HALT`, arm and gateway brake as they should, and a test
+that expects a finished motion fails without a fault of ours. Such a failure shows nothing: it is reported, and the test is run
+again, `AGAIN` times at most. A failure counts if the machine ran meanwhile, or if the probe has no priority above the tested processes.
 """
 
 from __future__ import annotations
 
 import os
+import queue
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -49,8 +51,7 @@ BROWSER_PYTHON = ROOT / ".ws" / "browser" / "bin" / "python"
 TIME_LIMIT = 600
 #: Longest line about a failed test, of the list at the end [characters].
 LINE = 300
-#: What failed, for that list, and which runs were made again.
-FAILED: list[str] = []
+#: Which runs were made again.
 DISTURBED: list[str] = []
 #: What each file of tests took in this run [s], by its path; of a file that was run again, the last run.
 TOOK: dict[str, float] = {}
@@ -83,36 +84,62 @@ ALONE = (
 )
 
 
-def count(file: Path) -> tuple[int, int]:
-    """Return (passed, failed) of a JUnit file and remember what failed; a missing or broken file is one failure."""
+@dataclass(frozen=True)
+class Result:
+    """What tests came to.
+
+    Attributes:
+        passed, failed: How many.
+        failures: What failed and why, a line each.
+    """
+
+    passed: int = 0
+    failed: int = 0
+    failures: tuple[str, ...] = ()
+
+    @staticmethod
+    def total(results: Iterable[Result]) -> Result:
+        """Return what several runs came to together."""
+        every = list(results)
+        failures = tuple(line for one in every for line in one.failures)
+        return Result(sum(one.passed for one in every), sum(one.failed for one in every), failures)
+
+    @staticmethod
+    def failure(line: str) -> Result:
+        """Return one failure and nothing that passed."""
+        return Result(0, 1, (line[:LINE],))
+
+
+def count(file: Path) -> Result:
+    """Return what a JUnit file says; a missing, broken or empty one is a failure."""
     try:
         root = ElementTree.parse(file).getroot()
     except (OSError, ElementTree.ParseError) as error:
-        FAILED.append(f"{file}: {error}")
-        return 0, 1
+        return Result.failure(f"{file}: {error}")
     suites = list(root.iter("testsuite"))
+    failures = []
     for case in root.iter("testcase"):
         for verdict in (*case.findall("failure"), *case.findall("error")):
             words = (verdict.get("message") or verdict.text or "").strip().splitlines()
-            FAILED.append(f"{case.get('classname')}.{case.get('name')}: {words[0] if words else 'no message'}"[:LINE])
+            failures.append(f"{case.get('classname')}.{case.get('name')}: {words[0] if words else 'no message'}"[:LINE])
     total = sum(int(suite.get("tests", 0)) for suite in suites)
     failed = sum(int(suite.get("failures", 0)) + int(suite.get("errors", 0)) for suite in suites)
     skipped = sum(int(suite.get("skipped", suite.get("skip", 0))) for suite in suites)
     if not total:
-        FAILED.append(f"{file}: no test was run")
-    return (total - failed - skipped, failed) if total else (0, 1)
+        return Result.failure(f"{file}: no test was run")
+    return Result(total - failed - skipped, failed, tuple(failures))
 
 
-def count_lint(findings: list[lint.Finding]) -> tuple[int, int]:
-    """Show what lint found; return (passed, failed) and remember what failed, each tool as one test."""
+def count_lint(findings: list[lint.Finding]) -> Result:
+    """Show what lint found; return it, each tool as one test."""
+    failures = []
     for finding in findings:
         print(f"lint, {finding.name}: {'passed' if finding.passed else 'failed'}", flush=True)
         if not finding.passed:
             print(finding.output, flush=True)
             lines = finding.output.strip().splitlines()
-            FAILED.append(f"lint, {finding.name}: {lines[-1] if lines else 'no message'}"[:LINE])
-    failed = sum(not finding.passed for finding in findings)
-    return len(findings) - failed, failed
+            failures.append(f"lint, {finding.name}: {lines[-1] if lines else 'no message'}"[:LINE])
+    return Result(len(findings) - len(failures), len(failures), tuple(failures))
 
 
 def said(file: Path) -> list[str]:
@@ -133,11 +160,8 @@ def unit_files() -> tuple[list[Path], list[Path]]:
     return alone, [file for file in files if file not in alone]
 
 
-def run_beside(files: list[Path], browser: list[Path]) -> list[tuple[int, int]]:
-    """Run what needs no real time beside each other: the unit tests in some processes, the page's in one.
-
-    Returns (passed, failed) of each.
-    """
+def run_beside(files: list[Path], browser: list[Path]) -> list[Result]:
+    """Run what needs no real time beside each other: the unit tests in some processes, the page's in one."""
     runs = {}
     if files:
         order = durations.longest_first(files)
@@ -152,57 +176,88 @@ def workers() -> int:
     return min(PER_CORE * len(os.sched_getaffinity(0)), MOST)
 
 
-def run_alone(files: list[Path], probe: MachineProbe) -> list[tuple[int, int]]:
-    """Run the unit tests that start 250 Hz processes, one file after the other; return (passed, failed) of each."""
-    return [
-        undisturbed(file.name, lambda: end_pytest(file.stem, start_pytest(file.stem, [file])), probe) for file in files
-    ]
+def run_alone(files: list[Path]) -> list[Result]:
+    """Run the unit tests that start 250 Hz processes: each file on one core, which has nothing else to do."""
+    waiting: queue.SimpleQueue[Path] = queue.SimpleQueue()
+    for file in durations.longest_first(files):
+        waiting.put(file)
+
+    def one_after_the_other(core: int) -> list[Result]:
+        results = []
+        pinned = ("taskset", "--cpu-list", str(core))
+        with MachineProbe(REALTIME, PROBE_PERIOD, [core]) as probe:
+            while True:
+                try:
+                    file = waiting.get_nowait()
+                except queue.Empty:
+                    return results
+                results.append(
+                    undisturbed(
+                        file.name,
+                        lambda: end_pytest(file.stem, start_pytest(file.stem, [file], before=pinned)),  # noqa: B023
+                        probe,
+                    )
+                )
+
+    cores = sorted(os.sched_getaffinity(0))
+    with ThreadPoolExecutor(len(cores)) as threads:
+        return [result for results in threads.map(one_after_the_other, cores) for result in results]
 
 
-def undisturbed(name: str, run: Callable[[], tuple[int, int]], probe: MachineProbe) -> tuple[int, int]:
-    """Run a test, and again if it fails while the machine stood still; return (passed, failed) of the last run."""
+def undisturbed(name: str, run: Callable[[], Result], probe: MachineProbe) -> Result:
+    """Run a test, and again if it fails while the machine stood still; return what the last run came to."""
     for repeats_left in range(AGAIN, -1, -1):
-        before = len(FAILED)
         probe.taken()
-        passed, failed = run()
+        result = run()
         machine = probe.taken()
-        if not failed or machine["longest_ms"] < HALT or not machine["above"] or not repeats_left:
+        if not result.failed or machine["longest_ms"] < HALT or not machine["above"] or not repeats_left:
             break
         DISTURBED.append(name)
         print(
             f"DISTURBED {name}: the machine ran no process on a core for up to {machine['longest_ms']:.0f} ms "
-            f"({HALT:.0f} ms spoil a run); {failed} failed, not counted; once more",
+            f"({HALT:.0f} ms spoil a run); {result.failed} failed, not counted; once more",
             flush=True,
         )
-        for line in FAILED[before:]:
+        for line in result.failures:
             print(f"not counted: {line}", flush=True)
-        del FAILED[before:]
-    return passed, failed
+    return result
 
 
 def start_pytest(
-    name: str, files: list[Path], python: Path | str = sys.executable, options: Sequence[str] = ()
+    name: str,
+    files: list[Path],
+    python: Path | str = sys.executable,
+    options: Sequence[str] = (),
+    before: Sequence[str] = (),
 ) -> subprocess.Popen:
-    """Start pytest on some files; its result goes to ``unit_<name>.xml``."""
-    command = [str(python), "-m", "pytest", "-q", "--timeout=300", f"--junitxml={RESULTS / f'unit_{name}.xml'}"]
+    """Start pytest on some files, by the program `before` if there is one; its result goes to ``unit_<name>.xml``."""
+    command = [
+        *before,
+        str(python),
+        "-m",
+        "pytest",
+        "-q",
+        "--timeout=300",
+        f"--junitxml={RESULTS / f'unit_{name}.xml'}",
+    ]
     command += [*BY_FILE, "-p", "no:cacheprovider", "--durations=10", *options, *map(str, files)]
     with open(RESULTS / f"unit_{name}.log", "wb") as log:
         return subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=subprocess.STDOUT)
 
 
-def end_pytest(name: str, run: subprocess.Popen) -> tuple[int, int]:
+def end_pytest(name: str, run: subprocess.Popen) -> Result:
     """Wait for a pytest, show its output and count its results."""
     run.wait()
     print((RESULTS / f"unit_{name}.log").read_text(errors="replace"), flush=True)
-    passed, failed = count(RESULTS / f"unit_{name}.xml")
+    result = count(RESULTS / f"unit_{name}.xml")
     TOOK.update(durations.of_junit(RESULTS / f"unit_{name}.xml"))
-    if run.returncode and not failed:
-        failed = 1
-        FAILED.append(f"unit_{name}: pytest ended with exit code {run.returncode}")
-    return passed, failed
+    if run.returncode and not result.failed:
+        ended = Result.failure(f"unit_{name}: pytest ended with exit code {run.returncode}")
+        return Result.total([result, ended])
+    return result
 
 
-def run_rostest(test: Path) -> tuple[int, int]:
+def run_rostest(test: Path) -> Result:
     """Run one rostest and show its output when it fails."""
     results = RESULTS / test.stem
     shutil.rmtree(results, ignore_errors=True)  # of a disturbed run
@@ -223,19 +278,20 @@ def run_rostest(test: Path) -> tuple[int, int]:
         run.send_signal(signal.SIGINT)  # lets it end its nodes
         output, _ = run.communicate()
     # rosunit-*.xml: the tests; rostest-*.xml: whether they could be run at all
-    tests = [count(file) for file in sorted(results.rglob("rosunit-*.xml"))]
-    launches = [count(file) for file in sorted(results.rglob("rostest-*.xml"))]
-    passed, failed = sum(p for p, _ in tests), sum(f for _, f in tests + launches)
-    if not failed and (run.returncode or not passed):
-        failed = 1
-        FAILED.append(f"{test.name}: exit code {run.returncode}, {passed} passed")
+    tests = Result.total(count(file) for file in sorted(results.rglob("rosunit-*.xml")))
+    launches = Result.total(count(file) for file in sorted(results.rglob("rostest-*.xml")))
+    # that a rostest could be run is no test that passed
+    result = Result(tests.passed, tests.failed + launches.failed, tests.failures + launches.failures)
+    if not result.failed and (run.returncode or not result.passed):
+        ended = Result.failure(f"{test.name}: exit code {run.returncode}, {result.passed} passed")
+        result = Result.total([result, ended])
     took = TOOK[f"test/integration/{test.name}"] = time.monotonic() - started
-    print(f"{test.name}: {passed} passed, {failed} failed in {took:.0f} s", flush=True)
+    print(f"{test.name}: {result.passed} passed, {result.failed} failed in {took:.0f} s", flush=True)
     for line in (line for file in sorted(results.rglob("rosunit-*.xml")) for line in said(file)):
         print(f"  {line[:LINE]}", flush=True)
-    if failed:
+    if result.failed:
         print(output[-20000:], flush=True)
-    return passed, failed
+    return result
 
 
 @dataclass(frozen=True)
@@ -287,35 +343,36 @@ def main(words: list[str]) -> int:
     shutil.rmtree(RESULTS, ignore_errors=True)
     RESULTS.mkdir(parents=True)
     chosen = select(words)
-    totals, began = [], time.monotonic()
+    began = time.monotonic()
     parts: dict[str, float] = {}
 
     def part(name: str) -> None:
         parts[name] = time.monotonic() - began - sum(parts.values())
 
     tools = lint.start() if chosen.lint else {}
-    totals += run_beside(chosen.beside, chosen.browser)
+    results = run_beside(chosen.beside, chosen.browser)
     # before anything runs at 250 Hz
-    totals.append(count_lint(lint.end(tools)))
+    results.append(count_lint(lint.end(tools)))
     part("lint, unit tests, page")
-    if chosen.alone or chosen.integration:
+    if chosen.alone:
+        results += run_alone(chosen.alone)
+        part("unit tests at 250 Hz")
+    if chosen.integration:
         with MachineProbe(REALTIME, PROBE_PERIOD) as probe:
-            totals += run_alone(chosen.alone, probe)
-            part("unit tests at 250 Hz")
-            totals += [undisturbed(test.name, lambda: run_rostest(test), probe) for test in chosen.integration]
+            results += [undisturbed(test.name, lambda: run_rostest(test), probe) for test in chosen.integration]
             part("launch tests")
     durations.keep(TOOK)
-    passed, failed = sum(p for p, _ in totals), sum(f for _, f in totals)
+    total = Result.total(results)
     # again at the end, which is read first in a long log
     print(durations.table(TOOK, parts))
     if DISTURBED:
         print(
             f"{len(DISTURBED)} runs failed while the machine stood still, and were made again: {', '.join(DISTURBED)}"
         )
-    for line in FAILED:
+    for line in total.failures:
         print(f"FAILED {line}")
-    print(f"{passed} passed, {failed} failed")
-    return 1 if failed or not passed else 0
+    print(f"{total.passed} passed, {total.failed} failed")
+    return 1 if total.failed or not total.passed else 0
 
 
 if __name__ == "__main__":

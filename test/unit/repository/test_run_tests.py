@@ -15,6 +15,7 @@ import lint
 import pytest
 import run_tests
 import touched
+from run_tests import Result
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -31,22 +32,22 @@ class Probe:
 
 
 class Runs:
-    """Runs of one test; each result is (passed, failed)."""
+    """Runs of one test; each is (passed, failed)."""
 
-    def __init__(self, *results: tuple[int, int]):
-        self.results, self.made = results, 0
+    def __init__(self, *runs: tuple[int, int]):
+        self.results = [
+            Result(passed, failed, (f"failure {number}",) * failed) for number, (passed, failed) in enumerate(runs, 1)
+        ]
+        self.made = 0
 
-    def __call__(self) -> tuple[int, int]:
-        passed, failed = self.results[self.made]
+    def __call__(self) -> Result:
         self.made += 1
-        run_tests.FAILED.extend(f"failure {self.made}" for _ in range(failed))
-        return passed, failed
+        return self.results[self.made - 1]
 
 
 @pytest.fixture(autouse=True)
-def earlier(monkeypatch):
-    """What failed before is kept whatever happens."""
-    monkeypatch.setattr(run_tests, "FAILED", ["earlier"])
+def first_run(monkeypatch):
+    """Nothing has been run again before."""
     monkeypatch.setattr(run_tests, "DISTURBED", [])
 
 
@@ -62,15 +63,16 @@ def earlier(monkeypatch):
 def test_counts_a_result_file_and_takes_an_empty_or_broken_one_for_a_failure(tmp_path, text, expected):
     file = tmp_path / "result.xml"
     file.write_text(text)
-    assert run_tests.count(file) == expected
+    result = run_tests.count(file)
+    assert (result.passed, result.failed) == expected
 
 
 def test_takes_a_missing_result_file_for_a_failure(tmp_path):
-    assert run_tests.count(tmp_path / "none.xml") == (0, 1)
+    result = run_tests.count(tmp_path / "none.xml")
+    assert (result.passed, result.failed) == (0, 1) and "none.xml" in result.failures[0]
 
 
-def test_remembers_which_tests_failed_and_why(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_tests, "FAILED", [])
+def test_says_which_tests_failed_and_why(tmp_path):
     cases = (
         '<testcase classname="a.B" name="good"/>'
         '<testcase classname="a.B" name="bad"><failure message="0.2 is not less than 0.1&#10;more"/></testcase>'
@@ -78,10 +80,9 @@ def test_remembers_which_tests_failed_and_why(tmp_path, monkeypatch):
     )
     file = tmp_path / "result.xml"
     file.write_text(f'<testsuites><testsuite tests="3" failures="1" errors="1">{cases}</testsuite></testsuites>')
-    run_tests.count(file)
-    run_tests.count(tmp_path / "none.xml")
-    assert run_tests.FAILED[:2] == ["a.B.bad: 0.2 is not less than 0.1", "a.B.ugly: Traceback"]
-    assert "none.xml" in run_tests.FAILED[2]
+    total = Result.total([run_tests.count(file), run_tests.count(tmp_path / "none.xml")])
+    assert total.failures[:2] == ("a.B.bad: 0.2 is not less than 0.1", "a.B.ugly: Traceback")
+    assert "none.xml" in total.failures[2]
 
 
 def test_every_tool_of_lint_counts_as_one_test(capsys):
@@ -89,11 +90,10 @@ def test_every_tool_of_lint_counts_as_one_test(capsys):
         lint.Finding("ruff check", True, "All checks passed!"),
         lint.Finding("mypy", False, "a.py:1: x\n1 error\n"),
     ]
-    assert run_tests.count_lint(findings) == (1, 1)
-    assert run_tests.FAILED == ["earlier", "lint, mypy: 1 error"]
+    assert run_tests.count_lint(findings) == Result(1, 1, ("lint, mypy: 1 error",))
     told = capsys.readouterr().out
     assert "a.py:1: x" in told and "All checks passed!" not in told
-    assert run_tests.count_lint([]) == (0, 0)
+    assert run_tests.count_lint([]) == Result()
 
 
 @pytest.mark.parametrize(("program", "passed"), [("true", True), ("false", False)])
@@ -214,14 +214,14 @@ def test_what_a_rostest_reports_is_shown(tmp_path):
 
 def test_a_failure_on_a_machine_that_ran_counts():
     runs = Runs((3, 1))
-    assert run_tests.undisturbed("a", runs, Probe(run_tests.HALT - 0.1)) == (3, 1)
-    assert (runs.made, run_tests.FAILED) == (1, ["earlier", "failure 1"])
+    assert run_tests.undisturbed("a", runs, Probe(run_tests.HALT - 0.1)) == Result(3, 1, ("failure 1",))
+    assert runs.made == 1
 
 
 def test_a_failure_beside_a_pause_is_told_and_the_next_run_counts(capsys):
     runs = Runs((3, 1), (2, 2))
-    assert run_tests.undisturbed("a.test", runs, Probe(120.0, 0.0)) == (2, 2)
-    assert (runs.made, run_tests.FAILED) == (2, ["earlier", "failure 2", "failure 2"])
+    assert run_tests.undisturbed("a.test", runs, Probe(120.0, 0.0)) == Result(2, 2, ("failure 2", "failure 2"))
+    assert runs.made == 2
     told = capsys.readouterr().out
     assert "DISTURBED a.test" in told and "120 ms" in told and "not counted: failure 1" in told
     assert run_tests.DISTURBED == ["a.test"]
@@ -229,18 +229,40 @@ def test_a_failure_beside_a_pause_is_told_and_the_next_run_counts(capsys):
 
 def test_a_probe_that_our_own_load_keeps_waiting_excuses_nothing():
     runs = Runs((3, 1))
-    assert run_tests.undisturbed("a", runs, Probe(500.0, above=False)) == (3, 1)
+    assert run_tests.undisturbed("a", runs, Probe(500.0, above=False)).failed == 1
     assert (runs.made, run_tests.DISTURBED) == (1, [])
 
 
 def test_a_success_counts_whatever_the_machine_did():
     runs = Runs((4, 0))
-    assert run_tests.undisturbed("a", runs, Probe(500.0)) == (4, 0)
-    assert (runs.made, run_tests.FAILED) == (1, ["earlier"])
+    assert run_tests.undisturbed("a", runs, Probe(500.0)) == Result(4)
+    assert runs.made == 1
 
 
 def test_a_machine_that_never_runs_ends_in_a_failure():
     attempts = run_tests.AGAIN + 1
     runs = Runs(*[(3, 1)] * attempts)
-    assert run_tests.undisturbed("a", runs, Probe(*[500.0] * attempts)) == (3, 1)
-    assert (runs.made, run_tests.FAILED) == (attempts, ["earlier", f"failure {attempts}"])
+    last = run_tests.undisturbed("a", runs, Probe(*[500.0] * attempts))
+    assert (runs.made, last.failures) == (attempts, (f"failure {attempts}",))
+
+
+def test_what_runs_at_250_hz_has_a_core_to_itself_and_every_file_is_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(run_tests, "RESULTS", tmp_path)
+    monkeypatch.setattr(run_tests, "TOOK", {})
+    monkeypatch.setattr(durations, "ROOT", tmp_path)
+    lines = [
+        "import os",
+        "def test_it(record_property):",
+        "    record_property('cores', sorted(os.sched_getaffinity(0)))",
+        "    assert 'bad' not in __file__",
+    ]
+    files = [tmp_path / f"test_{name}.py" for name in ("one", "two", "bad", "three")]
+    for file in files:
+        file.write_text("\n".join(lines))
+    total = Result.total(run_tests.run_alone(files))
+    assert (total.passed, total.failed) == (3, 1) and "test_bad.test_it" in total.failures[0]
+    cores = [
+        ElementTree.parse(tmp_path / f"unit_{file.stem}.xml").find(".//property[@name='cores']").get("value")
+        for file in files
+    ]
+    assert {int(core.strip("[]")) for core in cores} <= os.sched_getaffinity(0)
