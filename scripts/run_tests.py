@@ -18,7 +18,8 @@ process, because its tests may share a broker, a port or what a fixture made. Wh
 tests of it run one file per core at a time, the launch tests, whose programs fill the machine, one after the other. A probe per
 core (benchmarks/machine.py) watches: if the machine runs no process for `HALT`, arm and gateway brake as they should, and a test
 that expects a finished motion fails without a fault of ours. Such a failure shows nothing: it is reported, and the test is run
-again, `AGAIN` times at most. A failure counts if the machine ran meanwhile, or if the probe has no priority above the tested processes.
+again, `AGAIN` times at most. A failure counts if the machine ran meanwhile, or if the probe has no priority above the tested
+processes.
 """
 
 from __future__ import annotations
