@@ -18,6 +18,7 @@ from construction_twin.controller.telegram import Reply, Telegram
 from construction_twin.controller.tool import GatewayTool, ToolReading
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
+from construction_twin.core.sentences import Sentence
 
 
 class Layout(Protocol):
@@ -420,6 +421,6 @@ class Make(Generic[LayoutT]):
         """Return the form of a file that was given; ConfigurationError when the make has no files."""
         if self.file is None:
             raise ConfigurationError(
-                "file of the controller", given, f"none: {self.name} has no file for its telegrams"
+                "file of the controller", given, Sentence("expected.no_controller_file", make=self.name)
             )
         return self.file

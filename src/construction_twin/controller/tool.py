@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 
 #: The channel without which none of the outputs may be changed; no output can have its name.
 ENABLE = "Enable"
@@ -50,16 +51,16 @@ class GatewayTool:
         names = [*(output.name for output in self.outputs), *self.inputs]
         for name in (self.name, *names):
             if not isinstance(name, str) or not is_tool_name(name):
-                raise ConfigurationError("tool", name, "a name of small letters, digits and '_', at most 24")
+                raise ConfigurationError("tool", name, Sentence("expected.gateway_tool.name"))
         for kind, found in (("outputs", names[: len(self.outputs)]), ("inputs", list(self.inputs))):
             if not found or len(set(found)) != len(found):
-                raise ConfigurationError(f"tool {kind}", found, "at least one, each once")
+                raise ConfigurationError(f"tool {kind}", found, Sentence("expected.gateway_tool.once"))
         for output in self.outputs:
             if output.on_stop not in HOLDON or output.opens not in (True, False, None):
-                expected = "on_stop keep or off, opens true, false or nothing"
+                expected = Sentence("expected.gateway_tool.values")
                 raise ConfigurationError(f"tool output {output.name}", (output.on_stop, output.opens), expected)
             if output.on_stop == "off" and output.opens is False:
-                expected = "on_stop keep, or opens true: one missed reply would drop the part"
+                expected = Sentence("expected.gateway_tool.drops")
                 raise ConfigurationError(f"tool output {output.name}", (output.on_stop, output.opens), expected)
 
     @classmethod

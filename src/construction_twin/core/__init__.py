@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from construction_twin.core.clock import Clock as Clock
     from construction_twin.core.errors import ConfigurationError as ConfigurationError
     from construction_twin.core.errors import ConstructionTwinError as ConstructionTwinError
-    from construction_twin.core.errors import EthernetXmlError as EthernetXmlError
     from construction_twin.core.errors import ExecutionError as ExecutionError
     from construction_twin.core.errors import ExpiredError as ExpiredError
     from construction_twin.core.errors import GoalError as GoalError

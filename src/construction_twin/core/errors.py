@@ -40,18 +40,6 @@ class ConfigurationError(ConstructionTwinError):
         super().__init__(found_and_expected(where, value, expected))
 
 
-class EthernetXmlError(ConfigurationError):
-    """An RSI Ethernet XML cannot be used.
-
-    Attributes:
-        element: Path or TAG of the element that does not fit, e.g. ``CONFIG/PORT`` or ``RECEIVE AK.A1 HOLDON``.
-    """
-
-    def __init__(self, where: str, element: str, value: object, expected: str):
-        self.element = element
-        super().__init__(f"{where}: {element}", value, expected)
-
-
 class ReviewError(ConstructionTwinError):
     """A verdict cannot be applied: wrong plan, wrong hash, no reviewer, or not the moment."""
 

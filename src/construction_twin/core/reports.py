@@ -267,7 +267,7 @@ class ToolReport:
     """What is known of the tool: `ToolState.msg`, whose lists belong together.
 
     Attributes:
-        known: Whether the outputs were read back in this RSI session: what is told below is true.
+        known: Whether the outputs were read back in this controller session: what is told below is true.
         tool: Name of the tool; empty: a tool without hands.
         outputs: As read back from the controller.
         switches: The last switches that were asked for, by id, oldest first.

@@ -32,7 +32,18 @@ _ENGLISH: dict[str, str] = {
     key: words["en"] for key, words in json.loads(Path(__file__).with_name("sentences.json").read_bytes()).items()
 }
 #: Beginnings of the keys of what nodes give as reasons and answers: `understood` finds these.
-REASONS = ("reason.", "executor.", "review.", "link.", "gateway.", "motion.", "work.", "startup.", "expected.")
+REASONS = (
+    "reason.",
+    "executor.",
+    "review.",
+    "link.",
+    "gateway.",
+    "motion.",
+    "work.",
+    "startup.",
+    "expected.",
+    "telegram.",
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -82,7 +82,7 @@ def _not_answered(protocol: str, reason: str) -> Sentence:
 
 
 class Gateway:
-    """One robot's gateway between the command stream and the RSI session.
+    """One robot's gateway between the command stream and the controller session.
 
     Args:
         run: An id that no other run of the gateway has had; an `arm` must name it.
@@ -102,7 +102,7 @@ class Gateway:
         self.counters: Counter[str] = Counter()
         #: What was refused, and why; inbox and service, which stand before the gateway, count here too.
         self.refusals = Refusals(self.counters)
-        #: True after any stop but one by silence, until a `reset`; outlives the RSI session.
+        #: True after any stop but one by silence, until a `reset`; outlives the controller session.
         self.fault = False
         #: Number of the last stop or fault of this run, but of one by silence; 0 before the first. A `reset` must name it.
         self.fault_number = 0

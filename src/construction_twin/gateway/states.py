@@ -58,7 +58,7 @@ class State(Enum):
 class Event(Enum):
     """What can happen to the gateway."""
 
-    SESSION_BEGAN = "the first telegram of an RSI session"
+    SESSION_BEGAN = "the first telegram of a controller session"
     CYCLE_FITS = "the controller's cycle is the expected one"
     CYCLE_REFUSED = "the controller has another cycle, or its clock does not run in real time"
     ORIGIN_REFUSED = "telegrams do not tell the origin"
@@ -97,7 +97,7 @@ class Action(Enum):
 
     NONE = ""
     BEGIN_SESSION = "forget origin and command session"
-    END_SESSION = "forget origin and command session; the RSI session is over"
+    END_SESSION = "forget origin and command session; the controller session is over"
     OWN = "the session may command"
     START_STREAM = "check and take the command"
     BRAKE = "brake; drop the command session"

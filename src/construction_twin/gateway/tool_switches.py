@@ -1,10 +1,10 @@
 """The tool's outputs: what replies carry, and the switches that fire in the cycle in which the playout passes their stamps.
 
-Nothing that could open a grip is sent before the outputs have been read back in the present RSI session: until the first switch
-fires, replies carry what was read back, with `Set.Enable` 0, so that the controller leaves its outputs alone. A switch is armed
-ahead, while a stream is followed; it fires once, or is void for good. A brake, a stop, a silent stream, a speed limit of 0, the end
-of the command session or of the RSI session, outputs that are no longer read back: each makes every armed switch void, and what is
-void fires no more. An output that is off without RSI, and that a missed reply has switched off on the controller, stays off: the
+Nothing that could open a grip is sent before the outputs have been read back in the present controller session: until the first
+switch fires, replies carry what was read back, with `Set.Enable` 0, so that the controller leaves its outputs alone. A switch is
+armed ahead, while a stream is followed; it fires once, or is void for good. A brake, a stop, a silent stream, a speed limit of 0,
+the end of the command session or of the controller session, outputs that are no longer read back: each makes every armed switch
+void, and what is void fires no more. An output that is off without RSI, and that a missed reply has switched off on the controller, stays off: the
 next reply that arrives must not switch it on again.
 
 It knows no clock: cycles are counted in telegrams, stamps are the playout's [ns]. Standard library only.
@@ -147,7 +147,7 @@ class ToolSwitches:
 
     @property
     def known(self) -> bool:
-        """Whether the outputs have been read back in this RSI session, and still are."""
+        """Whether the outputs have been read back in this controller session, and still are."""
         return not self._unknown
 
     @property
@@ -168,13 +168,13 @@ class ToolSwitches:
         self._latest = reading
 
     def begin_session(self) -> None:
-        """Forget what was read back: another RSI session has begun."""
+        """Forget what was read back: another controller session has begun."""
         self.void(Sentence("gateway.tool.new_session"))
         self._begin(Sentence("gateway.tool.nothing_read"))
         self._news = True
 
     def end_session(self, why: str) -> None:
-        """Forget what was read back: the RSI session is over."""
+        """Forget what was read back: the controller session is over."""
         self.void(why)
         self._latest = None
         self._begin(why)

@@ -82,7 +82,7 @@ class TraceEntry:
     Attributes:
         ipoc: [ms]
         stamp: Of the target played [ns, sender's clock]; 0 for none.
-        session: Number of the RSI session, from 1; counted modulo 65536.
+        session: Number of the controller session, from 1; counted modulo 65536.
         position: Shape (n,). Origin plus correction [rad].
         lost: The telegram said that the reply before this one did not arrive in time: this one is a step from what was before that.
     """

@@ -31,7 +31,7 @@ class LinkEvent(Enum):
     BROKER_LOST = "there is no connection to the broker"
     GATEWAY_LOST = "no gateway answers on the broker"
     MISMATCHED = "the gateway runs another configuration or version, or more than one answers"
-    CONTROLLER_LOST = "the gateway has no RSI session to command"
+    CONTROLLER_LOST = "the gateway has no controller session to command"
     PRESENT = "poll: broker, gateway and arm are there"
     TURN = "poll: a control message may be sent"
     ARM_ACCEPTED = "the gateway accepts `arm`"

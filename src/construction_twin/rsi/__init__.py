@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from construction_twin.rsi.ethernet_xml import controller_sends_to as controller_sends_to
     from construction_twin.rsi.ethernet_xml import load_ethernet_xml as load_ethernet_xml
     from construction_twin.rsi.ethernet_xml import read_ethernet_xml as read_ethernet_xml
+    from construction_twin.rsi.ethernet_xml_error import EthernetXmlError as EthernetXmlError
     from construction_twin.rsi.gateway_codec import RobotDecoder as RobotDecoder
     from construction_twin.rsi.gateway_codec import SensorEncoder as SensorEncoder
     from construction_twin.rsi.gateway_codec import parse_robot as parse_robot

@@ -20,7 +20,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from construction_twin.controller.tool import ENABLE
-from construction_twin.core.errors import EthernetXmlError
+from construction_twin.core.sentences import Sentence
+from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, RsiLayout
 from construction_twin.rsi.status_channels import doubled_channel
 from construction_twin.rsi.tool_channels import IN, OUT, SET, is_set_channel, names_of
@@ -72,9 +73,9 @@ def load_ethernet_xml(path: str | Path) -> EthernetXml:
             data = file.read(MAX_BYTES + 1)
         text = data.decode("utf-8-sig")
     except OSError as error:
-        raise EthernetXmlError(str(path), "file", error.strerror, "a readable RSI Ethernet XML") from error
+        raise EthernetXmlError(str(path), "file", error.strerror, Sentence("expected.xml.readable")) from error
     except UnicodeDecodeError as error:
-        raise EthernetXmlError(str(path), "file", str(error), "text in UTF-8") from error
+        raise EthernetXmlError(str(path), "file", str(error), Sentence("expected.xml.utf8")) from error
     return read_ethernet_xml(text, str(path))
 
 
@@ -91,13 +92,13 @@ def read_ethernet_xml(text: str, where: str) -> EthernetXml:
     config = _section(root, "CONFIG", where)
     protocol = config.findtext("PROTOCOL")
     if protocol is not None and protocol.strip().upper() != "UDP":
-        raise EthernetXmlError(where, "CONFIG/PROTOCOL", protocol, "UDP or no such element: a KR C4 talks UDP only")
+        raise EthernetXmlError(where, "CONFIG/PROTOCOL", protocol, Sentence("expected.xml.protocol"))
     onlysend = _text(config, "ONLYSEND", where).upper()
     if onlysend not in ("TRUE", "FALSE"):
-        raise EthernetXmlError(where, "CONFIG/ONLYSEND", onlysend, "TRUE or FALSE")
+        raise EthernetXmlError(where, "CONFIG/ONLYSEND", onlysend, Sentence("expected.xml.true_or_false"))
     sentype = _text(config, "SENTYPE", where)
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_.-]{0,63}", sentype):
-        raise EthernetXmlError(where, "CONFIG/SENTYPE", sentype, "a letter, then letters, digits, '_', '.' or '-'")
+        raise EthernetXmlError(where, "CONFIG/SENTYPE", sentype, Sentence("expected.xml.name"))
     send = _elements(root, "SEND", where)
     receive = _elements(root, "RECEIVE", where)
     for element in send:
@@ -141,25 +142,29 @@ def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
         if channel == STOP:
             continue
         if axis not in ROBOT_AXES and axis not in EXTERNAL_AXES:
-            expected = (
-                "axis corrections (e.g. AK.A1), Stop, a tool's outputs (Set.Enable and e.g. Set.vacuum) and outputs of type BOOL "
-                "(Out.01) only: no other channel is filled; remove it from the file"
-            )
+            expected = Sentence("expected.xml.filled")
             raise EthernetXmlError(where, f"RECEIVE {channel}", channel, expected)
         if axis in elements:
-            raise EthernetXmlError(where, f"RECEIVE {channel}", f"a second channel for {axis}", "one channel per axis")
+            raise EthernetXmlError(
+                where, f"RECEIVE {channel}", f"a second channel for {axis}", Sentence("expected.xml.one_channel")
+            )
         if axis not in axes:
-            raise EthernetXmlError(where, f"RECEIVE {channel}", axis, f"the robot's axes {', '.join(axes)} only")
+            raise EthernetXmlError(
+                where, f"RECEIVE {channel}", axis, Sentence("expected.xml.axes", axes=", ".join(axes))
+            )
         elements[axis] = element
     for axis in axes:
         if axis not in elements:
             example = f"{'EK' if axis in EXTERNAL_AXES else 'AK'}.{axis}"
-            raise EthernetXmlError(where, f"RECEIVE {example}", None, f"a correction channel for {axis}, TYPE DOUBLE")
+            raise EthernetXmlError(where, f"RECEIVE {example}", None, Sentence("expected.xml.correction", axis=axis))
     for group in (ROBOT_AXES, EXTERNAL_AXES):
         names = sorted({element for axis, element in elements.items() if axis in group})
         if len(names) > 1:
             raise EthernetXmlError(
-                where, f"RECEIVE {names[1]}", names, f"one element for all of {group[0]} to {group[-1]}"
+                where,
+                f"RECEIVE {names[1]}",
+                names,
+                Sentence("expected.xml.one_element", first=group[0], last=group[-1]),
             )
 
 
@@ -174,25 +179,25 @@ def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
             correction, and as `check_axes`.
     """
     check_axes(layout, axes, where)
-    blocks = {"AIPos": "the measured axes", "ASPos": "the pose that corrections are relative to"}
+    blocks = ["AIPos", "ASPos"]
     if any(axis in EXTERNAL_AXES for axis in axes):
-        blocks |= {"EIPos": "the measured external axes", "ESPos": "the external axes' programmed position"}
-    for block, meaning in blocks.items():
+        blocks += ["EIPos", "ESPos"]
+    for block in blocks:
         if block not in layout.send:
-            raise EthernetXmlError(where, f"SEND DEF_{block}", None, f'TAG="DEF_{block}" INDX="INTERNAL": {meaning}')
+            expected = Sentence("expected.xml.block", block=block, meaning=Sentence(f"expected.xml.block.{block}"))
+            raise EthernetXmlError(where, f"SEND DEF_{block}", None, expected)
     if "Delay" not in layout.send and not layout.onlysend:
-        expected = (
-            'TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL": the count of late replies; without it the reply after one that did not '
-            "arrive would be a step"
-        )
+        expected = Sentence("expected.xml.delay")
         raise EthernetXmlError(where, "SEND DEF_Delay", None, expected)
     twice = doubled_channel(layout.send)
     if twice:
         name = twice.partition(".")[0]
-        raise EthernetXmlError(where, f"SEND {twice}", f"a second channel for {name}", f"one: {name} or {name}.R")
+        raise EthernetXmlError(
+            where, f"SEND {twice}", f"a second channel for {name}", Sentence("expected.xml.one_of_both", name=name)
+        )
     for channel, holdon in zip(layout.receive, layout.holdon):
         if channel != STOP and not holdon and not layout.onlysend:
-            expected = '"1": with "0" one missed reply commands a jump back to the start pose'
+            expected = Sentence("expected.xml.holdon")
             raise EthernetXmlError(where, f"RECEIVE {channel} HOLDON", "0", expected)
     _check_switched(layout, where)
 
@@ -203,16 +208,13 @@ def _check_switched(layout: RsiLayout, where: str) -> None:
     if not holdon:
         return
     if not holdon.get(ENABLE, False):
-        expected = (
-            '"1"' if ENABLE in holdon else f'TAG="{SET}.{ENABLE}" TYPE="BOOL" HOLDON="1"'
-        ) + ": until it is 1 the RSI context leaves the outputs as they are; without it RSI_ON itself may open a grip"
+        declared = '"1"' if ENABLE in holdon else f'TAG="{SET}.{ENABLE}" TYPE="BOOL" HOLDON="1"'
+        expected = Sentence("expected.xml.enable", declared=declared)
         raise EthernetXmlError(where, f"RECEIVE {SET}.{ENABLE}", "HOLDON 0" if ENABLE in holdon else None, expected)
     read_back = names_of(OUT, layout.send)
     for name in layout.switched:
         if name != ENABLE and name not in read_back:
-            expected = (
-                f'TAG="{OUT}.{name}" in SEND, the output as DIGOUT reads it: what is not read back is not switched'
-            )
+            expected = Sentence("expected.xml.read_back", tag=f"{OUT}.{name}")
             raise EthernetXmlError(where, f"RECEIVE {SET}.{name}", None, expected)
 
 
@@ -235,31 +237,31 @@ def controller_sends_to(path: str | Path, layout: RsiLayout) -> str:
     for field in fields(RsiLayout):
         found, ours = getattr(ethernet.layout, field.name), getattr(layout, field.name)
         if found != ours:
-            expected = f"{ours} as in the configuration; export it again from this file"
+            expected = Sentence("expected.xml.as_configured", ours=str(ours))
             raise EthernetXmlError(str(path), field.name, found, expected)
     return ethernet.address
 
 
 def _document(text: str, where: str) -> ElementTree.Element:
     if len(text) > MAX_BYTES:
-        raise EthernetXmlError(where, "file", f"more than {MAX_BYTES} characters", "an RSI Ethernet XML of a few kB")
+        raise EthernetXmlError(where, "file", f"more than {MAX_BYTES} characters", Sentence("expected.xml.small"))
     # refused before the parser sees them, also in a comment: that rules out entity expansion
     for markup in ("<!DOCTYPE", "<!ENTITY"):
         if markup in text or "\0" in text:
-            raise EthernetXmlError(where, "file", markup, "a plain XML without document type, entities or NUL")
+            raise EthernetXmlError(where, "file", markup, Sentence("expected.xml.plain"))
     try:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, LookupError, ValueError) as error:
-        raise EthernetXmlError(where, "file", str(error), "well-formed XML") from error
+        raise EthernetXmlError(where, "file", str(error), Sentence("expected.xml.well_formed")) from error
     if root.tag != "ROOT":
-        raise EthernetXmlError(where, "file", root.tag[:64], "the root element ROOT")
+        raise EthernetXmlError(where, "file", root.tag[:64], Sentence("expected.xml.root"))
     return root
 
 
 def _section(root: ElementTree.Element, name: str, where: str) -> ElementTree.Element:
     found = root.findall(name)
     if len(found) != 1:
-        raise EthernetXmlError(where, name, f"{len(found)} of them", "one")
+        raise EthernetXmlError(where, name, f"{len(found)} of them", Sentence("expected.xml.one"))
     return found[0]
 
 
@@ -268,7 +270,10 @@ def _text(config: ElementTree.Element, name: str, where: str) -> str:
     texts = [(element.text or "").strip() for element in found]
     if len(texts) != 1 or not texts[0]:
         raise EthernetXmlError(
-            where, f"CONFIG/{name}", [element.text for element in found] or None, "one, with a value"
+            where,
+            f"CONFIG/{name}",
+            [element.text for element in found] or None,
+            Sentence("expected.xml.one_with_value"),
         )
     return texts[0]
 
@@ -276,7 +281,7 @@ def _text(config: ElementTree.Element, name: str, where: str) -> str:
 def _port(config: ElementTree.Element, where: str) -> int:
     text = _text(config, "PORT", where)
     if not re.fullmatch(r"[0-9]{1,5}", text) or not 0 < int(text) < 65536:
-        raise EthernetXmlError(where, "CONFIG/PORT", text, "a UDP port from 1 to 65535")
+        raise EthernetXmlError(where, "CONFIG/PORT", text, Sentence("expected.xml.port"))
     return int(text)
 
 
@@ -285,7 +290,7 @@ def _address(config: ElementTree.Element, where: str) -> str:
     try:
         return str(ipaddress.IPv4Address(text))
     except ipaddress.AddressValueError as error:
-        raise EthernetXmlError(where, "CONFIG/IP_NUMBER", text, "the IPv4 address of the PC") from error
+        raise EthernetXmlError(where, "CONFIG/IP_NUMBER", text, Sentence("expected.xml.address")) from error
 
 
 def _elements(root: ElementTree.Element, direction: str, where: str) -> list[_Element]:
@@ -297,19 +302,19 @@ def _elements(root: ElementTree.Element, direction: str, where: str) -> list[_El
         element = _Element(*(entry.get(name, "").strip() for name in ("TAG", "TYPE", "INDX", "HOLDON")))
         place = f"{direction} {element.tag[:64]}"
         if not _TAG(element.tag):
-            raise EthernetXmlError(
-                where, place, element.tag, 'a TAG of letters, digits and "_", at most one "." inside'
-            )
+            raise EthernetXmlError(where, place, element.tag, Sentence("expected.xml.tag"))
         if element.type not in TYPES:
-            raise EthernetXmlError(where, f"{place} TYPE", element.type, f"one of {', '.join(TYPES)}")
+            raise EthernetXmlError(
+                where, f"{place} TYPE", element.type, Sentence("expected.one_of", known=", ".join(TYPES))
+            )
         if element.tag in (known.tag for known in elements):
-            raise EthernetXmlError(where, place, "it is there twice", "each TAG once")
+            raise EthernetXmlError(where, place, "it is there twice", Sentence("expected.xml.once"))
         _check_index(element, place, seen, where)
         if direction == "RECEIVE" and element.holdon not in ("0", "1"):
-            raise EthernetXmlError(where, f"{place} HOLDON", element.holdon, '"0" or "1"')
+            raise EthernetXmlError(where, f"{place} HOLDON", element.holdon, Sentence("expected.xml.bit"))
         elements.append(element)
     if direction == "SEND" and not elements:
-        raise EthernetXmlError(where, "SEND/ELEMENTS", None, "the elements that the controller sends")
+        raise EthernetXmlError(where, "SEND/ELEMENTS", None, Sentence("expected.xml.sends"))
     return elements
 
 
@@ -317,9 +322,9 @@ def _check_index(element: _Element, place: str, seen: set[str], where: str) -> N
     if element.index == "INTERNAL":
         return
     if not re.fullmatch(r"[1-9][0-9]?", element.index) or int(element.index) > 64:
-        raise EthernetXmlError(where, f"{place} INDX", element.index, "INTERNAL or a channel from 1 to 64")
+        raise EthernetXmlError(where, f"{place} INDX", element.index, Sentence("expected.xml.index"))
     if element.index in seen:
-        raise EthernetXmlError(where, f"{place} INDX", element.index, "a channel that no other element has")
+        raise EthernetXmlError(where, f"{place} INDX", element.index, Sentence("expected.xml.free_index"))
     seen.add(element.index)
 
 
@@ -327,7 +332,7 @@ def _check_internal(element: _Element, where: str) -> None:
     place = f"SEND {element.tag}"
     internal = element.index == "INTERNAL"
     if element.tag.startswith("DEF_") != internal:
-        raise EthernetXmlError(where, f"{place} INDX", element.index, "INTERNAL for DEF_ elements, and for no others")
+        raise EthernetXmlError(where, f"{place} INDX", element.index, Sentence("expected.xml.internal"))
     expected = INTERNAL.get(element.tag)
     if expected and element.type != expected:
         raise EthernetXmlError(where, f"{place} TYPE", element.type, expected)
@@ -336,10 +341,10 @@ def _check_internal(element: _Element, where: str) -> None:
 def _check_channel(element: _Element, where: str) -> None:
     place = f"RECEIVE {element.tag}"
     if _GENERATOR_1(element.tag):
-        expected = "another function generator: RSI uses number 1 itself, and the ETHERNET object would report RSIBad"
+        expected = Sentence("expected.xml.generator")
         raise EthernetXmlError(where, place, element.tag, expected)
     if element.tag.startswith("DEF_") != (element.index == "INTERNAL"):
-        raise EthernetXmlError(where, f"{place} INDX", element.index, "INTERNAL for DEF_ elements, and for no others")
+        raise EthernetXmlError(where, f"{place} INDX", element.index, Sentence("expected.xml.internal"))
     axis = element.tag.partition(".")[2]
     expected = (
         "DOUBLE"

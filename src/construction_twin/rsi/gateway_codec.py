@@ -16,6 +16,7 @@ from functools import partial
 from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.telegram import Telegram
 from construction_twin.core.errors import TelegramError
+from construction_twin.core.sentences import Sentence
 from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, RsiLayout
 from construction_twin.rsi.telegram import (
     attribute_template,
@@ -137,7 +138,7 @@ class RobotDecoder:
             if not elements:
                 return None
             missing = next(block for block in blocks if block not in found)
-            raise TelegramError("element", f"the telegram has no {missing}, but another block of the same kind")
+            raise TelegramError("element", Sentence("telegram.other_block", block=missing))
         texts = [elements[block].get(axis) for block, axis in self._slots]
         for text in texts:
             if text is None or not is_number(text):

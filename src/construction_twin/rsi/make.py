@@ -53,7 +53,7 @@ def check(setup: Setup[RsiLayout]) -> None:
         EthernetXmlError: As `check_gateway` and `check_tool`.
     """
     if setup.reference not in ("ASPos", "AIPos"):
-        raise ConfigurationError("reference", setup.reference, "ASPos or AIPos")
+        raise ConfigurationError("reference", setup.reference, Sentence("expected.xml.reference"))
     check_gateway(setup.layout, setup.axes, _FILE)
     check_tool(setup.tool, setup.layout, _FILE)
 

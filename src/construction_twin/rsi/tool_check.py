@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from construction_twin.controller.tool import ENABLE, HOLDON, GatewayTool
-from construction_twin.core.errors import EthernetXmlError
+from construction_twin.core.sentences import Sentence
+from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
 from construction_twin.rsi.layout import RsiLayout
 from construction_twin.rsi.tool_channels import IN, OUT, SET, names_of
 
@@ -20,7 +21,7 @@ def check_tool(tool: GatewayTool | None, layout: RsiLayout, where: str) -> None:
     """
     if tool is None:
         if layout.switched:
-            expected = "no such channel, or the tool file that it belongs to (launch argument tool)"
+            expected = Sentence("expected.xml.no_tool")
             raise EthernetXmlError(where, f"RECEIVE {SET}.{layout.switched[0]}", "no tool", expected)
         return
     declared = {
@@ -40,11 +41,13 @@ def check_tool(tool: GatewayTool | None, layout: RsiLayout, where: str) -> None:
         foreign = [name for name in declared[element] if name not in wanted]
         if missing or foreign:
             name = (missing or foreign)[0]
-            expected = f"{element}.{', '.join(wanted)}, as the tool file of {tool.name} has them"
+            expected = Sentence("expected.xml.as_tool_file", channels=f"{element}.{', '.join(wanted)}", tool=tool.name)
             raise EthernetXmlError(where, f"{section} {element}.{name}", None if missing else name, expected)
     holdon = dict(zip(layout.switched, layout.switched_holdon))
     for output in tool.outputs:
         if output.name in holdon and holdon[output.name] is not HOLDON[output.on_stop]:
             found = str(int(holdon[output.name]))
-            expected = f'"{int(HOLDON[output.on_stop])}": the tool file of {tool.name} says on_stop: {output.on_stop}'
+            expected = Sentence(
+                "expected.xml.on_stop", holdon=int(HOLDON[output.on_stop]), tool=tool.name, on_stop=output.on_stop
+            )
             raise EthernetXmlError(where, f"RECEIVE {SET}.{output.name} HOLDON", found, expected)

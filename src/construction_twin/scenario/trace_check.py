@@ -49,8 +49,8 @@ def trace_excesses(
 ) -> list[Excess]:
     """Return every place where a trace leaves the limits; empty when it stays inside.
 
-    Each reply is one step from the last one that arrived. An RSI session begins at rest; so does what follows a cycle without a
-    reply, because HOLDON has stopped the arm.
+    Each reply is one step from the last one that arrived. A controller session begins at rest; so does what follows a cycle without
+    a reply, because HOLDON has stopped the arm.
 
     Args:
         limits: Of the axes, in the trace's order.

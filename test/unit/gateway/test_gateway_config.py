@@ -12,10 +12,11 @@ import yaml
 from sentence_checks import expects
 
 from construction_twin.controller.axis_unit import AxisUnit
-from construction_twin.core.errors import ConfigurationError, EthernetXmlError
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.gateway.config import GatewayConfig, load_config, parse_config
 from construction_twin.robot.description import AxisMapping, read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
 from construction_twin.rsi.make import MAKE
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -42,7 +42,7 @@ def broken_once(original):
 PARTS = {
     "inbox": lambda service: (service._inbox, "newest"),
     "telegram decoder": lambda service: (service._inbox, "_parse"),
-    "RSI session": lambda service: (service.gateway._controller, "take"),
+    "controller session": lambda service: (service.gateway._controller, "take"),
     "playout": lambda service: (service.gateway._player._playout, "advance"),
     # the class: a reply that did not arrive places another follower, at rest where the arm stands
     "follower": lambda service: (Follower, "follow"),

@@ -1,4 +1,4 @@
-"""The gateway as a pure object: RSI sessions, arming, and what it tells."""
+"""The gateway as a pure object: controller sessions, arming, and what it tells."""
 
 from __future__ import annotations
 

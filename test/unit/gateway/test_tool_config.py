@@ -14,10 +14,11 @@ from sentence_checks import expects
 from tool_cell import LAYOUT, TOOL, ToolCell, switched_off_on_stop
 
 from construction_twin.controller.tool import GatewayTool, ToolOutput, is_tool_name
-from construction_twin.core.errors import ConfigurationError, EthernetXmlError
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.gateway.config import parse_config
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
 from construction_twin.rsi.tool_check import check_tool
 
 FILE = yaml.safe_load((ROOT / "config/tools/vacuum_frame.yaml").read_text())

@@ -9,7 +9,7 @@ import pytest
 from processes import ROOT
 
 from construction_twin.controller.axis_unit import AxisUnit
-from construction_twin.core.errors import ConfigurationError, EthernetXmlError
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import MockController
@@ -23,6 +23,7 @@ from construction_twin.mock.program import (
 from construction_twin.mock.servo import IdealServo
 from construction_twin.robot.description import read_robot_files
 from construction_twin.rsi.ethernet_xml import read_ethernet_xml
+from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.layout import RsiLayout
 

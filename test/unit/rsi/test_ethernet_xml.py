@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from processes import ROOT
 
-from construction_twin.core.errors import ConfigurationError, EthernetXmlError
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.rsi.ethernet_xml import (
     MAX_BYTES,
     check_axes,
@@ -17,6 +17,7 @@ from construction_twin.rsi.ethernet_xml import (
     load_ethernet_xml,
     read_ethernet_xml,
 )
+from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
 from construction_twin.rsi.ethernet_xml_text import ethernet_xml_text
 from construction_twin.rsi.gateway_codec import SensorEncoder
 from construction_twin.rsi.layout import RsiLayout

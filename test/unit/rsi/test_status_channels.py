@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mock_cell import Cell as MockCell
 from processes import ROOT
 
-from construction_twin.core.errors import ConfigurationError, EthernetXmlError
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import Gateway
@@ -21,6 +21,7 @@ from construction_twin.gateway.states import State
 from construction_twin.mock.faults import Fault, FaultBoard
 from construction_twin.rsi.controller_codec import RobotEncoder
 from construction_twin.rsi.ethernet_xml import check_gateway, read_ethernet_xml
+from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
 from construction_twin.rsi.gateway_codec import RobotDecoder, parse_robot
 from construction_twin.rsi.layout import RsiLayout
 from construction_twin.rsi.status_channels import RsiStatus, StatusReader, status_channels
