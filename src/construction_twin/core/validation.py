@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 
 Schema = Mapping[str, Any]
 
@@ -119,7 +120,9 @@ def _expected(
         return f"no such key; did you mean {near[0]}?" if near else f"no such key; known are {', '.join(known)}"
     if kind in ("value_error", "assertion_error"):
         # of our own validators
-        return str(problem.get("ctx", {}).get("error", "another value")).removeprefix("expected ")
+        error = problem.get("ctx", {}).get("error", "another value")
+        own = next(iter(getattr(error, "args", ())), None)
+        return own if isinstance(own, Sentence) else str(error).removeprefix("expected ")
     if kind == "json_invalid":
         return f"JSON ({problem['ctx']['error']})"
     said = _described(place, root) if place is not None else "another value"

@@ -4,8 +4,8 @@ Nothing that could open a grip is sent before the outputs have been read back in
 switch fires, replies carry what was read back, with `Set.Enable` 0, so that the controller leaves its outputs alone. A switch is
 armed ahead, while a stream is followed; it fires once, or is void for good. A brake, a stop, a silent stream, a speed limit of 0,
 the end of the command session or of the controller session, outputs that are no longer read back: each makes every armed switch
-void, and what is void fires no more. An output that is off without RSI, and that a missed reply has switched off on the controller, stays off: the
-next reply that arrives must not switch it on again.
+void, and what is void fires no more. An output that is off without RSI, and that a missed reply has switched off on the controller,
+stays off: the next reply that arrives must not switch it on again.
 
 It knows no clock: cycles are counted in telegrams, stamps are the playout's [ns]. Standard library only.
 """

@@ -13,6 +13,7 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import configuration_error
 from construction_twin.robot.segments import Signal, Switch
 
@@ -76,7 +77,7 @@ class Output(_Strict):
     @pydantic.model_validator(mode="after")
     def _keeps_the_part(self) -> Output:
         if self.on_stop == "off" and self.opens is False:
-            raise ValueError("expected on_stop keep, or opens true: one missed reply would drop the part")
+            raise ValueError(Sentence("expected.gateway_tool.drops"))
         return self
 
     @pydantic.field_validator("on_stop", mode="before")

@@ -341,8 +341,7 @@ def _check_internal(element: _Element, where: str) -> None:
 def _check_channel(element: _Element, where: str) -> None:
     place = f"RECEIVE {element.tag}"
     if _GENERATOR_1(element.tag):
-        expected = Sentence("expected.xml.generator")
-        raise EthernetXmlError(where, place, element.tag, expected)
+        raise EthernetXmlError(where, place, element.tag, Sentence("expected.xml.generator"))
     if element.tag.startswith("DEF_") != (element.index == "INTERNAL"):
         raise EthernetXmlError(where, f"{place} INDX", element.index, Sentence("expected.xml.internal"))
     axis = element.tag.partition(".")[2]

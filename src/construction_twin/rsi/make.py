@@ -49,8 +49,7 @@ def check(setup: Setup[RsiLayout]) -> None:
     """Check that RSI can serve an arm as it is configured.
 
     Raises:
-        ConfigurationError: For a reference that RSI has not.
-        EthernetXmlError: As `check_gateway` and `check_tool`.
+        ConfigurationError: For a reference that RSI has not, and as `check_gateway` and `check_tool`.
     """
     if setup.reference not in ("ASPos", "AIPos"):
         raise ConfigurationError("reference", setup.reference, Sentence("expected.xml.reference"))
