@@ -155,6 +155,7 @@ async def _from_browser(
     volume = TokenBucket(limits.bytes_per_s, limits.burst_bytes)
     # of the whole CONNECT, not of a frame: byte by byte it would take for ever
     deadline = asyncio.get_running_loop().time() + limits.login_s
+    too_much = Sentence("view.pipe.too_much", packets=limits.packets_per_s, bytes=limits.bytes_per_s)
     while True:
         try:
             async with asyncio.timeout_at(None if stream.connected else deadline):
@@ -166,18 +167,15 @@ async def _from_browser(
         if isinstance(message, str):
             raise Cut(NOT_MQTT, Sentence("view.pipe.text_frame"))
         now = clock()
-        too_much = Cut(
-            TOO_MUCH, f"more than {limits.packets_per_s:g} packets or {limits.bytes_per_s:g} bytes per second"
-        )
         if not volume.take(now, len(message)):
-            raise too_much
+            raise Cut(TOO_MUCH, too_much)
         try:
             passed = stream.feed(message)
         except PayloadError as error:
             raise Cut(TOO_MUCH if error.reason == "size" else NOT_MQTT, str(error)) from error
         # an empty frame costs time too
         if not packets.take(now, max(1, len(passed))):
-            raise too_much
+            raise Cut(TOO_MUCH, too_much)
         for packet in passed:
             writer.write(packet.data)
         try:

@@ -15,6 +15,7 @@ import numpy as np
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import TrajectoryError
 from construction_twin.core.reports import ToolReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.executed_path import WAY_BACK_TOLERANCE, ExecutedPath
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.segments import Segment, Signal
@@ -187,7 +188,7 @@ def from_text(where: str, text: str, joint_names: Sequence[str]) -> Engagement:
         ConfigurationError: When it is not one of this version and robot: then nobody knows whether the arm is engaged, and a person
             decides.
     """
-    expected = "the file that an executor of this robot wrote; look at the arm, free it, and only then delete the file"
+    expected = Sentence("expected.engagement")
     try:
         fields = json.loads(text)
         if fields["version"] != VERSION or fields["joints"] != list(joint_names):

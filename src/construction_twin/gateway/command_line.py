@@ -13,6 +13,7 @@ import threading
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
 from construction_twin.core.realtime import lock_memory, request_realtime
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.udp import address_of, bind
 from construction_twin.gateway.config import GatewayConfig, load_config
 from construction_twin.gateway.log import log_beside_the_loop
@@ -102,8 +103,7 @@ def _run(arguments: argparse.Namespace) -> int:
         told = config.make.form_of(file).sends_to(file, config.layout) if file else address[0]
         controller = address_of(arguments.controller, "--controller") if arguments.controller else None
         if controller is None and not is_loopback(address[0]):
-            expected = f"the controller's address: what comes to {address[0]} comes from a network, and only the controller may"
-            raise ConfigurationError("--controller", "", expected)
+            raise ConfigurationError("--controller", "", Sentence("expected.controller_address", address=address[0]))
         run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
         service = GatewayService(config, bind(*address), broker, topics, run, controller, commissioning)
         # last: it takes room on a disk, which what else may be refused must not leave taken

@@ -75,7 +75,7 @@ class Playout:
         self._past: deque[tuple[int, Pose]] = deque(maxlen=1 + (2 * behind // CYCLE_NS))
         self._arrivals = Arrivals(max(0, bounds.start - MARGIN))
         self._slew = Slew(cycle_ns)
-        self._calm, self._urgent, self._catch_up = [pace.of_cycle(cycle_ns) for pace in (CALM, URGENT, CATCH_UP)]
+        self._calm, self._urgent, self._catch_up = [limit.of_cycle(cycle_ns) for limit in (CALM, URGENT, CATCH_UP)]
         self.clear()
 
     def clear(self) -> None:
@@ -83,7 +83,7 @@ class Playout:
         self._arrivals.remember()
         self._arrivals.restart()
         self._slew.clear()
-        self._pace = self._calm
+        self._slew_limit = self._calm
         self._commands.clear()
         self._past.clear()
         self._newest = 0
@@ -243,8 +243,8 @@ class Playout:
         cycles = round((at_end - wanted) / CYCLE_NS)
         if cycles < 0 or cycles >= (1 if self._rests else SLACK_CYCLES):
             if not slew.moving or cycles <= -SLACK_CYCLES:
-                # a move that has begun is not slowed down to another pace: it would overshoot
-                self._pace = self._urgent if cycles <= -SLACK_CYCLES else self._calm
+                # a move that has begun is not slowed down to another limit: it would overshoot
+                self._slew_limit = self._urgent if cycles <= -SLACK_CYCLES else self._calm
             slew.remaining += cycles * CYCLE_NS
             at_end -= cycles * CYCLE_NS
         self.delay = at_end
@@ -255,7 +255,7 @@ class Playout:
             self._now += self._slew.remaining
             self._slew.clear()
         else:
-            self._now += self._slew.step(self._pace)
+            self._now += self._slew.step(self._slew_limit)
         if self._put_off:
             self._put_off = max(0, min(self._put_off, self._slew.remaining))
 
@@ -271,7 +271,7 @@ class Playout:
                 self._now = before + advance
                 self._slew.remaining += wanted - advance
                 self._put_off += wanted - advance
-                self._pace = self._catch_up
+                self._slew_limit = self._catch_up
         self._governed = governor.active
 
     def stand(self, pause: int, taken_back: bool, stands_at: int | None = None) -> None:
@@ -293,7 +293,7 @@ class Playout:
         self._clock += pause
         self._slew.remaining += put_off
         self._put_off += put_off
-        self._pace = self._catch_up
+        self._slew_limit = self._catch_up
         if self._governor is not None:
             self._governor.stand()
             self._governed = True

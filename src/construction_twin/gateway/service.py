@@ -24,13 +24,13 @@ from construction_twin.core.errors import (
     PayloadError,
 )
 from construction_twin.core.histogram import Histogram
+from construction_twin.core.line_limiter import LineLimiter
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.udp import receive
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
-from construction_twin.gateway.log import LineLimiter
 from construction_twin.gateway.states import State
 from construction_twin.gateway.status import StatusClock
 from construction_twin.mqtt import requests

@@ -12,7 +12,7 @@ from construction_twin.core.units import CYCLE_NS
 
 
 @dataclass(frozen=True)
-class Pace:
+class SlewLimit:
     """How fast playout time may be moved.
 
     Played at a rate 1 + r, a motion's velocity is multiplied by 1 + r and its acceleration by (1 + r)^2, and a change of r adds
@@ -28,33 +28,33 @@ class Pace:
     change: int
 
     @classmethod
-    def of(cls, back: float, ahead: float, slope: float) -> Pace:
-        """Return the pace of the largest rates and of their largest change, `slope` [1/s]."""
+    def of(cls, back: float, ahead: float, slope: float) -> SlewLimit:
+        """Return the limit of these rates and of their largest change, `slope` [1/s]."""
         return cls(round(back * CYCLE_NS), round(ahead * CYCLE_NS), round(slope * CYCLE_NS * CYCLE_NS / 1_000_000_000))
 
-    def of_cycle(self, cycle_ns: int) -> Pace:
+    def of_cycle(self, cycle_ns: int) -> SlewLimit:
         """Return the same rates per cycle of another length [ns]; this one's are per cycle of 4 ms."""
         times = cycle_ns / CYCLE_NS
-        return Pace(round(self.back * times), round(self.ahead * times), round(self.change * times * times))
+        return SlewLimit(round(self.back * times), round(self.ahead * times), round(self.change * times * times))
 
 
 #: For clock drift, and to shrink a delay: 0.5 %, changing by 0.005 per second. At 2 rad/s that adds 0.01 rad/s^2; it takes 1.8 s
 #: to move a cycle.
-CALM = Pace.of(0.005, 0.005, 0.005)
+CALM = SlewLimit.of(0.005, 0.005, 0.005)
 #: For a delay that has become too short: 5 %, changing by 0.1 per second. At 2 rad/s that adds 0.2 rad/s^2, 8 % of what axis 1 may;
 #: time is slowed only, so the motion's own acceleration falls. It takes 1.1 s to gain 30 ms.
-URGENT = Pace.of(0.05, 0.005, 0.1)
+URGENT = SlewLimit.of(0.05, 0.005, 0.1)
 
 #: To make up for what a speed limit has put off: 1 %, changing by 0.1 per second, so that a motion at 0.9 of its acceleration
 #: limits still keeps inside them.
-CATCH_UP = Pace.of(0.05, 0.01, 0.1)
+CATCH_UP = SlewLimit.of(0.05, 0.01, 0.1)
 
 
 class Slew:
     """Carries a shift out, cycle by cycle, beginning and ending at rate zero.
 
     Args:
-        cycle_ns: Length of a cycle [ns]; paces are per such cycle.
+        cycle_ns: Length of a cycle [ns]; limits are per such cycle.
     """
 
     def __init__(self, cycle_ns: int = CYCLE_NS) -> None:
@@ -78,14 +78,14 @@ class Slew:
         """Present deviation of playout time's rate from 1."""
         return self.shift / self._cycle
 
-    def step(self, pace: Pace) -> int:
-        """Return the shift of this cycle [ns], at most `pace` allows; the sum of all is exactly what was asked for."""
+    def step(self, limit: SlewLimit) -> int:
+        """Return the shift of this cycle [ns], at most `limit` allows; the sum of all is exactly what was asked for."""
         distance = abs(self.remaining)
         # the largest shift after which slowing down still ends in time
-        cycles = (math.isqrt(1 + 8 * distance // pace.change) - 1) // 2
-        wanted = (distance + pace.change * cycles * (cycles + 1) // 2) // (cycles + 1)
-        wanted = min(wanted, pace.ahead) if self.remaining > 0 else -min(wanted, pace.back)
-        shift = min(max(wanted, self.shift - pace.change), self.shift + pace.change)
+        cycles = (math.isqrt(1 + 8 * distance // limit.change) - 1) // 2
+        wanted = (distance + limit.change * cycles * (cycles + 1) // 2) // (cycles + 1)
+        wanted = min(wanted, limit.ahead) if self.remaining > 0 else -min(wanted, limit.back)
+        shift = min(max(wanted, self.shift - limit.change), self.shift + limit.change)
         self.remaining -= shift
         self.shift = shift
         return shift

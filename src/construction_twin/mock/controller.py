@@ -291,8 +291,7 @@ class MockController:
             duration: [s]; 0: `JOG_FRACTION` of the limits.
 
         Raises:
-            ConfigurationError: If the arm cannot move by itself now.
-            ValueError: If the limits do not allow `duration`.
+            ConfigurationError: If the arm cannot move by itself now, or the limits do not allow `duration`.
             JointRangeError: If the goal lies outside the range.
         """
         if self.pressed or self.ramp is not None and not self.ramp.done:

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.mock.servo import Chase
 
@@ -73,7 +75,7 @@ class Program:
         period: Length of a cycle [s].
 
     Raises:
-        ValueError: If the limits do not allow `duration`; the text names the shortest one.
+        ConfigurationError: If the limits do not allow `duration`; it names the shortest one.
     """
 
     def __init__(
@@ -89,7 +91,7 @@ class Program:
         distances = [abs(b - a) for a, b in zip(start, goal)]
         quickest = _shortest(distances, velocity, acceleration, 1.0)
         if duration and duration < quickest:
-            raise ValueError(f"a motion of {duration:g} s exceeds the limits; give at least {quickest:.3f} s")
+            raise ConfigurationError("jog duration", duration, Sentence("expected.jog_duration", quickest=quickest))
         self.cycles = max(
             1, math.ceil((duration or _shortest(distances, velocity, acceleration, JOG_FRACTION)) / period)
         )

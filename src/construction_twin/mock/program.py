@@ -81,7 +81,7 @@ class MockSettings(pydantic.BaseModel):
     @classmethod
     def _is_known(cls, make: str) -> str:
         if make not in MODULES:
-            raise ValueError(f"expected one of {', '.join(MODULES)}")
+            raise ValueError(Sentence("expected.one_of", known=", ".join(MODULES)))
         return make
 
     @pydantic.field_validator("cycle")
@@ -89,7 +89,7 @@ class MockSettings(pydantic.BaseModel):
     def _is_of_the_make(cls, cycle: int, info: pydantic.ValidationInfo) -> int:
         cycles = make_of(info.data["make"]).cycles if "make" in info.data else (cycle,)
         if cycle not in cycles:
-            raise ValueError(f"expected {' or '.join(map(str, cycles))}")
+            raise ValueError(Sentence("expected.cycle", cycles=" or ".join(map(str, cycles))))
         return cycle
 
 

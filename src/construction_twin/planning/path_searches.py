@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import partial
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.planning.ompl_search import OmplSearch, ompl_planners
 from construction_twin.planning.path_search import PathSearch
 
@@ -23,5 +24,5 @@ def path_search(name: str) -> PathSearch:
     """
     known = path_searches()
     if name not in known:
-        raise ConfigurationError("the planner", name, f"one of {', '.join(known)}")
+        raise ConfigurationError("the planner", name, Sentence("expected.one_of", known=", ".join(known)))
     return known[name]()

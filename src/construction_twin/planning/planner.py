@@ -72,7 +72,7 @@ class PlannerSettings(pydantic.BaseModel):
     @classmethod
     def _known(cls, name: str) -> str:
         if name not in path_searches():
-            raise ValueError(f"expected one of {', '.join(path_searches())}")
+            raise ValueError(Sentence("expected.one_of", known=", ".join(path_searches())))
         return name
 
     @classmethod

@@ -82,7 +82,7 @@ class Step(_Model):
     @pydantic.model_validator(mode="after")
     def _one_action(self) -> Step:
         if sum(action is not None for action in (self.move, self.approve, self.inject, self.call)) != 1:
-            raise ValueError("a step has exactly one of move, approve, inject and call")
+            raise ValueError(Sentence("expected.one_action"))
         return self
 
     def __str__(self) -> str:

@@ -274,8 +274,9 @@ def test_a_program_stays_within_limits_or_says_how_long_it_needs(goal, duration)
     start = np.zeros(6)
     try:
         program = Program(start, goal, CONFIG.velocity, CONFIG.acceleration, duration)
-    except ValueError as error:
-        assert "give at least" in str(error)
+    except ConfigurationError as error:
+        assert error.expected.key == "expected.jog_duration"
+        assert error.expected.values["quickest"] > duration == error.value
         return
     positions = np.array([start] + [program.advance() for _ in range(program.cycles + 2)])
     limits_kept(positions)

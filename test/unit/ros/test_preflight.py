@@ -625,7 +625,7 @@ def test_the_shipped_files_are_fine(config_folder, kr120):
         ("pca_monitor", {"thresholds": {"joint_a7": 0.1}}, "thresholds: found 'joint_a7', expected names of joints"),
         ("planner", {"planner": "RTRConnect"}, "planner: found 'RTRConnect', expected one of "),
         ("planner", {"edge_step": 0.0}, "edge_step: found 0.0, expected a number at least 0.001 and at most 0.5"),
-        ("neighbour", {"padding": 0.0}, "watch_padding + own_step / 2 must not be more than padding"),
+        ("neighbour", {"padding": 0.0}, "watch_padding + own_step / 2 within padding"),
         ("gateway", {"silence": -1.0}, "silence"),
         ("gateway", {"silense": 0.1}, "silense"),
         ("mqtt_bridge", {"reset_timeout": "soon"}, "reset_timeout: found 'soon', expected a number above 0"),

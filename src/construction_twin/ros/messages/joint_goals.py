@@ -61,7 +61,9 @@ def control_messages() -> ModuleType:
         found = getattr(messages, name)._md5sum
         if found != md5:
             where = f"one in {messages.__file__} whose {name} has the md5 sum {found}"
-            raise ConfigurationError("the Python package control_msgs", where, f"{md5}: {to_do}")
+            raise ConfigurationError(
+                "the Python package control_msgs", where, Sentence("expected.control_msgs_sum", md5=md5, to_do=to_do)
+            )
     return messages
 
 

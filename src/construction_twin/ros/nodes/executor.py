@@ -128,9 +128,7 @@ class Settings(NodeSettings):
     @classmethod
     def _never_with_a_real_arm(cls, names: tuple[str, ...], given: pydantic.ValidationInfo) -> tuple[str, ...]:
         if names and given.data.get("arm") == "real":
-            raise ValueError(
-                "expected none with a real arm: the name of a client proves nothing, a person has to approve"
-            )
+            raise ValueError(Sentence("expected.no_auto_approval"))
         return names
 
 

@@ -59,7 +59,7 @@ class NeighbourSettings(NodeSettings):
     @pydantic.model_validator(mode="after")
     def _plans_may_start(self) -> NeighbourSettings:
         if self.watch_padding + self.own_step / 2.0 > self.padding:
-            raise ValueError("watch_padding + own_step / 2 must not be more than padding")
+            raise ValueError(Sentence("expected.watch_padding"))
         return self
 
 

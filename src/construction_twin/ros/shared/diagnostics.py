@@ -70,8 +70,8 @@ class NodeDiagnostics:
         `/diagnostics` shows the last one.
         """
         self.count(reason, sentence)
-        if self._log.take(reason, sentence):
-            self._said.add(rospy.logwarn, "%s refused (%s): %s", rospy.get_name(), reason, sentence)
+        if (more := self._log.note(reason, sentence)) is not None:
+            self._said.add(rospy.logwarn, "%s refused (%s): %s%s", rospy.get_name(), reason, sentence, more)
             self._news.set()
 
     def _write(self) -> None:

@@ -9,10 +9,12 @@ from collections.abc import Callable
 
 import rospy
 
+from construction_twin.core.line_limiter import LineLimiter
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.ros.transport.subscriber import PUBLISHER
 
-#: Between two lines for one reason [s].
-PERIOD = 5.0
+#: Between two lines for one reason [ns].
+PERIOD = 5 * NANOSECONDS
 #: Strangers that are known; those that come later are told of as everything else is.
 KEPT = 100
 
@@ -21,28 +23,23 @@ class RefusalLog:
     """Decides for each refusal whether it is written; for use from several threads.
 
     Args:
-        clock: Returns a time from any origin [s].
+        clock: Returns a time from any origin [ns].
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic):
+    def __init__(self, clock: Callable[[], int] = time.monotonic_ns):
         self._clock = clock
         self._lock = threading.Lock()
-        self._said: dict[str, float] = {}
+        self._lines = LineLimiter(PERIOD)
         #: How often each stranger was refused, by the sentence that names it, its stream and who may publish that.
         self._strangers: Counter[str] = Counter()
 
-    def take(self, reason: str, sentence: str) -> bool:
-        """Count a refusal; return whether it is to be written."""
-        now = self._clock()
+    def note(self, reason: str, sentence: str) -> str | None:
+        """Count a refusal; return what to append to its line, None when none is to be written (`LineLimiter.note`)."""
         with self._lock:
             if reason == PUBLISHER and (sentence in self._strangers or len(self._strangers) < KEPT):
                 self._strangers[sentence] += 1
-                return self._strangers[sentence] == 1
-            last = self._said.get(reason)
-            if last is not None and now - last < PERIOD:
-                return False
-            self._said[reason] = now
-            return True
+                return "" if self._strangers[sentence] == 1 else None
+            return self._lines.note(reason, self._clock())
 
     def strangers(self) -> dict[str, int]:
         """Return how often each stranger was refused, by its sentence."""
@@ -55,7 +52,7 @@ def warn_of_refusals() -> Callable[[str, str], None]:
     log = RefusalLog()
 
     def refuse(reason: str, sentence: str) -> None:
-        if log.take(reason, sentence):
-            rospy.logwarn("%s refused (%s): %s", rospy.get_name(), reason, sentence)
+        if (more := log.note(reason, sentence)) is not None:
+            rospy.logwarn("%s refused (%s): %s%s", rospy.get_name(), reason, sentence, more)
 
     return refuse

@@ -6,31 +6,7 @@ import logging
 
 from service_cell import cell
 
-from construction_twin.core.units import NANOSECONDS
-from construction_twin.gateway.log import LineLimiter
 from construction_twin.gateway.status import QUIET, StatusClock
-
-
-def test_a_flood_makes_one_line_per_second_which_counts_the_others():
-    limiter = LineLimiter()
-    notes = [limiter.note("control", k * NANOSECONDS // 1000) for k in range(3001)]
-    written = [(k, note) for k, note in enumerate(notes) if note is not None]
-    assert written == [
-        (0, ""),
-        *((k, " (999 more like this since the last such line)") for k in (1000, 2000, 3000)),
-    ]
-
-
-def test_reasons_do_not_hide_each_other():
-    limiter = LineLimiter()
-    assert limiter.note("control", 0) == ""
-    assert limiter.note("arm", 1) == "" and limiter.note("control", 2) is None
-
-
-def test_after_a_pause_a_line_is_written_at_once():
-    limiter = LineLimiter()
-    limiter.note("arm", 0)
-    assert limiter.note("arm", NANOSECONDS) == ""
 
 
 class TestStatusClock:
