@@ -17,6 +17,7 @@ class Unplugged:
 
     Args:
         pose: Takes the oldest age; returns every pose that the node asks for.
+        parameters: Shared ones that are on the parameter server; what the node keeps there is put in.
 
     Attributes:
         node: What the shell started.
@@ -30,7 +31,7 @@ class Unplugged:
 
     report: Callable
 
-    def __init__(self, monkeypatch, shell: NodeShell, settings, robot, pose: Callable = lambda *_: ()):
+    def __init__(self, monkeypatch, shell: NodeShell, settings, robot, pose: Callable = lambda *_: (), parameters=None):
         self.callbacks: dict[str, Callable] = {}
         self.services: dict[str, Callable] = {}
         self.timers: list[Callable] = []
@@ -38,7 +39,10 @@ class Unplugged:
         self.refused: list[tuple[str, str]] = []
         self.counted: list[tuple[str, str]] = []
         self.opened: list[tuple[str, str]] = []
+        self.parameters: dict[str, object] = {} if parameters is None else parameters
         patch = monkeypatch.setattr
+        patch(ports.rospy, "get_param", self.parameters.get)
+        patch(ports.rospy, "set_param", self.parameters.__setitem__)
         patch(ports, "NodeDiagnostics", self._diagnostics)
         patch(ports, "Publisher", self._publisher)
         patch(ports, "JointPublisher", self._publisher)

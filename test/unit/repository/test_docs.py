@@ -315,9 +315,10 @@ def test_parameters_of_the_namespace_are_in_its_table():
     code = "".join(file.read_text() for file in sorted((PACKAGE / "ros").rglob("*.py")))
     # without a slash or ~: relative to the robot's namespace; `publishers` stands behind any namespace
     read = set(re.findall(r"get_param\(f?\"(?:\{\w+\})?(\w+)\"", code))
-    constants = {mqtt_bridge.MIRROR_MODE, mqtt_bridge.WAITS, stop_memory.PARAMETER}
-    assert "publishers" in read
-    assert sorted((read | constants) - rows) == []
+    interfaces = (getattr(node_module(file), "INTERFACE", Interface()) for file in NODES)
+    declared_ones = {each.name for interface in interfaces for each in interface.parameters}
+    assert "publishers" in read and {mqtt_bridge.WAITS, stop_memory.PARAMETER} <= declared_ones
+    assert sorted((read | declared_ones) - rows) == ["/run_id"]
 
 
 # -- states

@@ -146,10 +146,11 @@ def test_every_tree_has_a_floating_joint_because_no_joint_state_holds_it(monkeyp
     """joint_state_publisher leaves it out, and robot_state_publisher too; the others of the twin come from there."""
     robot, sent = gripper(changed("hinge", type="floating", limit=None)), []
     settings = static_frames.Settings(prefixes=["twin", "physical"], chain_only=["physical"])
-    monkeypatch.setattr(static_frames.rospy, "get_param", lambda _name, default: default)
     monkeypatch.setattr(static_frames.rospy, "Time", SimpleNamespace(now=lambda: Time(1)))
     tf = SimpleNamespace(publish=lambda message: sent.extend(message.transforms))
-    static_frames.StaticFramesNode(settings, robot, SimpleNamespace(publishers={"/tf_static": tf}))
+    static_frames.StaticFramesNode(
+        settings, robot, SimpleNamespace(publishers={"/tf_static": tf}, parameters={"cell": None})
+    )
     frames = {(transform.header.frame_id, transform.child_frame_id) for transform in sent}
     assert frames - {("world", "twin/base_link"), ("world", "physical/base_link")} == {
         ("twin/palm", "twin/camera"),

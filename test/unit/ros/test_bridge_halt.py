@@ -25,7 +25,6 @@ def fail(*_given, **_named):
 
 @pytest.fixture
 def clocks(monkeypatch):
-    monkeypatch.setattr(rospy, "set_param", lambda name, value: None)
     rospy.rostime.set_rostime_initialized(True)
     yield Clocks(monkeypatch, mqtt_bridge)
     rospy.rostime.set_rostime_initialized(False)
@@ -149,18 +148,17 @@ def test_a_new_launch_begins_without_waiting():
 
 @pytest.mark.parametrize("error", [RuntimeError, OSError])
 def test_in_mirror_mode_with_a_master_that_hangs_and_then_fails(clocks, monkeypatch, error):
-    bench = BridgeBench(clocks, mirrors=True)
-    bench.connect()
-    for _ in range(20):
-        bench.step()
     hangs, asked = threading.Event(), threading.Event()
 
-    def set_param(name, value):
+    def remember(mirrors):
         asked.set()
         assert hangs.wait(10.0)
         raise error("nobody foresaw this")
 
-    monkeypatch.setattr(rospy, "set_param", set_param)
+    bench = BridgeBench(clocks, mirrors=True, remember_mirror=remember)
+    bench.connect()
+    for _ in range(20):
+        bench.step()
     said = []
     monkeypatch.setattr(rospy, "logwarn", lambda *words: said.append(words[0] % words[1:]))
     assert bench.bridge.on_halt(None).success

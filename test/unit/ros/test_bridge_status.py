@@ -18,14 +18,12 @@ from construction_twin.link.bare_supervisor import NOT_CHECKED
 from construction_twin.link.observations import STATUS_TIMEOUT
 from construction_twin.link.states import LinkState
 from construction_twin.ros.nodes import mqtt_bridge
-from construction_twin.ros.nodes.mqtt_bridge import MIRROR_MODE
 from construction_twin.ros.shared import diagnostics
 from construction_twin.rsi.status_channels import RsiStatus
 
 
 @pytest.fixture
 def clocks(monkeypatch):
-    monkeypatch.setattr(rospy, "set_param", lambda name, value: None)
     rospy.rostime.set_rostime_initialized(True)
     yield Clocks(monkeypatch, mqtt_bridge)
     rospy.rostime.set_rostime_initialized(False)
@@ -242,23 +240,23 @@ def test_speed_limits_go_to_the_gateway_numbered_upwards(bench):
     assert [control.id for control in sent] == [str(k) for k in range(1, len(sent) + 1)] and len(sent) >= 4
 
 
-def test_mirror_mode_is_kept_where_the_next_process_finds_it(bench, monkeypatch):
-    kept = {}
-    monkeypatch.setattr(rospy, "set_param", kept.__setitem__)
+def test_mirror_mode_is_kept_where_the_next_process_finds_it(clocks):
+    kept = []
+    bench = BridgeBench(clocks, remember_mirror=kept.append)
     bench.arm_and_rest()
-    assert bench.ask("mirror", data=True).success and kept == {MIRROR_MODE: True}
+    assert bench.ask("mirror", data=True).success and kept == [True]
     bench.step()
     assert bench.bridge.link is LinkState.MIRROR
     assert bench.bridge.on_halt(None).success
-    wait_until(lambda: kept == {MIRROR_MODE: False}, what="what the next process finds")
-    assert not bench.ask("mirror", data=False).success and kept == {MIRROR_MODE: False}
+    wait_until(lambda: kept == [True, False], what="what the next process finds")
+    assert not bench.ask("mirror", data=False).success and kept == [True, False]
 
 
-def test_without_a_master_halt_and_mirror_are_carried_out_all_the_same(bench, monkeypatch):
-    def refuse(name, value):
+def test_without_a_master_halt_and_mirror_are_carried_out_all_the_same(clocks):
+    def refuse(mirrors):
         raise ConnectionRefusedError(111, "Connection refused")
 
-    monkeypatch.setattr(rospy, "set_param", refuse)
+    bench = BridgeBench(clocks, remember_mirror=refuse)
     bench.arm_and_rest()
     answer = bench.ask("mirror", data=True)
     assert answer.success and "would not outlast this node" in answer.message

@@ -22,7 +22,6 @@ TOOL = {
 
 @pytest.fixture
 def bench(monkeypatch):
-    monkeypatch.setattr(rospy, "set_param", lambda name, value: None)
     rospy.rostime.set_rostime_initialized(True)
     bench = BridgeBench(Clocks(monkeypatch, mqtt_bridge))
     bench.gateway["tool"] = TOOL
@@ -165,7 +164,6 @@ def test_a_gateway_without_a_tool_is_a_robot_without_hands(bench):
 
 
 def test_a_bare_plc_has_no_tool(monkeypatch):
-    monkeypatch.setattr(rospy, "set_param", lambda name, value: None)
     rospy.rostime.set_rostime_initialized(True)
     bench = BridgeBench(Clocks(monkeypatch, mqtt_bridge), kind="plc")
     bench.connect()

@@ -31,6 +31,7 @@ from construction_twin.ros.shared.ports import (
     PoseSubscription,
     Publication,
     Served,
+    SharedParameter,
     Subscription,
 )
 
@@ -99,6 +100,7 @@ class Node:
         self.heard: list = []
         self.ports = ports
         self.said = ports.publishers["said"]
+        self.found = ports.parameters
         self.said.publish(String("first"))
 
     def on_word(self, message: String) -> None:
@@ -120,6 +122,7 @@ class Node:
 
 INTERFACE = Interface(
     report=lambda node: Report(OK, f"heard {len(node.heard)}"),
+    parameters=(SharedParameter("cell"), SharedParameter("waits", "", kept=True)),
     publishes=(
         Publication("said", String, queue_size=3, latch=True, tcp_nodelay=True),
         Publication("none", "no_such_msgs/Thing", queue_size=1),
@@ -138,8 +141,18 @@ INTERFACE = Interface(
 )  # fmt: skip
 
 
-def unplugged(monkeypatch, rate: float = 2.0) -> Unplugged:
-    return Unplugged(monkeypatch, NodeShell("fast", Settings, Node, INTERFACE), Settings(rate=rate), ROBOT)
+def unplugged(monkeypatch, rate: float = 2.0, **options) -> Unplugged:
+    return Unplugged(monkeypatch, NodeShell("fast", Settings, Node, INTERFACE), Settings(rate=rate), ROBOT, **options)
+
+
+def test_shared_parameters_are_read_before_the_node_is_made_and_only_a_kept_one_is_written(monkeypatch):
+    made = unplugged(monkeypatch, parameters={"waits": "stopped", "other": 1})
+    assert made.node.found == {"cell": None, "waits": "stopped"}
+    made.node.ports.keeper("waits")("")
+    assert made.parameters == {"waits": "", "other": 1}
+    for name in ("cell", "other"):
+        with pytest.raises(AssertionError):
+            made.node.ports.keeper(name)
 
 
 def test_what_is_published_is_there_before_the_node_what_it_hears_after_it_and_requests_come_last(monkeypatch):

@@ -62,6 +62,7 @@ from construction_twin.ros.shared.ports import (
     PoseSubscription,
     Publication,
     Served,
+    SharedParameter,
     Subscription,
 )
 from construction_twin.ros.shared.stop_memory import StopMemory
@@ -118,7 +119,8 @@ class MqttBridge:
         diagnostics: Counts what is refused.
         mirrors: Whether the arm leads from the start.
         waits: Why the bridge before this one waited for a person, in a sentence; empty: it did not.
-        remember: Keeps such a sentence for the bridge after this one; it may take as long as the master does.
+        remember, remember_mirror: Keep such a sentence, and whether the arm leads, for the bridge after this one; they may take as
+            long as the master does.
     """
 
     def __init__(
@@ -134,6 +136,7 @@ class MqttBridge:
         mirrors: bool = False,
         waits: str = "",
         remember: Callable[[str], object] = lambda waits: None,
+        remember_mirror: Callable[[bool], object] = lambda mirrors: None,
     ):
         self._settings = settings
         self._codec = codec
@@ -149,7 +152,7 @@ class MqttBridge:
         self._tool = ToolLink(lambda: uuid.uuid4().hex)
         # orders what is published on `tool`: it comes from several threads
         self._tool_lock = threading.Lock()
-        self._mirror_lock = threading.Lock()
+        self._mirror_lock, self._put_mirror = threading.Lock(), remember_mirror
         self._tool_told: ToolReport | None = None
         #: Id of the plan that the executor plays, or has played last.
         self._played = ""
@@ -544,7 +547,7 @@ class MqttBridge:
         try:
             # one after the other, and each what is the case then: several threads write
             with self._mirror_lock:
-                rospy.set_param(MIRROR_MODE, self._supervisor.mirrors)
+                self._put_mirror(self._supervisor.mirrors)
         except (OSError, rospy.ROSException, xmlrpc.client.Error, http.client.HTTPException) as error:
             rospy.logwarn("mirror mode would not outlast this node: %s was not written (%s)", MIRROR_MODE, error)
             return str(error) or type(error).__name__
@@ -658,9 +661,10 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
         ),
         ports.diagnostics,
         # not a private parameter: those hold settings, and this was asked for while the bridge ran
-        mirrors=rospy.get_param(MIRROR_MODE, False) is True,
-        waits=str(rospy.get_param(WAITS, "")),
-        remember=partial(rospy.set_param, WAITS),
+        mirrors=ports.parameters[MIRROR_MODE] is True,
+        waits=str(ports.parameters[WAITS]),
+        remember=ports.keeper(WAITS),
+        remember_mirror=ports.keeper(MIRROR_MODE),
     )
     bridge.connect()
     return bridge
@@ -668,6 +672,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
 
 INTERFACE = Interface(
     report=MqttBridge.report,
+    parameters=(SharedParameter(MIRROR_MODE, False, kept=True), SharedParameter(WAITS, "", kept=True)),
     publishes=(
         PosePublication("physical/joint_states"),
         PosePublication("physical/feedback", Feedback),

@@ -46,6 +46,7 @@ from construction_twin.ros.shared.ports import (
     Interface,
     NewestPose,
     Ports,
+    SharedParameter,
     Subscription,
 )
 from construction_twin.ros.shared.pose_judge import PoseJudge
@@ -437,9 +438,9 @@ def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: P
         files = PrivateFiles(ros_home() / settings.private, robot.name)
         for problem in files.write_robot(robot.urdf):
             node.refuse("mesh", problem)
-        if not rospy.has_param("work"):
+        if ports.parameters["work"] is None:
             files.drop_building()
-    deployment = deployment_of(rospy.get_param("startup", None), rospy.get_namespace().rstrip("/"))
+    deployment = deployment_of(ports.parameters["startup"], rospy.get_namespace().rstrip("/"))
     feed = ConsoleFeed(topics, robot.base_link, node.publish_now, node.refuse, deployment, files)
     services = {kind: rospy.ServiceProxy(service.name, service.kind) for kind, service in PLAN_SERVICES.items()}
     around = RobotContext(
@@ -490,6 +491,7 @@ def _fed(handler: Callable[[ConsoleFeed, Any], object]) -> Callable[[MqttPlanner
 
 INTERFACE = Interface(
     report=MqttPlanner.report,
+    parameters=(SharedParameter("work"), SharedParameter("startup")),
     reads=(NewestPose("twin/joint_states"), NewestPose("physical/joint_states")),
     hears=(
         Subscription("execution", Execution, MqttPlanner.on_execution, queue_size=10),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import threading
 import time
 from collections import deque
@@ -38,6 +37,7 @@ from construction_twin.ros.shared.ports import (
     PoseSubscription,
     Publication,
     Served,
+    SharedParameter,
     Subscription,
 )
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
@@ -359,15 +359,16 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode
             ports.publishers["sync"],
             TransitionReport(settings.transition_file, names, ports.publishers["transitions"]),
             rospy.ServiceProxy("plan_to_joints", PlanToJoints),
-            functools.partial(rospy.set_param, PARAMETER),
+            ports.keeper(PARAMETER),
         ),
         ports.diagnostics,
-        rospy.get_param(PARAMETER, "") if compares else "",
+        ports.parameters[PARAMETER] if compares else "",
     )
 
 
 INTERFACE = Interface(
     report=PcaMonitorNode.report,
+    parameters=(SharedParameter(PARAMETER, "", kept=True),),
     publishes=(
         PosePublication("command/joint_states"),
         Publication("sync", Sync, queue_size=50, latch=True, tcp_nodelay=True),

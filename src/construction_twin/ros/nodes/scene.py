@@ -29,7 +29,7 @@ from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.planning_scene import PLANNING_SCENE, PlanningScenePublisher
-from construction_twin.ros.shared.ports import Every, Interface, NewestPose, Ports, Publication, Served
+from construction_twin.ros.shared.ports import Every, Interface, NewestPose, Ports, Publication, Served, SharedParameter
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.edits import SceneFile
@@ -53,6 +53,8 @@ from construction_twin.srv import (
 
 #: Oldest pose of the twin that counts as its present one; longest wait for it and for a transform [s].
 _PATIENCE = 1.0
+#: roslaunch's id of this run.
+_RUN = "/run_id"
 
 
 class Settings(pydantic.BaseModel):
@@ -80,7 +82,7 @@ class SceneNode:
         self._robot = robot
         self._prefix = settings.tf_prefix.rstrip("/")
         start = read_scene(settings.scene)
-        self._file = _scene_file(start)
+        self._file = _scene_file(start, ports.parameters[_RUN])
         scene = self._file.load()
         if scene.hash != start.hash:
             rospy.logwarn("scene %s: goes on after the edits of this run, from %s", scene.hash[:12], self._file.path)
@@ -255,11 +257,10 @@ class SceneNode:
         self._marker_publisher.publish(markers)
 
 
-def _scene_file(start: Scene) -> SceneFile:
+def _scene_file(start: Scene, run: str) -> SceneFile:
     """Return the file of this run's edits: one per node and ROS master, so that two masters of one user do not meet in it."""
-    run = rospy.get_param("/run_id", "")
     if not run:
-        raise ConfigurationError("/run_id", run, Sentence("expected.run_id"))
+        raise ConfigurationError(_RUN, run, Sentence("expected.run_id"))
     name = re.sub(r"\W+", "_", f"{rosgraph.get_master_uri()} {rospy.get_name()}")
     return SceneFile(ros_home() / f"{name}_edits.json", run, start)
 
@@ -267,6 +268,7 @@ def _scene_file(start: Scene) -> SceneFile:
 _edit = functools.partial(Served, refused=SceneNode.present_hash)
 INTERFACE = Interface(
     report=SceneNode.report,
+    parameters=(SharedParameter(_RUN, ""),),
     publishes=(
         Publication("scene", SceneMsg, queue_size=1, latch=True),
         Publication("scene_markers", MarkerArray, queue_size=1, latch=True),

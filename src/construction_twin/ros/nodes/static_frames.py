@@ -15,7 +15,7 @@ from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.robot.urdf import parse_urdf
 from construction_twin.ros.messages.scene_convert import tf_frame
 from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.ports import Interface, Ports, Publication
+from construction_twin.ros.shared.ports import Interface, Ports, Publication, SharedParameter
 from construction_twin.scene.cell import load_cell
 
 
@@ -38,7 +38,7 @@ class StaticFramesNode:
     """Sends the static transforms once; they are latched."""
 
     def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
-        cell = rospy.get_param("cell", None)
+        cell = ports.parameters["cell"]
         place = Pose(np.zeros(3), np.eye(3)) if cell is None else load_cell(cell).world_T_root(robot.name)
         # the URDF's root, which need not be the base of the chain: any other link has a parent already
         base = parse_urdf(robot.urdf).get_root()
@@ -62,7 +62,10 @@ class StaticFramesNode:
         return message
 
 
-INTERFACE = Interface(publishes=(Publication("/tf_static", TFMessage, queue_size=100, latch=True),))
+INTERFACE = Interface(
+    parameters=(SharedParameter("cell"),),
+    publishes=(Publication("/tf_static", TFMessage, queue_size=100, latch=True),),
+)
 NODE = NodeShell("static_frames", Settings, StaticFramesNode, INTERFACE)
 
 

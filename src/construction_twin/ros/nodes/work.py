@@ -48,6 +48,7 @@ from construction_twin.ros.shared.ports import (
     Ports,
     Publication,
     Served,
+    SharedParameter,
     Subscription,
     has_arm,
 )
@@ -568,7 +569,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:
     return WorkNode(
         settings,
         robot,
-        rospy.get_param("planner", {}),
+        ports.parameters["planner"],
         worker,
         WorkListener(ports.connections, rospy.is_shutdown, review_file, refuse),
         Inputs(functools.partial(twin.pose, age, age), functools.partial(arm.pose, age, age), frames.transform),
@@ -590,6 +591,7 @@ def _heard(handler: Callable[[WorkListener, Any], object]) -> Callable[[WorkNode
 
 INTERFACE = Interface(
     report=WorkNode.report,
+    parameters=(SharedParameter("planner", {}),),
     publishes=(
         Publication("work/tasks", WorkTasks, queue_size=5, latch=True),
         Publication("work/markers", MarkerArray, queue_size=2, latch=True),

@@ -1,4 +1,4 @@
-"""What a node has to do with ROS, declared: topics that it publishes and hears, services, timers; `Ports` opens them.
+"""What a node has to do with ROS, declared: parameters, topics that it publishes and hears, services, timers; `Ports` opens them.
 
 A declaration is data, so that a test without a master compares it with docs/reference/topics.md. Its handler is a function whose
 first argument is the node, mostly a method of its class; it is bound to the node once, when the subscription is opened: what comes
@@ -40,6 +40,21 @@ def always(_settings: Any) -> bool:
 def has_arm(settings: Any) -> bool:
     """Return whether there is a physical arm, mock or real."""
     return settings.arm != "none"
+
+
+@dataclass(frozen=True)
+class SharedParameter:
+    """A parameter beside the node's private ones, read once, before the node is made.
+
+    Attributes:
+        name: In the robot's namespace, or absolute.
+        default: What counts where there is none.
+        kept: Whether the node writes it too, for the process after it (`Ports.keeper`).
+    """
+
+    name: str
+    default: object = None
+    kept: bool = False
 
 
 @dataclass(frozen=True)
@@ -200,6 +215,7 @@ class Interface:
     """
 
     report: Callable[[Any], Report] | None = None
+    parameters: tuple[SharedParameter, ...] = ()
     publishes: tuple[Publication | PosePublication, ...] = ()
     reads: tuple[NewestPose, ...] = ()
     hears: tuple[Subscription | PoseSubscription, ...] = ()
@@ -216,12 +232,16 @@ class Ports:
     anybody else hears of the shutdown.
 
     Attributes:
+        parameters: Values of the shared ones, by name.
         publishers, poses: By topic; without what is not there with these parameters.
     """
 
     def __init__(self, interface: Interface, settings: Any, robot: RobotModel):
         self._interface, self._settings, self._robot = interface, settings, robot
         self._node: object = None
+        self.parameters: dict[str, Any] = {
+            each.name: rospy.get_param(each.name, each.default) for each in interface.parameters
+        }
         self._diagnostics = None if interface.report is None else NodeDiagnostics(robot.name, self._report)
         opened = ((each.topic, each.open(robot)) for each in interface.publishes)
         self.publishers: dict[str, Sink] = {topic: publisher for topic, publisher in opened if publisher is not None}
@@ -237,6 +257,11 @@ class Ports:
         """Where the node counts what it refuses; only of one that reports."""
         assert self._diagnostics is not None  # it reports
         return self._diagnostics
+
+    def keeper(self, name: str) -> Callable[[Any], None]:
+        """Return what writes a shared parameter that is `kept`; it may take as long as the master does."""
+        assert any(each.kept for each in self._interface.parameters if each.name == name), name
+        return partial(rospy.set_param, name)
 
     def connect(self, node: object) -> None:
         """Open what the node hears, what it serves, and what it does again and again."""
