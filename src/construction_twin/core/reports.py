@@ -55,7 +55,7 @@ class SyncReport:
 
 @dataclass(frozen=True)
 class LinkReport:
-    """The bridge's report: `Link.msg`, without its histogram.
+    """The bridge's report: `Link.msg`.
 
     Attributes:
         text: State as a word; `state` is its number.
@@ -63,6 +63,7 @@ class LinkReport:
         responsible: Who has armed a bare PLC; empty otherwise.
         not_checked: What is not checked with a bare PLC, one sentence each.
         gateway_kind: `rsi`, or `plc` for a bare one.
+        reply_us_bins, reply_us_counts: Times that the gateway's replies took: upper edges [us], and how many were no longer.
     """
 
     text: str
@@ -77,6 +78,10 @@ class LinkReport:
     session: str = ""
     state: int = 0
     stamp: int = 0
+    commands_sent: int = 0
+    states_received: int = 0
+    reply_us_bins: tuple[int, ...] = ()
+    reply_us_counts: tuple[int, ...] = ()
 
     @property
     def late(self) -> int | None:

@@ -42,7 +42,7 @@ def test_pairs_of_key_and_value_are_a_mapping():
 
 def test_what_has_no_place_on_the_other_side_is_left_alone():
     assert to_msg(ExecutionReport("IDLE", "why"), Sync).reason == "why"
-    assert not hasattr(from_msg(LinkReport, Link(text="ARMED", reply_us_bins=[1])), "reply_us_bins")
+    assert not hasattr(from_msg(SyncReport, Link(text="ARMED", session="s")), "session")
 
 
 NUMBERS = st.floats(allow_nan=False)

@@ -7,19 +7,18 @@ import threading
 import time
 import uuid
 import xmlrpc.client
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
 import pydantic
 import rospy
-from diagnostic_msgs.msg import KeyValue
 from std_srvs.srv import SetBool, Trigger
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.records import SPACED, dumped
-from construction_twin.core.reports import ToolReport
+from construction_twin.core.reports import LinkReport, ToolReport
 from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.travel_time import StateCheck
@@ -48,6 +47,7 @@ from construction_twin.mqtt.messages import (
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Execution, Feedback, Link, SpeedLimit, Sync, ToolCommand, ToolState
 from construction_twin.robot.description import RobotModel
+from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.tool import tool_report_to_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
@@ -580,7 +580,7 @@ class MqttBridge:
         if not changed and now - self._reported_at < 1.0:
             return
         self._reported, self._reported_at = news, now
-        self._outputs.link.publish(self._link_message(*state, status, values))
+        self._outputs.link.publish(to_msg(self._link_report(*state, status, values), Link))
         if changed:
             self._client.publish(self._topics.bridge_status, self._status_report(), qos=1, retain=True)
             self._log_queue.add(rospy.loginfo, "%s: %s", state[0].name, state[1])
@@ -597,27 +597,35 @@ class MqttBridge:
         status = self._supervisor.status
         return both(reason, controller_sentence(status), clock_sentence(status))
 
-    def _link_message(self, state: LinkState, reason: str, session: str, status: dict, values: dict[str, str]) -> Link:
+    def _link_report(
+        self, state: LinkState, reason: str, session: str, status: Mapping, values: Mapping[str, str]
+    ) -> LinkReport:
         # a copy: other threads go on counting
         refused = self._diagnostics.refused
-        message = Link(state=state.value, text=state.name, reason=reason, session=session)
-        message.header.stamp = rospy.Time.now()
-        message.gateway_kind, message.responsible = self._supervisor.kind, self._supervisor.responsible
-        message.not_checked = list(self._supervisor.not_checked)
-        message.gateway_state = str(status.get("state", "offline"))
-        message.commands_sent = self._sequence
-        message.commands_refused = sum(count for name, count in refused.items() if not name.startswith("stat"))
-        message.states_received = self._states
-        message.states_refused = sum(count for name, count in refused.items() if name.startswith("stat"))
+        states_refused = sum(count for name, count in refused.items() if name.startswith("stat"))
+        reply = status.get("reply_us", {})
         counters = status.get("counters", {}) | values
         counters["decimals"] = status.get("decimals", "")
-        reply = status.get("reply_us", {})
         counters["reply_us_max"] = reply.get("max", 0)
         counters["states_lost"] = self._state_check.lost
-        message.gateway_counters = [KeyValue(key, str(value)) for key, value in sorted(counters.items())]
-        message.reply_us_bins = reply.get("bins", [])
-        message.reply_us_counts = reply.get("counts", [])
-        return message
+        return LinkReport(
+            state.name,
+            reason,
+            gateway_state=str(status.get("state", "offline")),
+            gateway_counters={key: str(value) for key, value in sorted(counters.items())},
+            commands_refused=sum(refused.values()) - states_refused,
+            states_refused=states_refused,
+            responsible=self._supervisor.responsible,
+            not_checked=tuple(self._supervisor.not_checked),
+            gateway_kind=self._supervisor.kind,
+            session=session,
+            state=state.value,
+            stamp=rospy.Time.now().to_nsec(),
+            commands_sent=self._sequence,
+            states_received=self._states,
+            reply_us_bins=tuple(reply.get("bins", ())),
+            reply_us_counts=tuple(reply.get("counts", ())),
+        )
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
