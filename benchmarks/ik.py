@@ -13,6 +13,7 @@ import argparse
 import importlib.util
 import json
 import platform
+import sys
 import time
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
@@ -25,7 +26,6 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from construction_twin.kinematics.chain import Chain
-from construction_twin.kinematics.dense_search import dense_search
 from construction_twin.kinematics.figures import (
     Figures,
     Problem,
@@ -40,6 +40,9 @@ from construction_twin.kinematics.solution import InverseKinematics
 from construction_twin.robot.description import RobotModel, read_robot_files
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "test/support"))
+from dense_search import dense_search  # noqa: E402
+
 ROBOTS = {
     "kr120": ("urdf/kr120r2500.urdf.xacro", "config/kr120.yaml"),
     "ur_like": ("test/data/ur_like.urdf", "test/data/ur_like.yaml"),

@@ -379,6 +379,7 @@ class Make(Generic[LayoutT]):
         name: As `makes` knows it, and `Layout.make`.
         absolute: True: replies carry positions of the axes; False: corrections to an origin.
         cycles: Those that it has [ms], each with its name on the controller.
+        references: What corrections may be relative to, in its words, the usual one first; (): there is nothing to choose.
         no_status: What it says of itself before the first telegram.
         plain: The layout of an arm without a file, from its axes.
         read_layout: The layout from what `Layout.document` returned; TypeError when it is none.
@@ -405,6 +406,7 @@ class Make(Generic[LayoutT]):
     controller_side: Callable[[MockSetup[LayoutT]], ControllerSide]
     tool_channels: Callable[[LayoutT], tuple[str, ...]]
     file: FileForm[LayoutT] | None = None
+    references: tuple[str, ...] = ()
 
     def layout_of(self, text: str, axes: Sequence[str]) -> LayoutT:
         """Return the layout of an arm; ConfigurationError for a text that is none.

@@ -46,7 +46,7 @@ class GatewayConfig:
         smoothing_cycles: Delay of the smoothing of played targets, in controller cycles; 0 for none.
         silence: The stream may be overdue this long before the gateway brakes and holds [s].
         max_age: A command may have travelled this much longer than the quickest one [s].
-        reference: What the corrections are relative to, in the make's word: RSI has ``ASPos`` and ``AIPos``.
+        reference: What the corrections are relative to, in the make's word (`Make.references`); "": its usual one.
         speed_limit_deadline: A speed limit's source that is silent for longer counts as silent [s].
         speed_limit_silent: Fraction of the velocity limits that holds then, 0 to 1.
         speed_limit_grace: Time in which the sender may obey a lowered limit before the gateway enforces it [s].
@@ -78,7 +78,7 @@ class GatewayConfig:
     smoothing_cycles: int = 0
     silence: float = 0.1
     max_age: float = 0.5
-    reference: str = "ASPos"
+    reference: str = ""
     speed_limit_deadline: float = 0.5
     speed_limit_silent: float = 0.1
     speed_limit_grace: float = 0.5
@@ -108,6 +108,8 @@ class GatewayConfig:
             )
         if self.layout is None:
             object.__setattr__(self, "layout", make_of(DEFAULT).plain(self.axes))
+        if not self.reference and self.make.references:
+            object.__setattr__(self, "reference", self.make.references[0])
         cycles = self.make.cycles
         if type(self.cycle) is not int or self.cycle not in cycles:
             expected = Sentence("expected.cycle_why", cycles=" or ".join(map(str, cycles)), why=self.make.words.cycles)
@@ -157,6 +159,9 @@ class GatewayConfig:
                 raise ConfigurationError(name, value, Sentence("expected.positive"))
         if not set(self.linear) <= set(self.axes):
             raise ConfigurationError("linear", self.linear, Sentence("expected.some_axes", axes=", ".join(self.axes)))
+        known = self.make.references
+        if known and self.reference not in known:
+            raise ConfigurationError("reference", self.reference, Sentence("expected.one_of", known=", ".join(known)))
         self.make.check(self)
 
     @property

@@ -30,7 +30,7 @@ from construction_twin.gateway.part_steps import PartSteps
 from construction_twin.gateway.player import Player
 from construction_twin.gateway.refusals import Refusals, UnreadReport
 from construction_twin.gateway.replies import Replies, moved
-from construction_twin.gateway.speed_limit import SpeedLimit
+from construction_twin.gateway.speed_limit import EnforcedSpeedLimit
 from construction_twin.gateway.states import CAUSES, ROWS, Action, Event, Guard, Mode, Occasion, Row, State, noted
 from construction_twin.gateway.status import StateReport, Status
 from construction_twin.gateway.stop_report import StopReport
@@ -122,7 +122,7 @@ class Gateway:
         self._player = Player(config, self.counters)
         self._intake = CommandIntake(config, self.codec, self._player)
         #: How fast the arm may move, as the source of `speed_limit` asks.
-        self.speed = SpeedLimit(config)
+        self.speed = EnforcedSpeedLimit(config)
         self._stopping = StopReport(config.limits.linear)
         #: The tool's outputs; None without a tool.
         self.tool = ToolSwitches(config.tool, config.layout, config.cycle_ns, self.counters) if config.tool else None

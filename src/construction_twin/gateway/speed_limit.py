@@ -26,7 +26,7 @@ class _Given:
     fraction: float
 
 
-class SpeedLimit:
+class EnforcedSpeedLimit:
     """The fraction of the velocity limits at which the arm may move.
 
     It is optional. Once one was given, silence for longer than the deadline counts as the fraction for silence, or as the

@@ -229,7 +229,7 @@ class MockController:
                 return self._refuse("late_replies", "late", late)
             found = f"the reply carries {self.words.stamp} {telegram.controller_ms}"
             expected = f"{found}; expected that of the packet, unchanged: {self.stamp}"
-            return self._refuse("mismatched", "ipoc", expected)
+            return self._refuse("mismatched", "stamp", expected)
         if not in_time:
             return self._refuse(
                 "late_replies",
@@ -269,11 +269,6 @@ class MockController:
         """Select T1: the tool moves no faster than `speed` [m/s]."""
         self._tool_speed = speed
         self._tool_limit = self._make_tool_limit(self.setpoint, self._last_step)
-
-    @property
-    def limits_tool_speed(self) -> bool:
-        """Whether the tool is limited: in T1, and after it until the arm has caught up."""
-        return self._tool_limit is not None
 
     def lift_tool_speed(self) -> None:
         """Select another mode: the arm catches up within its limits."""

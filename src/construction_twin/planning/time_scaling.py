@@ -40,7 +40,7 @@ SLOWER_TRIES = 10
 
 
 @dataclass(frozen=True, eq=False)
-class MotionLimits:
+class TimeScalingLimits:
     """The part of the robot's limits that a motion may use; all symmetric.
 
     Attributes:
@@ -52,7 +52,7 @@ class MotionLimits:
     jerk: np.ndarray
 
     @classmethod
-    def fractions(cls, robot: RobotModel, velocity: float, acceleration: float) -> MotionLimits:
+    def fractions(cls, robot: RobotModel, velocity: float, acceleration: float) -> TimeScalingLimits:
         """Return fractions of a robot's velocity and acceleration limits, and `JERK_FRACTION` of its jerk limit."""
         limits = ((velocity, robot.velocity), (acceleration, robot.acceleration), (JERK_FRACTION, robot.jerk))
         return cls(*(fraction * np.array(limit) for fraction, limit in limits))
@@ -119,7 +119,7 @@ class RestToRest:
         return smoothed(PPoly(pieces, knots), self.window, JERK_RISE)
 
 
-def straight_time_scaling(curve: JointCurve, limits: MotionLimits, top_speed: float = math.inf) -> TimeScaling:
+def straight_time_scaling(curve: JointCurve, limits: TimeScalingLimits, top_speed: float = math.inf) -> TimeScaling:
     """Return the fastest smooth time scaling of a straight curve.
 
     Args:
@@ -146,7 +146,7 @@ class TimeScalingSearch:
         PlanningError: From `find`, if no motion is within the limits.
     """
 
-    def __init__(self, curve, limits: MotionLimits, top_speed: float = math.inf):
+    def __init__(self, curve, limits: TimeScalingLimits, top_speed: float = math.inf):
         self._limits = limits
         self._grid = _stages(curve.knots)
         self._first, self._second = curve(self._grid, 1), curve(self._grid, 2)

@@ -21,9 +21,9 @@ from construction_twin.planning.limit_usage import check_range, sampled_usage
 from construction_twin.planning.request_limits import PlanBounds, check_path, check_request, distinct
 from construction_twin.planning.time_scaling import (
     JERK_FRACTION,
-    MotionLimits,
     RestToRest,
     TimeScaling,
+    TimeScalingLimits,
     TimeScalingSearch,
     straight_time_scaling,
 )
@@ -246,7 +246,7 @@ class _Request:
 
     def timed(self, curve, ends: np.ndarray, top_speed: float = math.inf) -> TimedCurve:
         """Return the fastest motion along a curve."""
-        limits = MotionLimits.fractions(self.robot, self.velocity_fraction, self.acceleration_fraction)
+        limits = TimeScalingLimits.fractions(self.robot, self.velocity_fraction, self.acceleration_fraction)
         if getattr(curve, "straight", False):
             return self._slowed(curve, straight_time_scaling(curve, limits, top_speed), ends)
         check_range(curve(_between(curve.knots)), self.robot)

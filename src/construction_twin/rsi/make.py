@@ -16,7 +16,6 @@ from construction_twin.controller.port import (
     Setup,
     Words,
 )
-from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 from construction_twin.rsi.ethernet_xml import (
@@ -49,10 +48,8 @@ def check(setup: Setup[RsiLayout]) -> None:
     """Check that RSI can serve an arm as it is configured.
 
     Raises:
-        ConfigurationError: For a reference that RSI has not, and as `check_gateway` and `check_tool`.
+        ConfigurationError: As `check_gateway` and `check_tool`.
     """
-    if setup.reference not in ("ASPos", "AIPos"):
-        raise ConfigurationError("reference", setup.reference, Sentence("expected.xml.reference"))
     check_gateway(setup.layout, setup.axes, _FILE)
     check_tool(setup.tool, setup.layout, _FILE)
 
@@ -182,4 +179,5 @@ MAKE = Make(
         write=ethernet_xml_text,
         sends_to=controller_sends_to,
     ),
+    references=("ASPos", "AIPos"),
 )

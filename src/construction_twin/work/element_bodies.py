@@ -29,8 +29,8 @@ from construction_twin.scene.triangle_mesh import hull_mesh
 from construction_twin.work.building import Body, Element, Extrusion
 from construction_twin.work.containment import HELD, excess, lost
 from construction_twin.work.convex_cells import convex_cells
+from construction_twin.work.convex_decomposition import decomposed
 from construction_twin.work.convex_polygons import convex_polygons
-from construction_twin.work.decomposition import decomposed
 from construction_twin.work.solids import (
     hull_solid,
     mesh_of,

@@ -25,7 +25,7 @@ from speed_limit_cell import (
 
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.gateway.gateway import State
-from construction_twin.gateway.speed_limit import SpeedLimit
+from construction_twin.gateway.speed_limit import EnforcedSpeedLimit
 from construction_twin.mqtt.messages import Control
 
 
@@ -66,8 +66,8 @@ class TestWhoAndWhat:
 
 
 class TestDeadlineAndGrace:
-    def limit(self) -> SpeedLimit:
-        return SpeedLimit(CONFIG)
+    def limit(self) -> EnforcedSpeedLimit:
+        return EnforcedSpeedLimit(CONFIG)
 
     def test_without_a_source_there_is_no_limit(self):
         limit = self.limit()
@@ -224,7 +224,7 @@ class TestPlaying:
         assert fastest(cell, 0) == 0.0
 
     def test_a_stop_whose_source_dies_before_the_grace_is_over_still_comes(self):
-        limit = SpeedLimit(dataclasses.replace(CONFIG, speed_limit_deadline=0.2, speed_limit_grace=0.5))
+        limit = EnforcedSpeedLimit(dataclasses.replace(CONFIG, speed_limit_deadline=0.2, speed_limit_grace=0.5))
         limit.give(0.0, "s", 0)
         fractions = []
         for now in range(0, 2 * SECOND, 100 * MS):

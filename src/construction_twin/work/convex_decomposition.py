@@ -38,7 +38,7 @@ def decomposed(
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "construction_twin.work.decomposition"],
+            [sys.executable, "-m", "construction_twin.work.convex_decomposition"],
             input=sent.getvalue(), capture_output=True, timeout=seconds, env=environment, check=False,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
