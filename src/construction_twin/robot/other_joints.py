@@ -95,13 +95,13 @@ def other_joints_text(others: Sequence[OtherJoint], base_link: str, tip_link: st
 def _check_taker(name: str, value: float, others: Mapping[str, Joint], settable: Sequence[str]) -> None:
     where = f"robot/other_joints/{name}"
     if name not in others:
-        expected = f"one of the joints outside of the chain that take a value: {list(settable)}"
+        expected = Sentence("expected.robot.takers", joints=str(list(settable)))
         raise ConfigurationError(where, value, expected)
     joint = others[name]
     if joint.mimic is not None:
-        raise ConfigurationError(where, value, f"no value: it follows {joint.mimic.joint}")
+        raise ConfigurationError(where, value, Sentence("expected.robot.follows", joint=joint.mimic.joint))
     if joint.joint_type not in _UNITS:
-        raise ConfigurationError(where, value, f"no value: a {joint.joint_type} joint stands at zero")
+        raise ConfigurationError(where, value, Sentence("expected.robot.at_zero", kind=joint.joint_type))
 
 
 def _position(
@@ -112,9 +112,9 @@ def _position(
         leader = joint.mimic.joint
         where = f"robot_description joint {joint.name} mimic"
         if leader in passed:
-            raise ConfigurationError(where, leader, "a joint that does not follow it")
+            raise ConfigurationError(where, leader, Sentence("expected.robot.leader"))
         if leader not in others and leader not in chain:
-            raise ConfigurationError(where, leader, "a movable joint of the URDF")
+            raise ConfigurationError(where, leader, Sentence("expected.robot.movable_of"))
         # the attributes are optional
         offset += factor * float(joint.mimic.offset or 0.0)
         factor *= 1.0 if joint.mimic.multiplier is None else float(joint.mimic.multiplier)
@@ -133,13 +133,19 @@ def _stands_at(joint: Joint, given: float | None) -> float:
     unit, limit = _UNITS[joint.joint_type], joint.limit
     where = f"robot_description joint {joint.name} limit"
     if limit is None:
-        raise ConfigurationError(where, None, f"lower and upper [{unit}]")
+        raise ConfigurationError(where, None, Sentence("expected.robot.bounds", unit=unit))
     lower, upper = float(limit.lower or 0.0), float(limit.upper or 0.0)
     if not (math.isfinite(lower) and math.isfinite(upper) and lower <= upper):
-        raise ConfigurationError(where, f"lower {lower}, upper {upper}", f"finite ones, lower <= upper [{unit}]")
+        raise ConfigurationError(
+            where, f"lower {lower}, upper {upper}", Sentence("expected.robot.finite_range", unit=unit)
+        )
     if given is None:
         # as joint_state_publisher, which shows the twin's
         return 0.0 if lower <= 0.0 <= upper else (lower + upper) / 2.0
     if not lower <= given <= upper:
-        raise ConfigurationError(f"robot/other_joints/{joint.name}", given, f"{lower:g} to {upper:g} [{unit}]")
+        raise ConfigurationError(
+            f"robot/other_joints/{joint.name}",
+            given,
+            Sentence("expected.robot.within", lower=lower, upper=upper, unit=unit),
+        )
     return given

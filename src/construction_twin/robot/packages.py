@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import rospkg
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import NAME, share_folder
 
 
@@ -37,16 +38,16 @@ class Packages:
             if name == NAME:
                 # installed by pip: no folder of ROS_PACKAGE_PATH holds it
                 return share_folder()
-            searched = os.pathsep.join(error.ros_paths or ()) or "which names no folder"
+            searched = os.pathsep.join(error.ros_paths or ()) or Sentence("expected.robot.no_folders")
             raise ConfigurationError(
                 where,
                 f"no ROS package {name!r}",
-                f"one below a folder of ROS_PACKAGE_PATH ({searched}); source the workspace that holds it, or add its folder",
+                Sentence("expected.robot.package", folders=searched),
             ) from error
         except (ElementTree.ParseError, AttributeError) as error:
             # AttributeError: rospkg's, of a package.xml without a name
             raise ConfigurationError(
-                where, f"a package.xml that cannot be read ({error})", "well-formed ones below ROS_PACKAGE_PATH"
+                where, f"a package.xml that cannot be read ({error})", Sentence("expected.robot.well_formed_packages")
             ) from error
 
     def file(self, uri: str, where: str) -> Path:
@@ -69,9 +70,9 @@ class Packages:
         else:
             path = Path()
         if not path.is_absolute():
-            raise ConfigurationError(where, uri, "package://<package>/<path>, file:///<path> or an absolute path")
+            raise ConfigurationError(where, uri, Sentence("expected.robot.mesh_uri"))
         if not path.is_file():
-            raise ConfigurationError(where, uri, f"a file; there is no {path}")
+            raise ConfigurationError(where, uri, Sentence("expected.robot.no_file", path=str(path)))
         return path
 
 

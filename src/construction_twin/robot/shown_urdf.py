@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.files import read_file
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.packages import Packages
 
 #: Largest mesh file [bytes].
@@ -67,9 +68,11 @@ def shown_urdf(urdf: str, folder: str) -> ShownUrdf:
 def _read(path: Path) -> tuple[str, bytes]:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise ConfigurationError(str(path), f"a mesh that ends in {suffix!r}", f"one of {', '.join(SUFFIXES)}")
+        raise ConfigurationError(
+            str(path), f"a mesh that ends in {suffix!r}", Sentence("expected.one_of", known=", ".join(SUFFIXES))
+        )
     try:
         contents = read_file(path, _LARGEST)
     except OSError as error:
-        raise ConfigurationError(str(path), error.strerror, "a readable mesh file") from error
+        raise ConfigurationError(str(path), error.strerror, Sentence("expected.robot.mesh_file")) from error
     return hashlib.sha256(contents).hexdigest() + suffix, contents

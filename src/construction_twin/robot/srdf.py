@@ -10,6 +10,7 @@ from itertools import combinations
 from xml.etree import ElementTree
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.planning_groups import end_effectors, moving_joint, moving_joints, planning_groups
 from construction_twin.robot.urdf import parse_urdf
@@ -86,7 +87,7 @@ def _add_collisions(root: ElementTree.Element, robot: RobotModel, ignored: Mappi
     links = [link.name for link in model.links if link.collisions]
     unknown = sorted({link for pair in ignored for link in pair} - set(model.link_map))
     if unknown:
-        raise ConfigurationError("self_collision ignored", unknown[0], "a link of the URDF; make the file anew")
+        raise ConfigurationError("self_collision ignored", unknown[0], Sentence("expected.robot.link_anew"))
     moving = moving_joints(robot)
     carrier = {link: moving_joint(model, link, moving) for link in links}
     joined = {frozenset((joint.parent, joint.child)) for joint in model.joints}
@@ -107,5 +108,7 @@ def _add_collisions(root: ElementTree.Element, robot: RobotModel, ignored: Mappi
 def _words(ignored: Mapping[frozenset[str], str]):
     for pair, reason in ignored.items():
         if reason not in REASONS:
-            raise ConfigurationError("self_collision ignored", reason, f"one of the reasons {sorted(REASONS)}")
+            raise ConfigurationError(
+                "self_collision ignored", reason, Sentence("expected.robot.reasons", reasons=str(sorted(REASONS)))
+            )
         yield pair, REASONS[reason]

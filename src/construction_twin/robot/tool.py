@@ -132,23 +132,21 @@ class Tool(_Strict):
     @pydantic.model_validator(mode="after")
     def _consistent(self) -> Tool:
         if len(set(self.inputs)) != len(self.inputs):
-            raise ValueError("expected inputs with different names")
+            raise ValueError(Sentence("expected.tool.inputs"))
         if self.mass + self.payload > self.load:
-            raise ValueError(
-                f"expected mass and payload, {self.mass + self.payload:g} kg, within load, {self.load:g} kg"
-            )
+            raise ValueError(Sentence("expected.tool.load", mass=self.mass + self.payload, load=self.load))
         for name, action in (("grip", self.grip), ("release", self.release)):
             unknown = sorted((set(action.set) - set(self.outputs)) | (set(action.confirm) - set(self.inputs)))
             if unknown:
-                raise ValueError(f"expected known outputs and inputs in {name}, not {', '.join(unknown)}")
+                raise ValueError(Sentence("expected.tool.known", action=name, names=", ".join(unknown)))
         opening = {name: output.opens for name, output in self.outputs.items() if output.opens is not None}
         if not opening:
-            raise ValueError("expected opens for at least one output: the value that lets go of a workpiece")
+            raise ValueError(Sentence("expected.tool.opens"))
         for name, value in opening.items():
             if self.grip.set.get(name) is value:
-                raise ValueError(f"expected a grip that does not set {name} to the value that opens")
+                raise ValueError(Sentence("expected.tool.grip", output=name))
             if self.release.set.get(name) is not value:
-                raise ValueError(f"expected a release that sets {name} to the value that opens")
+                raise ValueError(Sentence("expected.tool.release", output=name))
         return self
 
 
@@ -169,7 +167,7 @@ def read_tool(path: str | Path) -> ToolFile:
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(str(path), str(error), "a YAML file of a tool") from error
+        raise ConfigurationError(str(path), str(error), Sentence("expected.tool.file")) from error
     return ToolFile(tool_of(description, str(path)), Path(path).resolve().parent)
 
 

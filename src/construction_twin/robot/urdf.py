@@ -19,6 +19,7 @@ from urdf_parser_py.xml_reflection.core import ParseError
 from xacro.substitution_args import ArgException
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.packages import Packages
 
 _LOG = logging.getLogger(__name__)
@@ -35,17 +36,18 @@ def xacro_arguments(text: str) -> dict[str, str]:
     Raises:
         ConfigurationError: Naming the word that is none.
     """
-    expected = "words name=value, divided by spaces"
     try:
         words = shlex.split(text)
     except ValueError as error:
-        raise ConfigurationError("robot_xacro_args", text, f"{expected} ({error})") from error
+        raise ConfigurationError(
+            "robot_xacro_args", text, Sentence("expected.robot.words_but", problem=str(error))
+        ) from error
     arguments: dict[str, str] = {}
     for word in words:
         name, separator, value = word.partition("=")
         name = name.removesuffix(":")
         if not (name and separator):
-            raise ConfigurationError("robot_xacro_args", word, expected)
+            raise ConfigurationError("robot_xacro_args", word, Sentence("expected.robot.words"))
         arguments[name] = value
     return arguments
 
@@ -86,11 +88,13 @@ def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -
     except xacro.XacroException as error:
         raise _refusal(str(path), error) from error
     except ExpatError as error:
-        raise ConfigurationError(str(path), _found(str(path), error), "well-formed XML") from error
+        raise ConfigurationError(str(path), _found(str(path), error), Sentence("expected.xml.well_formed")) from error
     unknown = sorted(set(arguments or {}) - given.used)
     if unknown:
         raise ConfigurationError(
-            f"{path} argument", unknown[0], f"one of the arguments that the file has: {sorted(given.used) or 'none'}"
+            f"{path} argument",
+            unknown[0],
+            Sentence("expected.robot.arguments", names=str(sorted(given.used) or "none")),
         )
     return document.toprettyxml(indent="  ")
 
@@ -150,7 +154,7 @@ def parse_urdf(urdf: str) -> URDF:
         with contextlib.redirect_stderr(remarks):
             model = URDF.from_xml_string(urdf.encode())
     except (ParseError, ElementTree.ParseError, AssertionError, KeyError, ValueError) as error:
-        raise ConfigurationError("robot_description", str(error), "a URDF") from error
+        raise ConfigurationError("robot_description", str(error), Sentence("expected.urdf")) from error
     for remark in remarks.getvalue().splitlines():
         _LOG.debug("robot_description: %s", remark)
     return model
@@ -164,12 +168,12 @@ def chain_joints(model: URDF, base_link: str, tip_link: str) -> list[Joint]:
     """
     for key, link in (("robot/base_link", base_link), ("robot/tip_link", tip_link)):
         if link not in model.link_map:
-            raise ConfigurationError(key, link, f"one of the URDF's links {sorted(model.link_map)}")
+            raise ConfigurationError(key, link, Sentence("expected.robot.link_of", links=str(sorted(model.link_map))))
     joints: list[Joint] = []
     link = tip_link
     while link != base_link:
         if link not in model.parent_map or len(joints) == len(model.joints):
-            raise ConfigurationError("robot/tip_link", tip_link, f"a descendant of {base_link}")
+            raise ConfigurationError("robot/tip_link", tip_link, Sentence("expected.robot.descendant", base=base_link))
         name, link = model.parent_map[link]
         joints.append(model.joint_map[name])
     return joints[::-1]
@@ -185,5 +189,5 @@ def read_text(path: str | Path) -> str:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(
-            str(path), getattr(error, "strerror", None) or str(error), "a readable text file"
+            str(path), getattr(error, "strerror", None) or str(error), Sentence("expected.text_file")
         ) from error

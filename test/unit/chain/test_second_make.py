@@ -248,11 +248,11 @@ def test_a_file_a_cycle_and_a_make_that_are_not_there_are_refused():
         gateway_config(ROBOT, SETTINGS | LAUNCHED | {"ethernet_xml": "<ROOT/>"})
     with pytest.raises(ConfigurationError, match="cycle: found 4, expected 8 ms"):
         gateway_config(ROBOT, SETTINGS | LAUNCHED | {"cycle": 4})
-    with pytest.raises(ConfigurationError, match="make: found 'fanuc', one of rsi, frames"):
+    with pytest.raises(ConfigurationError, match="make: found 'fanuc', expected one of rsi, frames"):
         gateway_config(ROBOT, SETTINGS | {"make": "fanuc"})
     for given, words in (
         ({"make": "fanuc"}, "make\n.*one of rsi, frames"),
-        ({"cycle": 4}, "cycle\n.*expected 8"),
+        ({"cycle": 4}, "cycle\n.*8 ms"),
     ):
         with pytest.raises(ValueError, match=words):
             MockSettings(gateway_host="simulated", **LAUNCHED | given)
