@@ -9,6 +9,7 @@ import numpy as np
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import wrong_value
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
@@ -42,7 +43,9 @@ class Cell:
             ConfigurationError: If the cell has no such robot.
         """
         if robot not in self._places:
-            raise ConfigurationError("the cell's robots", sorted(self._places), f"one named {robot!r}")
+            raise ConfigurationError(
+                "the cell's robots", sorted(self._places), Sentence("expected.scene.robot", robot=repr(robot))
+            )
         return self._places[robot]
 
     def root_T_root(self, robot: str, other: str) -> Pose:  # noqa: N802 (a transform's name)

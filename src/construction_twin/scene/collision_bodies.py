@@ -18,11 +18,12 @@ import pinocchio
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.packages import with_mesh_files
 from construction_twin.scene.mesh_file import parse_mesh
-from construction_twin.scene.objects import SceneObject, one_of, read_mesh_file
+from construction_twin.scene.objects import SceneObject, listed, read_mesh_file
 from construction_twin.scene.triangle_mesh import surface
 
 #: A closed mesh is convex when no vertex lies further outside one of its faces than this fraction of its size.
@@ -86,9 +87,7 @@ class RobotBodies:
             full = pinocchio.buildModelFromXML(urdf)
             shapes = pinocchio.buildGeomFromUrdfString(full, urdf, pinocchio.GeometryType.COLLISION)
         except (ElementTree.ParseError, ValueError, RuntimeError) as error:
-            raise ConfigurationError(
-                "robot_description", str(error), "a URDF with readable collision shapes"
-            ) from error
+            raise ConfigurationError("robot_description", str(error), Sentence("expected.scene.urdf")) from error
         following = {other.name: other.following for other in robot.other_joints if other.following is not None}
         wanted = {*robot.joint_names, *following}
         locked = [index for index, name in enumerate(full.names) if index and name not in wanted]
@@ -141,7 +140,9 @@ class RobotBodies:
             SceneError: If the robot has no such link.
         """
         if link not in self.link_joints:
-            raise SceneError("a link's name", link, f"a link of the robot: {sorted(self.link_joints)}")
+            raise SceneError(
+                "a link's name", link, Sentence("expected.scene.link", links=str(sorted(self.link_joints)))
+            )
         data = self.model.createData()
         pinocchio.framesForwardKinematics(self.model, data, self.rows(np.array([q], dtype=float))[0])
         frame = data.oMf[self.model.getFrameId(link, pinocchio.FrameType.BODY)]
@@ -158,16 +159,15 @@ class RobotBodies:
             SceneError: If it names a link or object that does not exist, has a link's name, or its mesh cannot be used.
         """
         if item.link and item.link not in self.link_joints:
-            raise SceneError(
-                f"object {item.name!r} link", item.link, f"a link of the robot: {sorted(self.link_joints)}"
-            )
+            expected = Sentence("expected.scene.link", links=str(sorted(self.link_joints)))
+            raise SceneError(f"object {item.name!r} link", item.link, expected)
         for name in item.touch:
             if name not in self.link_joints and (name not in objects or name == item.name):
-                others = one_of("another object of the scene:", sorted(set(objects) - {item.name}))
-                expected = f"a link of the robot: {sorted(self.link_joints)}, or {others}"
+                links, others = str(sorted(self.link_joints)), listed(set(objects) - {item.name})
+                expected = Sentence("expected.scene.touch", links=links, names=others)
                 raise SceneError(f"object {item.name!r} touch", name, expected)
         if item.name in self.link_joints:
-            raise SceneError("an object's name", item.name, "a name that no link of the robot has")
+            raise SceneError("an object's name", item.name, Sentence("expected.scene.free_name"))
         pose = pinocchio.SE3(item.pose.rotation, item.pose.position)
         geometry = self._geometry(item)
         if not item.link:
@@ -239,9 +239,7 @@ def _mesh(item: SceneObject) -> coal.CollisionGeometry:
     where = f"object {item.name!r} mesh"
     contents = read_mesh_file(item.name, item.mesh)
     if hashlib.sha256(contents).hexdigest() != item.mesh_digest:
-        raise SceneError(
-            where, item.mesh, "the file that the object was made with; it has changed, add the object again"
-        )
+        raise SceneError(where, item.mesh, Sentence("expected.scene.same_mesh"))
     x, y, z = item.size
     vertices, triangles = parse_mesh(where, item.mesh, contents, (x, y, z))
     mesh = surface(vertices, triangles)
@@ -250,7 +248,7 @@ def _mesh(item: SceneObject) -> coal.CollisionGeometry:
             mesh.buildConvexHull(True, "Qt")
         except RuntimeError as error:
             # Qhull's own message is about its internals
-            raise SceneError(where, item.mesh, "a closed convex mesh that has a volume") from error
+            raise SceneError(where, item.mesh, Sentence("expected.scene.convex")) from error
         return mesh.convex
     return mesh
 
@@ -320,7 +318,7 @@ def shape_contents(geometry: coal.CollisionGeometry) -> list:
         numbers = geometry.points().ravel()
     else:
         raise ConfigurationError(
-            "robot_description collision shape", type(geometry).__name__, "a box, cylinder, sphere or mesh"
+            "robot_description collision shape", type(geometry).__name__, Sentence("expected.scene.shapes")
         )
     return [type(geometry).__name__, *(np.round(np.asarray(numbers, dtype=float), 9) + 0.0).tolist()]
 
@@ -349,7 +347,7 @@ def measured(
         if result.min_distance > UNKNOWN:
             result.min_distance -= size
             return result
-    raise SceneError("two shapes that touch", "no depth that Coal can measure", "a pose 0.1 mm from there")
+    raise SceneError("two shapes that touch", "no depth that Coal can measure", Sentence("expected.scene.depth"))
 
 
 def make_reliable(data: pinocchio.GeometryData, margins: Sequence[float] = ()) -> None:

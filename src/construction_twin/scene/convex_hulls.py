@@ -19,6 +19,7 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.stats import qmc
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.scene.collision_bodies import RobotBodies, is_convex, mesh_triangles
 from construction_twin.scene.mesh_file import binary_stl
 from construction_twin.scene.triangle_mesh import hull_mesh
@@ -78,7 +79,7 @@ def mesh_hulls(bodies: RobotBodies) -> list[Hull]:
         except QhullError as error:
             raise ConfigurationError(
                 f"robot_description link {body.link} collision mesh", f"{len(triangles)} triangles in one plane",
-                "a mesh that has a volume; leave the proposal out with --no-hulls",
+                Sentence("expected.scene.volume"),
             ) from error  # fmt: skip
         volume = closed_volume(vertices, triangles)
         estimated = volume is None

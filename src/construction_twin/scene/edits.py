@@ -15,6 +15,7 @@ import pydantic
 
 from construction_twin.core.files import read_file, write_whole
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import wrong_value
 from construction_twin.scene.objects import Scene, SceneObject
 
@@ -72,26 +73,28 @@ class SceneFile:
         except FileNotFoundError:
             return self.start
         except OSError as error:
-            raise self._wrong(str(error.strerror), "a readable file") from error
+            raise self._wrong(str(error.strerror), Sentence("expected.readable")) from error
         try:
             found = _File.model_validate_json(contents)
         except pydantic.ValidationError as error:
             wrong = wrong_value(error, _File.model_json_schema())
-            expected = f"a scene as the scene node writes it: {wrong.expected}"
+            expected = Sentence("expected.scene.edits_form", problem=wrong.expected)
             raise self._wrong(f"{wrong.key}: {wrong.value!r:.200}", expected) from error
         if found.run != self.run:
             return self.start
         if found.start != self.start.hash:
             raise self._wrong(
                 f"edits of a scene that began as {found.start[:12]}",
-                f"edits of {self.start.hash[:12]}, the one given now",
+                Sentence("expected.scene.edits_of", hash=self.start.hash[:12]),
             )
         try:
             scene = Scene(tuple(SceneObject(**item.model_dump()) for item in found.objects), found.padding)
         except SceneError as error:
-            raise self._wrong(str(error), "objects that can be used") from error
+            raise self._wrong(str(error), Sentence("expected.scene.edits_objects")) from error
         if scene.hash != found.hash:
-            raise self._wrong(f"contents with the hash {scene.hash[:12]}", f"{found.hash[:12]}, which it names")
+            raise self._wrong(
+                f"contents with the hash {scene.hash[:12]}", Sentence("expected.scene.edits_hash", hash=found.hash[:12])
+            )
         return scene
 
     def save(self, scene: Scene) -> None:
@@ -108,9 +111,9 @@ class SceneFile:
         try:
             write_whole(self.path, json.dumps(contents, indent=1) + "\n")
         except OSError as error:
-            expected = "a file that can be written: an edit that would not survive a restart is refused"
+            expected = Sentence("expected.scene.edits_writable")
             raise SceneError(str(self.path), error.strerror, expected) from error
 
     def _wrong(self, found: str, expected: str) -> SceneError:
-        to_do = "look at the scene, move the file away and start again: the scene then begins as given"
-        return SceneError(f"the scene's edits in {self.path}", found, f"{expected}; {to_do}")
+        to_do = Sentence("expected.scene.edits_wrong", expected=expected)
+        return SceneError(f"the scene's edits in {self.path}", found, to_do)

@@ -15,6 +15,7 @@ import pinocchio
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.collision_bodies import mesh_triangles
 from construction_twin.scene.neighbour import Obstacle
@@ -79,7 +80,7 @@ def _shapes(geometry: coal.CollisionGeometry, margin: float) -> list[tuple[str, 
         return [("mesh", (), _grown(np.asarray(geometry.points()), margin), centre)]
     if isinstance(geometry, coal.BVHModelBase):
         return [("mesh", (), mesh_triangles(geometry), centre)]
-    expected = "a box, cylinder, sphere, capsule or mesh"
+    expected = Sentence("expected.scene.neighbour_shapes")
     raise ConfigurationError("robot_description collision shape", type(geometry).__name__, expected)
 
 

@@ -18,16 +18,28 @@ import numpy as np
 
 from construction_twin.core.files import read_file
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_quaternion
 
-#: Numbers in `SceneObject.size` for each shape, and what they are.
-SIZES = {"box": (3, "x y z"), "cylinder": (2, "radius length"), "sphere": (1, "radius"), "mesh": (3, "scale x y z")}
 #: A quaternion whose norm differs from 1 by more than the first value is refused, by more than the second it is normalised. A
 #: normalised one is not changed again, so that a scene sent as a message keeps its hash.
 _QUATERNION_REFUSED, _QUATERNION_EXACT = 1e-3, 1e-12
 #: Largest coordinate, size and padding [m]: the distances of Coal overflow with numbers far beyond the size of a hall.
 _FARTHEST = 1e4
+#: Numbers in `SceneObject.size` for each shape, and what they are.
+SIZES = {
+    shape: (count, Sentence("expected.scene.size", order=order, most=_FARTHEST))
+    for shape, count, order in (
+        ("box", 3, "x y z"),
+        ("cylinder", 2, "radius length"),
+        ("sphere", 1, "radius"),
+        ("mesh", 3, "scale x y z"),
+    )
+}
+_NEAR = Sentence("expected.scene.position", order="x y z", most=_FARTHEST)
+_PADDING = Sentence("expected.scene.padding", most=_FARTHEST)
+_UNIT = Sentence("expected.scene.unit_quaternion")
 _MESH_SUFFIXES = (".stl", ".obj")
 #: Largest mesh file [bytes]: enough for the triangles that `mesh_file` takes.
 _LARGEST_MESH = 32 * 2**20
@@ -45,10 +57,10 @@ def relative(a_T_b: Pose, a_T_c: Pose) -> Pose:
     return Pose(a_T_b.rotation.T @ (a_T_c.position - a_T_b.position), a_T_b.rotation.T @ a_T_c.rotation)
 
 
-def one_of(whose: str, names: Iterable[str]) -> str:
-    """Return what a name was expected to be; more names than a person reads are counted."""
+def listed(names: Iterable[str]) -> str:
+    """Return names of objects as a person reads them: more than he reads are counted."""
     known = sorted(names)
-    return f"one of {whose} {known}" if len(known) <= _MOST_NAMES else f"one of {whose} {len(known)} objects"
+    return str(known) if len(known) <= _MOST_NAMES else Sentence("expected.scene.count", count=len(known))
 
 
 def read_mesh_file(name: str, mesh: str) -> bytes:
@@ -60,11 +72,13 @@ def read_mesh_file(name: str, mesh: str) -> bytes:
     path = Path(mesh)
     where = f"object {name!r} mesh"
     if not path.is_absolute() or path.suffix.lower() not in _MESH_SUFFIXES:
-        raise SceneError(where, mesh, "the absolute path of an STL or OBJ file")
+        raise SceneError(where, mesh, Sentence("expected.scene.mesh_path"))
     try:
         return read_file(path, _LARGEST_MESH)
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
-        raise SceneError(where, mesh, f"a readable file ({getattr(error, 'strerror', error)})") from error
+        raise SceneError(
+            where, mesh, Sentence("expected.scene.mesh_readable", problem=str(getattr(error, "strerror", error)))
+        ) from error
 
 
 @dataclass(frozen=True)
@@ -104,24 +118,19 @@ class SceneObject:
 
     def __post_init__(self):
         if not self.name.strip():
-            raise SceneError("an object's name", self.name, "a name that is not empty")
+            raise SceneError("an object's name", self.name, Sentence("expected.scene.name"))
         if self.shape not in SIZES:
-            raise self._wrong("shape", self.shape, f"one of {list(SIZES)}")
+            raise self._wrong("shape", self.shape, Sentence("expected.one_of", known=str(list(SIZES))))
         size = self.size or ((1.0, 1.0, 1.0) if self.shape == "mesh" else ())
         count, meaning = SIZES[self.shape]
-        most = f"at most {_FARTHEST:g}"
-        positive = f"{meaning} [m], above 0, {most}"
-        self._set("size", self._numbers("size", size, count, positive, lambda value: 0 < value <= _FARTHEST))
-        near = f"x y z [m], {most}"
-        self._set("position", self._numbers("position", self.position, 3, near, lambda value: abs(value) <= _FARTHEST))
+        self._set("size", self._numbers("size", size, count, meaning, lambda value: 0 < value <= _FARTHEST))
+        self._set("position", self._numbers("position", self.position, 3, _NEAR, lambda value: abs(value) <= _FARTHEST))
         self._set("quaternion", self._unit_quaternion())
-        (padding,) = self._numbers(
-            "padding", (self.padding,), 1, f"0 or more [m], {most}", lambda value: 0 <= value <= _FARTHEST
-        )
+        (padding,) = self._numbers("padding", (self.padding,), 1, _PADDING, lambda value: 0 <= value <= _FARTHEST)
         self._set("padding", padding)
         self._set("touch", tuple(sorted(set(self.touch))))
         if (self.shape == "mesh") != bool(self.mesh):
-            raise self._wrong("mesh", self.mesh, "a file for the shape mesh, nothing for the others")
+            raise self._wrong("mesh", self.mesh, Sentence("expected.scene.mesh_for_mesh"))
         if self.mesh:
             self._set("mesh_digest", hashlib.sha256(read_mesh_file(self.name, self.mesh)).hexdigest())
 
@@ -135,17 +144,17 @@ class SceneObject:
         try:
             numbers = tuple(map(float, values))
         except (TypeError, ValueError) as error:
-            raise self._wrong(key, values, f"{count} numbers: {expected}") from error
+            raise self._wrong(key, values, Sentence("expected.scene.numbers", count=count, meaning=expected)) from error
         if len(numbers) != count or not all(math.isfinite(number) and allowed(number) for number in numbers):
-            raise self._wrong(key, numbers, f"{count} finite numbers: {expected}")
+            raise self._wrong(key, numbers, Sentence("expected.scene.finite_numbers", count=count, meaning=expected))
         # adding 0.0 turns -0.0 into 0.0: they are equal, but would give different hashes
         return tuple(number + 0.0 for number in numbers)
 
     def _unit_quaternion(self) -> tuple:
-        values = self._numbers("orientation", self.quaternion, 4, "a unit quaternion x y z w")
+        values = self._numbers("orientation", self.quaternion, 4, _UNIT)
         norm = math.hypot(*values)
         if abs(norm - 1.0) > _QUATERNION_REFUSED:
-            raise self._wrong("orientation", values, "a quaternion x y z w of length 1")
+            raise self._wrong("orientation", values, Sentence("expected.scene.quaternion"))
         return values if abs(norm - 1.0) <= _QUATERNION_EXACT else tuple(value / norm for value in values)
 
     @cached_property
@@ -194,13 +203,13 @@ class Scene:
 
     def __post_init__(self):
         if not 0.0 <= self.padding <= _FARTHEST:
-            raise SceneError("the scene's padding", self.padding, f"0 or more [m], at most {_FARTHEST:g}")
+            raise SceneError("the scene's padding", self.padding, _PADDING)
         object.__setattr__(self, "padding", float(self.padding) + 0.0)
         object.__setattr__(self, "objects", tuple(self.objects))
         seen: set[str] = set()
         for name in self.names:
             if name in seen:
-                raise SceneError("an object's name", name, "a name that no other object of the scene has")
+                raise SceneError("an object's name", name, Sentence("expected.scene.other_name"))
             seen.add(name)
 
     @cached_property
@@ -224,7 +233,7 @@ class Scene:
         for item in self.objects:
             if item.name == name:
                 return item
-        raise SceneError("an object's name", name, one_of("the scene's", self.names))
+        raise SceneError("an object's name", name, Sentence("expected.scene.object", names=listed(self.names)))
 
     def add(self, item: SceneObject, replace_existing: bool = False) -> Scene:
         """Return the scene with one more object, or with another one in the place of the one of that name.
@@ -237,9 +246,7 @@ class Scene:
         if item.name not in self.names:
             return replace(self, objects=(*self.objects, item))
         if not replace_existing:
-            raise SceneError(
-                "an object's name", item.name, "one that is not in the scene yet, or a request to replace it"
-            )
+            raise SceneError("an object's name", item.name, Sentence("expected.scene.new_name"))
         return self._with(replace(item, fixed=self.get(item.name).fixed))
 
     def remove(self, name: str) -> Scene:
@@ -262,7 +269,7 @@ class Scene:
             SceneError: If there is no such object, or `link` is empty.
         """
         if not link:
-            raise SceneError(f"object {name!r} link", link, "the link that shall carry it")
+            raise SceneError(f"object {name!r} link", link, Sentence("expected.scene.carrier"))
         return self._with(self.get(name).moved(pose, link, touch))
 
     def detach(self, name: str, pose: Pose) -> Scene:
@@ -273,9 +280,7 @@ class Scene:
         """
         item = self.get(name)
         if not item.link:
-            raise SceneError(
-                f"object {name!r} link", item.link, "a link that carries it; it stands in the world already"
-            )
+            raise SceneError(f"object {name!r} link", item.link, Sentence("expected.scene.carried"))
         return self._with(item.moved(pose))
 
     def clear(self) -> Scene:

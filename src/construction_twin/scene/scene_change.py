@@ -9,7 +9,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.scene.objects import Scene, SceneObject, one_of
+from construction_twin.core.sentences import Sentence
+from construction_twin.scene.objects import Scene, SceneObject, listed
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,8 @@ class SceneChange:
         objects = {item.name: item for item in scene.objects}
         for name in self.remove:
             if name not in objects:
-                known = one_of("the scene's", scene.names)
-                raise SceneError("an object to remove", name, f"{known}; nothing was changed")
+                known = Sentence("expected.scene.object_kept", names=listed(scene.names))
+                raise SceneError("an object to remove", name, known)
         gone = frozenset(self.remove)
         if gone:
             objects = {name: _without(item, gone) for name, item in objects.items() if name not in gone}
@@ -75,14 +76,14 @@ class SceneChange:
             raise SceneError(
                 "the scene to change",
                 scene.hash,
-                f"{before}, that this change was made for; plan it anew from this one",
+                Sentence("expected.scene.before", hash=before),
             )
         changed = self.apply(scene)
         if after and changed.hash != after:
             raise SceneError(
                 "the scene after the change",
                 changed.hash,
-                f"{after}; a mesh file may have changed. Nothing was changed",
+                Sentence("expected.scene.after", hash=after),
             )
         return changed
 
@@ -105,5 +106,5 @@ def _refuse_doubles(key: str, names: Iterable[str]) -> None:
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            raise SceneError(f"a name in {key}", name, "each name once")
+            raise SceneError(f"a name in {key}", name, Sentence("expected.scene.once"))
         seen.add(name)

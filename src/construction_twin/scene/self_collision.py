@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.description import RobotModel
 from construction_twin.scene.adjacent_links import adjacent_links
 from construction_twin.scene.collision_bodies import RobotBodies, shape_contents
@@ -165,8 +166,7 @@ def load_self_collision(description: Mapping, bodies: RobotBodies, where: str) -
     if parsed.geometry != found:
         raise ConfigurationError(
             f"{where} geometry", parsed.geometry,
-            f"{found}, that of robot {bodies.robot.name}: the file is of another arm, which keeps it, or shapes, joints or ranges "
-            f"have changed since. Write a file for the arm as it is, under a name of its own, and give that: `{WRITE}`",
+            Sentence("expected.self_collision.geometry", hash=found, robot=bodies.robot.name, command=WRITE),
         )  # fmt: skip
     return SelfCollision(parsed.reasons, found)
 
