@@ -22,7 +22,8 @@ class BuildingError(WorkError):
 
     def __init__(self, file: str, what: str, found: str, expected: str):
         self.file, self.what, self.found, self.expected = file, what, found, expected
-        super().__init__(f"{file}: {what}: found {found}, expected {expected}")
+        where = Sentence("building.part", file=file, what=what)
+        super().__init__(Sentence("motion.scene", where=where, found=found, expected=expected))
 
 
 class ScheduleError(WorkError):
@@ -70,7 +71,7 @@ class LedgerError(WorkError):
 
     def __init__(self, path: str, problem: str):
         self.path = path
-        super().__init__(f"{path}: {problem}")
+        super().__init__(Sentence("building.part", file=path, what=problem))
 
 
 class BodyError(WorkError):
@@ -82,7 +83,7 @@ class BodyError(WorkError):
 
     def __init__(self, element: str, problem: str):
         self.element, self.problem = element, problem
-        super().__init__(f"element {element}: {problem}")
+        super().__init__(Sentence("building.element", element=element, problem=problem))
 
     def __reduce__(self):
         # it comes out of worker processes

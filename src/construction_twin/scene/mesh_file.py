@@ -121,7 +121,7 @@ def _obj(contents: bytes) -> tuple[np.ndarray, np.ndarray]:
                 triangles += [(corners[0], *pair) for pair in zip(corners[1:], corners[2:])]
         except ValueError as error:
             problem = error.args[0] if isinstance(error.args[0], Sentence) else str(error)
-            raise ValueError(Sentence("expected.mesh.line", number=number, problem=problem)) from error
+            raise ValueError(Sentence("expected.line", number=number, problem=problem)) from error
     return np.array(vertices, dtype=float).reshape(-1, 3), np.array(triangles, dtype=int).reshape(-1, 3)
 
 

@@ -84,7 +84,7 @@ class Book:
         if entry.event in OF_NO_TASK:
             return
         if entry.task not in self.tasks:
-            raise LedgerError("ledger", f"no task {entry.task!r}; expected one of the schedule's {len(self.tasks)}")
+            raise LedgerError("ledger", Sentence("work.ledger.no_task", task=repr(entry.task), count=len(self.tasks)))
         self.tasks[entry.task].then(entry)
 
     # -- what is known

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
 
@@ -173,7 +174,7 @@ class BuildingModel:
         """
         if global_id not in self.elements:
             raise BuildingError(
-                self.file, f"element {global_id!r}", "none of that GlobalId", "one of the model's elements"
+                self.file, f"element {global_id!r}", "none of that GlobalId", Sentence("expected.work.element")
             )
         return self.elements[global_id]
 

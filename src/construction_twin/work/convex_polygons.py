@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import WorkError
 
 #: Areas that differ by less than this fraction are one.
@@ -34,14 +35,19 @@ def convex_polygons(outline: np.ndarray, holes: tuple[np.ndarray, ...] = ()) -> 
     whole = shapely.Polygon(outline, holes)
     if not whole.is_valid or not whole.area > 0:
         raise WorkError(
-            f"an outline of {len(outline)} corners and {len(holes)} holes: found {shapely.is_valid_reason(whole)}, "
-            f"area {whole.area:.6g} m^2; expected one that does not cross itself"
+            Sentence(
+                "work.outline.crosses",
+                corners=len(outline),
+                holes=len(holes),
+                found=str(shapely.is_valid_reason(whole)),
+                area=whole.area,
+            )
         )
     if _is_convex(whole):
         return [_corners(whole)]
     corners = len(outline) + sum(map(len, holes))
     if corners > _MOST_CORNERS:
-        raise WorkError(f"an outline of {corners} corners: expected at most {_MOST_CORNERS}")
+        raise WorkError(Sentence("work.outline.corners", corners=corners, most=_MOST_CORNERS))
     divisions = [_merged(list(shapely.constrained_delaunay_triangles(whole).geoms))]
     if corners <= _FEW_CORNERS:
         divisions += [_merged(_strips(whole, direction)) for direction in _edge_directions(whole)]

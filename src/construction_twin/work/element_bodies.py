@@ -21,6 +21,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import read_file, write_whole
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BodyError, WorkError
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.scene.mesh_file import MOST_TRIANGLES
@@ -119,7 +120,7 @@ def _shape_or_error(task: tuple[str, tuple[Body, ...], Path, BodySettings]) -> E
 
 def _shape(element: str, bodies: tuple[Body, ...], folder: Path, settings: BodySettings) -> ElementShape:
     if not bodies:
-        raise BodyError(element, "found no geometry, expected at least one body; leave it out or give it a shape")
+        raise BodyError(element, Sentence("work.body.none"))
     objects: list[SceneObject] = []
     ways, most = [], 0.0
     for body in bodies:
@@ -130,9 +131,11 @@ def _shape(element: str, bodies: tuple[Body, ...], folder: Path, settings: BodyS
         except BodyError:
             raise
         except ConstructionTwinError as error:
-            raise BodyError(element, str(error)) from error
+            raise BodyError(element, error.sentence) from error
         except OSError as error:
-            raise BodyError(element, f"its mesh files cannot be kept in {folder}: {error.strerror}") from error
+            raise BodyError(
+                element, Sentence("work.body.unkept", folder=str(folder), problem=str(error.strerror))
+            ) from error
         ways.append(way)
         most = max(most, reach)
     return ElementShape(element, tuple(objects), most, tuple(ways))
@@ -187,9 +190,9 @@ def _made(body: Body, folder: Path, settings: BodySettings) -> tuple[str, float,
     vertices = np.asarray(body.vertices, dtype=float)
     triangles = np.asarray(body.triangles, dtype=np.int64)
     if not len(triangles) or not np.isfinite(vertices).all():
-        raise WorkError(f"found a body of {len(triangles)} triangles, expected triangles with finite corners")
+        raise WorkError(Sentence("work.body.corners", count=len(triangles)))
     if len(triangles) > MOST_TRIANGLES:
-        raise WorkError(f"found a body of {len(triangles)} triangles, expected at most {MOST_TRIANGLES}; simplify it")
+        raise WorkError(Sentence("work.body.size", count=len(triangles), most=MOST_TRIANGLES))
     closed = solid(vertices, triangles)
     why: list[str] = []
     for way, pieces in _candidates(body, closed, settings):
@@ -199,7 +202,7 @@ def _made(body: Body, folder: Path, settings: BodySettings) -> tuple[str, float,
         why.append(f"{way}: {problem}")
     vertices, triangles = welded(vertices, triangles)
     if not len(triangles):
-        raise WorkError(f"found a body without area, expected one that can be checked ({'; '.join(why) or 'flat'})")
+        raise WorkError(Sentence("work.body.area", problem="; ".join(why) or "flat"))
     mesh = _write_mesh(vertices, triangles, folder)
     place = {"size": [1.0, 1.0, 1.0], "position": [0.0, 0.0, 0.0], "quaternion": [0.0, 0.0, 0.0, 1.0]}
     return "surface", settings.margin, [{"shape": "mesh", **place, "padding": settings.margin, "mesh": mesh}]

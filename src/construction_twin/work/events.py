@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.work.processes import MODULES
 from construction_twin.work.recipe import DEFAULT
 from construction_twin.work.task_states import TaskEvent
@@ -70,13 +71,13 @@ def entry_of(fields: Mapping[str, Any]) -> Entry:
     known = {name: value for name, value in fields.items() if name not in ("time", "previous")}
     pose = tuple(map(float, known.pop("pose", ())))
     if len(pose) not in (0, 7) or not all(map(math.isfinite, pose)):
-        raise ValueError(f"a pose of {pose}; expected seven finite numbers")
+        raise ValueError(Sentence("expected.work.finite_pose", pose=str(pose)))
     time_ns = int(known.pop("time_ns", 0))
     if not all(isinstance(value, str) for value in known.values()):
-        raise ValueError("expected texts")
+        raise ValueError(Sentence("expected.work.texts"))
     process = known.get("process", DEFAULT)
     if process not in MODULES:
-        raise ValueError(f"process {process!r}; expected one of {', '.join(MODULES)}")
+        raise ValueError(Sentence("expected.work.process", process=repr(process), known=", ".join(MODULES)))
     event = known.get("event", "")
     if event not in OF_NO_TASK:
         TaskEvent(event)

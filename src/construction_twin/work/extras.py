@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 
 #: What setup/requirements-work.txt installs.
 PACKAGES = ("coacd", "ifcopenshell", "isodate", "shapely")
@@ -18,5 +19,5 @@ def check_extras() -> None:
     """
     missing = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
-        be = "it is" if len(missing) == 1 else "they are"
-        raise ConfigurationError(", ".join(missing), None, f"that {be} installed; run setup/setup.sh work")
+        expected = Sentence("expected.work.installed" if len(missing) == 1 else "expected.work.all_installed")
+        raise ConfigurationError(", ".join(missing), None, expected)

@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError
 from construction_twin.review.chained_file import ChainedFile, read_whole
 from construction_twin.work.book import Book, fold
@@ -55,10 +56,12 @@ class Ledger:
         try:
             # read in full before every use: a ledger of this size is no ledger
             if self.path.exists() and self.path.stat().st_size > LARGEST:
-                raise LedgerError(str(path), f"larger than {LARGEST / 2**20:g} MiB; move it away")
+                raise LedgerError(str(path), Sentence("work.ledger.size", most=LARGEST / 2**20))
             self._file = ChainedFile(self.path, LedgerError, "work node", mend=True)
-        except (ConfigurationError, OSError) as error:
-            raise LedgerError(str(path), str(error).removeprefix(f"{path}: ")) from error
+        except ConfigurationError as error:
+            raise LedgerError(str(path), _problem(error, str(path))) from error
+        except OSError as error:
+            raise LedgerError(str(path), str(error)) from error
         try:
             self.book = replay(self.path, after)
             if self._file.state.lines == 0:
@@ -102,6 +105,14 @@ class Ledger:
         self._file.close()
 
 
+def _problem(error: ConfigurationError, path: str) -> str:
+    """Return what is wrong without the path, which the error of a ledger names itself."""
+    if error.where != path:
+        return error.sentence
+    found = Sentence("expected.nothing") if error.value is None else repr(error.value)
+    return Sentence("expected.found", found=found, expected=error.expected)
+
+
 def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> Book:
     """Return what the lines of a ledger say.
 
@@ -111,11 +122,11 @@ def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> Book:
     book = fold(after)
     for number, entry in enumerate(read_entries(path), start=1):
         if number == 1 and entry.event != OPENED:
-            raise LedgerError(str(path), f"line 1 is {entry.event!r}; expected {OPENED!r}: this is no ledger")
+            raise LedgerError(str(path), Sentence("work.ledger.first", found=repr(entry.event), opened=repr(OPENED)))
         try:
             book = book.then(entry)
         except NotNow as error:
-            raise LedgerError(str(path), f"line {number}: {error}") from error
+            raise LedgerError(str(path), Sentence("expected.line", number=number, problem=error.sentence)) from error
     return book
 
 
@@ -128,9 +139,9 @@ def read_entries(path: Path) -> Iterator[Entry]:
     try:
         content = read_whole(path)
     except ConfigurationError as error:
-        raise LedgerError(str(path), "cannot be read") from error
+        raise LedgerError(str(path), Sentence("work.ledger.unread")) from error
     for number, line in enumerate(content.splitlines(), start=1):
         try:
             yield entry_of(json.loads(line))
         except (ValueError, TypeError, AttributeError) as error:
-            raise LedgerError(str(path), f"line {number} is none of a ledger: {error}") from error
+            raise LedgerError(str(path), Sentence("work.ledger.strange", number=number, problem=str(error))) from error

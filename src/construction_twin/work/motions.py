@@ -229,8 +229,9 @@ class Search:
         if found is not None and found[0].distance < -recipe.penetration:
             one, other = found[0].between
             raise PlanningError(
-                f"{one} would be {-1e3 * found[0].distance:.1f} mm inside of {other}; at most {1e3 * recipe.penetration:g} mm are "
-                "allowed"
+                Sentence(
+                    "work.deeper", one=one, depth=-1e3 * found[0].distance, other=other, most=1e3 * recipe.penetration
+                )
             )
         return trajectory
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import PlacementError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.work.building import BuildingModel, Element
@@ -80,12 +81,9 @@ def base_element(model: BuildingModel, name: str) -> Element:
     ids = tuple(element.id for element in found)
     if found:
         raise PlacementError(
-            f"base_element {name!r}: {len(found)} elements of {model.file} have that name ({_listed(ids)}); give one GlobalId",
-            ids,
+            Sentence("work.place.several", name=repr(name), count=len(found), file=model.file, listed=_listed(ids)), ids
         )
-    raise PlacementError(
-        f"base_element {name!r}: {model.file} has no element of that GlobalId or name; give model_T_base, or one of the elements"
-    )
+    raise PlacementError(Sentence("work.place.no_element", name=repr(name), file=model.file))
 
 
 def check_placement(model: BuildingModel, model_T_base: Pose, reach: float, base: str = "") -> Placement:
@@ -102,7 +100,7 @@ def check_placement(model: BuildingModel, model_T_base: Pose, reach: float, base
     _check_pose(model_T_base)
     boxes = {one.id: _box(one) for one in model.elements.values() if one.bodies and one.id != base}
     if not boxes:
-        raise PlacementError(f"{model.file}: no element has geometry, so nothing can be placed")
+        raise PlacementError(Sentence("work.place.no_geometry", file=model.file))
     distances = _distances(boxes, model_T_base)
     near = [identifier for identifier, distance in distances.items() if distance <= reach]
     if not near:
@@ -110,9 +108,7 @@ def check_placement(model: BuildingModel, model_T_base: Pose, reach: float, base
     buried = _buried(model, boxes, model_T_base)
     if buried:
         raise PlacementError(
-            f"the robot's base at {_figures(model_T_base.position)} stands inside of {_named(model, buried)}; "
-            "correct model_T_base, or take the element out of the work if it is the robot's own foundation",
-            buried,
+            Sentence("work.place.buried", base=_figures(model_T_base.position), elements=_named(model, buried)), buried
         )
     remarks = [*_far_remarks(model, distances, reach), *_leaning(model_T_base)]
     return Placement(model_T_base, tuple(remarks), tuple(one for one, value in distances.items() if value > reach))
@@ -121,19 +117,14 @@ def check_placement(model: BuildingModel, model_T_base: Pose, reach: float, base
 def _check_pose(pose: Pose) -> None:
     position, rotation = np.asarray(pose.position, dtype=float), np.asarray(pose.rotation, dtype=float)
     if position.shape != (3,) or rotation.shape != (3, 3):
-        raise PlacementError(f"model_T_base has shapes {position.shape} and {rotation.shape}; expected (3,) and (3, 3)")
+        raise PlacementError(Sentence("work.place.shapes", position=str(position.shape), rotation=str(rotation.shape)))
     if not (np.isfinite(position).all() and np.isfinite(rotation).all()):
-        raise PlacementError(f"model_T_base is not finite: {_figures(position)}; give numbers in metres and degrees")
+        raise PlacementError(Sentence("work.place.finite", position=_figures(position)))
     error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if error > _ORTHONORMAL:
-        raise PlacementError(
-            f"the axes of model_T_base are not unit vectors at right angles (off by {error:.2g}); "
-            "a scaled or sheared placement cannot be a robot's"
-        )
+        raise PlacementError(Sentence("work.place.sheared", error=error))
     if np.linalg.det(rotation) < 0.0:
-        raise PlacementError(
-            "model_T_base is left-handed: one axis is mirrored; swap two axes or give it as xyz and rpy_deg"
-        )
+        raise PlacementError(Sentence("work.place.left_handed"))
 
 
 def _box(element: Element) -> np.ndarray:
@@ -158,52 +149,60 @@ def _all_far(
 ) -> str:
     """Return why every element is out of reach, with what was found by trying other readings of the same figures."""
     nearest = min(distances, key=lambda one: distances[one])
-    text = (
-        f"all {len(boxes)} elements are out of the robot's reach of {reach:.2f} m: the nearest, {_named(model, (nearest,))}, is "
-        f"{distances[nearest]:.2f} m from its base at {_figures(base.position)}. "
-    )
-    low = np.min([box[0] for box in boxes.values()], axis=0)
-    high = np.max([box[1] for box in boxes.values()], axis=0)
-    if distances[nearest] <= MISPLACED * reach:
-        tail = "Move the base, or place the robot on a track; only if that is where it stands, nothing can be built from there."
-    else:
-        tail = "This is a wrong placement, not a matter of reach."
     inverse = Pose(-base.rotation.T @ base.position, base.rotation.T)
     size = float(np.abs(base.position).max())
-    readings = [("it looks like base_T_model: give the base's pose in the model, the inverse of it", inverse, 1.0)]
+    readings = [(Sentence("work.place.inverse"), inverse, 1.0)]
     if size >= _MILLIMETRES:
-        readings.insert(0, ("xyz of model_T_base looks like millimetres: give metres", _moved(base, 1e-3), 1.0))
+        readings.insert(0, (Sentence("work.place.millimetres"), _moved(base, 1e-3), 1.0))
     elif 0.0 < size <= _MILLIMETRES / 1e4:
-        readings.insert(0, ("xyz of model_T_base looks divided by 1000 once too often", _moved(base, 1e3), 1.0))
+        readings.insert(0, (Sentence("work.place.thousand"), _moved(base, 1e3), 1.0))
     readings += [
-        ("the file's length unit looks like metres where millimetres are meant: correct it", base, 1e-3),
-        ("the file's length unit looks like millimetres where metres are meant: correct it", base, 1e3),
-        ("the file's length unit looks like inches where metres are meant: correct it", base, 0.0254),
-        ("the file's length unit looks like feet where metres are meant: correct it", base, 0.3048),
+        (Sentence("work.place.unit", found=found, meant=meant), base, scale)
+        for found, meant, scale in (
+            ("metres", "millimetres", 1e-3),
+            ("millimetres", "metres", 1e3),
+            ("inches", "metres", 0.0254),
+            ("feet", "metres", 0.3048),
+        )
     ]
+    low = np.min([box[0] for box in boxes.values()], axis=0)
+    high = np.max([box[1] for box in boxes.values()], axis=0)
+    return Sentence(
+        "work.place.far",
+        count=len(boxes),
+        reach=reach,
+        nearest=_named(model, (nearest,)),
+        distance=distances[nearest],
+        base=_figures(base.position),
+        why=_better_reading(boxes, readings, reach, float(np.linalg.norm(high - low)))
+        or _why_far(low, high, base, distances[nearest] <= MISPLACED * reach),
+    )
+
+
+def _better_reading(
+    boxes: dict[str, np.ndarray], readings: Iterable[tuple[Sentence, Pose, float]], reach: float, extent: float
+) -> str:
+    """Return the first reading of the figures, pose and scale, that brings a tenth of the elements within reach; "": none."""
     for reading, pose, scale in readings:
         tried = _distances(boxes, pose, scale)
         within = sum(distance <= reach for distance in tried.values())
-        extent = float(np.linalg.norm(high - low)) * scale
-        if within >= max(1.0, len(boxes) / 10) and 0.05 <= extent <= 500.0:
-            return f"{text}Read so, {within} of {len(boxes)} would be within reach: {reading}."
-    if np.abs(np.concatenate((low, high))).max() > _MAP and np.abs(base.position).max() <= _MAP:
-        return (
-            f"{text}The elements stand at {_figures(low)} to {_figures(high)}: these are coordinates of a map. "
-            "Name the element that stands where the robot's base_link is in base_element, or write the file with its map "
-            "conversion."
-        )
-    if np.abs(base.position).max() > _MAP:
-        return (
-            f"{text}The elements stand at {_figures(low)} to {_figures(high)}: model_T_base looks like coordinates of a map. "
-            "Give it in the model's own."
-        )
-    if not np.any(base.position):
-        return (
-            f"{text}The base stands at the model's origin, which is the value before one was measured: "
-            f"measure it; the elements stand at {_figures(low)} to {_figures(high)}."
-        )
-    return f"{text}{tail} The elements stand at {_figures(low)} to {_figures(high)}."
+        if within >= max(1.0, len(boxes) / 10) and 0.05 <= extent * scale <= 500.0:
+            return Sentence("work.place.read_so", within=within, count=len(boxes), reading=reading)
+    return ""
+
+
+def _why_far(low: np.ndarray, high: np.ndarray, base: Pose, in_between: bool) -> str:
+    """Return what is wrong with figures that no other reading explains; `in_between`: the nearest element is not far from reach."""
+    on_map = np.abs(base.position).max() > _MAP
+    if np.abs(np.concatenate((low, high))).max() > _MAP and not on_map:
+        why = "map_elements"
+    elif on_map:
+        why = "map_base"
+    elif not np.any(base.position):
+        why = "origin"
+    else:
+        why = "move" if in_between else "wrong"
+    return Sentence(f"work.place.{why}", low=_figures(low), high=_figures(high))
 
 
 def _moved(base: Pose, scale: float) -> Pose:
@@ -216,27 +215,19 @@ def _far_remarks(model: BuildingModel, distances: dict[str, float], reach: float
     far = tuple(one for one, distance in distances.items() if reach < distance <= MISPLACED * reach)
     if misplaced:
         largest = max(distances[one] for one in misplaced)
-        yield Remark(
-            f"{_named(model, misplaced)} up to {largest:.1f} m from the robot's base while others are within its reach of "
-            f"{reach:.2f} m: a wrong placement in the model, or another part of the site, not a matter of reach.",
-            misplaced,
-        )
+        elements = _named(model, misplaced)
+        yield Remark(Sentence("work.place.misplaced", elements=elements, distance=largest, reach=reach), misplaced)
     if far:
         largest = max(distances[one] for one in far)
-        yield Remark(
-            f"{_named(model, far)} out of reach whatever the arm does: up to {largest:.2f} m from the base, reach {reach:.2f} m.",
-            far,
-        )
+        elements = _named(model, far)
+        yield Remark(Sentence("work.place.some_far", elements=elements, distance=largest, reach=reach), far)
 
 
 def _leaning(base: Pose) -> Iterable[Remark]:
     """Yield that the base does not stand upright."""
     degrees = float(np.degrees(np.arccos(np.clip(base.rotation[2, 2], -1.0, 1.0))))
     if degrees > _LEANING_DEG:
-        yield Remark(
-            f"The robot's base leans {degrees:.1f} deg from the model's vertical; right only for one on a slope, a wall or "
-            "a ceiling."
-        )
+        yield Remark(Sentence("work.place.leans", degrees=degrees))
 
 
 def _buried(model: BuildingModel, boxes: dict[str, np.ndarray], base: Pose) -> tuple[str, ...]:
@@ -273,10 +264,10 @@ def _figures(values: np.ndarray) -> str:
 
 def _named(model: BuildingModel, ids: tuple[str, ...]) -> str:
     if len(ids) == 1:
-        return f"element {ids[0]} ({model.elements[ids[0]].name!r})"
-    return f"{len(ids)} elements ({_listed(ids)})"
+        return Sentence("work.place.element", id=ids[0], name=repr(model.elements[ids[0]].name))
+    return Sentence("work.place.elements", count=len(ids), listed=_listed(ids))
 
 
 def _listed(ids: tuple[str, ...]) -> str:
-    more = f" and {len(ids) - _LISTED} more" if len(ids) > _LISTED else ""
-    return ", ".join(ids[:_LISTED]) + more
+    first = ", ".join(ids[:_LISTED])
+    return Sentence("work.place.listed", listed=first, count=len(ids) - _LISTED) if len(ids) > _LISTED else first

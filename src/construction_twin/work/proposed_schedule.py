@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import ScheduleError
 from construction_twin.work.building import BuildingModel, Element, Sequence, Task
 from construction_twin.work.global_ids import global_id
@@ -63,7 +64,7 @@ def propose(model: BuildingModel, robots: tuple[str, ...] = ()) -> ProposedSched
     """
     solids = [_Solid(model.elements[identifier]) for identifier in workpieces(model)]
     if not solids:
-        raise ScheduleError(f"{model.file}: it has no workpiece with geometry; an order cannot be proposed")
+        raise ScheduleError(Sentence("work.order.nothing", file=model.file))
     notes: list[str] = []
     before = _supports(solids)
     notes += _held_at_the_side(solids, before)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
@@ -101,9 +102,7 @@ def plan_stock(
     """
     if len(set(order)) != len(order):
         twice = next(element for element in order if list(order).count(element) > 1)
-        raise ConfigurationError(
-            f"{site.path}/racks", f"element {twice} needed twice", "each element once in the order"
-        )
+        raise ConfigurationError(f"{site.path}/racks", f"element {twice} needed twice", Sentence("expected.work.once"))
     base_T_model = inverse(site.model_T_base(building))
     members: dict[str, list[Element]] = {name: [] for name in site.file.racks}
     for element in map(building.element, order):
@@ -125,9 +124,10 @@ def _rack_of(site: Site, element: Element) -> str:
         if rack.holds.fits(element):
             return name
     raise ConfigurationError(
-        f"{site.path}/racks for element {element.name!r} ({element.id}), {element.ifc_class}", None,
-        "a rack that holds it",
-    )  # fmt: skip
+        f"{site.path}/racks for element {element.name!r} ({element.id}), {element.ifc_class}",
+        None,
+        Sentence("expected.work.rack"),
+    )
 
 
 class _Filling:
@@ -146,9 +146,10 @@ class _Filling:
         load, at = divmod(number, slots)
         if load and not self._rack.refill:
             raise ConfigurationError(
-                self._where, f"{slots} slots for {count} elements, none for {element.name!r} ({element.id})",
-                "a slot for each, or `refill: true`",
-            )  # fmt: skip
+                self._where,
+                f"{slots} slots for {count} elements, none for {element.name!r} ({element.id})",
+                Sentence("expected.work.slots"),
+            )
         base_T_slot = product(self._frame(), self._rack_T_slot(at, min(slots, count - load * slots)))
         return Slot(element.id, self._name, at, load, self._standing(element, base_T_slot), self._rack.surface)
 
@@ -197,9 +198,11 @@ class _Filling:
             return product(self._base_T_model, pose) if rack.frame == "model" else pose
         if rack.offset is None:
             raise BuildingError(
-                self._model_file, f"element {element.name!r} ({element.id})", f"no {rack.property}",
-                f"where it is delivered, as {self._where} asks; or give that rack an offset",
-            )  # fmt: skip
+                self._model_file,
+                f"element {element.name!r} ({element.id})",
+                f"no {rack.property}",
+                Sentence("expected.work.delivered", rack=self._where),
+            )
         offset, built = pose_of(rack.offset), element.model_T_element
         moved = Pose(built.position + offset.position, offset.rotation @ built.rotation)
         return product(self._base_T_model, moved)
@@ -211,8 +214,10 @@ class _Filling:
             numbers = []
         if len(numbers) not in (3, 6) or not np.isfinite(numbers).all():
             raise BuildingError(
-                self._model_file, f"element {element.name!r} ({element.id}), {path}", repr(value),
-                "the text `x y z` or `x y z roll pitch yaw` in m and deg",
-            )  # fmt: skip
+                self._model_file,
+                f"element {element.name!r} ({element.id}), {path}",
+                repr(value),
+                Sentence("expected.work.place"),
+            )
         turn = numbers[3:] or [0.0, 0.0, 0.0]
         return Pose(np.array(numbers[:3]), rpy_to_rotation(turn))

@@ -100,7 +100,9 @@ class Recipes:
         if name is None:
             return ""
         if name not in self.recipes:
-            raise _wrong(job, RECIPE, name, f"one of {', '.join(self.recipes)} in {self.file}")
+            raise _wrong(
+                job, RECIPE, name, Sentence("expected.work.recipe", known=", ".join(self.recipes), file=str(self.file))
+            )
         return str(name)
 
     def _first(self, job: WorkJob, asked: _Asked) -> str:
@@ -118,7 +120,11 @@ class Recipes:
                 continue
             if name not in overrides:
                 near = difflib.get_close_matches(name, [*overrides, RECIPE, DELIVERED], n=1)
-                known = f"no such property; did you mean {near[0]}?" if near else "no such property"
+                known = (
+                    Sentence("expected.work.no_property_near", near=near[0])
+                    if near
+                    else Sentence("expected.work.no_property")
+                )
                 raise _wrong(job, name, value, known)
             override = overrides[name]
             if isinstance(value, bool) != (override.ifc_type == "IfcBoolean") or not isinstance(
@@ -134,7 +140,9 @@ class Recipes:
                 recipe = type(recipe).model_validate(document)
             except pydantic.ValidationError as error:
                 wrong = wrong_value(error, type(recipe).model_json_schema())
-                raise _wrong(job, name, value, f"{wrong.expected} ({override.ifc_type})") from error
+                raise _wrong(
+                    job, name, value, Sentence("expected.work.of_type", expected=wrong.expected, type=override.ifc_type)
+                ) from error
         return recipe
 
 
@@ -147,9 +155,7 @@ def read_recipes(path: str | Path) -> Recipes:
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(
-            str(path), " ".join(str(error).split()), "a YAML file of recipes, as config/work/recipes.yaml"
-        ) from error
+        raise ConfigurationError(str(path), " ".join(str(error).split()), Sentence("expected.work.recipes")) from error
     entries = description.get("recipes") if isinstance(description, dict) else None
     if not isinstance(entries, dict) or not entries:
         return Recipes(str(path), _read(path, DEFAULT, description))
@@ -165,7 +171,9 @@ def _process(path: str | Path, recipe: str, entry: object) -> str:
     """Return the process that a recipe of the file names; what is wrong with the rest of it the process finds."""
     name = entry.get("process", DEFAULT) if isinstance(entry, dict) else DEFAULT
     if not isinstance(name, str) or name not in MODULES:
-        raise ConfigurationError(f"{path}/recipes/{recipe}/process", name, f"one of {', '.join(MODULES)}")
+        raise ConfigurationError(
+            f"{path}/recipes/{recipe}/process", name, Sentence("expected.one_of", known=", ".join(MODULES))
+        )
     return name
 
 

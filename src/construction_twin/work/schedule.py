@@ -170,7 +170,7 @@ class Schedule:
             ScheduleError: If there is none.
         """
         if identifier not in self._by_id:
-            raise ScheduleError(f"job {identifier!r}: the schedule has none of that id", (identifier,))
+            raise ScheduleError(Sentence("work.order.no_job", id=repr(identifier)), (identifier,))
         return self._by_id[identifier]
 
     def blockers(
@@ -233,9 +233,7 @@ class _Reading:
         self.guessed = False
         self._standing: set[str] = set()
         if not model.tasks:
-            raise ScheduleError(
-                f"{model.file}: it has no tasks; have an order proposed from the geometry and accept it"
-            )
+            raise ScheduleError(Sentence("work.order.no_tasks", file=model.file))
         self._children: dict[str, list[str]] = {identifier: [] for identifier in model.tasks}
         self._check_nesting()
         self._sequences = self._checked_sequences()
@@ -327,7 +325,7 @@ class _Reading:
                 continue
             if task.parent not in self._tasks:
                 raise ScheduleError(
-                    f"task {identifier} ({task.name!r}) nests in {task.parent}, which is no task of the model",
+                    Sentence("work.order.nests_nowhere", id=identifier, name=repr(task.name), parent=task.parent),
                     (identifier, task.parent),
                 )
             self._children[task.parent].append(identifier)
@@ -339,7 +337,7 @@ class _Reading:
                 at = self._tasks[at].parent
             if at:
                 circle = tuple(chain)[tuple(chain).index(at) :]
-                raise ScheduleError(f"tasks nest in each other in a circle: {', '.join(circle)}", circle)
+                raise ScheduleError(Sentence("work.order.nests_circle", tasks=", ".join(circle)), circle)
 
     def _above(self, identifier: str) -> tuple[str, ...]:
         """Return the task and those that it nests in, from inside."""
@@ -360,23 +358,22 @@ class _Reading:
             ids = (sequence.before, sequence.after)
             missing = [identifier for identifier in ids if identifier not in self._tasks]
             if missing:
-                raise ScheduleError(f"a sequence from {ids[0]} to {ids[1]} names {missing[0]}, which is no task", ids)
+                raise ScheduleError(
+                    Sentence("work.order.names_none", before=ids[0], after=ids[1], missing=missing[0]), ids
+                )
             if sequence.kind not in _KINDS:
                 expected = ", ".join(_KINDS)
                 raise ScheduleError(
-                    f"the sequence from {ids[0]} to {ids[1]} is of kind {sequence.kind!r}; expected {expected}", ids
+                    Sentence("work.order.kind", before=ids[0], after=ids[1], kind=repr(sequence.kind), known=expected),
+                    ids,
                 )
             if sequence.before in self._above(sequence.after) or sequence.after in self._above(sequence.before):
                 if sequence.kind not in ("START_START", "FINISH_FINISH") or ids[0] == ids[1]:
-                    raise ScheduleError(
-                        f"the sequence from {ids[0]} to {ids[1]} makes a task wait for itself: "
-                        "they are the same, or one nests in the other",
-                        ids,
-                    )
+                    raise ScheduleError(Sentence("work.order.itself", before=ids[0], after=ids[1]), ids)
                 needless.append(ids)
                 continue
             if not math.isfinite(sequence.lag):
-                raise ScheduleError(f"the sequence from {ids[0]} to {ids[1]} has a lag of {sequence.lag} s", ids)
+                raise ScheduleError(Sentence("work.order.lag", before=ids[0], after=ids[1], lag=sequence.lag), ids)
             if sequence.lag < 0.0:
                 leads.append(ids)
             if sequence.lag > 0.0 and self._is_completed(sequence.before):
@@ -420,8 +417,13 @@ class _Reading:
                     continue
                 if element in maker:
                     raise ScheduleError(
-                        f"element {element} ({self._model.elements[element].name!r}) is made twice, by tasks "
-                        f"{maker[element]} and {identifier}; it can be placed once",
+                        Sentence(
+                            "work.order.twice",
+                            element=element,
+                            name=repr(self._model.elements[element].name),
+                            first=maker[element],
+                            second=identifier,
+                        ),
                         (element, maker[element], identifier),
                     )
                 maker[element] = identifier
@@ -593,7 +595,7 @@ class _Reading:
         nodes = list(seen)[list(seen).index(at) :]
         circle = tuple(dict.fromkeys(identifier for identifier, _ in reversed(nodes)))
         names = ", ".join(f"{identifier} ({self._tasks[identifier].name!r})" for identifier in circle)
-        raise ScheduleError(f"tasks wait for each other in a circle: {names}", circle)
+        raise ScheduleError(Sentence("work.order.circle", tasks=names), circle)
 
 
 def _merged(first: _Waits, second: _Waits, lag: float) -> _Waits:

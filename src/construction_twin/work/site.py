@@ -15,6 +15,7 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import configuration_error
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
@@ -137,16 +138,13 @@ class CellFile(_Strict):
     def _near_the_origin(cls, given: object) -> object:
         xyz = given.get("xyz") if isinstance(given, dict) else None
         if isinstance(xyz, list) and any(isinstance(one, (int, float)) and FARTHEST < abs(one) < np.inf for one in xyz):
-            raise ValueError(
-                f"expected xyz within {FARTHEST:g} m of the model's origin; where the model stands in coordinates of a map, give "
-                "base_element instead: the element of the model that stands where the robot's base_link is"
-            )
+            raise ValueError(Sentence("expected.work.near_origin", farthest=FARTHEST))
         return given
 
     @pydantic.model_validator(mode="after")
     def _one_place(self) -> CellFile:
         if (self.model_T_base is None) == (not self.base_element):
-            raise ValueError("expected either model_T_base or base_element")
+            raise ValueError(Sentence("expected.work.one_place"))
         return self
 
 
@@ -182,9 +180,10 @@ class Site:
         found = [element for element in building.elements.values() if element.name == asked]
         if len(found) != 1:
             raise ConfigurationError(
-                f"{self.path}/base_element", asked,
-                f"GlobalId or name of one element of {building.file}; {len(found)} have this name",
-            )  # fmt: skip
+                f"{self.path}/base_element",
+                asked,
+                Sentence("expected.work.one_element", file=building.file, count=len(found)),
+            )
         return found[0]
 
 
@@ -198,9 +197,7 @@ def read_site(path: str | Path) -> Site:
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(
-            str(path), " ".join(str(error).split()), "a YAML file of a cell, as config/work/timber_panel.yaml"
-        ) from error
+        raise ConfigurationError(str(path), " ".join(str(error).split()), Sentence("expected.work.cell")) from error
     try:
         cell = CellFile.model_validate(description)
     except pydantic.ValidationError as error:
@@ -214,7 +211,7 @@ def read_site(path: str | Path) -> Site:
 
 
 def _check_names(path: str, cell: CellFile, scene: Scene) -> None:
-    known = f"one of the scene's objects: {', '.join(scene.names) or 'it has none'}"
+    known = Sentence("expected.work.scene_object", names=", ".join(scene.names) or Sentence("expected.work.has_none"))
     for name in cell.supports:
         if name not in scene.names:
             raise ConfigurationError(f"{path}/supports", name, known)
@@ -223,9 +220,7 @@ def _check_names(path: str, cell: CellFile, scene: Scene) -> None:
             raise ConfigurationError(f"{path}/racks/{rack}/surface", description.surface, known)
     for item in scene.objects:
         if "/" in item.name:
-            raise ConfigurationError(
-                f"{path}/scene", item.name, "objects without / in their names, which belong to elements and tool"
-            )
+            raise ConfigurationError(f"{path}/scene", item.name, Sentence("expected.work.plain_names"))
 
 
 def pose_of(place: FilePose) -> Pose:

@@ -17,6 +17,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, BinaryIO
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import WorkError
 
 #: Added to the process's nice value.
@@ -74,9 +75,7 @@ class Worker:
                 answer = self._answer(name, arguments)
             except (OSError, EOFError) as error:
                 code = self._end(_ENDING)
-                raise WorkerError(
-                    "", f"the process that reads and plans has ended ({_how(code)}); ask again"
-                ) from error
+                raise WorkerError("", Sentence("work.ended", how=_how(code))) from error
         if "failure" in answer:
             raise WorkerError(*answer["failure"])
         return answer["result"]
@@ -140,7 +139,7 @@ def _answer(question: bytes, functions: Mapping[str, Callable]) -> bytes:
         name, arguments = pickle.loads(question)
         return pickle.dumps({"result": functions[name](**arguments)}, _PROTOCOL)
     except ConstructionTwinError as error:
-        failure = type(error).__name__, str(error)
+        failure = type(error).__name__, error.sentence
     except UNFORESEEN as error:
         # what nobody foresaw must be an answer, too; the trace goes to the node's log
         traceback.print_exc()
@@ -158,7 +157,7 @@ def _understood(answer: bytes) -> dict[str, Any]:
 
 def _unforeseen(error: Exception) -> tuple[str, str]:
     kind = type(error).__name__
-    return kind, f"it cannot be computed ({kind}: {error}); please report it"
+    return kind, Sentence("work.unforeseen", kind=kind, problem=str(error))
 
 
 def _write(pipe: Any, data: bytes) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import BuildingModel, Element
 
@@ -61,9 +62,9 @@ def workpieces(model: BuildingModel, also: Iterable[str] = (), only: Iterable[st
     for name in named:
         if name in model.elements:
             if not model.elements[name].bodies:
-                raise BuildingError(model.file, f"element {name!r}", "no geometry", "a body that can be placed")
+                raise BuildingError(model.file, f"element {name!r}", "no geometry", Sentence("expected.work.body"))
         elif plain_class(name) not in classes:
-            expected = "a GlobalId or class of the model's elements"
+            expected = Sentence("expected.work.class")
             raise BuildingError(model.file, f"workpieces {name!r}", "nothing of that name", expected)
     wanted = {plain_class(name) if name not in model.elements else name for name in named}
     parents = {element.assembly for element in model.elements.values()}

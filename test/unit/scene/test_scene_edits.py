@@ -85,7 +85,7 @@ def test_a_torn_file_is_refused(text, tmp_path):
         file.load()
     file.path.unlink()
     file.path.mkdir()
-    with pytest.raises(SceneError, match="readable file"):
+    with pytest.raises(SceneError, match="file that can be read"):
         file.load()
 
 

@@ -135,7 +135,7 @@ def test_a_recipes_own_mass_is_used_where_the_model_has_none(tmp_path):
         ({"speed": 0.0}, "speed.*above 0"),
         ({"grips": {"touching": []}}, "touching"),
         ({"place": {"lengths": []}}, "lengths"),
-        ({"place": {"arrive": [[0.0, 0.0, 0.0]]}}, "a direction is a vector that is not zero"),
+        ({"place": {"arrive": [[0.0, 0.0, 0.0]]}}, "a vector that is not zero"),
     ],
 )
 def test_a_wrong_key_of_the_file_is_named(tmp_path, change, sentence):

@@ -37,7 +37,7 @@ _Face = Literal["up", "+x", "-x", "+y", "-y", "+z", "-z", "any"]
 
 def _not_zero(asked: str | tuple[float, float, float]) -> str | tuple[float, float, float]:
     if not isinstance(asked, str) and not any(asked):
-        raise ValueError("a direction is a vector that is not zero")
+        raise ValueError(Sentence("expected.work.vector"))
     return asked
 
 
@@ -198,4 +198,6 @@ def check_tool(recipe: PlaceRecipe, tool: Tool, where: str) -> None:
         for shape in shapes:
             if shape not in tool.shapes:
                 known = ", ".join(tool.shapes)
-                raise ConfigurationError(f"{where}/grips/{key}", shape, f"one of the tool's shapes: {known}")
+                raise ConfigurationError(
+                    f"{where}/grips/{key}", shape, Sentence("expected.work.shape_of_tool", shapes=known)
+                )
