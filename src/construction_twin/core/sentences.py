@@ -43,6 +43,7 @@ REASONS = (
     "startup.",
     "expected.",
     "telegram.",
+    "ifc.",
 )
 
 

@@ -261,7 +261,7 @@ def _document(text: str, where: str) -> ElementTree.Element:
 def _section(root: ElementTree.Element, name: str, where: str) -> ElementTree.Element:
     found = root.findall(name)
     if len(found) != 1:
-        raise EthernetXmlError(where, name, f"{len(found)} of them", Sentence("expected.xml.one"))
+        raise EthernetXmlError(where, name, f"{len(found)} of them", Sentence("expected.one"))
     return found[0]
 
 

@@ -141,7 +141,7 @@ class Recipes:
             except pydantic.ValidationError as error:
                 wrong = wrong_value(error, type(recipe).model_json_schema())
                 raise _wrong(
-                    job, name, value, Sentence("expected.work.of_type", expected=wrong.expected, type=override.ifc_type)
+                    job, name, value, Sentence("building.of_type", expected=wrong.expected, type=override.ifc_type)
                 ) from error
         return recipe
 

@@ -260,8 +260,13 @@ def test_however_the_process_ends_it_is_one_sentence(path, monkeypatch, program,
 def test_a_file_that_is_written_meanwhile_is_not_read(path, monkeypatch):
     read_file = reading.read_file
     monkeypatch.setattr(reading, "read_file", lambda *asked: read_file(*asked) + b"\n")
-    with pytest.raises(BuildingError, match="other contents when it was read again"):
+    with pytest.raises(BuildingError, match="other contents when it was read again") as caught:
         read_building(path)
+    # the reading process sends texts, and their keys are found again
+    found = caught.value
+    assert [each.key for each in (found.what, found.found, found.expected)] == [
+        "ifc.file", "ifc.found.changed_again", "ifc.nobody_writes",
+    ]  # fmt: skip
 
 
 def test_a_process_that_takes_too_long_is_ended(path, monkeypatch):

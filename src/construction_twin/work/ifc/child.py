@@ -32,6 +32,7 @@ def main(arguments: list[str]) -> int:
     pipe = os.dup(1)
     os.dup2(2, 1)
     # after the limits: what is imported is C++ of several hundred MB
+    from construction_twin.core.sentences import Sentence
     from construction_twin.core.work_errors import BuildingError
     from construction_twin.work.ifc.model_file import save
     from construction_twin.work.ifc.reader import read_ifc
@@ -42,17 +43,17 @@ def main(arguments: list[str]) -> int:
     try:
         model = read_ifc(path, most_bytes, lambda *step: say("progress", *step))
         if model.digest != digest:
-            say("error", "the file", "other contents when it was read again", "a file that nobody writes")
+            say("error", Sentence("ifc.file"), Sentence("ifc.found.changed_again"), Sentence("ifc.nobody_writes"))
             return 1
         save(model, Path(output))
     except BuildingError as error:
         say("error", error.what, error.found, error.expected)
         return 1
     except MemoryError:
-        say("error", "the file", f"more than {memory >> 20} MiB of memory needed", "a smaller model")
+        say("error", Sentence("ifc.file"), Sentence("ifc.found.memory", memory=memory >> 20), Sentence("ifc.smaller"))
         return 1
     except OSError as error:
-        say("error", "the result", error.strerror or str(error), "room on the disk for it")
+        say("error", Sentence("ifc.result"), error.strerror or str(error), Sentence("ifc.room"))
         return 1
     return 0
 

@@ -17,6 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.scene.triangle_mesh import hull_mesh, surface
 from construction_twin.work.building import Body, Extrusion
@@ -253,11 +254,11 @@ def check_mesh(name: str, product: ifcopenshell.entity_instance, vertices: np.nd
 
     Raises BuildingError.
     """
-    what = f"element {product.GlobalId!r}"
+    what = Sentence("ifc.element", id=repr(product.GlobalId))
     if total > MOST_TRIANGLES:
-        raise BuildingError(name, what, f"more than {MOST_TRIANGLES} triangles up to it", "less")
+        raise BuildingError(name, what, Sentence("ifc.found.triangles", most=MOST_TRIANGLES), Sentence("ifc.less"))
     if len(vertices) and not (np.isfinite(vertices).all() and np.abs(vertices).max() <= FARTHEST):
-        raise BuildingError(name, what, "corners that are no finite numbers, or too far", f"at most {FARTHEST:g} m")
+        raise BuildingError(name, what, Sentence("ifc.found.corners"), Sentence("ifc.at_most", most=FARTHEST))
 
 
 def _bodies(

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import BuildingModel, Element
 
@@ -55,7 +56,10 @@ def save(model: BuildingModel, path: Path) -> None:
     size = len(text) + 8 * places["numbers"] + 4 * places["indices"]
     if size > MOST_BYTES // 2:
         raise BuildingError(
-            model.file, "the model", f"{size / 2**20:.0f} MiB as arrays", f"at most {MOST_BYTES >> 21} MiB"
+            model.file,
+            Sentence("ifc.model"),
+            Sentence("ifc.found.mib", size=size / 2**20),
+            Sentence("ifc.at_most_mib", most=MOST_BYTES >> 21),
         )
     joined = {name: np.concatenate(parts).astype(_KINDS[name]) for name, parts in arrays.items()}
     with path.open("wb") as file:
@@ -85,7 +89,7 @@ def load(path: Path, file: str, digest: str) -> BuildingModel:
         RecursionError,
     ) as error:
         found = f"{type(error).__name__}: {' '.join(str(error).split())}"[:200]
-        raise BuildingError(file, "what the reading process wrote", found, "a whole model") from error
+        raise BuildingError(file, Sentence("ifc.written"), found, Sentence("ifc.whole_model")) from error
 
 
 def _load(path: Path, file: str, digest: str) -> BuildingModel:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 
 _NAMED = 5
@@ -86,7 +87,7 @@ class Where:
     def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
         if isinstance(error, Exception) and not isinstance(error, (BuildingError, MemoryError)):
             found = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-            raise BuildingError(self._file, label(self._entity), found, "what the IFC schema says") from error
+            raise BuildingError(self._file, label(self._entity), found, Sentence("ifc.schema_says")) from error
 
 
 def label(entity: object) -> str:

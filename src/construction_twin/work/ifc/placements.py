@@ -6,6 +6,7 @@ import ifcopenshell
 import ifcopenshell.util.placement
 import numpy as np
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.ifc.notes import Where, label
 
@@ -41,7 +42,7 @@ class Placements:
         while placement is not None and placement.id() not in self._known:
             if placement.id() in chain:
                 raise BuildingError(
-                    self._name, label(placement), "placed relative to itself", "placements without a loop"
+                    self._name, label(placement), Sentence("ifc.found.relative"), Sentence("ifc.no_loop")
                 )
             chain[placement.id()] = placement
             with Where(self._name, placement):
@@ -73,9 +74,7 @@ def check_rigid(name: str, entity: object, matrix: np.ndarray) -> None:
     Raises BuildingError.
     """
     if not np.isfinite(matrix).all() or not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-6):
-        raise BuildingError(
-            name, label(entity), "axes or a location that are no placement", "finite, axes not parallel"
-        )
+        raise BuildingError(name, label(entity), Sentence("ifc.found.axes"), Sentence("ifc.no_axes"))
     if np.abs(matrix[:3, 3]).max() > FARTHEST:
-        far = f"{np.abs(matrix[:3, 3]).max():.3g} m from the origin"
-        raise BuildingError(name, label(entity), far, f"at most {FARTHEST:g} m")
+        far = Sentence("ifc.found.far", distance=float(np.abs(matrix[:3, 3]).max()))
+        raise BuildingError(name, label(entity), far, Sentence("ifc.at_most", most=FARTHEST))

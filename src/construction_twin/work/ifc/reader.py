@@ -17,6 +17,7 @@ import ifcopenshell.util.placement
 import numpy as np
 
 from construction_twin.core.files import read_file
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.work.building import Body, BuildingModel, Element
@@ -112,13 +113,15 @@ def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: 
     if read is contents:
         file = _open(path, name)
         if hashlib.sha256(_contents(path, name, most_bytes)).hexdigest() != digest:
-            raise BuildingError(name, "the file", "other contents at the end of reading", "a file that nobody writes")
+            raise BuildingError(
+                name, Sentence("ifc.file"), Sentence("ifc.found.changed"), Sentence("ifc.nobody_writes")
+            )
     else:
         file = _open_copy(read, name)
     schema = file.schema
     if schema not in SCHEMAS:
-        raise BuildingError(name, "schema", str(schema), ", ".join(SCHEMAS))
-    with Where(name, "the file"):
+        raise BuildingError(name, Sentence("ifc.schema"), str(schema), ", ".join(SCHEMAS))
+    with Where(name, Sentence("ifc.file")):
         note_parser_log(
             ifcopenshell.get_log(), read, set(file.entity_names()),
             lambda number: getattr(file.by_id(number), "GlobalId", "") or "",
@@ -156,7 +159,9 @@ def _contents(path: str | Path, name: str, most_bytes: int) -> bytes:
     try:
         return read_file(path, most_bytes)
     except OSError as error:
-        raise BuildingError(name, "the file", error.strerror or str(error), "an IFC file that can be read") from error
+        raise BuildingError(
+            name, Sentence("ifc.file"), error.strerror or str(error), Sentence("ifc.readable")
+        ) from error
 
 
 def _open_copy(contents: bytes, name: str) -> ifcopenshell.file:
@@ -170,15 +175,20 @@ def _open_copy(contents: bytes, name: str) -> ifcopenshell.file:
 
 def _open(path: str | Path, name: str) -> ifcopenshell.file:
     try:
-        with Where(name, "the file"):
+        with Where(name, Sentence("ifc.file")):
             file = ifcopenshell.open(str(path), format=".ifc")
             entities = len(file.types())
     except BuildingError as error:
-        expected = f"an IFC file (ISO 10303-21) of {', '.join(SCHEMAS)} as published, no release candidate"
+        expected = Sentence("ifc.published", schemas=", ".join(SCHEMAS))
         why = first_error(ifcopenshell.get_log())
-        raise BuildingError(name, "the file", f"{error.found}: {why}" if why else error.found, expected) from error
+        raise BuildingError(
+            name,
+            Sentence("ifc.file"),
+            Sentence("building.part", file=error.found, what=why) if why else error.found,
+            expected,
+        ) from error
     if entities == 0:
-        raise BuildingError(name, "the file", "no entities", "an IFC file (ISO 10303-21)")
+        raise BuildingError(name, Sentence("ifc.file"), Sentence("ifc.found.no_entities"), Sentence("ifc.a_file"))
     return file
 
 
@@ -290,8 +300,7 @@ def _take_kernel_log(file: ifcopenshell.file, file_name: str, made: dict[int, Sh
     """
     for said in kernel_says(ifcopenshell.get_log()):
         if said.code in NO_UNIT_CODES:
-            expected = "one project whose unit of length the geometry kernel can read: of the SI, or converted to that in one step"
-            raise BuildingError(file_name, "units of the project", said.sentence, expected)
+            raise BuildingError(file_name, Sentence("ifc.project_units"), said.sentence, Sentence("ifc.kernel_unit"))
         if said.about:
             try:
                 number = file.by_guid(said.about).id()
@@ -316,7 +325,12 @@ def _products(file: ifcopenshell.file, found: _Found) -> list[ifcopenshell.entit
             if _is(product, "IfcElement") or ((spatial or _is(product, "IfcProxy")) and body_of(product) is not None):
                 products.append(product)
     if len(products) > MOST_ELEMENTS:
-        raise BuildingError(found.name, "elements", str(len(products)), f"at most {MOST_ELEMENTS}")
+        raise BuildingError(
+            found.name,
+            Sentence("ifc.elements"),
+            str(len(products)),
+            Sentence("ifc.at_most_elements", most=MOST_ELEMENTS),
+        )
     return products
 
 

@@ -20,6 +20,7 @@ from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.files import read_file
+from construction_twin.core.sentences import Sentence, understood
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import BuildingModel
 from construction_twin.work.ifc.model_file import VERSION, load
@@ -87,7 +88,7 @@ def read_building(
             model = _read(path, digest, written, bounds, progress)
             os.replace(written, kept)
     except OSError as error:
-        raise ConfigurationError(str(kept.parent), error.strerror or str(error), "a folder for the cache") from error
+        raise ConfigurationError(str(kept.parent), error.strerror or str(error), Sentence("ifc.cache")) from error
     return model
 
 
@@ -96,33 +97,33 @@ def _digest(path: Path, bounds: Bounds) -> str:
         contents = read_file(path, bounds.file_bytes)
     except OSError as error:
         raise BuildingError(
-            path.name, "the file", error.strerror or str(error), "an IFC file that can be read"
+            path.name, Sentence("ifc.file"), error.strerror or str(error), Sentence("ifc.readable")
         ) from error
     if not contents.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(_MAGIC):
-        found = f"{contents[:20]!r} at its beginning" if contents else "nothing in it"
-        raise BuildingError(path.name, "the file", found, f"an IFC file, which begins with {_MAGIC.decode()}")
+        found = Sentence("ifc.found.begins", contents=repr(contents[:20])) if contents else Sentence("ifc.found.empty")
+        raise BuildingError(path.name, Sentence("ifc.file"), found, Sentence("ifc.begins", magic=_MAGIC.decode()))
     # ifcopenshell reads what is there and does not miss the rest
     if _END not in contents[-65536:]:
-        found = f"no {_END.decode()} at its end: it is not whole"
-        raise BuildingError(path.name, "the file", found, "a whole IFC file")
+        found = Sentence("ifc.found.no_end", end=_END.decode())
+        raise BuildingError(path.name, Sentence("ifc.file"), found, Sentence("ifc.whole_file"))
     return hashlib.sha256(contents).hexdigest()
 
 
 def _read(path: Path, digest: str, output: Path, bounds: Bounds, progress: Progress) -> BuildingModel:
     if importlib.util.find_spec("ifcopenshell") is None:
-        raise ConfigurationError("ifcopenshell", None, "that it is installed; run setup/setup.sh work")
+        raise ConfigurationError("ifcopenshell", None, Sentence("expected.work.installed"))
     _run(path, digest, output, bounds, progress)
     try:
         return load(output, path.name, digest)
     except OSError as error:
-        raise BuildingError(path.name, "what the reading process wrote", str(error), "a whole model") from error
+        raise BuildingError(path.name, Sentence("ifc.written"), str(error), Sentence("ifc.whole_model")) from error
 
 
 def _run(path: Path, digest: str, output: Path, bounds: Bounds, progress: Progress) -> None:
     """Let another process read, and return when it has written the model."""
     late = threading.Event()
     error: list[str] | None = None
-    where = "before it began"
+    where: str = Sentence("ifc.found.before")
     with _start(path, digest, output, bounds) as process:
 
         def stop() -> None:
@@ -142,19 +143,18 @@ def _run(path: Path, digest: str, output: Path, bounds: Bounds, progress: Progre
                     error = message[1:]
                     continue
                 what, done, whole = message[1], int(message[2]), int(message[3])
-                where = f"after {done} of {whole} in step {what!r}"
+                where = Sentence("ifc.found.after", done=done, whole=whole, step=repr(what))
                 progress(what, done, whole)
             code = process.wait()
         finally:
             timer.cancel()
             process.kill()
     if error is not None:
-        raise BuildingError(path.name, *error)
+        # texts cross the pipe; what they say is found in them again
+        raise BuildingError(path.name, *(understood(text) or text for text in error))
     if code != 0 or late.is_set() or not output.exists():
-        found = f"{_how_it_ended(code, late.is_set(), bounds)} {where}"
-        raise BuildingError(
-            path.name, "the process that read the file", found, "a file that can be read within its bounds"
-        )
+        found = Sentence("building.ended", how=_how_it_ended(code, late.is_set(), bounds), where=where)
+        raise BuildingError(path.name, Sentence("ifc.process"), found, Sentence("ifc.within_bounds"))
 
 
 def _message(line: bytes) -> list[str] | None:
@@ -171,12 +171,12 @@ def _message(line: bytes) -> list[str] | None:
 
 def _how_it_ended(code: int, late: bool, bounds: Bounds) -> str:
     if late:
-        return f"more than {bounds.wall:g} s"
+        return Sentence("ifc.found.wall", seconds=bounds.wall)
     if code == -signal.SIGXCPU:
-        return f"more than {bounds.cpu:g} s of processor time"
+        return Sentence("ifc.found.cpu", seconds=bounds.cpu)
     if code < 0:
-        return f"an end by signal {-code} ({signal.Signals(-code).name})"
-    return f"an end with code {code} and no result"
+        return Sentence("ifc.found.signal", number=-code, name=signal.Signals(-code).name)
+    return Sentence("ifc.found.code", code=code)
 
 
 def _start(path: Path, digest: str, output: Path, bounds: Bounds) -> subprocess.Popen[bytes]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import ifcopenshell
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.ifc.notes import Where, label
 
@@ -78,7 +79,12 @@ def _refuse_loops(file: ifcopenshell.file, name: str, whole: dict[int, ifcopensh
             if at in seen:
                 loop = list(seen)[list(seen).index(at) :]
                 shown = " in ".join(label(file.by_id(each)) for each in loop[:4])
-                raise BuildingError(name, label(file.by_id(at)), f"part of itself ({shown} ...)", "no loop of parts")
+                raise BuildingError(
+                    name,
+                    label(file.by_id(at)),
+                    Sentence("ifc.found.part_of_itself", loop=shown),
+                    Sentence("ifc.no_part_loop"),
+                )
             seen[at] = None
             parent = whole.get(at)
             at = None if parent is None else parent.id()

@@ -12,6 +12,7 @@ import ifcopenshell.util.placement
 import numpy as np
 import shapely
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.work.building import Extrusion
@@ -92,16 +93,22 @@ class Items:
         if (known := self._counts.get(node.id())) is not None:
             return known
         if node.id() in path:
-            raise BuildingError(self._name, label(node), "geometry that contains itself", "geometry without a loop")
+            raise BuildingError(
+                self._name, label(node), Sentence("ifc.found.contains_itself"), Sentence("ifc.no_geometry_loop")
+            )
         if len(path) >= DEEPEST:
-            raise BuildingError(self._name, label(node), f"geometry nested {DEEPEST} deep", "less")
+            raise BuildingError(
+                self._name, label(node), Sentence("ifc.found.deep", depth=DEEPEST), Sentence("ifc.less")
+            )
         count = 1
         with Where(self._name, node):
             parts = _parts(node)
         for part in parts:
             count += self._count(part, (*path, node.id()))
             if count > MOST_ITEMS:
-                raise BuildingError(self._name, label(node), f"more than {MOST_ITEMS} items by mapping", "less")
+                raise BuildingError(
+                    self._name, label(node), Sentence("ifc.found.items", most=MOST_ITEMS), Sentence("ifc.less")
+                )
         self._counts[node.id()] = count
         return count
 

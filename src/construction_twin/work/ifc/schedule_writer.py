@@ -15,6 +15,7 @@ import ifcopenshell
 import ifcopenshell.util.unit
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import Sequence, Task
 from construction_twin.work.global_ids import global_id
@@ -43,11 +44,11 @@ def write_schedule(
     """
     source, target = Path(source), Path(target)
     if target.exists():
-        raise ConfigurationError("schedule", str(target), "a file that does not exist yet: nothing is written over")
+        raise ConfigurationError("schedule", str(target), Sentence("ifc.new_file"))
     try:
         file = ifcopenshell.open(str(source))
     except (OSError, RuntimeError, ifcopenshell.Error) as error:
-        raise BuildingError(str(source), "the file", f"{error}", "a readable IFC file") from error
+        raise BuildingError(str(source), Sentence("ifc.file"), str(error), Sentence("ifc.readable")) from error
     add_schedule(file, name, tuple(tasks), tuple(sequences), created, description, str(source))
     file.write(str(target))
 
@@ -99,16 +100,36 @@ class _Writer:
     def check(self, name: str, tasks: tuple[Task, ...]) -> None:
         """Refuse what the file has already, and what it has not."""
         if any(schedule.Name == name for schedule in self._file.by_type("IfcWorkSchedule")):
-            raise BuildingError(self._path, f"schedule {name!r}", "one of that name already", "a name that is new")
+            raise BuildingError(
+                self._path,
+                Sentence("ifc.schedule", name=repr(name)),
+                Sentence("ifc.found.schedule_there"),
+                Sentence("ifc.new_name"),
+            )
         ids = {task.id for task in tasks}
         for task in tasks:
             if self._by_id(task.id) is not None:
-                raise BuildingError(self._path, f"task {task.id!r}", "its GlobalId already", "one that is new")
+                raise BuildingError(
+                    self._path,
+                    Sentence("building.task", id=repr(task.id)),
+                    Sentence("ifc.found.id_there"),
+                    Sentence("ifc.new_id"),
+                )
             if task.parent and task.parent not in ids:
-                raise BuildingError(self._path, f"task {task.id!r}", f"no parent {task.parent!r}", "it among the tasks")
+                raise BuildingError(
+                    self._path,
+                    Sentence("building.task", id=repr(task.id)),
+                    Sentence("ifc.found.no_parent", id=repr(task.parent)),
+                    Sentence("ifc.among"),
+                )
             for product in (*task.products, *task.inputs):
                 if self._by_id(product) is None:
-                    raise BuildingError(self._path, f"task {task.id!r}", f"no product {product!r}", "it in the file")
+                    raise BuildingError(
+                        self._path,
+                        Sentence("building.task", id=repr(task.id)),
+                        Sentence("ifc.found.no_product", id=repr(product)),
+                        Sentence("ifc.in_file"),
+                    )
 
     def schedule(self, name: str, description: str) -> ifcopenshell.entity_instance:
         """Add the IfcWorkSchedule."""

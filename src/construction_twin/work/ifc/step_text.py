@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.ifc.notes import Notes
 
@@ -41,10 +42,13 @@ def check_whole(contents: bytes, name: str) -> None:
     end = 0 if found is None else found.end()
     if end < len(contents):
         line = contents.count(b"\n", 0, end) + 1
-        raise BuildingError(name, "the file", f"a text or comment that does not end (line {line})", "a whole IFC file")
+        raise BuildingError(
+            name, Sentence("ifc.file"), Sentence("ifc.found.text", line=line), Sentence("ifc.whole_file")
+        )
     if (broken := _BROKEN.search(_without_texts(contents))) is not None:
-        which = f"line #{broken.group(1).decode()}, broken off" if broken.group(1) else "a last line that is broken off"
-        raise BuildingError(name, "the file", which, "a whole IFC file")
+        number = broken.group(1)
+        which = Sentence("ifc.found.line", number=number.decode()) if number else Sentence("ifc.found.last_line")
+        raise BuildingError(name, Sentence("ifc.file"), which, Sentence("ifc.whole_file"))
 
 
 def _without_texts(contents: bytes) -> bytes:
@@ -131,18 +135,15 @@ def note_parser_log(
         if (found := _MISSING.search(entry)) is not None:
             missing, by = map(int, found.groups())
             if missing not in dropped:
-                broken = f"{shown(by)} refers to #{missing}, which is not there: the file is not whole"
-                raise BuildingError(name, "the file", broken, "a whole IFC file")
+                broken = Sentence("ifc.found.missing", line=shown(by), missing=missing)
+                raise BuildingError(name, Sentence("ifc.file"), broken, Sentence("ifc.whole_file"))
             if by in present and is_geometry(by):
-                lost = (
-                    f"{shown(by)} refers to {shown(missing)}, of a kind that {schema} does not have or that cannot be read: "
-                    "where something is or what shape it has is lost"
-                )
-                raise BuildingError(name, "the file", lost, f"lines of {schema}")
+                lost = Sentence("ifc.found.lost", line=shown(by), missing=shown(missing), schema=schema)
+                raise BuildingError(name, Sentence("ifc.file"), lost, Sentence("ifc.lines", schema=schema))
             # a hole whose opening was dropped, for one, is missed by the wall
             dropped[missing] += [by, *referring.get(by, [])]
         elif (found := _TWICE.search(entry)) is not None:
-            raise BuildingError(name, f"#{found.group(1)}", "two lines of this number", "one")
+            raise BuildingError(name, f"#{found.group(1)}", Sentence("ifc.found.twice"), Sentence("expected.one"))
         elif (found := _VALUES.search(entry)) is not None:
             expected, given, number = map(int, found.groups())
             sentence = (

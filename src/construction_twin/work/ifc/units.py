@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import ifcopenshell
 import ifcopenshell.util.unit
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.ifc.notes import Notes, Where
 
@@ -74,24 +75,25 @@ def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
     """
     projects = file.by_type("IfcProject")
     if not projects:
-        raise BuildingError(name, "IFCPROJECT", "none", "a project, which says in which units the model is")
+        raise BuildingError(name, "IFCPROJECT", Sentence("ifc.found.none"), Sentence("ifc.a_project"))
     if len(projects) > 1:
-        raise BuildingError(
-            name, "IFCPROJECT", str(len(projects)), "one project, which says in which units the model is"
-        )
+        raise BuildingError(name, "IFCPROJECT", str(len(projects)), Sentence("ifc.one_project"))
     with Where(name, projects[0]):
         assignment = projects[0].UnitsInContext
         given = [getattr(unit, "UnitType", None) for unit in assignment.Units] if assignment else []
     if "LENGTHUNIT" not in given:
         raise BuildingError(
-            name, "units of the project", "no length unit", "one, or no length of the model has a meaning"
+            name, Sentence("ifc.project_units"), Sentence("ifc.found.no_length_unit"), Sentence("ifc.one_unit")
         )
     if given.count("LENGTHUNIT") > 1:
-        raise BuildingError(name, "units of the project", "several length units", "one")
+        raise BuildingError(
+            name, Sentence("ifc.project_units"), Sentence("ifc.found.length_units"), Sentence("expected.one")
+        )
     length = _scale(file, name, "LENGTHUNIT")
     if not _SMALLEST <= length <= _LARGEST:
-        expected = "a unit of length that buildings are drawn in"
-        raise BuildingError(name, "length unit of the project", f"{length:g} m", expected)
+        raise BuildingError(
+            name, Sentence("ifc.length_unit"), Sentence("ifc.found.metres", length=length), Sentence("ifc.drawn_in")
+        )
     if "PLANEANGLEUNIT" not in given:
         notes.add("The project has no unit of angles; radians are assumed")
     return Units(
@@ -112,7 +114,9 @@ def _density(assignment: ifcopenshell.entity_instance, name: str) -> float:
     with Where(name, unit):
         factor = si_factor(unit)
     if factor is None or not (math.isfinite(factor) and factor > 0):
-        raise BuildingError(name, "MASSDENSITYUNIT of the project", str(factor), "a unit of known units")
+        raise BuildingError(
+            name, Sentence("ifc.unit_of", kind="MASSDENSITYUNIT"), str(factor), Sentence("ifc.known_unit")
+        )
     return factor
 
 
@@ -141,8 +145,8 @@ def si_factor(unit: ifcopenshell.entity_instance) -> float | None:
 
 
 def _scale(file: ifcopenshell.file, name: str, kind: str) -> float:
-    with Where(name, f"{kind} of the project"):
+    with Where(name, Sentence("ifc.unit_of", kind=kind)):
         scale = float(ifcopenshell.util.unit.calculate_unit_scale(file, kind))
     if not (math.isfinite(scale) and scale > 0):
-        raise BuildingError(name, f"{kind} of the project", f"{scale:g}", "a finite factor above 0")
+        raise BuildingError(name, Sentence("ifc.unit_of", kind=kind), f"{scale:g}", Sentence("ifc.factor"))
     return scale
