@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
@@ -138,14 +139,14 @@ class Checker:
             number, job.id, job.name, job.element, element.name, element.ifc_class, False, process=job.process
         )
         if element.doubt:
-            return replace(found, reason=f"its body is doubtful: {element.doubt}")
+            return replace(found, reason=Sentence("work.body.doubtful", doubt=element.doubt))
         if job.element not in self._layout.order:
             return replace(found, reason="the element has no geometry")
         scene, place = self._turn(number)
         try:
             plan = self._planner.plan(place, self._robot.home, scene)
         except ConstructionTwinError as error:
-            found = replace(found, planning=self._clock() - began, reason=str(error))
+            found = replace(found, planning=self._clock() - began, reason=error.sentence)
             if isinstance(error, TaskPlanningError):
                 found = replace(found, stage=error.stage, grip=error.method, reason=error.reason)
             return replace(found, reason=self._layout.building.called(found.reason, job.element))

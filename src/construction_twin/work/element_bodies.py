@@ -291,23 +291,23 @@ def _judged(
 ) -> tuple[str, float]:  # fmt: skip
     """Return what is wrong with pieces, empty if nothing is, and how far they reach beyond the body [m]."""
     if any(hull_solid(points).is_empty() for points in pieces):
-        return "a flat piece", 0.0
+        return Sentence("work.body.flat"), 0.0
     if exact and closed is not None:
         difference = sum(hull_solid(points).volume() for points in pieces) - closed.volume()
         if abs(difference) > HELD * triangle_area(vertices, triangles):
-            return f"{difference:.3g} m^3 more than the body", 0.0
+            return Sentence("work.body.more", volume=difference), 0.0
     # manifold3d is not asked where faces lie in the same planes: with the same volume, points on the surface suffice
     outside = lost(vertices, triangles, None if exact else closed, pieces)
     if outside:
-        return f"{outside * 1e3:.3g} mm of the body are outside of the pieces", 0.0
+        return Sentence("work.body.outside", distance=outside * 1e3), 0.0
     if closed is None:
         # of what has no inside only a hull that is the body itself, or its exact prisms, are known to reach no further
         if exact or _is_closed_hull(vertices, triangles, pieces):
             return "", 0.0
-        return "the body is not closed, so that nobody knows what the pieces have more", 0.0
+        return Sentence("work.body.open"), 0.0
     reach = 0.0 if exact else excess(closed, pieces)
     if reach > bound:
-        return f"a piece reaches {reach * 1e3:.3g} mm beyond the body, expected at most {bound * 1e3:g} mm", reach
+        return Sentence("work.body.beyond", reach=reach * 1e3, most=bound * 1e3), reach
     return "", reach
 
 

@@ -17,6 +17,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import PlacementError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.work.building import BuildingModel, Element
+from construction_twin.work.first_few import first_few
 
 #: How far outside of the robot's reach an element is misplaced rather than unreachable, as a multiple of the reach.
 MISPLACED = 10.0
@@ -35,8 +36,6 @@ _MILLIMETRES = 300.0
 
 #: A base whose z axis leans more than this from the model's is reported [deg].
 _LEANING_DEG = 2.0
-
-_LISTED = 10
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,8 @@ def base_element(model: BuildingModel, name: str) -> Element:
     ids = tuple(element.id for element in found)
     if found:
         raise PlacementError(
-            Sentence("work.place.several", name=repr(name), count=len(found), file=model.file, listed=_listed(ids)), ids
+            Sentence("work.place.several", name=repr(name), count=len(found), file=model.file, listed=first_few(ids)),
+            ids,
         )
     raise PlacementError(Sentence("work.place.no_element", name=repr(name), file=model.file))
 
@@ -265,9 +265,4 @@ def _figures(values: np.ndarray) -> str:
 def _named(model: BuildingModel, ids: tuple[str, ...]) -> str:
     if len(ids) == 1:
         return Sentence("work.place.element", id=ids[0], name=repr(model.elements[ids[0]].name))
-    return Sentence("work.place.elements", count=len(ids), listed=_listed(ids))
-
-
-def _listed(ids: tuple[str, ...]) -> str:
-    first = ", ".join(ids[:_LISTED])
-    return Sentence("work.place.listed", listed=first, count=len(ids) - _LISTED) if len(ids) > _LISTED else first
+    return Sentence("work.place.elements", count=len(ids), listed=first_few(ids))

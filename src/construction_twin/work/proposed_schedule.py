@@ -17,6 +17,7 @@ import numpy as np
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import ScheduleError
 from construction_twin.work.building import BuildingModel, Element, Sequence, Task
+from construction_twin.work.first_few import first_few
 from construction_twin.work.global_ids import global_id
 from construction_twin.work.workpieces import workpieces
 
@@ -28,8 +29,6 @@ _STEEP = 0.1
 
 #: Vertical lines per direction on which the faces of two elements are compared.
 _LINES = 15
-
-_LISTED = 10
 
 
 @dataclass(frozen=True)
@@ -197,7 +196,7 @@ def _held_at_the_side(solids: list[_Solid], before: dict[int, set[int]]) -> list
             loose.append(solid.element.id)
     if not loose:
         return []
-    return [f"Nothing in the model holds {_listed(loose)}: what it stands on or hangs from must be there before."]
+    return [Sentence("work.order.held_by_nothing", elements=first_few(loose))]
 
 
 def _waits_for(element: int, other: int, before: dict[int, set[int]]) -> bool:
@@ -228,9 +227,8 @@ def _built(solids: list[_Solid], before: dict[int, set[int]], notes: list[str]) 
         if not heap:
             number = min((n for n in waiting if n not in done), key=lambda n: keys[n])
             cut = [solids[first].element.id for first in sorted(waiting[number])]
-            notes.append(
-                f"{solids[number].element.id} rests on {_listed(cut)} and these, in a circle, on it: it comes first, being lowest."
-            )
+            others = first_few(cut)
+            notes.append(Sentence("work.order.rests_in_circle", element=solids[number].element.id, others=others))
             before[number] -= waiting[number]
             waiting[number] = set()
             heapq.heappush(heap, keys[number])
@@ -258,8 +256,3 @@ def _needed(order: list[int], before: dict[int, set[int]]) -> dict[int, set[int]
                 reached |= every[first] | 1 << place[first]
         every[number] = reached
     return kept
-
-
-def _listed(ids: list[str]) -> str:
-    more = f" and {len(ids) - _LISTED} more" if len(ids) > _LISTED else ""
-    return ", ".join(ids[:_LISTED]) + more

@@ -26,13 +26,13 @@ from types import MappingProxyType
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import ScheduleError
 from construction_twin.work.building import BuildingModel, Element, Sequence, Task
+from construction_twin.work.first_few import first_few
 from construction_twin.work.processes import process_of
 from construction_twin.work.proposed_schedule import propose
 from construction_twin.work.recipe import DEFAULT, RECIPE
 from construction_twin.work.workpieces import workpieces
 
 _KINDS = {"FINISH_START": True, "FINISH_FINISH": True, "START_START": False, "START_FINISH": False}
-_LISTED = 10
 #: Takes an element and a task; returns the process by which the task works on it.
 ProcessOf = Callable[[Element, Task], str]
 
@@ -267,8 +267,7 @@ class _Reading:
             if job.id in self.removals:
                 name = self._model.elements[job.element].name or job.element
                 self.notes.append(
-                    f"{name} ({job.element}) is to be taken down ({job.name}): it is an obstacle until a person says "
-                    f"that it is gone (`twin work removed {job.id}`)."
+                    Sentence("work.order.taken_down", name=name, element=job.element, task=job.name, id=job.id)
                 )
         return tuple(jobs)
 
@@ -287,16 +286,14 @@ class _Reading:
         made = {job.element for job in jobs} | self._standing
         left = tuple(identifier for identifier in workpieces(self._model) if identifier not in made)
         if left:
-            self.notes.append(
-                f"No task makes {_counted(left, 'element')}: {self._called(left)}; the arm leaves them alone."
-            )
+            self.notes.append(Sentence("work.order.unmade", count=len(left), elements=self._called(left)))
         return left
 
     def _called(self, ids: Iterable[str]) -> str:
         """Return elements or tasks by name and id, the first few."""
         names = {one: element.name for one, element in self._model.elements.items()}
         names |= {one: task.name for one, task in self._tasks.items()}
-        return _listed(_called(names[one], one) for one in ids)
+        return first_few(_called(names[one], one) for one in ids)
 
     def _takes_down(self, identifier: str) -> bool:
         """Return whether a task removes what is assigned to it: by its kind, or because all of that is to be removed."""
@@ -377,12 +374,12 @@ class _Reading:
             if sequence.lag < 0.0:
                 leads.append(ids)
             if sequence.lag > 0.0 and self._is_completed(sequence.before):
-                self.notes.append(f"The lag after {ids[0]}, which is completed, is not waited for by {ids[1]}.")
+                self.notes.append(Sentence("work.order.lag_over", before=ids[0], after=ids[1]))
             into[sequence.after].append(sequence)
         for ids in needless:
-            self.notes.append(f"The sequence from {ids[0]} to {ids[1]} is left out: one of them nests in the other.")
+            self.notes.append(Sentence("work.order.needless", before=ids[0], after=ids[1]))
         for ids in leads:
-            self.notes.append(f"The lead from {ids[0]} to {ids[1]} is not used: the arm waits as if its lag were 0.")
+            self.notes.append(Sentence("work.order.lead", before=ids[0], after=ids[1]))
         return into
 
     def _checked_products(self) -> dict[str, tuple[str, ...]]:
@@ -397,13 +394,15 @@ class _Reading:
             known = tuple(dict.fromkeys(one for one in given if one in self._model.elements))
             unknown = tuple(one for one in task.products if one not in self._model.elements)
             if unknown and not nested:
+                elements = first_few(unknown)
                 self.notes.append(
-                    f"Task {identifier} ({task.name!r}) makes {_listed(unknown)}, which the arm cannot place: "
-                    "no such element was read."
+                    Sentence("work.order.not_read", id=identifier, name=repr(task.name), elements=elements)
                 )
             if nested and known:
                 self.notes.append(
-                    f"What task {identifier} ({task.name!r}) makes is taken from the tasks that nest in it: {self._called(known)}."
+                    Sentence(
+                        "work.order.from_nested", id=identifier, name=repr(task.name), elements=self._called(known)
+                    )
                 )
             if nested:
                 continue
@@ -436,8 +435,12 @@ class _Reading:
         idle = [one for one in empty if not self._tasks[one].milestone and self._tasks[one].kind == "makes"]
         idle = [one for one in idle if not self._is_completed(one)]
         if idle:
+            tasks = self._called(idle)
+            several = len(idle) > 1
             self.notes.append(
-                f"{_counted(idle, 'task')} without element: {self._called(idle)}; kept for the order, no time is waited for."
+                Sentence("work.order.idle", count=len(idle), tasks=tasks)
+                if several
+                else Sentence("work.order.idle_one", tasks=tasks)
             )
         return found
 
@@ -458,8 +461,7 @@ class _Reading:
         if there:
             self._standing |= set(there)
             self.notes.append(
-                f"Task {identifier} ({task.name!r}) makes {self._called(there)}, which the model has as existing or to be taken "
-                "down: not placed."
+                Sentence("work.order.stands", id=identifier, name=repr(task.name), elements=self._called(there))
             )
         found: list[str] = []
         for one in known:
@@ -503,10 +505,10 @@ class _Reading:
             proposal = propose(alone)
             wanted = [one for part in proposal.tasks for one in part.products]
             self.guessed = self.guessed or len(wanted) > 1
-        how = "its parts are placed one after the other, in an order from the geometry that a person must accept"
+        key = "work.order.assembly" if wanted else "work.order.assembly_empty"
+        called = model.elements[element].name or element
         self.notes.append(
-            f"Task {identifier} ({task.name!r}) makes {model.elements[element].name or element}, an assembly without a body of "
-            f"its own: {how if wanted else 'none of its parts is left for this task'}: {self._called(wanted)}."
+            Sentence(key, id=identifier, name=repr(task.name), element=called, parts=self._called(wanted))
         )
         return tuple(wanted)
 
@@ -518,10 +520,8 @@ class _Reading:
             twice = [element for element in found[identifier] if element in removed]
             removed |= set(found[identifier])
             if placed:
-                self.notes.append(
-                    f"Task {identifier} ({self._tasks[identifier].name!r}) takes down {self._called(placed)}, which another task "
-                    "places: not read, it stays; what comes after does not wait for it to be gone."
-                )
+                name, elements = repr(self._tasks[identifier].name), self._called(placed)
+                self.notes.append(Sentence("work.order.temporary", id=identifier, name=name, elements=elements))
             left = tuple(element for element in found[identifier] if element not in {*placed, *twice})
             if left:
                 found[identifier] = left
@@ -647,25 +647,16 @@ def _order_notes(jobs: tuple[Job, ...], tasks: Mapping[str, Task], proposed: boo
     starts = {job.task: tasks[job.task].start for job in jobs if job.task in tasks}
     without = [identifier for identifier, start in starts.items() if not start]
     if without and len(without) < len(starts):
-        return [
-            f"Dates are not used for the order, because there is no start for {len(without)} of {len(starts)} tasks: "
-            f"{_listed(_called(tasks[one].name, one) for one in without)}. What no sequence orders comes as it stands in the file."
-        ]
+        named = first_few(_called(tasks[one].name, one) for one in without)
+        return [Sentence("work.order.no_dates", count=len(without), all=len(starts), tasks=named)]
     if not without and len({_has_zone(start) for start in starts.values()}) > 1:
-        return ["Dates are not used for the order, because some starts have a time zone and others have none."]
+        return [Sentence("work.order.zones")]
     on = {job.id: job.element for job in jobs}
     # of the jobs of one task, and of one element, the file need not say an order
     free = all(wait.job.startswith(f"{job.task}/") or on[wait.job] == job.element for job in jobs for wait in job.after)
     if len(starts) > 1 and without and free and not proposed:
-        return [
-            "The file says no order of its tasks, neither sequences nor dates: they come as they stand in the file."
-        ]
+        return [Sentence("work.order.unsaid")]
     return []
-
-
-def _counted(ids: Iterable[str], what: str) -> str:
-    count = len(tuple(ids))
-    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def _has_zone(start: str) -> bool | None:
@@ -678,10 +669,3 @@ def _has_zone(start: str) -> bool | None:
 
 def _called(name: str, identifier: str) -> str:
     return f"{name} ({identifier})" if name and name != identifier else identifier
-
-
-def _listed(ids: Iterable[str]) -> str:
-    """Return ids with commas, the first few."""
-    every = tuple(ids)
-    more = f" and {len(every) - _LISTED} more" if len(every) > _LISTED else ""
-    return ", ".join(every[:_LISTED]) + more

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain
 from construction_twin.robot.description import RobotModel
 from construction_twin.scene.objects import SceneObject, product
@@ -53,7 +54,7 @@ def standing(building: BuildingModel, made: Collection[str], site: Site, robot: 
             near.append(element)
     shapes, failures = element_shapes(near, folder)
     notes = tuple(
-        f"{building.element(name).name!r} stands in the model but is no obstacle: {failure}"
+        Sentence("work.body.no_obstacle", name=repr(building.element(name).name), problem=failure.sentence)
         for name, failure in failures.items()
     )
     return Standing({name: shape.objects for name, shape in shapes.items()}, notes)

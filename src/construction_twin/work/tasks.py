@@ -88,7 +88,7 @@ def prepare(
     # one element without usable body does not stop the others
     usable = [element for element in order if element in pieces]
     layout = Layout(site, building, pieces, usable, robot.tip_link, stands.pieces, schedule.jobs)
-    unplannable = {element: str(failure) for element, failure in failures.items()}
+    unplannable = {element: failure.sentence for element, failure in failures.items()}
     unplannable |= {element: building.element(element).doubt for element in order if element not in sure}
     removed = [job.element for job in schedule.removals]
     elements = {}
@@ -101,11 +101,11 @@ def prepare(
     notes = [
         *building.notes,
         *(remark.text for remark in placement.remarks),
-        *map(str, failures.values()),
+        *(failure.sentence for failure in failures.values()),
         *stands.notes,
     ]
     notes += [
-        f"{elements[element].name} ({element}) is planned with bodies up to {1e3 * shape.excess:.1f} mm larger than it is."
+        Sentence("work.body.larger", name=elements[element].name, element=element, excess=1e3 * shape.excess)
         for element, shape in shapes.items()
         if shape.excess > _TOLD
     ]

@@ -131,9 +131,7 @@ def _work(options: argparse.Namespace, robot: RobotModel) -> _Work:
     if proposed:
         notes.insert(
             0,
-            "Not all of this order is the model's: it is proposed from the geometry, and a person must accept it."
-            if not missing
-            else "The model has no schedule: this order is proposed from its geometry, and a person must accept it.",
+            Sentence("work.order.proposed_all" if missing else "work.order.proposed_some"),
         )
     return _Work(building, site, schedule, schedule.jobs, tuple(notes))
 
@@ -146,9 +144,14 @@ def _pieces(work: _Work, folder: Path) -> tuple[dict[str, tuple[SceneObject, ...
     elements = map(work.building.element, dict.fromkeys(job.element for job in work.jobs))
     sure = [element for element in elements if element.bodies and not element.doubt]
     shapes, failures = element_shapes(sure, folder)
-    notes = [str(failure) for failure in failures.values()]
+    notes = [failure.sentence for failure in failures.values()]
     notes += [
-        f"{work.building.element(name).name!r} ({name}) is checked with bodies up to {1e3 * shape.excess:.1f} mm larger than it is."
+        Sentence(
+            "work.body.larger_checked",
+            name=repr(work.building.element(name).name),
+            element=name,
+            excess=1e3 * shape.excess,
+        )
         for name, shape in shapes.items()
         if shape.excess > _TOLD
     ]
