@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.sentences import Value, said_in, understood
+from construction_twin.core.sentences import Value, key_and_values, understood
 from construction_twin.core.work_errors import TaskPlanningError
 
 
 def key_of(text: str) -> str:
     """Return the key of what is said, or of the reason that a text reads as; empty: it has none."""
-    return (said_in(text) or said_in(understood(text)) or {"key": ""})["key"]
+    return (key_and_values(text) or key_and_values(understood(text)) or {"key": ""})["key"]
 
 
 def says(key: str, /, **values: Value) -> Callable[[ConstructionTwinError], bool]:

@@ -32,7 +32,7 @@ from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.link.tool_link import ToolLink
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard
-from construction_twin.mock.line import Line
+from construction_twin.mock.impaired_line import ImpairedLine
 from construction_twin.monitor.gate import REPLAN, Gate, GateSettings
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -272,7 +272,7 @@ class SimulatedChain:
         if due and not controller.needs_person:
             controller.restart()
 
-    def _carry(self, line: Line, data: bytes, deliver: Callable[[bytes], None]) -> None:
+    def _carry(self, line: ImpairedLine, data: bytes, deliver: Callable[[bytes], None]) -> None:
         """Carry a datagram: at once, or as the line's faults have it."""
         if not line.active:
             deliver(data)

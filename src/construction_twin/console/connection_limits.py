@@ -12,14 +12,14 @@ class ConnectionLimits:
     """How many connections there may be.
 
     Attributes:
-        visitors, visitors_per_address: Of those that have not logged in: they begin TLS, ask for something, get a file, or are
+        anonymous, anonymous_per_address: Of those that have not logged in: they begin TLS, ask for something, get a file, or are
             about to log in.
         logins, logins_per_address, logins_per_account: Of WebSockets on which the broker has accepted a login. A broker without
             accounts has no limit per account.
     """
 
-    visitors: int = 256
-    visitors_per_address: int = 64
+    anonymous: int = 256
+    anonymous_per_address: int = 64
     logins: int = 64
     logins_per_address: int = 16
     logins_per_account: int = 16
@@ -40,29 +40,29 @@ class OpenConnections:
 
     def __init__(self, limits: ConnectionLimits):
         self._limits = limits
-        self._visitors: dict[int, str] = {}
+        self._anonymous: dict[int, str] = {}
         self._logins: dict[int, _Login] = {}
 
     def enter(self, connection: int, address: str) -> int | None:
         """Note a new connection; return the one that is to be closed for it, and is counted no more, or None."""
-        self._visitors[connection] = address
-        counts = Counter(self._visitors.values())
-        if counts[address] > self._limits.visitors_per_address:
+        self._anonymous[connection] = address
+        counts = Counter(self._anonymous.values())
+        if counts[address] > self._limits.anonymous_per_address:
             return self._take_oldest([address])
-        if len(self._visitors) > self._limits.visitors:
+        if len(self._anonymous) > self._limits.anonymous:
             most = max(counts.values())
             return self._take_oldest([each for each, count in counts.items() if count == most])
         return None
 
     def _take_oldest(self, addresses: Iterable[str]) -> int:
         # a dict keeps the order in which they came
-        oldest = next(each for each, address in self._visitors.items() if address in addresses)
-        del self._visitors[oldest]
+        oldest = next(each for each, address in self._anonymous.items() if address in addresses)
+        del self._anonymous[oldest]
         return oldest
 
     def login(self, connection: int, account: str) -> str:
         """Count a connection as authenticated; return the limit that forbids it, or an empty text."""
-        address = self._visitors.get(connection)
+        address = self._anonymous.get(connection)
         if address is None:
             return "the connection has ended"
         limits, logins = self._limits, self._logins.values()
@@ -72,11 +72,11 @@ class OpenConnections:
             return "too many connections from this address are logged in"
         if account and sum(each.account == account for each in logins) >= limits.logins_per_account:
             return "too many connections are logged in to this account"
-        del self._visitors[connection]
+        del self._anonymous[connection]
         self._logins[connection] = _Login(address, account)
         return ""
 
     def leave(self, connection: int) -> None:
         """Note that a connection has ended; one that had to go has been forgotten before."""
-        self._visitors.pop(connection, None)
+        self._anonymous.pop(connection, None)
         self._logins.pop(connection, None)

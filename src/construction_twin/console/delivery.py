@@ -23,17 +23,17 @@ _KERNEL = 262144
 SLOWEST = 16384
 
 
-async def deliver(visitor: HttpConnection, request: Request, answer: Response, stall_s: float) -> bool:
+async def deliver(connection: HttpConnection, request: Request, answer: Response, stall_s: float) -> bool:
     """Write an answer and end the connection; return whether the reader took it.
 
     Args:
-        visitor: The connection, whose request has been read.
+        connection: The connection, whose request has been read.
         request: Of a HEAD only the head of the answer is written.
         answer: Whole, with its length and ``Connection: close``.
         stall_s: A reader that takes nothing for so long is cut off [s], and whoever takes longer than this and the body at
             `SLOWEST`.
     """
-    transport = visitor.transport
+    transport = connection.transport
     kernel = transport.get_extra_info("socket")
     kernel.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL)
     # a drained connection is one whose bytes have left this process; with a limit of 0 asyncio's TLS pauses with nothing to write
@@ -47,19 +47,19 @@ async def deliver(visitor: HttpConnection, request: Request, answer: Response, s
                     return False
                 transport.write(piece)
                 async with asyncio.timeout(stall_s):
-                    await visitor.drain()
+                    await connection.drain()
             # the rest is in the kernel. With TLS, closing waits for the reader; without, only the reader's own end shows that it
             # has all, and a connection that is closed before the reader has stopped writing is reset
-            if transport.can_write_eof() and not visitor.half_closed:
-                visitor.written = True
+            if transport.can_write_eof() and not connection.half_closed:
+                connection.written = True
                 transport.write_eof()
             else:
                 transport.close()
             async with asyncio.timeout(stall_s):
-                await visitor.wait_closed()
+                await connection.wait_closed()
     except (TimeoutError, OSError):
         return False
     finally:
         transport.abort()
-        await visitor.wait_closed()
+        await connection.wait_closed()
     return True

@@ -36,20 +36,20 @@ class Listener(socket.socket):
         on_full: Called with the address of a connection whose place another one gets.
     """
 
-    def __init__(self, family: int, places: OpenConnections, on_full: Callable[[str], None]):
+    def __init__(self, family: int, connections: OpenConnections, on_full: Callable[[str], None]):
         super().__init__(family, socket.SOCK_STREAM)
-        self._places = places
+        self._limits = connections
         self._on_full = on_full
         self._open: dict[int, _Counted] = {}
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """Return the next connection and its address (called by asyncio); the oldest visitor may have to end for it."""
+        """Return the next connection and its address (called by asyncio); the oldest client may have to end for it."""
         plain, address = super().accept()
         connection = _Counted(fileno=plain.detach())
         number = connection.fileno()
         connection.on_close = self._leave
         self._open[number] = connection
-        oldest = self._places.enter(number, address[0])
+        oldest = self._limits.enter(number, address[0])
         if oldest is not None and oldest in self._open:
             self._end(self._open[oldest])
         return connection, address
@@ -63,10 +63,12 @@ class Listener(socket.socket):
 
     def _leave(self, number: int) -> None:
         del self._open[number]
-        self._places.leave(number)
+        self._limits.leave(number)
 
 
-async def listeners(host: str, port: int, places: OpenConnections, on_full: Callable[[str], None]) -> list[Listener]:
+async def listeners(
+    host: str, port: int, connections: OpenConnections, on_full: Callable[[str], None]
+) -> list[Listener]:
     """Return a listening socket for each address of a host.
 
     Raises:
@@ -77,7 +79,7 @@ async def listeners(host: str, port: int, places: OpenConnections, on_full: Call
     with contextlib.ExitStack() as undo:
         for family, address in dict.fromkeys((each[0], each[4]) for each in found):
             try:
-                made.append(undo.enter_context(Listener(family, places, on_full)))
+                made.append(undo.enter_context(Listener(family, connections, on_full)))
             except OSError as error:
                 # localhost has an address of IPv6 where the kernel has none
                 if error.errno != errno.EAFNOSUPPORT or family != socket.AF_INET6:

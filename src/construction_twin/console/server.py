@@ -66,7 +66,7 @@ class ServerSettings:
     origins: frozenset[str] = frozenset()
     tls: ssl.SSLContext | None = None
     limits: PipeLimits = field(default_factory=PipeLimits)
-    places: ConnectionLimits = field(default_factory=ConnectionLimits)
+    connections: ConnectionLimits = field(default_factory=ConnectionLimits)
     file_stall_s: float = 20.0
 
 
@@ -76,7 +76,7 @@ class ConsoleServer:
     def __init__(self, settings: ServerSettings):
         self._settings = settings
         self._tickets = Tickets(lambda: secrets.token_urlsafe(24), 0)
-        self._places = OpenConnections(settings.places)
+        self._connections = OpenConnections(settings.connections)
         self._delivering: set[HttpConnection] = set()
         self._cache = FileCache()
         self._lines = TokenBucket(rate=1, burst=20)
@@ -90,7 +90,7 @@ class ConsoleServer:
         """
         self._tickets = Tickets(lambda: secrets.token_urlsafe(24), port)
         async with contextlib.AsyncExitStack() as serving:
-            for listener in await listeners(host, port, self._places, self._on_full):
+            for listener in await listeners(host, port, self._connections, self._on_full):
                 await serving.enter_async_context(self._serve(listener))
             if ready is not None:
                 ready.set()
@@ -98,8 +98,8 @@ class ConsoleServer:
                 await asyncio.get_running_loop().create_future()
             finally:
                 # the library waits for whoever still answers a request
-                for visitor in tuple(self._delivering):
-                    visitor.transport.abort()
+                for client in tuple(self._delivering):
+                    client.transport.abort()
 
     def _serve(self, listener: Listener) -> AbstractAsyncContextManager[object]:
         settings = self._settings
@@ -112,7 +112,7 @@ class ConsoleServer:
             compression=None,  # what is sent is small, and latency counts
             max_size=settings.limits.largest + 16,
             max_queue=16,
-            open_timeout=None,  # a visitor has little time to ask, a file more to go out
+            open_timeout=None,  # a client has little time to ask, a file more to go out
             close_timeout=CLOSE_S,
             ping_interval=settings.limits.ping_s,
             ping_timeout=settings.limits.ping_s,
@@ -215,7 +215,7 @@ class ConsoleServer:
         accounts: list[str] = []
 
         def on_login(account: str) -> str:
-            if why := self._places.login(number, account):
+            if why := self._connections.login(number, account):
                 self._tell(logging.WARNING, f"{peer} refused as {_shown(account)}: {why}")
                 return why
             accounts.append(account)

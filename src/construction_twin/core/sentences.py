@@ -89,7 +89,7 @@ class Sentence(str):
         """Return key and values as JSON has them."""
         return {
             "key": self.key,
-            "values": {name: said_in(value) or document(value) for name, value in self.values.items()},
+            "values": {name: key_and_values(value) or document(value) for name, value in self.values.items()},
         }
 
 
@@ -111,7 +111,7 @@ def replaced(text: str, part: str, other: str) -> str:
     )
 
 
-def said_in(text: object) -> dict[str, Any] | None:
+def key_and_values(text: object) -> dict[str, Any] | None:
     """Return key and values of a sentence as JSON has them; None: of a text without a key."""
     return text.document() if isinstance(text, Sentence) else None
 

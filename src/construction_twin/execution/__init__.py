@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from construction_twin.execution.executor import Executor as Executor
     from construction_twin.execution.executor import TwinPose as TwinPose
     from construction_twin.execution.goal_states import GoalState as GoalState
-    from construction_twin.execution.joint_tolerances import AskedTolerance as AskedTolerance
+    from construction_twin.execution.joint_tolerances import ToleranceRequest as ToleranceRequest
     from construction_twin.execution.joint_tolerances import Tolerances as Tolerances
     from construction_twin.execution.play_rate import PlayRate as PlayRate
     from construction_twin.execution.playback import StopForecaster as StopForecaster

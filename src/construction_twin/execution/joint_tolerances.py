@@ -19,7 +19,7 @@ QUANTITIES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
 
 
 @dataclass(frozen=True)
-class AskedTolerance:
+class ToleranceRequest:
     """The tolerance of one joint, as it was asked for: 0 is the default, a negative number no bound.
 
     Attributes:
@@ -51,7 +51,7 @@ class Tolerances:
         free = (math.inf,) * len(robot.linear)
         return cls(position, free, free)
 
-    def asked(self, robot: RobotModel, asked: Iterable[AskedTolerance], name: str) -> Tolerances:
+    def asked(self, robot: RobotModel, asked: Iterable[ToleranceRequest], name: str) -> Tolerances:
         """Return these tolerances with what a goal asks for in their place.
 
         Args:

@@ -55,14 +55,19 @@ class StopReport:
         self._braking: Braking | None = None
 
     def begin(
-        self, cause: str, follower: Follower, measured: tuple[float, ...], begun: Braking | None = None, by: str = ""
+        self,
+        cause: str,
+        follower: Follower,
+        measured: tuple[float, ...],
+        under_way: Braking | None = None,
+        by: str = "",
     ) -> None:
-        """State the distance to rest; call it when braking begins, or with what has `begun` before anybody called it a stop."""
-        braking = begun or Braking(follower, measured)
+        """State the distance to rest; call it when braking begins, or with the braking that was `under_way` before."""
+        braking = under_way or Braking(follower, measured)
         self.cause, self.by, self._braking = cause, by, braking
         self.distance, self.time = braking.distance, braking.time
         self.moved, self.took = (), None
-        if begun and follower.at_rest:
+        if under_way and follower.at_rest:
             self._end(braking, follower)
 
     def advance(self, follower: Follower, elapsed: int) -> None:

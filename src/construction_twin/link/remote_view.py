@@ -248,7 +248,7 @@ class ViewWriter:
         return self._message(True, self._seq, now, seen, str(moment))
 
     def offline(self) -> bytes:
-        """Return the last will, and the farewell: nothing more is known. Its `seq` and `stamp` are 0, its `moment` is ""."""
+        """Return the last will, a run's last message too: nothing is known. Its `seq` and `stamp` are 0, its `moment` is ""."""
         return self._message(False, 0, 0, Seen(), "")
 
     def _message(self, online: bool, seq: int, now: int, seen: Seen, moment: str) -> bytes:

@@ -15,7 +15,7 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.sentences import Sentence
 from construction_twin.mock.controller import MockController
-from construction_twin.mock.line import Line
+from construction_twin.mock.impaired_line import ImpairedLine
 from construction_twin.mock.own_motion import T1_SPEED
 
 #: Which datagrams a fault of the network meets: both directions, packets to the PC, or replies to the controller.
@@ -116,8 +116,8 @@ class FaultBoard:
     def __init__(self, controller: MockController, seed: int):
         self.controller = controller
         controller.encoders.reseed(random.Random(f"{seed} encoders"))
-        self.to_pc = Line(random.Random(f"{seed} to_pc"))
-        self.to_controller = Line(random.Random(f"{seed} to_controller"))
+        self.to_pc = ImpairedLine(random.Random(f"{seed} to_pc"))
+        self.to_controller = ImpairedLine(random.Random(f"{seed} to_controller"))
         self.changes = 0
         self._cycle = 0
         self._active: dict[tuple[str, str], tuple[Fault, float]] = {}

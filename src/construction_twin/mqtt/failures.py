@@ -173,7 +173,7 @@ class ConnectionReport:
         client.on_connect_fail = failed
 
     def connected(self) -> None:
-        """Take note that the broker has said welcome."""
+        """Take note that the broker has accepted the connection."""
         self._welcomed = True
         self.sentence = ""
 

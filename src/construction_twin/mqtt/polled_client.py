@@ -48,7 +48,7 @@ class PolledClient:
 
     @property
     def connected(self) -> bool:
-        """True between the broker's welcome and the loss of the connection."""
+        """True between the broker's CONNACK and the loss of the connection."""
         return self._registered is not None and self.client.is_connected()
 
     @property

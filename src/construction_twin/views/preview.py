@@ -148,7 +148,7 @@ class Preview:
 
 
 @dataclass(frozen=True, eq=False)
-class ToldWork:
+class WorkContext:
     """What is known of a work plan's objects.
 
     Attributes:
@@ -185,7 +185,7 @@ def picture(
     plan: Plan,
     skeleton: Callable[[np.ndarray], np.ndarray],
     headline: float,
-    told: ToldWork | None = None,
+    told: WorkContext | None = None,
 ) -> PlanPicture:
     """Return what is to be drawn of a plan.
 
@@ -230,7 +230,7 @@ def describe(plan: Plan) -> str:
     return "\n".join(lines)
 
 
-def describe_work(plan: Plan, told: ToldWork) -> str:
+def describe_work(plan: Plan, told: WorkContext) -> str:
     """Return a work plan's task, its segments and what was measured, one line each: shorter about the joints than `describe`."""
     lines = [
         _headline(plan),

@@ -13,7 +13,7 @@ from enum import IntEnum
 from typing import Any
 
 from construction_twin.core.reports import WorkReport
-from construction_twin.core.sentences import Sentence, has, said_in, understood
+from construction_twin.core.sentences import Sentence, has, key_and_values, understood
 from construction_twin.views.startup import Missing, Word
 
 
@@ -137,7 +137,7 @@ _OVER = frozenset(("done", "skipped"))
 
 
 @dataclass(frozen=True)
-class Heard:
+class ReportsNow:
     """What the nodes say now; a report that is None is silent.
 
     Attributes:
@@ -192,17 +192,19 @@ class Line:
     page: str = ""
 
 
-def status_lines(heard: Heard) -> list[Line]:
+def status_lines(reports: ReportsNow) -> list[Line]:
     """Return a line for each topic, the most urgent first; where nothing is, what the arm does."""
     lines = []
-    if heard.started:
-        lines.append(_start(heard.missing))
-    if heard.arm:
-        lines.append(_line("link", heard.link, "NEEDS_NAME" if heard.bare and _is(heard.link, "NEEDS_RESET") else ""))
-    lines.append(_line("sync", heard.sync))
-    lines.append(_execution(heard))
-    if heard.work is not None:
-        lines.append(_line("work", Word(work_state(heard.work), heard.work.reason)))
+    if reports.started:
+        lines.append(_start(reports.missing))
+    if reports.arm:
+        lines.append(
+            _line("link", reports.link, "NEEDS_NAME" if reports.bare and _is(reports.link, "NEEDS_RESET") else "")
+        )
+    lines.append(_line("sync", reports.sync))
+    lines.append(_execution(reports))
+    if reports.work is not None:
+        lines.append(_line("work", Word(work_state(reports.work), reports.work.reason)))
     # that all is there and agrees is no news
     calm = ("execution", *(topic for topic in TOPICS if topic != "execution"))
     return sorted(lines, key=lambda line: (-line.level, (TOPICS if line.level else calm).index(line.topic)))
@@ -247,11 +249,11 @@ def _start(missing: Missing | None) -> Line:
     )
 
 
-def _execution(heard: Heard) -> Line:
+def _execution(reports: ReportsNow) -> Line:
     said = ""
-    if _is(heard.execution, "IDLE"):
-        said = "REVIEW" if heard.plan else "ENGAGED" if heard.engaged else ""
-    return _line("execution", heard.execution, said)
+    if _is(reports.execution, "IDLE"):
+        said = "REVIEW" if reports.plan else "ENGAGED" if reports.engaged else ""
+    return _line("execution", reports.execution, said)
 
 
 def _line(topic: str, word: Word | None, said: str = "") -> Line:
@@ -271,7 +273,7 @@ def _line(topic: str, word: Word | None, said: str = "") -> Line:
         level=int(words.level),
         sentence=f"{sentence[:-1]}: {told}" if told else sentence,
         reason=told,
-        said=said_in(understood(told)),
+        said=key_and_values(understood(told)),
         waits_for=_said(key, "waits"),
         who=words.who,
         todo=_said(key, "todo"),

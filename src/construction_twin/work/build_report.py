@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from construction_twin.scene.objects import Scene
-from construction_twin.work.pieces import Pieces
+from construction_twin.work.convex_bodies import Pieces
 
 #: Decimals of deviations: the wire has no more, and what a computer rounds is none.
 _MM, _DEG = 3, 4

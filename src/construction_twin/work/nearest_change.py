@@ -20,8 +20,8 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
+from construction_twin.work.convex_bodies import Pieces
 from construction_twin.work.jobs import WorkJob
-from construction_twin.work.pieces import Pieces
 from construction_twin.work.process import REACH
 from construction_twin.work.processes import process_of
 from construction_twin.work.task_planner import TaskPlanner

@@ -39,7 +39,7 @@ _TYPES: Mapping[str, tuple[type, ...]] = {
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _Matched:
     """A job as `matching` asks."""
 
     id: str
@@ -62,7 +62,7 @@ class Recipes:
         Raises:
             TaskPlanningError: If no recipe fits, or a property of `PROPERTY_SET` is wrong.
         """
-        asked = _Asked(job.element, job.ifc_class, job.element_name, job.type_name, job.properties)
+        asked = _Matched(job.element, job.ifc_class, job.element_name, job.type_name, job.properties)
         own = {name: value for name, value in job.properties.get(PROPERTY_SET, {}).items() if name != "id"}
         of_task = self._named(job, job.task_properties)
         name = of_task or self._named(job, own) or self._first(job, asked)
@@ -105,7 +105,7 @@ class Recipes:
             )
         return str(name)
 
-    def _first(self, job: WorkJob, asked: _Asked) -> str:
+    def _first(self, job: WorkJob, asked: _Matched) -> str:
         for name, recipe in self.recipes.items():
             if recipe.match.fits(asked):
                 return name

@@ -16,8 +16,8 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.work.building import BuildingModel
 from construction_twin.work.contacts import Shapes, tool_objects
+from construction_twin.work.convex_bodies import Pieces
 from construction_twin.work.jobs import WorkJob, bare_job
-from construction_twin.work.pieces import Pieces
 from construction_twin.work.racks import Slot, StockPlan, plan_stock
 from construction_twin.work.schedule import Job
 from construction_twin.work.site import Site, inverse

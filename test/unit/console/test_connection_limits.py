@@ -6,41 +6,41 @@ from construction_twin.console.connection_limits import ConnectionLimits, OpenCo
 
 
 def test_the_address_with_the_most_loses_its_oldest_and_no_other():
-    places = OpenConnections(ConnectionLimits(visitors=4, visitors_per_address=3))
-    assert [places.enter(number, address) for number, address in enumerate("abb", 1)] == [None] * 3
-    assert places.enter(4, "c") is None
-    assert places.enter(5, "d") == 2
+    connections = OpenConnections(ConnectionLimits(anonymous=4, anonymous_per_address=3))
+    assert [connections.enter(number, address) for number, address in enumerate("abb", 1)] == [None] * 3
+    assert connections.enter(4, "c") is None
+    assert connections.enter(5, "d") == 2
     # all have one: the oldest of all
-    assert places.enter(6, "e") == 1
+    assert connections.enter(6, "e") == 1
 
 
 def test_an_address_that_is_full_loses_its_own_oldest_however_much_room_there_is():
-    places = OpenConnections(ConnectionLimits(visitors=100, visitors_per_address=2))
-    assert [places.enter(number, address) for number, address in enumerate("baaaa")] == [None, None, None, 1, 2]
+    connections = OpenConnections(ConnectionLimits(anonymous=100, anonymous_per_address=2))
+    assert [connections.enter(number, address) for number, address in enumerate("baaaa")] == [None, None, None, 1, 2]
 
 
 def test_who_is_logged_in_is_no_visitor_any_more_and_never_has_to_go():
-    places = OpenConnections(ConnectionLimits(visitors=1, visitors_per_address=1))
-    places.enter(1, "a")
-    assert places.login(1, "ada") == ""
-    assert [places.enter(number, "a") for number in (2, 3)] == [None, 2]
-    assert places.login(2, "ada") == "the connection has ended"
+    connections = OpenConnections(ConnectionLimits(anonymous=1, anonymous_per_address=1))
+    connections.enter(1, "a")
+    assert connections.login(1, "ada") == ""
+    assert [connections.enter(number, "a") for number in (2, 3)] == [None, 2]
+    assert connections.login(2, "ada") == "the connection has ended"
 
 
 def test_the_places_of_an_account_are_its_own_and_free_when_it_leaves():
-    places = OpenConnections(ConnectionLimits(logins=3, logins_per_account=2))
+    connections = OpenConnections(ConnectionLimits(logins=3, logins_per_account=2))
     for number in range(1, 6):
-        places.enter(number, f"address {number}")
-    assert [places.login(number, "ada") for number in (1, 2)] == ["", ""]
-    assert places.login(3, "ada") == "too many connections are logged in to this account"
-    assert places.login(4, "bob") == ""
-    assert places.login(5, "eve") == "too many connections are logged in"
-    places.leave(1)
-    assert places.login(3, "ada") == ""
+        connections.enter(number, f"address {number}")
+    assert [connections.login(number, "ada") for number in (1, 2)] == ["", ""]
+    assert connections.login(3, "ada") == "too many connections are logged in to this account"
+    assert connections.login(4, "bob") == ""
+    assert connections.login(5, "eve") == "too many connections are logged in"
+    connections.leave(1)
+    assert connections.login(3, "ada") == ""
 
 
 def test_a_broker_without_accounts_has_no_limit_per_account():
-    places = OpenConnections(ConnectionLimits(logins_per_account=1))
+    connections = OpenConnections(ConnectionLimits(logins_per_account=1))
     for number in (1, 2):
-        places.enter(number, "a")
-        assert places.login(number, "") == ""
+        connections.enter(number, "a")
+        assert connections.login(number, "") == ""

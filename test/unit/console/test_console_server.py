@@ -403,7 +403,7 @@ def test_a_client_that_subscribes_with_its_login_gets_a_long_message_with_the_an
 )
 def test_no_more_logins_than_allowed(broker, tmp_path, limits, why):
     async def scene() -> None:
-        async with running(settings(tmp_path, places=limits)), browser() as one, browser() as two:
+        async with running(settings(tmp_path, connections=limits)), browser() as one, browser() as two:
             for client in (one, two):
                 await client.send(login())
                 assert await client.recv() == CONNACK_OK
@@ -430,13 +430,13 @@ def test_no_more_logins_than_allowed(broker, tmp_path, limits, why):
 
 
 def test_who_has_logged_in_stays_and_others_get_in_whoever_fills_the_places(broker, tmp_path):
-    """Four addresses hold all places of visitors: with nothing, with half a request, with a WebSocket that does not log in."""
-    places = ConnectionLimits(visitors=24, visitors_per_address=8)
+    """Four addresses hold every anonymous connection: with nothing, half a request, a WebSocket that does not log in."""
+    connections = ConnectionLimits(anonymous=24, anonymous_per_address=8)
     half = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{PORT}\r\n".encode()
 
     async def scene() -> None:
         # nobody is cut off for being late
-        served = settings(tmp_path, places=places, limits=PipeLimits(login_s=300.0))
+        served = settings(tmp_path, connections=connections, limits=PipeLimits(login_s=300.0))
         async with running(served), browser() as first, contextlib.AsyncExitStack() as held:
             await first.send(login())
             assert await first.recv() == CONNACK_OK
@@ -462,10 +462,10 @@ def test_with_tls_nobody_s_unfinished_handshakes_keep_others_out(tmp_path):
     own = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     own.load_cert_chain(site / "broker/server.crt", site / "broker/server.key")
     trust = ssl.create_default_context(cafile=site / "ca/ca.crt")
-    places = ConnectionLimits(visitors=24, visitors_per_address=8)
+    connections = ConnectionLimits(anonymous=24, anonymous_per_address=8)
 
     async def scene() -> None:
-        served = settings(tmp_path, places=places, tls=own, limits=PipeLimits(login_s=300.0))
+        served = settings(tmp_path, connections=connections, tls=own, limits=PipeLimits(login_s=300.0))
         async with running(served), contextlib.AsyncExitStack() as held:
             readers = []
             for number in range(80):
@@ -474,7 +474,7 @@ def test_with_tls_nobody_s_unfinished_handshakes_keep_others_out(tmp_path):
                 )
                 held.callback(writer.transport.abort)
                 readers.append(reader)
-            # the oldest have ended, those that fill the places have not
+            # the oldest have ended, those that fill the connections have not
             ended = [asyncio.create_task(reader.read()) for reader in readers]
             done, pending = await asyncio.wait(ended[:56], timeout=10)
             assert len(done) == 56 and not pending
@@ -675,13 +675,13 @@ def test_what_is_no_broker_is_told(tmp_path):
 
 def test_a_name_of_several_addresses_is_listened_to_on_each_and_a_port_that_is_taken_is_told():
     async def scene() -> None:
-        places = OpenConnections(ConnectionLimits())
-        made = await listeners("localhost", PORT, places, print)
+        connections = OpenConnections(ConnectionLimits())
+        made = await listeners("localhost", PORT, connections, print)
         try:
             found = {each[4][0] for each in socket.getaddrinfo("localhost", PORT, type=socket.SOCK_STREAM)}
             assert {each.getsockname()[0] for each in made} == found
             with pytest.raises(OSError, match="in use"):
-                await listeners("127.0.0.1", PORT, places, print)
+                await listeners("127.0.0.1", PORT, connections, print)
         finally:
             for each in made:
                 each.close()
@@ -704,7 +704,7 @@ def test_a_connection_that_asks_for_nothing_is_closed(tmp_path):
 def test_a_reader_that_has_its_file_takes_up_no_connection(tmp_path, caplog, ends):
     async def scene() -> None:
         # what has not left its place by then has to go for the next one, and is told
-        async with running(settings(tmp_path, places=ConnectionLimits(visitors_per_address=4))):
+        async with running(settings(tmp_path, connections=ConnectionLimits(anonymous_per_address=4))):
             for _ in range(12):
                 reader, writer = await asyncio.open_connection("127.0.0.1", PORT)
                 writer.write(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{PORT}\r\n\r\n".encode())

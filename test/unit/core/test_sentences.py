@@ -10,7 +10,16 @@ from pathlib import Path
 
 import pytest
 
-from construction_twin.core.sentences import REASONS, Quantity, Sentence, fill, has, replaced, said_in, understood
+from construction_twin.core.sentences import (
+    REASONS,
+    Quantity,
+    Sentence,
+    fill,
+    has,
+    key_and_values,
+    replaced,
+    understood,
+)
 
 ROOT = Path(__file__).parents[3]
 SENTENCES = json.loads((ROOT / "src/construction_twin/core/sentences.json").read_text())
@@ -84,8 +93,8 @@ def test_places_are_filled_in_as_on_the_page(case):
 def test_a_sentence_is_its_text_and_knows_its_key_and_values():
     said = Sentence("line.startup.broker.waits", broker="here:1883")
     assert said == "the MQTT broker here:1883" and isinstance(said, str)
-    assert said_in(said) == {"key": "line.startup.broker.waits", "values": {"broker": "here:1883"}}
-    assert said_in(copy.deepcopy(said)) == said_in(said) and said_in(str(said)) is None
+    assert key_and_values(said) == {"key": "line.startup.broker.waits", "values": {"broker": "here:1883"}}
+    assert key_and_values(copy.deepcopy(said)) == key_and_values(said) and key_and_values(str(said)) is None
     with pytest.raises(KeyError):
         Sentence("line.nothing")
     assert has("page.title") and not has("line.nothing")

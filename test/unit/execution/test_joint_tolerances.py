@@ -11,7 +11,7 @@ from sentence_checks import says
 
 from construction_twin.core.errors import GoalError, GoalJointsError
 from construction_twin.core.sentences import Quantity, Sentence
-from construction_twin.execution.joint_tolerances import AskedTolerance, Tolerances, check_joint_names
+from construction_twin.execution.joint_tolerances import ToleranceRequest, Tolerances, check_joint_names
 
 NAMES = ROBOT.joint_names
 ZERO = (0.0,) * 6
@@ -24,9 +24,9 @@ def off(joint: int, value: float) -> tuple[float, ...]:
 
 def test_zero_is_the_default_negative_no_bound_and_the_rest_as_asked():
     asked = [
-        AskedTolerance(NAMES[1], 0.0),
-        AskedTolerance(NAMES[2], -1.0, -1.0, -1.0),
-        AskedTolerance(NAMES[3], 0.2, 0.5),
+        ToleranceRequest(NAMES[1], 0.0),
+        ToleranceRequest(NAMES[2], -1.0, -1.0, -1.0),
+        ToleranceRequest(NAMES[3], 0.2, 0.5),
     ]
     taken = DEFAULT.asked(ROBOT, asked, "goal_tolerance")
     assert taken.position == (0.01, 0.01, math.inf, 0.2, 0.01, 0.01)
@@ -41,7 +41,7 @@ def test_a_default_of_zero_is_no_bound_and_prismatic_joints_have_their_own():
 
 @pytest.mark.parametrize("joint", range(6))
 def test_a_joint_that_is_off_is_named_with_value_and_tolerance(joint):
-    tolerances = DEFAULT.asked(ROBOT, [AskedTolerance(name, 0.1, 0.2, 0.3) for name in NAMES], "path_tolerance")
+    tolerances = DEFAULT.asked(ROBOT, [ToleranceRequest(name, 0.1, 0.2, 0.3) for name in NAMES], "path_tolerance")
     assert tolerances.violation(ROBOT, off(joint, -0.1), off(joint, 0.2), off(joint, 0.3)) == ""
     name = NAMES[joint]
     for quantity, errors, error, bound in (
@@ -67,7 +67,7 @@ def test_a_tolerance_of_a_foreign_joint_or_of_no_number_is_refused():
         GoalJointsError,
         check=says("reason.goal.tolerance_joint", field="path_tolerance", joint="elbow", known=", ".join(NAMES)),
     ):
-        DEFAULT.asked(ROBOT, [AskedTolerance("elbow", 0.1)], "path_tolerance")
+        DEFAULT.asked(ROBOT, [ToleranceRequest("elbow", 0.1)], "path_tolerance")
     with pytest.raises(
         GoalError,
         check=says(
@@ -77,12 +77,12 @@ def test_a_tolerance_of_a_foreign_joint_or_of_no_number_is_refused():
             joint="joint_a1",
         ),
     ):
-        DEFAULT.asked(ROBOT, [AskedTolerance("joint_a1", 0.1, math.nan)], "goal_tolerance")
+        DEFAULT.asked(ROBOT, [ToleranceRequest("joint_a1", 0.1, math.nan)], "goal_tolerance")
 
 
 @pytest.mark.parametrize("second", [0.2, 0.1])
 def test_a_tolerance_of_a_joint_that_is_named_twice_is_refused(second):
-    asked = [AskedTolerance("joint_a1", 0.1), AskedTolerance("joint_a1", second)]
+    asked = [ToleranceRequest("joint_a1", 0.1), ToleranceRequest("joint_a1", second)]
     with pytest.raises(GoalError, check=says("reason.goal.tolerance_twice", field="path_tolerance", joint="joint_a1")):
         DEFAULT.asked(ROBOT, asked, "path_tolerance")
 

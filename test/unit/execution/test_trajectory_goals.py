@@ -11,7 +11,7 @@ from construction_twin.core.sentences import Quantity, Sentence, both
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.goal_states import TABLE, Action, GoalEvent, GoalState
-from construction_twin.execution.joint_tolerances import AskedTolerance, Tolerances
+from construction_twin.execution.joint_tolerances import ToleranceRequest, Tolerances
 from construction_twin.execution.tracking import Motion, Sample
 from construction_twin.execution.trajectory_goals import (
     REPLACED,
@@ -238,7 +238,7 @@ class TestToTheGoal:
 
 class TestTolerances:
     def test_off_the_path_brakes_on_it_and_is_aborted_at_rest(self, desk):
-        desk.moving(FREE.asked(ROBOT, [AskedTolerance("joint_a2", 0.1)], "path_tolerance"))
+        desk.moving(FREE.asked(ROBOT, [ToleranceRequest("joint_a2", 0.1)], "path_tolerance"))
         assert desk.after(0.02, off_by(-0.099)).effects() == []
         brake, told = desk.after(0.02, off_by(-0.11)).effects()
         assert brake == Brake(PLAN.id) and told.text.values["why"].key == "reason.goal.off_path"

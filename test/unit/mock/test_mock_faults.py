@@ -15,7 +15,7 @@ from sentence_checks import expects
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import CYCLE, radians
 from construction_twin.mock.faults import KINDS, Fault, FaultBoard
-from construction_twin.mock.line import Line
+from construction_twin.mock.impaired_line import ImpairedLine
 from construction_twin.mock.own_motion import EmergencyBrake, Program
 
 FAR = radians((20, -80, 80, 10, 80, -20))
@@ -283,7 +283,7 @@ def test_a_program_stays_within_limits_or_says_how_long_it_needs(goal, duration)
 
 
 def test_a_line_keeps_loses_doubles_and_delays():
-    line = Line(random.Random(3))
+    line = ImpairedLine(random.Random(3))
     assert not line.active
     line.drop(0.5)
     for k in range(1000):

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from construction_twin.core.limits import MotionCheck
-from construction_twin.core.sentences import said_in
+from construction_twin.core.sentences import key_and_values
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.gate import Gate, GateSettings
 from construction_twin.monitor.states import SyncState
@@ -148,7 +148,7 @@ class TestHolding:
         assert bench.state is SyncState.IN_SYNC
         bench.gate.watch(bench.stamp + timeout + 1)
         assert (bench.state, bench.gate.violations, bench.gate.held) == (SyncState.STALE, 1, START)
-        assert (said_in(bench.gate.reason) or {}).get("key") == "reason.gate.feedback_old"
+        assert (key_and_values(bench.gate.reason) or {}).get("key") == "reason.gate.feedback_old"
 
     def test_closes_without_a_setpoint_when_a_joint_differs_and_counts_once(self):
         bench = Bench().opened()

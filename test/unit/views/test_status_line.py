@@ -22,8 +22,8 @@ from construction_twin.views.status_line import (
     TABLE,
     TOPICS,
     WHO,
-    Heard,
     Level,
+    ReportsNow,
     status_lines,
     work_state,
 )
@@ -35,7 +35,7 @@ SENTENCES = json.loads((ROOT / "src/construction_twin/core/sentences.json").read
 #: What can be missing at a start.
 KINDS = [key.split(".")[2] for key in SENTENCES if re.fullmatch(r"line\.startup\.\w+\.waits", key)]
 HERE = Deployment("/kr120", "mock", "127.0.0.1:1883", "127.0.0.1:49152", True)
-WELL = Heard(Word("ARMED", ""), Word("IN_SYNC", ""), Word("IDLE", ""))
+WELL = ReportsNow(Word("ARMED", ""), Word("IN_SYNC", ""), Word("IDLE", ""))
 
 
 def states_of(topic: str) -> list[str]:
@@ -45,8 +45,8 @@ def states_of(topic: str) -> list[str]:
 def test_a_line_is_sent_with_all_its_fields_in_their_order_as_json_has_them():
     for heard in (
         WELL,
-        Heard(sync=Word("HOLDING", NO_REPORT)),
-        Heard(started=True, missing=Missing("nodes", "ä", HERE)),
+        ReportsNow(sync=Word("HOLDING", NO_REPORT)),
+        ReportsNow(started=True, missing=Missing("nodes", "ä", HERE)),
     ):
         found = status_lines(heard)
         assert dumped(found, marks=SPACED) == json.dumps([asdict(line) for line in found]).encode()
@@ -67,8 +67,8 @@ def test_a_line_is_sent_with_all_its_fields_in_their_order_as_json_has_them():
     assert list(document(found[0])) == keys
 
 
-def lines(heard: Heard) -> dict[str, dict]:
-    return {line.topic: document(line) for line in status_lines(heard)}
+def lines(reports: ReportsNow) -> dict[str, dict]:
+    return {line.topic: document(line) for line in status_lines(reports)}
 
 
 def test_every_state_of_every_node_has_words():
@@ -106,14 +106,14 @@ def test_all_is_well():
 
 
 def test_what_is_well_is_said_without_a_session_s_number():
-    said = lines(Heard(Word("ARMED", "session 41ee"), Word("IN_SYNC", "poses agree"), Word("PLAYING", "at 50 %")))
+    said = lines(ReportsNow(Word("ARMED", "session 41ee"), Word("IN_SYNC", "poses agree"), Word("PLAYING", "at 50 %")))
     assert [said[topic]["reason"] for topic in ("link", "sync", "execution")] == ["", "", "at 50 %"]
     assert said["link"]["sentence"] == Sentence("line.link.ARMED.sentence")
     assert said["execution"]["sentence"] == f"{Sentence('line.execution.PLAYING.sentence')[:-1]}: at 50 %"
 
 
 def test_the_most_urgent_comes_first_with_the_reason_of_the_node():
-    heard = Heard(
+    heard = ReportsNow(
         Word("ARMED", ""), Word("HOLDING", "joint_a3 differs by 0.7 deg"), Word("HELD", "at 2.1 s"), started=True,
     )  # fmt: skip
     found = status_lines(heard)
@@ -125,26 +125,26 @@ def test_the_most_urgent_comes_first_with_the_reason_of_the_node():
 
 
 def test_what_is_silent_is_a_line_of_its_own():
-    said = lines(Heard())
+    said = lines(ReportsNow())
     assert [line["state"] for line in said.values()] == ["", "", ""] and all(
         line["level"] == 2 for line in said.values()
     )
-    assert "link" not in lines(Heard(arm=False)), "without an arm there is none"
+    assert "link" not in lines(ReportsNow(arm=False)), "without an arm there is none"
 
 
 def test_a_plan_under_review_waits_for_the_reviewer():
-    line = lines(Heard(WELL.link, WELL.sync, WELL.execution, plan="p1"))["execution"]
+    line = lines(ReportsNow(WELL.link, WELL.sync, WELL.execution, plan="p1"))["execution"]
     assert (line["state"], line["words"], line["who"]) == ("IDLE", "execution.REVIEW", "reviewer")
-    engaged = lines(Heard(WELL.link, WELL.sync, WELL.execution, engaged=True))["execution"]
+    engaged = lines(ReportsNow(WELL.link, WELL.sync, WELL.execution, engaged=True))["execution"]
     assert engaged["words"] == "execution.ENGAGED"
-    playing = lines(Heard(WELL.link, WELL.sync, Word("PLAYING", ""), plan="p1"))["execution"]
+    playing = lines(ReportsNow(WELL.link, WELL.sync, Word("PLAYING", ""), plan="p1"))["execution"]
     assert playing["level"] == 0, "the plan that waits comes after this one"
 
 
 def test_a_bare_plc_is_armed_by_name_and_not_reset():
     link = Word("NEEDS_RESET", "nobody has armed")
-    assert lines(Heard(link, bare=True))["link"]["words"] == "link.NEEDS_NAME"
-    assert lines(Heard(link))["link"]["words"] == "link.NEEDS_RESET"
+    assert lines(ReportsNow(link, bare=True))["link"]["words"] == "link.NEEDS_NAME"
+    assert lines(ReportsNow(link))["link"]["words"] == "link.NEEDS_RESET"
 
 
 @pytest.mark.parametrize("gateway_kind", ["rsi", "plc"])
@@ -153,7 +153,7 @@ def test_whatever_a_start_waits_for_is_said_with_who_can_do_something(state, gat
     deployment = Deployment("/kr120", "mock", "127.0.0.1:1883", "127.0.0.1:49152", True, gateway_kind)
     link = None if state is None else Word(state.name, "because")
     missing = first_missing(StartSeen(link, feedback=True, twin=True, scene=True), deployment)
-    said = lines(Heard(link, started=True, missing=missing))["startup"]
+    said = lines(ReportsNow(link, started=True, missing=missing))["startup"]
     assert (said["state"] == "ready") == (missing is None)
     if missing is not None:
         assert (said["waits_for"], said["todo"]) == (missing.what, missing.action) and said["who"] in WHO[1:]
@@ -164,7 +164,7 @@ def test_whatever_a_start_waits_for_is_said_with_who_can_do_something(state, gat
 def test_whatever_can_be_missing_is_said_with_its_key_for_other_languages(kind):
     (line,) = (
         line
-        for line in status_lines(Heard(started=True, missing=Missing(kind, "it is day", HERE)))
+        for line in status_lines(ReportsNow(started=True, missing=Missing(kind, "it is day", HERE)))
         if line.topic == "startup"
     )
     assert line.words == f"startup.{kind}" and line.values == HERE.values
@@ -180,12 +180,12 @@ def test_who_can_do_something_is_of_what_can_be_missing():
 
 def test_a_line_has_the_key_of_its_words_and_the_reason_alone():
     (line,) = (
-        line for line in status_lines(Heard(Word("NEEDS_RESET", "it braked"), bare=True)) if line.topic == "link"
+        line for line in status_lines(ReportsNow(Word("NEEDS_RESET", "it braked"), bare=True)) if line.topic == "link"
     )
     assert (line.state, line.words, line.reason) == ("NEEDS_RESET", "link.NEEDS_NAME", "it braked")
-    said = lines(Heard(WELL.link, WELL.sync, WELL.execution, plan="p1"))
+    said = lines(ReportsNow(WELL.link, WELL.sync, WELL.execution, plan="p1"))
     assert said["execution"]["words"] == "execution.REVIEW" and said["link"]["reason"] == ""
-    assert lines(Heard())["sync"]["words"] == "sync.silent"
+    assert lines(ReportsNow())["sync"]["words"] == "sync.silent"
 
 
 def test_there_are_words_for_every_state_and_for_no_other():
@@ -215,7 +215,7 @@ def facts(*states: str, proposed: bool = False, **changes) -> WorkReport:
 )
 def test_the_work_is_in_one_state(work, state):
     assert work_state(work) == state
-    said = lines(Heard(work=work))["work"]
+    said = lines(ReportsNow(work=work))["work"]
     assert said["state"] == state and said["sentence"].endswith(": why")
 
 
@@ -226,7 +226,7 @@ def test_every_state_of_a_task_leads_to_a_state_of_the_work():
 
 def test_a_reason_that_has_a_key_is_sent_with_it_for_other_languages():
     said = Sentence("reason.gate.feedback_old", age=0.25)
-    heard = Heard(WELL.link, Word("STALE", str(said)), WELL.execution)
+    heard = ReportsNow(WELL.link, Word("STALE", str(said)), WELL.execution)
     assert lines(heard)["sync"]["said"] == {"key": "reason.gate.feedback_old", "values": {"age": 0.25}}
-    assert lines(Heard(WELL.link, Word("STALE", "because"), WELL.execution))["sync"]["said"] is None
+    assert lines(ReportsNow(WELL.link, Word("STALE", "because"), WELL.execution))["sync"]["said"] is None
     assert lines(WELL)["sync"]["said"] is None

@@ -16,7 +16,7 @@ from construction_twin.robot.segments import Segment, Signal, Switch
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.views.preview import MOST_ROWS, Preview, ToldWork, picture
+from construction_twin.views.preview import MOST_ROWS, Preview, WorkContext, picture
 from construction_twin.views.texts import plan_lines, segment_lines, under_review, work_lines
 from construction_twin.views.work_picture import change_words, segment_words, work_path, work_states
 
@@ -87,7 +87,7 @@ def test_objects_that_are_not_those_of_the_approved_scenes_are_pointed_out(numbe
     lied = [*CHANGES[:number], change, *CHANGES[number + 1 :]]
     states = work_states(plan(), lied, START)
     assert states.problem == Sentence("view.picture.scene_other", segment=repr(NAMES[number]))
-    text = picture(plan(), skeleton, 9.0, ToldWork(lied, states, forward, "tool0")).text
+    text = picture(plan(), skeleton, 9.0, WorkContext(lied, states, forward, "tool0")).text
     assert Sentence("view.picture.problem", problem=states.problem) in text
 
 
@@ -127,7 +127,7 @@ def skeleton(q: np.ndarray) -> np.ndarray:
 
 
 def test_the_text_lists_the_segments_and_what_happens_in_them():
-    told = ToldWork(CHANGES, work_states(plan(), CHANGES, START), forward, "tool0")
+    told = WorkContext(CHANGES, work_states(plan(), CHANGES, START), forward, "tool0")
     assert picture(plan(), skeleton, 9.0, told).text.splitlines() == [
         "12.00 s, none for test",
         "task task-1: 6 segments, blue: engaged",
@@ -149,7 +149,7 @@ def test_of_many_segments_the_text_lists_the_first():
     long = dataclasses.replace(
         make_plan(motion, scene="a"), hash=content_hash(motion, "t", segments), task="t", segments=segments
     )
-    told = ToldWork((), work_states(long, (), None), lambda q: Pose(np.zeros(3), np.eye(3)), "tool0")
+    told = WorkContext((), work_states(long, (), None), lambda q: Pose(np.zeros(3), np.eye(3)), "tool0")
     lines = picture(long, lambda q: np.zeros((2, 3)), 9.0, told).text.splitlines()
     assert (
         f"{MOST_ROWS} s{MOST_ROWS - 1} 1.00 s" in lines

@@ -17,8 +17,8 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.collision_bodies import scene_geometry
 from construction_twin.work.building import Body, Element, Extrusion
 from construction_twin.work.containment import points_on
+from construction_twin.work.convex_bodies import Pieces
 from construction_twin.work.element_bodies import BodySettings, ElementShape, element_shapes
-from construction_twin.work.pieces import Pieces
 from construction_twin.work.solids import mesh_of
 
 M = manifold3d.Manifold

@@ -10,7 +10,7 @@ from work_samples import BRICK, pieces_of, recipes, tool
 
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import SceneObject, product
-from construction_twin.work.pieces import Pieces
+from construction_twin.work.convex_bodies import Pieces
 from construction_twin.work.place.grips import find_grips
 
 UP = np.array([0.0, 0.0, 1.0])

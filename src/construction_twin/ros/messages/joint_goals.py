@@ -17,7 +17,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from construction_twin.core.errors import ConfigurationError, GoalError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.execution.joint_tolerances import AskedTolerance, Tolerances, check_joint_names
+from construction_twin.execution.joint_tolerances import ToleranceRequest, Tolerances, check_joint_names
 from construction_twin.execution.tracking import Motion, Sample
 from construction_twin.execution.trajectory_goals import TrajectoryGoal
 from construction_twin.robot.description import RobotModel
@@ -90,8 +90,8 @@ def trajectory_goal(goal, goal_id: str, client: str, robot: RobotModel, defaults
     )
 
 
-def _asked(tolerances) -> list[AskedTolerance]:
-    return [AskedTolerance(one.name, one.position, one.velocity, one.acceleration) for one in tolerances]
+def _asked(tolerances) -> list[ToleranceRequest]:
+    return [ToleranceRequest(one.name, one.position, one.velocity, one.acceleration) for one in tolerances]
 
 
 def asked_duration(trajectory: JointTrajectory) -> float:

@@ -34,7 +34,7 @@ from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.srv import PreviewPlan, PreviewPlanRequest
-from construction_twin.views.preview import TEXT_SIZE, PlanPicture, Preview, ToldWork, picture
+from construction_twin.views.preview import TEXT_SIZE, PlanPicture, Preview, WorkContext, picture
 from construction_twin.views.sync_picture import headline_height
 from construction_twin.views.work_picture import MOST_BODIES, WorkPath, WorkStates, work_states
 
@@ -179,7 +179,7 @@ class PreviewNode:
             if plan.segments:
                 changes = self._changes.get(plan.id, ())
                 self._states = work_states(plan, changes, self._scene)
-                told = ToldWork(changes, self._states, chain.forward, self._robot.tip_link)
+                told = WorkContext(changes, self._states, chain.forward, self._robot.tip_link)
             self._still += plan_markers(picture(plan, chain.skeleton, headline, told), self._frame)
         self._publish()
         self._grip(time.monotonic())

@@ -23,7 +23,7 @@ from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.scene.objects import Scene
 from construction_twin.views.scene_view import scene_view
 from construction_twin.views.startup import Deployment, Seen, Word, first_missing
-from construction_twin.views.status_line import Heard, status_lines
+from construction_twin.views.status_line import ReportsNow, status_lines
 
 #: The status line is looked at so often, and sent again without a change after so long [s].
 LOOK, REPEAT = 0.2, 1.0
@@ -160,7 +160,7 @@ class ConsoleFeed:
     def _screen(self, link: Link | None, sync: Sync | None, execution: Execution | None) -> bytes:
         words = _word(link), _word(sync), _word(execution)
         deployment = self._deployment
-        heard = Heard(
+        heard = ReportsNow(
             *words,
             bare=link is not None and link.gateway_kind == "plc",
             plan=self.plan,

@@ -75,7 +75,7 @@ class RobotListener:
         self.refused = ""
         self._counts: Counter[str] = Counter()
         self._counted: tuple[float, Counter[str]] = (time.monotonic(), Counter())
-        self._nodes: dict[str, _Heard] = {}
+        self._nodes: dict[str, _NodeReport] = {}
         self._heard: dict[str, float] = {}
         self._reports = {name: self._subscribe(name, kind) for name, kind in _REPORTS.items()}
         self._streams = [self._count(name, topic) for name, topic in STREAMS.items()] if rates else []
@@ -185,19 +185,19 @@ class RobotListener:
             if node.startswith(self._namespace + "/"):
                 name = node.removeprefix(self._namespace + "/")
                 with self._news:
-                    self._nodes[name] = _Heard(time.monotonic(), NodeFacts(name, status.level, status.message))
+                    self._nodes[name] = _NodeReport(time.monotonic(), NodeFacts(name, status.level, status.message))
                     self._news.notify_all()
 
 
 @dataclass(frozen=True)
-class _Heard:
+class _NodeReport:
     """What a node said of itself last, and when, on the monotonic clock [s]."""
 
     at: float
     facts: NodeFacts
 
 
-def _node_now(heard: _Heard, now: float) -> NodeFacts:
+def _node_now(heard: _NodeReport, now: float) -> NodeFacts:
     facts, age = heard.facts, now - heard.at
     return (
         facts

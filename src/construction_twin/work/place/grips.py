@@ -21,7 +21,7 @@ from scipy.spatial import ConvexHull, QhullError
 from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Cups, Tool
-from construction_twin.work.pieces import Pieces
+from construction_twin.work.convex_bodies import Pieces
 from construction_twin.work.place.recipe import PlaceRecipe
 
 #: How far inside and outside of a face is looked for material [m].

@@ -19,9 +19,9 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.objects import Scene, product
 from construction_twin.work.contacts import FALL
+from construction_twin.work.convex_bodies import Pieces
 from construction_twin.work.jobs import WorkPlan
 from construction_twin.work.motions import Failed, Free, PlanBuilder, Search
-from construction_twin.work.pieces import Pieces
 from construction_twin.work.place.grips import Grip, find_grips
 from construction_twin.work.place.phases import Scenes, Ways, direction, scenes, ways
 from construction_twin.work.place.recipe import PlaceRecipe, mass_of

@@ -22,7 +22,7 @@ class Underway(NamedTuple):
     data: bytes
 
 
-class Line:
+class ImpairedLine:
     """Loses, doubles and delays datagrams of one direction.
 
     Attributes:
