@@ -4,90 +4,51 @@ from __future__ import annotations
 
 import difflib
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 from typing import Any
 
 import pydantic
 import rospkg
-import yaml
 
-from construction_twin.controller.makes import DEFAULT
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.sentences import Sentence
 from construction_twin.robot.description import RobotModel
-from construction_twin.robot.urdf import read_text
-from construction_twin.ros.nodes import (
-    executor,
-    follow_joint_trajectory,
-    joint_velocities,
-    mock_rsi,
-    mqtt_bridge,
-    mqtt_planner,
-    mqtt_review,
-    neighbour,
-    pca_monitor,
-    planner,
-    tool_marker,
-    work,
-)
+from construction_twin.ros import nodes
 from construction_twin.ros.shared.gateway_config import gateway_config
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.launch_arguments import (
+    Given,
+    Values,
+    controller_settings,
+    decimals_of,
+    has_link,
+    read_mapping,
+)
+from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.params import settings_of
-from construction_twin.views.preflight import NONE, is_bare, is_true
+from construction_twin.views.preflight import is_true
 
-Given = Mapping[str, str]
-Values = dict[str, Any]
-
-#: Nodes of one robot, in its namespace: a second one of a name would end the first.
-ROBOT_NODES = (
-    "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mqtt_review", "mqtt_planner", "mock_rsi", "planner", "scene",
-    "neighbour", "follow_joint_trajectory", "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation", "work",
-    "joint_velocities", "joint_state_publisher",
-    "robot_state_publisher", "physical_state_publisher", "preview_state_publisher", "rsi_gateway",
-    "plc",
+#: Nodes of a robot that are none of this package's, or start in another way.
+_OTHERS = (
+    "rsi_gateway", "separation", "joint_state_publisher", "robot_state_publisher", "physical_state_publisher",
+    "preview_state_publisher", "plc",
 )  # fmt: skip
-#: What the launch files give beside the files, where any value will do.
-_BROKER = {"host": "127.0.0.1", "port": 18830}
-_MARKER = {"self_collision": "", "tf_prefix": "", "reviewer": "operator"}
-_PLANNER = {"self_collision": "", "tf_prefix": ""}
-_WORK = {"model": "", "cell": "", "self_collision": "", "tf_prefix": "", "review_file": "", "arm": "mock"}
 
 
-def _arm(given: Given) -> str:
-    return given.get("arm", "mock")
-
-
-def _decimals(given: Given) -> int:
-    return int(given.get("decimals", "3"))
-
-
-def tool_settings(given: Given) -> Values:
-    """Return what launch/link.launch loads of a tool file; nothing without one."""
-    return {"tool": read_mapping(given["tool"], "a tool")} if given.get("tool") else {}
-
-
-def controller_settings(given: Given) -> Values:
-    """Return what launch/link.launch tells gateway and mock of the controller: make, cycle, and the text of its file."""
-    path = given.get("ethernet_xml", NONE)
-    text = {} if path == NONE else {"ethernet_xml": read_text(path)}
-    return {"make": given.get("controller_make", DEFAULT), "cycle": int(given.get("rsi_cycle", "4"))} | text
+def node_shells() -> tuple[NodeShell, ...]:
+    """Return the shell of every node of a robot, by name: of each module of `ros/nodes` that has one."""
+    modules = (import_module(f"{nodes.__name__}.{found.name}") for found in iter_modules(nodes.__path__))
+    return tuple(module.NODE for module in modules if hasattr(module, "NODE"))
 
 
 def _gateway(values: Values, given: Given, robot: RobotModel) -> None:
     # not a node's own: gateway and bridge read these from the robot's namespace; its file is looked at with that argument
     launched = controller_settings(given)
     launched.pop("ethernet_xml", None)
-    gateway_config(robot, values | {"decimals": _decimals(given)} | launched)
-
-
-def _mock(given: Given) -> Values:
-    return {"gateway_host": "127.0.0.1"} | controller_settings(given) | tool_settings(given)
-
-
-def _monitor(given: Given) -> Values:
-    return {"arm": _arm(given), "transition_file": "transitions", "decimals": _decimals(given)}
+    gateway_config(robot, values | {"decimals": decimals_of(given)} | launched)
 
 
 def _separation(values: Values, _given: Given, robot: RobotModel) -> None:
@@ -118,14 +79,6 @@ class _JointStatePublisher(pydantic.BaseModel, extra="forbid"):
     publish_default_efforts: bool = False
 
 
-def _always(_given: Given) -> bool:
-    return True
-
-
-def _has_link(given: Given) -> bool:
-    return _arm(given) != "none"
-
-
 @dataclass(frozen=True)
 class NodeFile:
     """A YAML file of config/.
@@ -138,53 +91,28 @@ class NodeFile:
 
     name: str
     check: Callable[[Values, Given, RobotModel], None]
-    loaded: Callable[[Given], bool] = _always
+    loaded: Callable[[Given], bool] = lambda _given: True
 
 
-def _of(
-    node: NodeShell, launched: Callable[[Given], Values] = lambda _given: {}, loaded: Callable[[Given], bool] = _always
-) -> NodeFile:
-    """Return the file of a node, which checks its parameters itself.
+def _of(node: NodeShell, file: ConfigFile) -> NodeFile:
+    """Return the file of a node, which checks its parameters itself."""
 
-    Args:
-        launched: Returns what the launch files give beside the file; where any value will do, one that does.
-    """
-    return NodeFile(node.name, lambda values, given, robot: node.check_values(values | launched(given), robot), loaded)
+    def check(values: Values, given: Given, robot: RobotModel) -> None:
+        node.check_values(values | file.launched(given), robot)
+
+    return NodeFile(node.name, check, file.loaded)
 
 
-#: Every file that bringup.launch loads for a node, in the order of the launch files.
+_SHELLS = node_shells()
+#: Nodes of one robot, in its namespace: a second one of a name would end the first.
+ROBOT_NODES = (*(node.name for node in _SHELLS), *_OTHERS)
+#: Every file that bringup.launch loads for a node.
 NODE_FILES = (
-    _of(neighbour.NODE, lambda _given: {"name": "other"}, lambda given: bool(given.get("neighbour"))),
-    _of(planner.NODE, lambda _given: _PLANNER),
-    _of(
-        follow_joint_trajectory.NODE,
-        lambda _given: {"arm": "mock"},
-        lambda given: is_true(given, "follow_joint_trajectory", "true"),
-    ),
-    _of(joint_velocities.NODE),
+    *(_of(node, node.file) for node in _SHELLS if node.file is not None),
     NodeFile("joint_state_publisher", _joint_state_publisher),
-    NodeFile("gateway", _gateway, _has_link),
-    _of(mqtt_bridge.NODE, lambda _given: _BROKER, _has_link),
-    _of(mqtt_review.NODE, lambda _given: _BROKER, _has_link),
-    _of(mqtt_planner.NODE, lambda _given: _BROKER, _has_link),
-    _of(mock_rsi.NODE, _mock, lambda given: _arm(given) == "mock" and not is_bare(given)),
-    _of(executor.NODE, lambda given: {"arm": _arm(given), "review_file": "reviews"}),
-    _of(pca_monitor.NODE, _monitor),
-    _of(tool_marker.NODE, lambda _given: _MARKER, lambda given: is_true(given, "tool_marker")),
-    _of(work.NODE, lambda _given: _WORK, lambda given: bool(given.get("work_model"))),
+    NodeFile("gateway", _gateway, has_link),
     NodeFile("separation", _separation, lambda given: is_true(given, "separation")),
 )
-
-
-def read_mapping(path: str, what: str) -> Values:
-    """Return the content of a YAML file; ConfigurationError when it is not a mapping of `what`."""
-    try:
-        content = yaml.safe_load(read_text(path))
-    except yaml.YAMLError as error:
-        raise ConfigurationError(path, " ".join(str(error).split()), Sentence("expected.yaml_file")) from error
-    if not isinstance(content, dict):
-        raise ConfigurationError(path, content, Sentence("expected.mapping", what=what))
-    return content
 
 
 def node_files_problem(given: Given, robot: RobotModel, folder: Path) -> str:

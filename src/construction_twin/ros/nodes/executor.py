@@ -64,7 +64,8 @@ from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg,
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.engagement_file import ENDED, EngagementFile
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.launch_arguments import arm_of
+from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import NodeSettings, ros_home
 from construction_twin.ros.shared.ports import (
@@ -800,7 +801,8 @@ INTERFACE = Interface(
         ),
     ),
 )  # fmt: skip
-NODE = NodeShell("executor", Settings, start, INTERFACE, fast=True)
+FILE = ConfigFile(lambda given: {"arm": arm_of(given), "review_file": "reviews"})
+NODE = NodeShell("executor", Settings, start, INTERFACE, file=FILE, fast=True)
 
 
 def main() -> None:

@@ -50,13 +50,14 @@ from construction_twin.ros.messages.joint_goals import (
     trajectory_goal,
 )
 from construction_twin.ros.shared.diagnostics import OK, Report
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.ports import Interface, Ports, PoseSubscription, Publication, Subscription, has_arm
 from construction_twin.ros.transport.goal_server import GoalServer
 from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.persistent_service import NO_ANSWER
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.srv import PlanTrajectory, ReviewPlan, StopPlan
+from construction_twin.views.preflight import is_true
 
 #: Time between two looks at poses and clock while a goal has the arm, and while none has [s].
 PERIOD, IDLE_PERIOD = 0.02, 0.2
@@ -401,7 +402,8 @@ INTERFACE = Interface(
         Subscription("execution", Execution, FollowJointTrajectoryNode.on_execution, queue_size=50, tcp_nodelay=True),
     ),
 )
-NODE = NodeShell("follow_joint_trajectory", Settings, FollowJointTrajectoryNode, INTERFACE)
+FILE = ConfigFile(lambda _given: {"arm": "mock"}, lambda given: is_true(given, "follow_joint_trajectory", "true"))
+NODE = NodeShell("follow_joint_trajectory", Settings, FollowJointTrajectoryNode, INTERFACE, file=FILE)
 
 
 def main() -> None:

@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.joint_velocities import JointVelocities
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.ports import Interface, Ports, PoseSubscription, Publication
 from construction_twin.ros.transport.joint_stream import to_time
 from construction_twin.ros.transport.publisher import Sink
@@ -125,7 +125,7 @@ INTERFACE = Interface(
     publishes=(Publication("velocities/joint_states", JointState, queue_size=5),),
     hears=(PoseSubscription("twin/joint_states", _on_twin, queue_size=1),),
 )
-NODE = NodeShell("joint_velocities", Settings, start, INTERFACE)
+NODE = NodeShell("joint_velocities", Settings, start, INTERFACE, file=ConfigFile())
 
 
 def main() -> None:

@@ -52,8 +52,9 @@ from construction_twin.ros.messages.tool import tool_report_to_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.gateway_config import config_from_parameters
+from construction_twin.ros.shared.launch_arguments import BROKER, has_link
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import (
     Interface,
@@ -703,7 +704,8 @@ INTERFACE = Interface(
         Served("mirror", SetBool, MqttBridge.on_mirror),
     ),
 )
-NODE = NodeShell("mqtt_bridge", Settings, start, INTERFACE, fast=True)
+FILE = ConfigFile(lambda _given: BROKER, has_link)
+NODE = NodeShell("mqtt_bridge", Settings, start, INTERFACE, file=FILE, fast=True)
 
 
 def main() -> None:

@@ -38,8 +38,9 @@ from construction_twin.ros.shared.console_feed import ConsoleFeed, deployment_of
 from construction_twin.ros.shared.console_requests import ConsoleRequests, RobotContext
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
+from construction_twin.ros.shared.launch_arguments import BROKER, has_link
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.ports import (
@@ -503,7 +504,8 @@ INTERFACE = Interface(
         Subscription("link", Link, MqttPlanner.on_link, queue_size=1),
     ),
 )
-NODE = NodeShell("mqtt_planner", Settings, start, INTERFACE)
+FILE = ConfigFile(lambda _given: BROKER, has_link)
+NODE = NodeShell("mqtt_planner", Settings, start, INTERFACE, file=FILE)
 
 
 def main() -> None:

@@ -41,8 +41,9 @@ from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.messages.plan_services import request_fields
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
+from construction_twin.ros.shared.launch_arguments import BROKER, has_link
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import Interface, Ports, Subscription
 from construction_twin.ros.shared.remote_interventions import EXECUTOR, remote_interventions
@@ -417,7 +418,8 @@ INTERFACE = Interface(
         Subscription("link", Link, MqttReview.on_link, queue_size=5),
     ),
 )
-NODE = NodeShell("mqtt_review", Settings, start, INTERFACE)
+FILE = ConfigFile(lambda _given: BROKER, has_link)
+NODE = NodeShell("mqtt_review", Settings, start, INTERFACE, file=FILE)
 
 
 def main() -> None:

@@ -29,7 +29,7 @@ from construction_twin.ros.shared.arm_listener import (
     listen_to_other_arm,
 )
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.planning_scene import PLANNING_SCENE, OtherArmPublisher
 from construction_twin.ros.shared.ports import Interface, Ports, Publication
 from construction_twin.ros.transport.publisher import Sink
@@ -221,7 +221,8 @@ INTERFACE = Interface(
     publishes=(Publication("conflict", ConflictMsg, queue_size=10), PLANNING_SCENE),
     listeners=(*ARM_TOPICS, *ARM_POSES),
 )
-NODE = NodeShell("neighbour", NeighbourSettings, start, INTERFACE)
+FILE = ConfigFile(lambda _given: {"name": "other"}, lambda given: bool(given.get("neighbour")))
+NODE = NodeShell("neighbour", NeighbourSettings, start, INTERFACE, file=FILE)
 
 
 def main() -> None:

@@ -27,7 +27,8 @@ from construction_twin.msg import Transition as TransitionMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.launch_arguments import arm_of, decimals_of
+from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.params import NodeSettings
 from construction_twin.ros.shared.ports import (
     Every,
@@ -385,8 +386,11 @@ INTERFACE = Interface(
     serves=(Served("configure_gate", ConfigureGate, PcaMonitorNode.on_configure, reason="configure_gate"),),
     every=(Every(lambda settings: 1 / settings.sync_rate, lambda node, _ports: node.watch()),),
 )
+FILE = ConfigFile(
+    lambda given: {"arm": arm_of(given), "transition_file": "transitions", "decimals": decimals_of(given)}
+)
 NODE = NodeShell(
-    "pca_monitor", Settings, start, INTERFACE, lambda settings, robot: make_gate(settings, robot, 0), fast=True
+    "pca_monitor", Settings, start, INTERFACE, lambda settings, robot: make_gate(settings, robot, 0), FILE, fast=True
 )
 
 

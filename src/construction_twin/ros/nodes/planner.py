@@ -44,7 +44,7 @@ from construction_twin.ros.shared.arm_listener import listen_to_other_arm, neigh
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.frame_listener import FRAMES
 from construction_twin.ros.shared.frames import listen_to_frames
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, Publication, Served, Subscription
 from construction_twin.ros.shared.request_handler import OccupiedSpace, RequestHandler
@@ -324,7 +324,8 @@ INTERFACE = Interface(
         Served("plan_way_back", Trigger, PlannerNode.on_plan_way_back),
     ),
 )
-NODE = NodeShell("planner", Settings, PlannerNode, INTERFACE)
+FILE = ConfigFile(lambda _given: {"self_collision": "", "tf_prefix": ""})
+NODE = NodeShell("planner", Settings, PlannerNode, INTERFACE, file=FILE)
 
 
 def main() -> None:

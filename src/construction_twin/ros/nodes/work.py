@@ -39,7 +39,7 @@ from construction_twin.ros.messages.work_marker_convert import work_marker_array
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.frame_listener import FRAMES
 from construction_twin.ros.shared.frames import listen_to_frames
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.ports import (
@@ -612,7 +612,13 @@ INTERFACE = Interface(
         Served("work/measured", WorkMeasured, WorkNode.on_measured, refused=lambda *_: NOT_MEASURED),
     ),
 )
-NODE = NodeShell("work", Settings, start, INTERFACE)
+FILE = ConfigFile(
+    lambda _given: {
+        "model": "", "cell": "", "self_collision": "", "tf_prefix": "", "review_file": "", "arm": "mock",
+    },
+    lambda given: bool(given.get("work_model")),
+)  # fmt: skip
+NODE = NodeShell("work", Settings, start, INTERFACE, file=FILE)
 
 
 def main() -> None:
