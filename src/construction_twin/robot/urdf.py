@@ -91,11 +91,11 @@ def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -
         raise ConfigurationError(str(path), _found(str(path), error), Sentence("expected.xml.well_formed")) from error
     unknown = sorted(set(arguments or {}) - given.used)
     if unknown:
-        raise ConfigurationError(
-            f"{path} argument",
-            unknown[0],
-            Sentence("expected.robot.arguments", names=str(sorted(given.used) or "none")),
+        known = sorted(given.used)
+        expected = (
+            Sentence("expected.robot.arguments", names=str(known)) if known else Sentence("expected.robot.no_arguments")
         )
+        raise ConfigurationError(f"{path} argument", unknown[0], expected)
     return document.toprettyxml(indent="  ")
 
 
@@ -132,8 +132,8 @@ def _refusal(path: str, error: xacro.XacroException) -> ConfigurationError:
         return cause
     if isinstance(cause, ArgException):
         where = f"{xacro.filestack[-1]} $(arg {cause})"
-        return ConfigurationError(where, "no value", f"one in robot_xacro_args, e.g. {cause}=...")
-    return ConfigurationError(path, _found(path, error), "a xacro file that expands")
+        return ConfigurationError(where, "no value", Sentence("expected.robot.argument", argument=str(cause)))
+    return ConfigurationError(path, _found(path, error), Sentence("expected.robot.xacro"))
 
 
 def _found(path: str, error: Exception) -> str:

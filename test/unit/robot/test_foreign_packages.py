@@ -101,6 +101,16 @@ def test_an_argument_that_the_xacro_does_not_have_is_refused_with_those_it_has(x
     assert "['prefix', 'reach']" in error.expected
 
 
+def test_what_a_xacro_is_refused_with_has_a_key(tmp_path):
+    path = tmp_path / "arm.xacro"
+    path.write_text('<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro"/>')
+    assert refused(path, {"prefix": "left_"}).expected.key == "expected.robot.no_arguments"
+    path.write_text('<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="${nothing}"/></robot>')
+    assert refused(path).expected.key == "expected.robot.xacro"
+    path.write_text('<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="$(arg name)"/></robot>')
+    assert refused(path).expected.key == "expected.robot.argument"
+
+
 def test_an_argument_without_a_value_says_how_to_give_one(xacro):
     text = xacro.read_text().replace('<xacro:arg name="reach" default="1.1"/>', "")
     xacro.write_text(text)
