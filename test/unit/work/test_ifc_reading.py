@@ -120,19 +120,25 @@ def test_a_cache_with_a_wrong_bit_is_not_believed(tmp_path, path, place):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "said", "key"),
     [
-        ({"indices": np.array([0, 1, 10**6], dtype=np.int32)}, "array 'indices' shorter"),
-        ({"numbers": np.full(10**6, np.nan)}, "no finite numbers"),
-        ({"numbers": np.zeros(1, dtype=object)}, "array|pickle|allow_pickle"),
-        ({"numbers": np.zeros((3, 3))}, "shape"),
-        ({"text": np.frombuffer(b"[]", dtype=np.uint8)}, "TypeError"),
-        ({"text": np.frombuffer(b"[" * 10**6, dtype=np.uint8)}, "RecursionError"),
-        ({"indices": np.full(10**6, 10**6, dtype=np.int32)}, "corners that are not there"),
-        ({"indices": np.full(10**6, -1, dtype=np.int32)}, "corners that are not there"),
+        ({"indices": np.array([0, 1, 10**6], dtype=np.int32)}, "array 'indices' shorter", "short_array"),
+        ({"numbers": np.full(10**6, np.nan)}, "no finite numbers", "not_finite"),
+        ({"numbers": np.zeros(1, dtype=object)}, "array|pickle|allow_pickle", ""),
+        ({"numbers": np.zeros((3, 3))}, r"array 'numbers' of float64 and shape \(3, 3\)", "array"),
+        ({"text": np.frombuffer(b"[]", dtype=np.uint8)}, "TypeError", ""),
+        ({"text": np.frombuffer(b"[" * 10**6, dtype=np.uint8)}, "RecursionError", ""),
+        ({"indices": np.full(10**6, 10**6, dtype=np.int32)}, "corners that are not there", "no_corners"),
+        ({"indices": np.full(10**6, -1, dtype=np.int32)}, "corners that are not there", "no_corners"),
+        # a sentence that would be longer than what is said of a file
+        (
+            {"numbers": np.zeros(1, dtype=[("x" * 1000, "f8")])},
+            "ValueError: array 'numbers' of .{0,170}, expected a",
+            "",
+        ),
     ],
 )
-def test_what_the_process_wrote_is_checked(tmp_path, path, change, said):
+def test_what_the_process_wrote_is_checked(tmp_path, path, change, said, key):
     model = read_ifc(path, 1 << 24)
     kept = tmp_path / "model.npz"
     model_file.save(model, kept)
@@ -142,6 +148,7 @@ def test_what_the_process_wrote_is_checked(tmp_path, path, change, said):
     with pytest.raises(BuildingError, match=said) as caught:
         model_file.load(kept, model.file, model.digest)
     assert "\n" not in str(caught.value)
+    assert getattr(caught.value.found, "key", "") == (key and f"ifc.found.{key}")
 
 
 @pytest.mark.parametrize(
@@ -267,6 +274,16 @@ def test_a_file_that_is_written_meanwhile_is_not_read(path, monkeypatch):
     assert [each.key for each in (found.what, found.found, found.expected)] == [
         "ifc.file", "ifc.found.changed_again", "ifc.nobody_writes",
     ]  # fmt: skip
+
+
+def test_what_the_reading_process_refuses_keeps_its_key_and_values(path):
+    text = path.read_text()
+    number = re.search(r"#(\d+)=IFCWALL\(", text)[1]
+    path.write_text(re.sub(rf"(#{number}=IFCWALL\([^;]*);", r"\1", text))
+    with pytest.raises(BuildingError, match=f"line #{number}, broken off") as caught:
+        read_building(path)
+    found = caught.value.sentence.values["found"]
+    assert (found.key, found.values) == ("ifc.found.line", {"number": number})
 
 
 def test_a_process_that_takes_too_long_is_ended(path, monkeypatch):

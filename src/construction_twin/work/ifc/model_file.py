@@ -26,6 +26,8 @@ from construction_twin.work.building import BuildingModel, Element
 VERSION = 5
 #: Largest file [bytes].
 MOST_BYTES = 1 << 30
+#: Longest text about what is wrong with one [characters].
+_LONGEST = 200
 _KINDS = {"text": np.uint8, "numbers": np.float64, "indices": np.int32}
 _MODEL: TypeAdapter[tuple[BuildingModel]] = TypeAdapter(
     tuple[BuildingModel], config=ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False)
@@ -88,21 +90,32 @@ def load(path: Path, file: str, digest: str) -> BuildingModel:
         NotImplementedError,
         RecursionError,
     ) as error:
-        found = f"{type(error).__name__}: {' '.join(str(error).split())}"[:200]
-        raise BuildingError(file, Sentence("ifc.written"), found, Sentence("ifc.whole_model")) from error
+        raise BuildingError(file, Sentence("ifc.written"), _said(error), Sentence("ifc.whole_model")) from error
+
+
+def _said(error: Exception) -> str:
+    """Return what an exception says, short: one of ours its sentence, with its key."""
+    own = next(iter(error.args), None)
+    if isinstance(own, Sentence) and len(own) <= _LONGEST:
+        return own
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"[:_LONGEST]
 
 
 def _load(path: Path, file: str, digest: str) -> BuildingModel:
     with zipfile.ZipFile(path) as archive:
         if sum(member.file_size for member in archive.infolist()) > MOST_BYTES:
-            raise ValueError(f"more than {MOST_BYTES >> 20} MiB")
+            raise ValueError(Sentence("ifc.found.stored_size", most=MOST_BYTES >> 20))
     with np.load(path, allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in _KINDS}
     for name, kind in _KINDS.items():
         if arrays[name].dtype != kind or arrays[name].ndim != 1:
-            raise ValueError(f"array {name!r} of {arrays[name].dtype} and shape {arrays[name].shape}")
+            raise ValueError(
+                Sentence(
+                    "ifc.found.array", name=repr(name), kind=str(arrays[name].dtype), shape=str(arrays[name].shape)
+                )
+            )
     if not np.isfinite(arrays["numbers"]).all():
-        raise ValueError("values that are no finite numbers")
+        raise ValueError(Sentence("ifc.found.not_finite"))
 
     def undescribed(item: dict[str, Any]) -> Any:
         if item.keys() != {digest}:
@@ -110,12 +123,12 @@ def _load(path: Path, file: str, digest: str) -> BuildingModel:
         name, start, *shape = item[digest]
         stop = start + math.prod(shape)
         if not 0 <= start <= stop <= len(arrays[name]):
-            raise ValueError(f"array {name!r} shorter than its elements")
+            raise ValueError(Sentence("ifc.found.short_array", name=repr(name)))
         return arrays[name][start:stop].reshape(shape)
 
     document = json.loads(arrays["text"].tobytes(), object_hook=undescribed)
     if document["version"] != VERSION or document["model"]["digest"] != digest:
-        raise ValueError("another version, or of another file")
+        raise ValueError(Sentence("ifc.found.other_version"))
     (model,) = _MODEL.validate_python(({**document["model"], "file": file},))
     for element in model.elements.values():
         _check(element)
@@ -135,9 +148,11 @@ def _check(element: Element) -> None:
             wanted.append((body.extrusion.direction, (3,)))
     for array, shape in wanted:
         if array.ndim != len(shape) or any(size not in (-1, have) for size, have in zip(shape, array.shape)):
-            raise ValueError(f"an array of shape {array.shape} in element {element.id!r}, expected {shape}")
+            raise ValueError(
+                Sentence("ifc.found.shape", shape=str(array.shape), id=repr(element.id), expected=str(shape))
+            )
     for body in element.bodies:
         if body.triangles.dtype.kind != "i" or body.vertices.dtype.kind != "f":
-            raise ValueError("triangles that are no indices, or corners that are no numbers")
+            raise ValueError(Sentence("ifc.found.no_indices"))
         if body.triangles.size and not 0 <= body.triangles.min() <= body.triangles.max() < len(body.vertices):
-            raise ValueError("triangles with corners that are not there")
+            raise ValueError(Sentence("ifc.found.no_corners"))

@@ -97,4 +97,4 @@ def label(entity: object) -> str:
     try:
         return f"#{entity.id()}={entity.is_a().upper()}"  # type: ignore[attr-defined]
     except (AttributeError, RuntimeError):
-        return "an entity"
+        return Sentence("ifc.entity")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ifcopenshell
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.work.building import Element
 from construction_twin.work.ifc.notes import Notes, Where
 
@@ -28,7 +29,7 @@ def note_unread(file: ifcopenshell.file, name: str, elements: dict[str, Element]
     Args:
         name: For messages.
     """
-    with Where(name, "the file"):
+    with Where(name, Sentence("ifc.file")):
         for kind, meaning in _UNREAD.items():
             try:
                 count = len(file.by_type(kind))
