@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 from construction_twin.core.records import ZERO
 from construction_twin.core.reports import WorkReport
+from construction_twin.core.sentences import REASONS
 from construction_twin.link.remote_review import PlanView
 from construction_twin.link.remote_view import VERSION, View
 from construction_twin.mqtt.requests import IK, PLAN_REQUEST, REVIEW, STOP, Answer, RequestKind
@@ -122,7 +123,12 @@ def page_schemas() -> str:
         f"/** {_about(kind)}. */\nexport const {name} = {_text(schema(kind, words=False))};\n"
         for name, kind in CHECKED.items()
     ]
-    return "\n".join(["// Made from the records by scripts/make_reference.py; check.js reads it.\n", *constants])
+    reasons = (
+        f"/** Beginnings of the keys of reasons and answers, as core/sentences.py has them. */\n"
+        f"export const REASONS = {_text(list(REASONS))};\n"
+    )
+    head = "// Made from the records by scripts/make_reference.py; check.js and sentences.js read it.\n"
+    return "\n".join([head, *constants, reasons])
 
 
 def _about(kind: Any) -> str:

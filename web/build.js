@@ -1,12 +1,14 @@
 /**
- * Builds the page: `node build.js FOLDER`. Script and style get names with their hash, which the console lets browsers keep for ever.
- * Works without a network once `npm ci` has run.
+ * Builds the page: `node build.js FOLDER`. Script, style and the sentences of each language get names with their hash, which the
+ * console lets browsers keep for ever. Works without a network once `npm ci` has run.
  */
+import {createHash} from "node:crypto";
 import {cp, mkdir, readFile, rename, rm, writeFile} from "node:fs/promises";
 import path from "node:path";
 import {fileURLToPath} from "node:url";
 import {build} from "esbuild";
 import {writePages} from "./docs_pages.js";
+import {tableOf} from "./src/sentences.js";
 
 const here = path.dirname(fileURLToPath(import.meta.url));
 const target = path.resolve(process.argv[2] ?? path.join(here, "..", ".ws", "console", "page"));
@@ -14,9 +16,17 @@ const fresh = `${target}.new`;
 await rm(fresh, {recursive: true, force: true});
 await mkdir(fresh, {recursive: true});
 
+const sentences = JSON.parse(await readFile(path.join(here, "..", "src", "construction_twin", "core", "sentences.json"), "utf8"));
+const files = {};
+for (const language of Object.keys(sentences["page.title"])) {
+  const text = JSON.stringify(tableOf(sentences, language));
+  files[language] = `sentences.${language}.${createHash("sha256").update(text).digest("hex").slice(0, 16)}.json`;
+  await writeFile(path.join(fresh, files[language]), text);
+}
 const result = await build({
   entryPoints: [path.join(here, "src", "main.js"), path.join(here, "src", "style.css")],
   bundle: true,
+  define: {SENTENCES: JSON.stringify(files)},
   minify: true,
   format: "esm",
   target: ["es2022", "chrome110", "firefox110", "safari16"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from console_page import ConsolePage
+import pytest
 from playwright.sync_api import expect
 
 
@@ -14,11 +15,12 @@ def test_the_page_asks_for_an_account_and_lets_in_who_has_one(page_of, site, rob
     assert "logged in as 'one-reviewer-ada'" in site.log.read_text()
 
 
-def test_where_the_page_s_script_does_not_arrive_a_line_says_what_to_do(browser, site):
+@pytest.mark.parametrize("file", ["main.*.js", "sentences.*.json"])
+def test_where_the_page_s_script_or_its_words_do_not_arrive_a_line_says_what_to_do(browser, site, file):
     """As when the tablet changes from one network to another while it loads."""
     page = ConsolePage(browser, site.url)
     try:
-        page.page.route("**/main.*.js", lambda route: route.abort("internetdisconnected"))
+        page.page.route(f"**/{file}", lambda route: route.abort("internetdisconnected"))
         page.open()
         expect(page.page.locator("#loading")).to_contain_text("reload the page: nothing can be stopped from here")
         page.page.unroute_all()

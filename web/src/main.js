@@ -24,8 +24,9 @@ const remember = (key, value) => {
 
 const root = document.documentElement;
 const asked = new URLSearchParams(location.search);
-const language = languageOf(asked.get("language") ?? remembered("language"), navigator.languages ?? ["en"]);
-const texts = makeTexts(language);
+// build.js writes a file of sentences per language, and its name here
+const language = languageOf(Object.keys(SENTENCES), asked.get("language") ?? remembered("language"), navigator.languages ?? ["en"]);
+const texts = makeTexts(language, await (await fetch(SENTENCES[language])).json());
 root.lang = language;
 document.title = texts("page.title");
 

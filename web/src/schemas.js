@@ -1,4 +1,4 @@
-// Made from the records by scripts/make_reference.py; check.js reads it.
+// Made from the records by scripts/make_reference.py; check.js and sentences.js read it.
 
 /** A message on <prefix>/<robot>/view: the state of one robot. */
 export const VIEW = {
@@ -372,3 +372,6 @@ export const IK_ACK = {
     "between": {"type": "array", "items": {"type": "string"}}
   }
 };
+
+/** Beginnings of the keys of reasons and answers, as core/sentences.py has them. */
+export const REASONS = ["reason.", "executor.", "review.", "link.", "gateway.", "motion.", "work.", "startup.", "expected.", "telegram.", "ifc."];

@@ -1,36 +1,21 @@
 /**
  * The words of every sentence, in the person's language. They stand in one file, which the robot's programs read too
- * (src/construction_twin/core/sentences.json), and places in it are filled in as core/sentences.py says; test/sentence_cases.json holds
- * both to it. A number that lies exactly between two is rounded away from zero here.
+ * (src/construction_twin/core/sentences.json), and places in it are filled in as core/sentences.py says; test/support/sentence_cases.json
+ * holds both to it. A number that lies exactly between two is rounded away from zero here.
  */
-import sentences from "../../src/construction_twin/core/sentences.json" with {type: "json"};
+import {REASONS} from "./schemas.js";
 
 const PLACE = /\{(\w+)(?::(?:\.(\d))?([fgqpst]))?\}/g;
 const UNITS = {rad: [180 / Math.PI, "deg"], m: [1e3, "mm"]};
-
-/** Languages that there are. */
-export const languages = Object.keys(sentences["page.title"]);
-
-/** Return the words of a key in a language, with places for values; undefined: there are none. */
-export function wordsOf(key, language) {
-  return Object.hasOwn(sentences, key) ? sentences[key][language] : undefined;
-}
-
-/** Beginnings of the keys of reasons and answers. */
-const REASONS = ["reason.", "executor.", "review.", "link.", "gateway.", "motion.", "work.", "startup."];
 const isReason = (key) => REASONS.some((each) => key.startsWith(each));
 
-/** Whether what came from a robot is key and values of a reason, with a value of the right kind in every place. */
-export function canSay(said) {
-  const {key, values} = said ?? {};
-  if (typeof key !== "string" || !isReason(key) || typeof values !== "object" || values === null) return false;
-  const words = wordsOf(key, "en");
-  return words !== undefined && [...words.matchAll(PLACE)].every(([, name, , form]) => {
-    const value = Object.hasOwn(values, name) ? values[name] : undefined;
-    if (form === "p" || form === "q") return isNumberOrNull(value?.value) && typeof value.unit === "string";
-    if (form === "f" || form === "g") return isNumberOrNull(value);
-    return ["string", "number"].includes(typeof value) || canSay(value);
-  });
+/**
+ * Return what a page in one language needs of the file of sentences: its own words, and of reasons, which robots send in English, the
+ * English too. A page in English needs no reasons: it shows what comes.
+ */
+export function tableOf(sentences, language) {
+  const needed = Object.entries(sentences).filter(([key]) => language !== "en" || !isReason(key));
+  return Object.fromEntries(needed.map(([key, words]) => [key, {...(isReason(key) && {en: words.en}), [language]: words[language]}]));
 }
 
 /**
@@ -51,48 +36,71 @@ export function fill(template, values, said = {value: String, unit: (unit) => un
   });
 }
 
-// -- reasons that come as text, as `understood` of core/sentences.py finds them
-
 /** What a place in a text may be, by its form; others are one word. */
 const READ = {s: "(.+?)", t: "((?:'.*?'|\".*?\") \\(\\S+\\)|\\S+?)", p: "(\\S+ \\S+?)", q: "(\\S+ \\S+?)"};
 const escaped = (text) => text.replace(/[\\^$.*+?()[\]{}|]/g, "\\$&");
 
-/** Key, places and pattern of each reason, its own words and their longest piece; the one with the most words first. */
-const PATTERNS = Object.keys(sentences).filter(isReason).map((key) => {
-  const words = sentences[key].en;
-  const places = [...words.matchAll(PLACE)].map(([, name, , form]) => ({name, form}));
-  const own = words.split(PLACE).filter((_, k) => k % 4 === 0);
-  const pattern = own.slice(1).reduce((text, each, k) => text + (READ[places[k].form] ?? "(\\S+?)") + escaped(each), escaped(own[0]));
-  const longest = own.reduce((one, other) => (other.length > one.length ? other : one));
-  return {key, places, own: own.join(""), longest, pattern: new RegExp(`^${pattern}$`, "s")};
-}).sort((one, other) => other.own.length - one.own.length);
+/** Return `wordsOf`, `canSay` and `understood` of a table of sentences: by key, words by language. */
+export function makeSentences(table) {
+  /** Return the words of a key in a language, with places for values; undefined: there are none. */
+  const wordsOf = (key, language) => (Object.hasOwn(table, key) ? table[key][language] : undefined);
 
-/** Return key and values of the reason whose English text this is, to the letter; null: none reads so. */
-export function understood(text) {
-  for (const {key, places, own, longest, pattern} of PATTERNS) {
-    const found = text.includes(longest) ? pattern.exec(text) : null;
-    if (found === null) continue;
-    const values = Object.fromEntries(places.map(({name, form}, k) => [name, read(form, found[k + 1])]));
-    const said = {key, values};
-    if (english(said) !== text) continue;
-    if (/\p{L}/u.test(own) || Object.values(values).some((value) => typeof value?.key === "string")) return said;
+  /** Whether what came from a robot is key and values of a reason, with a value of the right kind in every place. */
+  function canSay(said) {
+    const {key, values} = said ?? {};
+    if (typeof key !== "string" || !isReason(key) || typeof values !== "object" || values === null) return false;
+    const words = wordsOf(key, "en");
+    return words !== undefined && [...words.matchAll(PLACE)].every(([, name, , form]) => {
+      const value = Object.hasOwn(values, name) ? values[name] : undefined;
+      if (form === "p" || form === "q") return isNumberOrNull(value?.value) && typeof value.unit === "string";
+      if (form === "f" || form === "g") return isNumberOrNull(value);
+      return ["string", "number"].includes(typeof value) || canSay(value);
+    });
   }
-  return null;
+
+  // reasons that come as text, as `understood` of core/sentences.py finds them: key, places and pattern of each, its own words and
+  // their longest piece; the one with the most words first
+  const patterns = Object.keys(table).filter(isReason).map((key) => {
+    const words = table[key].en;
+    const places = [...words.matchAll(PLACE)].map(([, name, , form]) => ({name, form}));
+    const own = words.split(PLACE).filter((_, k) => k % 4 === 0);
+    const pattern = own.slice(1).reduce((text, each, k) => text + (READ[places[k].form] ?? "(\\S+?)") + escaped(each), escaped(own[0]));
+    const longest = own.reduce((one, other) => (other.length > one.length ? other : one));
+    return {key, places, own: own.join(""), longest, pattern: new RegExp(`^${pattern}$`, "s")};
+  }).sort((one, other) => other.own.length - one.own.length);
+
+  /** Return key and values of the reason whose English text this is, to the letter; null: none reads so. */
+  function understood(text) {
+    for (const {key, places, own, longest, pattern} of patterns) {
+      const found = text.includes(longest) ? pattern.exec(text) : null;
+      if (found === null) continue;
+      const values = Object.fromEntries(places.map(({name, form}, k) => [name, read(form, found[k + 1])]));
+      const said = {key, values};
+      if (english(said) !== text) continue;
+      if (/\p{L}/u.test(own) || Object.values(values).some((value) => typeof value?.key === "string")) return said;
+    }
+    return null;
+  }
+
+  function read(form, part) {
+    if (form === "s") return understood(part) ?? part;
+    if (form === "f" || form === "g") return Number(part);
+    return form === "p" || form === "q" ? quantity(form, part) : part;
+  }
+
+  const english = ({key, values}) => fill(table[key].en, values, {
+    value: (each) => (typeof each?.key === "string" ? english(each) : String(each)), unit: (unit) => unit,
+  });
+
+  return {wordsOf, canSay, understood};
 }
 
-function read(form, part) {
-  if (form === "s") return understood(part) ?? part;
-  if (form === "f" || form === "g") return Number(part);
-  if (form !== "p" && form !== "q") return part;
+function quantity(form, part) {
   const [number, unit] = part.split(" ");
   const [base, ...per] = unit.split("/");
   const inside = Object.keys(UNITS).find((each) => form === "p" && UNITS[each][1] === base);
   return inside === undefined ? {value: Number(number), unit} : {value: Number(number) / UNITS[inside][0], unit: [inside, ...per].join("/")};
 }
-
-const english = ({key, values}) => fill(sentences[key].en, values, {
-  value: (each) => (typeof each?.key === "string" ? english(each) : String(each)), unit: (unit) => unit,
-});
 
 /** Convert rad to deg, m to mm, alone or over a time; others stay. */
 function forPeople({value, unit}) {

@@ -1,8 +1,8 @@
 /** The page's words in the person's language. */
-import {canSay, fill, languages, understood, wordsOf} from "./sentences.js";
+import {fill, makeSentences} from "./sentences.js";
 
-/** Return the language to use: the one that was chosen before, else the first of the browser's that there is, else English. */
-export function languageOf(chosen, wanted) {
+/** Return which of the languages to use: the one that was chosen before, else the first of the browser's that there is, else English. */
+export function languageOf(languages, chosen, wanted) {
   if (languages.includes(chosen)) return chosen;
   return wanted.map((tag) => tag.slice(0, 2).toLowerCase()).find((tag) => languages.includes(tag)) ?? "en";
 }
@@ -18,8 +18,11 @@ export function withoutLanguage(search) {
  * Return the function `texts(key, values)`: the sentence of a key, with its values (sentences.js).
  *
  * A key that is missing is an error: tests compare the keys.
+ *
+ * @param table the language's sentences, as `tableOf` of sentences.js makes it
  */
-export function makeTexts(language) {
+export function makeTexts(language, table) {
+  const {wordsOf, canSay, understood} = makeSentences(table);
   const texts = (key, values = {}) => {
     const words = wordsOf(key, language);
     if (words === undefined) throw new RangeError(`no text ${key} in ${language}`);

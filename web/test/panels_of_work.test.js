@@ -9,8 +9,8 @@ import * as runs from "../src/panels/runs.js";
 import * as tasks from "../src/panels/tasks.js";
 import {readListing} from "../src/runs/listing.js";
 import {counts, group, isAskable, nextTask, stateOfElement, taskOfElement, waitsFor} from "../src/work/task_list.js";
-import {makeTexts} from "../src/texts.js";
 import {fakePage, view} from "./support/fake.js";
+import {robotSays, textsIn} from "./support/sentences.js";
 
 const URDF = readFileSync(new URL("support/track.urdf", import.meta.url), "utf8");
 const NAMES = ["track", "joint_a1", "joint_a2", "joint_a3", "joint_a4", "joint_a5", "joint_a6"];
@@ -387,7 +387,7 @@ test("deviations and questions are shown", async () => {
 
 test("what a task waits for and what is asked of it is said in the page's language", async () => {
   const said = (key, values) => ({
-    en: makeTexts("en")(key, values), de: makeTexts("de")(key, values),
+    en: robotSays(key, values), de: textsIn("de")(key, values),
   });
   const reason = said("work.task.waits", {tasks: "'Place 2' (2)"});
   const question = said("work.question.where", {element: "stud 4", known: {key: "work.known.carried", values: {}}});

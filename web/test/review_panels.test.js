@@ -4,8 +4,7 @@ import * as playback from "../src/panels/playback.js";
 import * as status from "../src/panels/status.js";
 import * as stop from "../src/panels/stop.js";
 import * as verdict from "../src/panels/verdict.js";
-import {wordsOf} from "../src/sentences.js";
-import {makeTexts} from "../src/texts.js";
+import {robotSays, textsIn} from "./support/sentences.js";
 import {fakePage, plan, view, work} from "./support/fake.js";
 
 const PLAN = plan({
@@ -167,9 +166,9 @@ for (const word of ["away", "lost", "model"]) {
 test("why a playback does not count is said in both languages, and that there is no picture", async () => {
   for (const language of ["en", "de"]) {
     const it = await planned(undefined, {language});
-    assert.equal(it.text(".verdict-hint"), wordsOf("verdict.unseen.none", language));
+    assert.equal(it.text(".verdict-hint"), textsIn(language)("verdict.unseen.none"));
     it.store.set("drawn", "kr120", "away");
-    assert.equal(it.text(".verdict-hint"), wordsOf("verdict.unseen.away", language));
+    assert.equal(it.text(".verdict-hint"), textsIn(language)("verdict.unseen.away"));
     // the checks are another way, also with the picture out of view
     await it.pass(1400);
     openChecks(it);
@@ -496,8 +495,8 @@ test("in another language the robot's sentences are in the page's words, with th
   await it.hear("kr120", "screen", [{...line, topic: "startup", state: "waiting", words: "startup.gateway_there", values: {broker: "10.0.0.5:8883"},
     reason: ""}]);
   assert.match(it.text(".status-worst"), /Noch ist nicht alles da\..*das Gateway.*--broker 10\.0\.0\.5:8883/);
-  const [en, de] = [makeTexts("en"), makeTexts("de")];
-  await it.hear("kr120", "screen", [{...line, topic: "startup", state: "waiting", words: "startup.controller", values: {rsi: en("startup.rsi_elsewhere")},
+  const de = textsIn("de");
+  await it.hear("kr120", "screen", [{...line, topic: "startup", state: "waiting", words: "startup.controller", values: {rsi: robotSays("startup.rsi_elsewhere")},
     reason: ""}]);
   assert.ok(it.text(".status-worst").includes(de("line.startup.controller.todo", {rsi: de("startup.rsi_elsewhere")})));
 });

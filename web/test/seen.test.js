@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import {test} from "node:test";
 import {IN_VIEW, seenWord} from "../src/picture/seen.js";
-import {makeTexts} from "../src/texts.js";
+import {textsIn} from "./support/sentences.js";
 
 const SEEN = {lost: false, ready: true, shown: true, inView: 1, visible: true};
 
@@ -16,6 +16,6 @@ for (const [what, change, word] of [
 ]) {
   test(`a robot is not seen: ${what}`, () => {
     assert.equal(seenWord({...SEEN, ...change}), word);
-    assert.ok(makeTexts("de").has(`verdict.unseen.${word}`));
+    assert.ok(textsIn("de").has(`verdict.unseen.${word}`));
   });
 }

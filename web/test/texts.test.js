@@ -1,8 +1,12 @@
 import assert from "node:assert/strict";
 import {readFileSync} from "node:fs";
 import {test} from "node:test";
-import {fill, understood, wordsOf} from "../src/sentences.js";
-import {languageOf, makeTexts, withoutLanguage} from "../src/texts.js";
+import {fill, makeSentences, tableOf} from "../src/sentences.js";
+import {REASONS} from "../src/schemas.js";
+import {languageOf, withoutLanguage} from "../src/texts.js";
+import {SENTENCES, robotSays, textsIn} from "./support/sentences.js";
+
+const {understood, wordsOf} = makeSentences(SENTENCES);
 
 const cases = JSON.parse(readFileSync(new URL("./support/sentence_cases.json", import.meta.url), "utf8"));
 
@@ -12,16 +16,16 @@ for (const {template, values, text} of cases) {
 }
 
 test("a key that is missing is an error, and values are filled in as text", () => {
-  const texts = makeTexts("en");
+  const texts = textsIn("en");
   assert.throws(() => texts("page.nothing"), RangeError);
   assert.throws(() => texts("toString"), RangeError);
   assert.equal(texts("page.account", {account: "<b>$&"}), "Logged in as <b>$&");
 });
 
 test("the language is the chosen one, else the browser's, else English", () => {
-  assert.equal(languageOf("de", ["en"]), "de");
-  assert.equal(languageOf(null, ["fr-CH", "de-CH"]), "de");
-  assert.equal(languageOf("xx", ["fr"]), "en");
+  assert.equal(languageOf(["en", "de"], "de", ["en"]), "de");
+  assert.equal(languageOf(["en", "de"], null, ["fr-CH", "de-CH"]), "de");
+  assert.equal(languageOf(["en", "de"], "xx", ["fr"]), "en");
 });
 
 test("another language is another page of the same robots", () => {
@@ -36,14 +40,13 @@ const DIFFERS = {key: "reason.gate.differs", values: {
 const GAVE_UP = {key: "reason.gate.gave_up", values: {held: 30.004, reason: DIFFERS}};
 
 test("what a robot has said with key and values is said in the page's language, in deg, and in itself", () => {
-  const [de, en] = [makeTexts("de"), makeTexts("en")];
-  assert.equal(en.said(DIFFERS, "?"), "joint_a3 differs by 0.012346 rad, threshold 0.010000 rad");
+  const de = textsIn("de");
   assert.match(de.said(DIFFERS, "?"), /joint_a3 .*0\.707 °.*0\.573 °/);
   assert.ok(de.said(GAVE_UP, "?").includes(de.said(DIFFERS, "?")));
 });
 
 test("what it has said without a key of the page, or with values that do not fit, is its own text", () => {
-  const de = makeTexts("de");
+  const de = textsIn("de");
   const without = (changes) => ({key: DIFFERS.key, values: {...DIFFERS.values, ...changes}});
   for (const said of [
     null, undefined, 7, "reason.gate.differs", {}, {key: "reason.gate.differs"}, {key: "reason.gate.other", values: {}},
@@ -53,11 +56,25 @@ test("what it has said without a key of the page, or with values that do not fit
   ]) assert.equal(de.said(said, "the text"), "the text", JSON.stringify(said));
 });
 
-const reasons = Object.keys(JSON.parse(readFileSync(new URL("../../src/construction_twin/core/sentences.json", import.meta.url), "utf8")))
-  .filter((key) => /^(reason|executor|review|link|gateway|motion|work|startup)\./.test(key));
+const reasons = Object.keys(SENTENCES).filter((key) => REASONS.some((each) => key.startsWith(each)));
+
+test("a page in English needs no reasons, one in another language their English beside their own, and both have the same words else", () => {
+  const [en, de] = ["en", "de"].map((language) => tableOf(SENTENCES, language));
+  assert.deepEqual([...Object.keys(en), ...reasons].sort(), Object.keys(SENTENCES).sort());
+  assert.deepEqual(Object.keys(de).sort(), Object.keys(SENTENCES).sort());
+  assert.deepEqual(de["reason.gate.differs"], SENTENCES["reason.gate.differs"]);
+  assert.deepEqual(de["page.title"], {de: SENTENCES["page.title"].de});
+  assert.deepEqual(en["page.title"], {en: SENTENCES["page.title"].en});
+});
+
+test("a page in English shows a reason as it comes", () => {
+  const en = textsIn("en");
+  assert.equal(en.said(DIFFERS, "joint_a3 differs"), "joint_a3 differs");
+  assert.equal(en.reason("joint_a3 differs"), "joint_a3 differs");
+});
 
 test("a reason that came as text is found in it again, and said in the page's language", () => {
-  const de = makeTexts("de");
+  const de = textsIn("de");
   assert.ok(reasons.length > 100);
   for (const key of reasons) {
     const values = {};
@@ -66,18 +83,18 @@ test("a reason that came as text is found in it again, and said in the page's la
       values[name] = form === "p" || form === "q" ? {value: form === "p" ? Math.PI * 12.5 / 180 : number, unit: "rad"}
         : form === "f" || form === "g" ? number : form === "s" ? {key: "executor.where.before", values: {}} : "word";
     }
-    const text = makeTexts("en")(key, values);
+    const text = robotSays(key, values);
     assert.equal(understood(text)?.key, key, text);
     assert.equal(de.reason(text), de(key, values));
   }
 });
 
 test("a text that is no reason to the letter stays as it is", () => {
-  const de = makeTexts("de");
+  const de = textsIn("de");
   for (const text of ["", "at 2.1 s", "this; that", "this: that", "joint_a3 differs by 0.7 deg", "Twin and arm agree.", "before the first"]) {
     assert.equal(understood(text), null, text);
     assert.equal(de.reason(text), text);
   }
   assert.equal(de.reason(undefined), undefined);
-  assert.equal(makeTexts("en").reason("goal reached"), "goal reached");
+  assert.equal(textsIn("en").reason("goal reached"), "goal reached");
 });

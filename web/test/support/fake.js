@@ -9,7 +9,7 @@
 import {parseHTML} from "linkedom";
 import {NotPublished} from "../../src/connection.js";
 import {makeStore} from "../../src/store.js";
-import {makeTexts} from "../../src/texts.js";
+import {textsIn} from "./sentences.js";
 
 /** An exception that no test expects ends it, as one that nobody has caught. */
 function rethrow(error) {
@@ -30,7 +30,7 @@ export function fakePage({account = "", language = "en", check = async (plan) =>
   return {
     document, window, store, connection, clock,
     parent: document.querySelector("main"),
-    texts: makeTexts(language),
+    texts: textsIn(language),
     /** Hear a message: `value` becomes JSON; null is an empty payload. Resolves once it is taken. */
     hear: (robot, topic, value, retained = false) => store.take(robot, topic, value === null ? "" : JSON.stringify(value), retained),
     /** Let time pass [ms] for the store. */
