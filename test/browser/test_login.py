@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from console_page import ConsolePage
 import pytest
+from console_page import ConsolePage
 from playwright.sync_api import expect
 
 
