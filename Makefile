@@ -38,7 +38,7 @@ lint: setup
 	@bash -c 'source .ws/env.bash && python scripts/lint.py'
 
 mutations:
-	@bash setup/setup.sh work
+	@bash setup/setup.sh tests
 	@bash -c 'source .ws/env.bash && python scripts/mutations.py $(ARGS)'
 
 bench: setup

@@ -63,7 +63,10 @@ class World:
             self.limit,
             self.log,
             module.Outputs(
-                *map(self.topic, ("next/joint_states", "execution", "review", "tool_command", "engagement"))
+                *map(
+                    self.topic,
+                    ("next/joint_states", "execution", "approval_obstacle", "review", "tool_command", "engagement"),
+                )
             ),
             EngagementFile(tmp_path / "engagement.json", ROBOT.joint_names),
             SimpleNamespace(

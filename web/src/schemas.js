@@ -6,10 +6,10 @@ export const VIEW = {
   "additionalProperties": false,
   "required": [
     "version", "compatible", "robot", "online", "run", "seq", "stamp", "moment", "units", "joints", "twin", "arm", "sync", "link",
-    "execution", "plan", "closest"
+    "execution", "plan", "closest", "hold", "approval_obstacle"
   ],
   "properties": {
-    "version": {"const": 3},
+    "version": {"const": 4},
     "compatible": {"const": 1, "since": 2},
     "robot": {"type": "string"},
     "online": {"type": "boolean"},
@@ -117,7 +117,15 @@ export const VIEW = {
         "age": {"type": "number", "minimum": 0}
       },
       "since": 2
-    }
+    },
+    "hold": {
+      "type": ["object", "null"],
+      "additionalProperties": false,
+      "required": ["cause", "since"],
+      "properties": {"cause": {"type": "string"}, "since": {"type": "number", "minimum": 0}},
+      "since": 4
+    },
+    "approval_obstacle": {"type": "string", "since": 4}
   }
 };
 

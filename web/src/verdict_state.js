@@ -6,7 +6,8 @@
  * Events, all with `at`:
  *   connected, disconnected
  *   plan {plan: {id, hash, refused} or null}   from the store; `refused`: why it cannot be shown, else ""
- *   view {plan: id}                            a view came; id of the plan under review, "" for none; undefined: it does not say
+ *   view {plan: id, obstacle}                  a view came; id of the plan under review, "" for none; undefined: it does not say;
+ *                                              `obstacle`: why it could not be approved now, "" when it could
  *   old                                        no view for a second
  *   looked {what, hash}                        the page showed the plan of this hash: "shown" (again and again), "played" (to its
  *                                              end), "checks" (its checks were opened)
@@ -37,7 +38,7 @@ const NOT_LOOKED = {shownFor: 0, shownAt: null, played: false, checks: false};
 /** Return the machine of a robot of which nothing is known. */
 export function begin() {
   return {
-    state: "offline", plan: null, gone: false, viewPlan: undefined, live: false, ...NOT_LOOKED, pressedAt: null, tickedAt: null, sent: null,
+    state: "offline", plan: null, gone: false, viewPlan: undefined, obstacle: "", live: false, ...NOT_LOOKED, pressedAt: null, tickedAt: null, sent: null,
     notice: null,
   };
 }
@@ -50,13 +51,15 @@ export function lookedAt({shownFor, played, checks}) {
 /**
  * Return why approving is not possible now, as a short word; "" when it is.
  *
- * Words: offline, none, unfit, decided, sending, old (no view of the arm), view (the view names another plan, or none), look, shown
+ * Words: offline, none, unfit, decided, sending, old (no view of the arm), view (the view names another plan, or none), obstacle (the
+ * executor would refuse it), look, shown
  */
 export function blocked(machine) {
   if (["offline", "none", "unfit", "decided"].includes(machine.state)) return machine.state;
   if (machine.state === "sending" || machine.state === "waiting") return "sending";
   if (!machine.live) return "old";
   if (machine.viewPlan !== undefined && machine.viewPlan !== machine.plan.id) return "view";
+  if (machine.obstacle !== "") return "obstacle";
   if (!machine.played && !machine.checks) return "look";
   return machine.shownFor >= SHOWN_FOR ? "" : "shown";
 }
@@ -98,12 +101,12 @@ const takeFurther = (machine, event) => ({...takePlan(machine, event), sent: nul
 const dropPlan = ({notice}) => ({...forget(), plan: null, notice: notice?.kind === "cancelled" ? null : notice});
 const losePlan = () => ({gone: true});
 const keepPlan = () => ({gone: false});
-const leave = () => ({...forget(), plan: null, gone: false, live: false, viewPlan: undefined, sent: null});
+const leave = () => ({...forget(), plan: null, gone: false, live: false, viewPlan: undefined, obstacle: "", sent: null});
 const leaveUnknown = (machine) => ({...leave(), notice: {kind: "unknown", verdict: machine.sent.verdict}});
 const leavePressing = () => ({...leave(), notice: {kind: "cancelled", why: "offline"}});
-const see = (machine, {plan}) => {
+const see = (machine, {plan, obstacle = ""}) => {
   const other = machine.plan !== null && plan !== undefined && plan !== machine.plan.id;
-  return {...(other ? forget() : {}), live: true, viewPlan: plan};
+  return {...(other ? forget() : {}), live: true, viewPlan: plan, obstacle};
 };
 const grow = (machine, {at, what, hash}) => {
   if (machine.plan === null || hash !== machine.plan.hash) return {shownAt: null};
@@ -126,8 +129,9 @@ const giveUp = (machine) => ({...forget(), sent: null, notice: {kind: "unanswere
 const win = (machine, {ack}) => ({sent: null, notice: {kind: "accepted", verdict: ack.verdict, reason: ack.reason}});
 /** What an answer that says no tells; `expired`: it came too late after what the page had shown, and a person must look again. */
 const told = ({verdict}, {ack}) => ({kind: ack.expired === true ? "expired" : "refused", verdict, reason: ack.reason});
+/** What was looked at stays looked at, unless the answer says that it is too long ago. */
 const lose = (machine, event) => ({
-  ...forget(), sent: null,
+  ...(event.ack.expired === true ? forget() : {pressedAt: null}), sent: null,
   notice: machine.notice?.kind === "other" ? {...machine.notice, reason: event.ack.reason} : told(machine.sent, event),
 });
 const learn = ({notice}, event) => ({notice: told(notice, event)});
@@ -175,6 +179,7 @@ export const TABLE = [
 
   {states: ["pressing"], event: "view", guard: (machine, {plan}) => plan !== undefined && plan !== machine.plan.id,
     action: cancelWith(see, "view"), next: "open"},
+  {states: ["pressing"], event: "view", guard: (machine, {obstacle = ""}) => obstacle !== "", action: cancelWith(see, "obstacle"), next: "open"},
   {states: OPEN, event: "view", action: see},
   {states: ["pressing"], event: "old", action: cancelWith(blind, "old"), next: "open"},
   {states: OPEN, event: "old", action: blind},

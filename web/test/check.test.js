@@ -66,7 +66,7 @@ test("each key of a view is asked for and of its type: none is shown that the ro
     for (const name of schema.required) {
       const at = [...path, name];
       for (const bad of [undefined, Symbol.for("no JSON")]) {
-        const whole = structuredClone(view({closest: {distance: 1, between: ["a", "b"], point: [0, 0, 0], age: 0}}));
+        const whole = structuredClone(view({closest: {distance: 1, between: ["a", "b"], point: [0, 0, 0], age: 0}, hold: {cause: "a", since: 1}}));
         whole.execution.segment = {number: 0, name: "a", at_boundary: false};
         const parent = path.reduce((found, key) => found[key], whole);
         if (bad === undefined) delete parent[name];

@@ -136,7 +136,21 @@ test("the executor's answer is shown", () => {
   assert.deepEqual(run([...SENT, "taken", ack()]).machine.notice, {kind: "accepted", verdict: "approved", reason: "moves"});
   const {machine} = run([...SENT, "taken", ack({ok: false, reason: "stale hash"})]);
   assert.deepEqual(machine.notice, {kind: "refused", verdict: "approved", reason: "stale hash"});
-  assert.equal(blocked(machine), "look");
+  // what was looked at stays so: the plan is the same
+  assert.equal(blocked(machine), "");
+  assert.equal(blocked(run([...SENT, "taken", ack({ok: false, reason: "too old", expired: true})]).machine), "look");
+});
+
+test("what the executor would refuse cannot be pressed, and an approval that is being held down ends", () => {
+  const against = {...view(), obstacle: "not in sync"};
+  const {machine} = run([...READY, against]);
+  assert.equal(blocked(machine), "obstacle");
+  assert.equal(machine.obstacle, "not in sync");
+  assert.equal(run([...READY, against, "press", ...hold(HELD_FOR)]).published.length, 0);
+  const pressed = run([...READY, "press", ...hold(HELD_FOR / 2), against]).machine;
+  assert.deepEqual([pressed.state, pressed.notice], ["open", {kind: "cancelled", why: "obstacle"}]);
+  assert.equal(blocked(run([...READY, against, view()]).machine), "");
+  assert.equal(blocked(run([...READY, against, "disconnected", "connected", plan(), view(), ...shown(1000), checks]).machine), "");
 });
 
 test("the answer may come before the broker's", () => {

@@ -54,6 +54,21 @@ class SyncReport:
 
 
 @dataclass(frozen=True)
+class HoldReport:
+    """Why the gate is closed: `Hold.msg`.
+
+    Attributes:
+        cause: What closed it, or which pose differed before it opened; empty: it is open, or nothing is known against it.
+        since: Since when that is so [ns]; 0 without a cause.
+        stamp: Of the report [ns].
+    """
+
+    cause: str = ""
+    since: int = 0
+    stamp: int = 0
+
+
+@dataclass(frozen=True)
 class LinkReport:
     """The bridge's report: `Link.msg`.
 

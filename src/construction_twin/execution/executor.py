@@ -323,6 +323,17 @@ class Executor:
         assert self._setpoint is not None  # in IDLE there always is one
         check_start_pose(plan, self._setpoint, self._robot)
 
+    def approval_obstacle(self) -> str:
+        """Return why the plan under review could not be approved now; "" when it could, and when there is none."""
+        plan = self.queue.plan
+        if plan is None:
+            return ""
+        try:
+            self.check_start(plan)
+        except ReviewError as error:
+            return error.sentence
+        return ""
+
     def is_ready(self) -> bool:
         """Return whether a plan is under review and nothing that passes by itself is against approving it."""
         ready = self.state is ExecutorState.IDLE and self._sync is SyncState.IN_SYNC and not self._unarmed

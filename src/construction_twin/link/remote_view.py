@@ -14,11 +14,11 @@ from typing import Annotated, Generic, Literal, TypeVar
 
 from construction_twin.core.freshness import Moment
 from construction_twin.core.records import decimals, dumped
-from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
+from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
 from construction_twin.core.units import NANOSECONDS, seconds
 from construction_twin.link.remote_trajectory import Joints
 
-VERSION = 3
+VERSION = 4
 #: The oldest version whose readers can read this one.
 COMPATIBLE = 1
 #: Decimals of positions [rad], [m] and of times [s].
@@ -118,6 +118,19 @@ class SegmentNow:
 
 
 @dataclass(frozen=True)
+class HoldView:
+    """Why the gate is closed, through every state of it until that is mended; null: it is open, or nothing is known against it.
+
+    Attributes:
+        cause: One sentence.
+        since: ROS time [s].
+    """
+
+    cause: str
+    since: _Seconds
+
+
+@dataclass(frozen=True)
 class ExecutionView:
     """The executor; null while it does not run.
 
@@ -162,8 +175,8 @@ class ClosestView:
 
 @dataclass(frozen=True)
 class View:
-    """A message on <prefix>/<robot>/view: the state of one robot. SI units: m, rad, s. null: not known, or too old. Versions 2 and
-    3 add keys to version 1 and change none: a reader of version 1 that asks for `compatible` <= 1, in place of `version` = 1, and
+    """A message on <prefix>/<robot>/view: the state of one robot. SI units: m, rad, s. null: not known, or too old. Versions 2 to
+    4 add keys to version 1 and change none: a reader of version 1 that asks for `compatible` <= 1, in place of `version` = 1, and
     leaves alone the keys that it does not know, reads it. `since` is the version that has added a key.
 
     Attributes:
@@ -179,6 +192,7 @@ class View:
         twin: The virtual robot.
         arm: The physical arm, as measured.
         plan: Id of the plan under review; empty: none.
+        approval_obstacle: Why that plan could not be approved now, by the executor's own check; empty: it could.
     """
 
     version: Annotated[int, {"const": VERSION}]
@@ -198,6 +212,8 @@ class View:
     execution: ExecutionView | None
     plan: Annotated[str, {"since": 2}]
     closest: Annotated[ClosestView | None, {"since": 2}]
+    hold: Annotated[HoldView | None, {"since": 4}]
+    approval_obstacle: Annotated[str, {"since": 4}]
 
 
 @dataclass(frozen=True)
@@ -222,6 +238,8 @@ class Seen:
     plan: str = ""
     closest: ClosestView | None = None
     progress: float = 0.0
+    hold: HoldReport = HoldReport()
+    approval_obstacle: str = ""
 
 
 class ViewWriter:
@@ -271,6 +289,8 @@ class ViewWriter:
             execution=_part(ExecutionView, seen.execution, progress=progress, segment=segment),
             plan=seen.plan,
             closest=seen.closest,
+            hold=HoldView(seen.hold.cause, round(seconds(seen.hold.since), _TIME)) if seen.hold.cause else None,
+            approval_obstacle=seen.approval_obstacle if seen.plan else "",
         )
         return dumped(view, _POSITION)
 

@@ -92,6 +92,18 @@ class GateSettings:
         return ComparisonSettings(threshold, self.lag_allowance, self.lag_margin, self.aligned)
 
 
+@dataclass(frozen=True)
+class Cause:
+    """Why a gate is closed.
+
+    Attributes:
+        since: When that began [ns], on the gate's clock.
+    """
+
+    sentence: str
+    since: int
+
+
 class Gate:
     """Passes theta_next, or repeats the last command that passed: Algorithm 1 of the paper.
 
@@ -146,6 +158,10 @@ class Gate:
         self._obstacle = ""
         self._policy = self.settings.policy
         self._closed_at = 0
+        #: What closed the gate, until it opens; None while it never was open.
+        self._violation: Cause | None = None
+        #: The first difference since the poses agreed last, or were not known; None: they agree.
+        self._difference: Cause | None = None
         #: When the last command that passed differed from the one before it.
         self._moved_at: int | None = None
         self._closings: deque[int] = deque()
@@ -162,6 +178,15 @@ class Gate:
         """Why that state was entered, and why it is not left although the poses agree."""
         reason = self._machine.reason
         return Sentence("reason.gate.not_opened", reason=reason, obstacle=self._obstacle) if self._obstacle else reason
+
+    @property
+    def cause(self) -> Cause | None:
+        """What keeps the gate closed until it is mended, through every state: what closed it, or a pose that differed before it
+        opened; None while it is open, and while nothing is known against it.
+        """
+        if self.state is SyncState.IN_SYNC or self.mirrored:
+            return None
+        return self._violation or self._difference
 
     @property
     def policy(self) -> str:
@@ -271,6 +296,7 @@ class Gate:
             self._agreed, self._agreed_since = False, None
             self._on_difference(comparison, now)
             return comparison
+        self._difference = None
         if not continued:
             self._agreed, self._agreed_since = False, None
         if not self._agreed:
@@ -345,7 +371,10 @@ class Gate:
         )
 
     def _on_difference(self, comparison: Comparison, now: int) -> None:
-        if not self.settings.compares or self._machine.row(SyncEvent.POSE_DIFFERS, SyncOccasion(now=now)) is None:
+        if not self.settings.compares:
+            return
+        closes = self._machine.row(SyncEvent.POSE_DIFFERS, SyncOccasion(now=now)) is not None
+        if self._difference is not None and not closes:
             return
         joint = comparison.worst()
         unit = "m" if self._limits.linear[joint] else "rad"
@@ -355,11 +384,14 @@ class Gate:
             difference=Quantity(comparison.error[joint], unit),
             threshold=Quantity(comparison.threshold[joint], unit),
         )
-        self._close(SyncEvent.POSE_DIFFERS, sentence, now)
+        self._difference = self._difference or Cause(sentence, now)
+        if closes:
+            self._close(SyncEvent.POSE_DIFFERS, sentence, now)
 
     def _close(self, event: SyncEvent, reason: str, now: int) -> None:
         """Take a violation, and see whether that is the end of it."""
-        self._fire(event, reason, now)
+        if self._fire(event, reason, now):
+            self._violation = Cause(reason, self._closed_at)
         self._fire(SyncEvent.POLICY_STOP, Sentence("reason.gate.policy_stop", reason=reason), now)
         often = {"count": len(self._closings), "time": self.settings.escalate_time}
         self._fire(SyncEvent.ESCALATED, Sentence("reason.gate.escalated", **often, reason=reason), now)
@@ -399,6 +431,7 @@ class Gate:
             return
         self._check.start(stamp - CYCLE_NS, self._codec.quantise(held))
         self._before = stamp - CYCLE_NS
+        self._violation = None
         self._fire(SyncEvent.OPENED, Sentence("reason.gate.opened"), now)
 
     def _checked(self, stamp: int, theta_next: tuple[float, ...], now: int) -> tuple[float, ...]:

@@ -16,6 +16,7 @@ from rich.text import Text
 
 from construction_twin.core.reports import SyncReport
 from construction_twin.core.sentences import Sentence
+from construction_twin.views.hold_cause import hold_cause
 from construction_twin.views.snapshot import Snapshot
 from construction_twin.views.texts import because, joint_value, under_review, work_lines
 
@@ -47,6 +48,8 @@ def render(snapshot: Snapshot) -> Group:
 def _states(snapshot: Snapshot) -> Table:
     table = Table.grid(padding=(0, 2))
     table.add_row("robot", Text(snapshot.robot, style="bold"))
+    if "sync" not in snapshot.silent and (cause := hold_cause(snapshot.hold)):
+        table.add_row("holds", Text(cause, style="bold red"))
     for name in ("link", "sync", "execution"):
         facts = getattr(snapshot, name)
         if facts is None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
+from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.robot.plan import Plan
 
@@ -34,7 +34,9 @@ class Snapshot:
         now: ROS time [s].
         joints: Length n
         linear: Length n
+        hold: Why the gate is closed; None: nothing is known of it.
         plan: Under review.
+        approval_obstacle: Why that plan could not be approved now; empty: it could.
         rates: Messages per second on the 250 Hz topics.
         silent: How long ``link``, ``sync``, ``execution`` have been silent [s], if too long.
     """
@@ -46,7 +48,9 @@ class Snapshot:
     link: LinkReport | None = None
     sync: SyncReport | None = None
     execution: ExecutionReport | None = None
+    hold: HoldReport | None = None
     plan: Plan | None = None
+    approval_obstacle: str = ""
     rates: Mapping[str, float | None] = field(default_factory=dict)
     nodes: tuple[NodeFacts, ...] = ()
     silent: Mapping[str, float] = field(default_factory=dict)

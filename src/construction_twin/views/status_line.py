@@ -52,6 +52,9 @@ _WORK = "tutorials/work_from_a_model.md"
 
 #: Of each topic and state; what is said stands in the sentences.
 TABLE: dict[tuple[str, str], Urgency] = {
+    # -- why the gate is closed, through every state of it
+    ("cause", "held"): Urgency(Level.PERSON, OPERATOR, "tutorials/stalled_joint.md#3-look"),
+    ("cause", "stopped"): Urgency(Level.PERSON, OPERATOR, f"{_TROUBLE}#needs_reset-call-reset"),
     # -- the link to the arm
     ("link", ""): Urgency(Level.PERSON, TECHNICIAN, f"{_STATES}#link"),
     ("link", "DISCONNECTED"): Urgency(Level.PERSON, TECHNICIAN, f"{_STATES}#link"),
@@ -84,6 +87,8 @@ TABLE: dict[tuple[str, str], Urgency] = {
     ("execution", "WAITING"): Urgency(Level.WAITS, SYSTEM, f"{_STATES}#execution"),
     ("execution", "IDLE"): Urgency(Level.WELL, "", f"{_STATES}#execution"),
     ("execution", "REVIEW"): Urgency(Level.PERSON, REVIEWER, "planning.md#verdicts"),
+    # a plan is under review that could not be approved now
+    ("execution", "NOT_YET"): Urgency(Level.WAITS, SYSTEM, "planning.md#verdicts"),
     ("execution", "PLAYING"): Urgency(Level.WELL, "", f"{_STATES}#execution"),
     ("execution", "STOPPING"): Urgency(Level.WAITS, SYSTEM, f"{_STATES}#execution"),
     ("execution", "PAUSING"): Urgency(Level.WAITS, SYSTEM, f"{_STATES}#execution"),
@@ -129,8 +134,10 @@ STARTING = {
     "gate_reset": OPERATOR,
     "executor": SYSTEM,
 }
-#: Order of lines of one level.
-TOPICS = ("startup", "link", "sync", "execution", "work")
+#: What a start waits for only because the gate is closed.
+FOLLOWS = ("gate", "gate_reset", "executor")
+#: Order of lines of one level. Why the arm holds comes before everything that follows from it.
+TOPICS = ("cause", "startup", "link", "sync", "execution", "work")
 #: Of tasks that are carried out.
 _UNDER_WAY = frozenset(("working", "gripping", "carrying", "releasing", "retreating"))
 _OVER = frozenset(("done", "skipped"))
@@ -144,6 +151,8 @@ class ReportsNow:
         arm: There is a physical arm, so that there is a link.
         bare: A bare PLC takes the commands.
         plan: Id of the plan under review; empty: none.
+        obstacle: Why that plan could not be approved now; empty: it could.
+        cause: Why the arm holds, as `hold_cause` says it; empty: it does not.
         engaged: The executor reviews the way back only.
         work: None: there is no building model.
         started: It is known what the start waits for.
@@ -156,6 +165,8 @@ class ReportsNow:
     arm: bool = True
     bare: bool = False
     plan: str = ""
+    obstacle: str = ""
+    cause: str = ""
     engaged: bool = False
     work: WorkReport | None = None
     started: bool = False
@@ -195,7 +206,11 @@ class Line:
 def status_lines(reports: ReportsNow) -> list[Line]:
     """Return a line for each topic, the most urgent first; where nothing is, what the arm does."""
     lines = []
-    if reports.started:
+    if reports.cause:
+        state = reports.sync.state if reports.sync is not None else ""
+        lines.append(_line("cause", Word(state, reports.cause), "stopped" if state == "STOPPED" else "held"))
+    follows = reports.cause and reports.missing is not None and reports.missing.kind in FOLLOWS
+    if reports.started and not follows:
         lines.append(_start(reports.missing))
     if reports.arm:
         lines.append(
@@ -250,10 +265,11 @@ def _start(missing: Missing | None) -> Line:
 
 
 def _execution(reports: ReportsNow) -> Line:
-    said = ""
-    if _is(reports.execution, "IDLE"):
-        said = "REVIEW" if reports.plan else "ENGAGED" if reports.engaged else ""
-    return _line("execution", reports.execution, said)
+    if not _is(reports.execution, "IDLE"):
+        return _line("execution", reports.execution)
+    if reports.plan and reports.obstacle:
+        return _line("execution", Word("IDLE", reports.obstacle), "NOT_YET")
+    return _line("execution", reports.execution, "REVIEW" if reports.plan else "ENGAGED" if reports.engaged else "")
 
 
 def _line(topic: str, word: Word | None, said: str = "") -> Line:

@@ -96,7 +96,7 @@ def headline(state: SyncState, reason: str, worst: str) -> str:
     """Return the text above the arm; empty while twin and arm are in sync.
 
     Args:
-        reason: `Sync.reason`.
+        reason: What `hold_cause` says, or `Sync.reason` where it says nothing.
         worst: Of `worst_joint`; may be empty.
     """
     if state is SyncState.IN_SYNC:

@@ -11,6 +11,7 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_change import SceneChange
+from construction_twin.views.hold_cause import hold_cause
 from construction_twin.views.snapshot import Snapshot
 from construction_twin.views.work_picture import cut, segment_words
 
@@ -111,6 +112,8 @@ def scene_lines(scene: Scene) -> list[str]:
 def status_lines(snapshot: Snapshot) -> list[str]:
     """Return the robot's states, one line each, and the plan under review."""
     lines = [f"robot      {snapshot.robot}"]
+    if cause := hold_cause(snapshot.hold):
+        lines.append(f"holds      {cause}")
     for name in ("link", "sync", "execution"):
         facts = getattr(snapshot, name)
         lines.append(
@@ -128,6 +131,8 @@ def status_lines(snapshot: Snapshot) -> list[str]:
         lines.append(f"last plan  {execution.plan_id}{because(execution.outcome or Sentence('view.under_way'))}")
     lines += work_lines(snapshot.execution)
     lines.append(f"review     {under_review(snapshot.plan)}")
+    if snapshot.plan is not None and snapshot.approval_obstacle:
+        lines.append(f"not yet    {snapshot.approval_obstacle}")
     lines += [f"{node.name}: {node.sentence}" for node in snapshot.nodes if node.level > 0]
     return lines
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from construction_twin.core.freshness import Moment
-from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
+from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
@@ -117,6 +118,17 @@ def test_what_version_2_adds_is_in_it():
 def test_what_version_3_adds_is_in_it():
     assert read(writer().write(NOW, SEEN, MOMENT))["moment"] == "c0ffee00-81234"
     assert read(writer().offline())["moment"] == "", "there is nothing that a request could repeat"
+
+
+def test_what_version_4_adds_is_in_it():
+    held = replace(SEEN, hold=HoldReport("joint_a1 differs", NOW - 10**9), approval_obstacle="not in sync")
+    message = read(writer().write(NOW, held, MOMENT))
+    assert message["hold"] == {"cause": "joint_a1 differs", "since": 1_795_369_596.396012}
+    assert message["approval_obstacle"] == "not in sync"
+    well = read(writer().write(NOW, SEEN, MOMENT))
+    assert (well["hold"], well["approval_obstacle"]) == (None, "")
+    without = read(writer().write(NOW, replace(held, plan=""), MOMENT))
+    assert without["approval_obstacle"] == "", "there is no plan that it could stand against"
 
 
 def test_what_was_seen_is_in_it():

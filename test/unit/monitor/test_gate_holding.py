@@ -241,6 +241,60 @@ def close(cell: Bench, cause: str) -> None:
         cell.gate.on_replan("asked", cell.stamp)
 
 
+class TestCause:
+    """Why the gate is closed stays known until that is mended, whatever state follows."""
+
+    def test_an_open_gate_has_none(self):
+        gate = bench().gate
+        assert gate.cause is None
+
+    def test_it_is_carried_through_every_later_state_until_the_gate_opens(self):
+        cell = bench(give_up_time=0.5)
+        close(cell, "differs")
+        gate, since = cell.gate, cell.stamp
+        cause = gate.cause
+        assert (cause.sentence.key, cause.since) == ("reason.gate.differs", since)
+        assert cause.sentence.values["joint"] == "joint_a1"
+        for happens, state in (
+            (lambda: gate.on_replan("asked", cell.stamp), SyncState.REPLANNING),
+            (lambda: gate.on_replan_failed("no path found", cell.stamp), SyncState.HOLDING),
+            (lambda: cell.run(0.6), SyncState.STOPPED),
+        ):
+            happens()
+            assert (cell.state, gate.cause) == (state, cause)
+
+    def test_after_a_reset_a_pose_that_still_differs_is_the_cause_and_goes_when_it_agrees(self):
+        cell = bench(give_up_time=0.5)
+        close(cell, "differs")
+        cell.run(0.6)
+        cell.gate.restart("new command session", cell.stamp)
+        assert cell.gate.cause is None, "nothing is compared yet"
+        cell.cycle()
+        since = cell.stamp
+        cell.run(0.1)
+        assert cell.state is SyncState.WAITING and cell.gate.cause.since == since
+        assert cell.gate.cause.sentence.values["joint"] == "joint_a1"
+        cell.offset = 0.0
+        cell.cycle()
+        assert cell.gate.cause is None
+
+    def test_silence_that_ends_in_a_difference_has_that_as_its_cause(self):
+        cell = bench(policy="resume")
+        close(cell, "stale")
+        since = cell.gate.cause.since
+        assert cell.gate.cause.sentence.key == "reason.gate.feedback_old"
+        cell.feedback, cell.offset = True, 0.2
+        cell.cycle()
+        assert (cell.gate.cause.sentence.key, cell.gate.cause.since) == ("reason.gate.differs", since)
+
+    def test_while_the_arm_leads_there_is_none(self):
+        cell = bench()
+        close(cell, "differs")
+        cell.gate.mirror(True, cell.stamp)
+        cell.cycle()
+        assert cell.gate.cause is None
+
+
 class TestGivingUp:
     @pytest.mark.parametrize("cause", ["differs", "stale", "fault", "replan"])
     def test_ends_in_stopped_which_only_a_new_session_leaves(self, cause):

@@ -10,9 +10,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import rospy
-from construction_twin.msg import Execution, Link, Plan, Review, Sync, WorkTask, WorkTasks
+from construction_twin.msg import Execution, Hold, Link, Plan, Review, Sync, WorkTask, WorkTasks
+from std_msgs.msg import String
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.shown_urdf import shown_urdf
@@ -169,6 +171,22 @@ def test_what_the_start_waits_for_is_told_where_it_is_known(tmp_path, broker):
     assert (silent["link"]["state"], silent["startup"]["waits_for"]) == ("", "the bridge")
     assert "startup" not in told(feed(broker, started=None), broker, 10.0)
     assert "startup" not in told(feed(broker, started={"arm": "mock"}), broker, 10.0)
+
+
+def test_why_the_arm_holds_comes_first_and_a_plan_that_could_not_be_approved_waits(broker):
+    made = feed(broker)
+    made.on_plan(Plan(id="p1"))
+    made.on_hold(Hold(cause=str(Sentence("reason.gate.feedback_old", age=0.3)), since=rospy.Time(5)))
+    made.on_approval_obstacle(String("not in sync"))
+    held = told(made, broker, 10.0, sync=Sync(text="STALE", reason="silence"))
+    assert next(iter(held)) == "cause" and held["cause"]["said"]["key"] == "reason.holds.because"
+    assert (held["execution"]["words"], held["execution"]["reason"]) == ("execution.NOT_YET", "not in sync")
+    assert (made.approval_obstacle, made.hold.since) == ("not in sync", 5 * 10**9)
+    assert "cause" not in told(made, broker, 11.0, sync=None), "a monitor that is silent says nothing of the present"
+    made.on_hold(Hold())
+    made.on_approval_obstacle(String())
+    mended = told(made, broker, 12.0)
+    assert "cause" not in mended and mended["execution"]["words"] == "execution.REVIEW"
 
 
 def test_the_plan_under_review_is_known_until_it_is_decided_or_void(broker):

@@ -18,6 +18,7 @@ from construction_twin.srv import (
 from executor_bench import ROBOT, SCENE, Gripper, make_plan, make_work_plan, motion_back, plan_back, reach
 from executor_world import World, records
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
@@ -75,6 +76,22 @@ def test_who_has_armed_a_bare_plc_is_recorded_once_and_with_the_verdict(world, t
     node.on_link(Link(state=Link.ARMED, session="t", **bare))
     node.do_background_work(True)
     assert [line["session"] for line in records(tmp_path) if line["record"] == "responsibility"] == ["s", "t"]
+
+
+def test_why_the_plan_under_review_could_not_be_approved_is_told_as_soon_as_it_is_so(world):
+    world.waiting()
+    world.node.do_background_work(True)
+    world.run(1)
+
+    def told() -> str:
+        return [message.data for name, (message, *_) in world.said if name == "approval_obstacle"][-1]
+
+    assert told() == ""
+    world.node.on_link(Link(state=Link.RESYNC, text="RESYNC", session="s", reason="the arm moves"))
+    world.node.do_background_work(True)
+    world.run(1)
+    link = Sentence("executor.link", state="RESYNC", reason="the arm moves")
+    assert told() == Sentence("executor.start.unarmed", reason=link)
 
 
 class TestCycle:

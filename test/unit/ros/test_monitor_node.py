@@ -16,6 +16,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from unplugged import ask
 
 from construction_twin.core.limits import MotionLimits
+from construction_twin.core.sentences import understood
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.gate import Gate
 from construction_twin.monitor.settings import Behaviour
@@ -23,7 +24,7 @@ from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.ros.nodes import pca_monitor as module
 from construction_twin.ros.shared.stop_memory import PARAMETER
-from construction_twin.ros.transport.joint_stream import to_time
+from construction_twin.ros.transport.joint_stream import from_time, to_time
 
 HOME = ROBOT.home
 SETTINGS = {
@@ -52,6 +53,7 @@ class World:
         self.outputs = module.Outputs(
             self.topic("command/joint_states"),
             self.topic("sync"),
+            self.topic("hold"),
             SimpleNamespace(report=self.report, flush=lambda: None, problem=""),
             self.plan_to_joints,
             lambda session: self.parameters.update({PARAMETER: session}),
@@ -212,9 +214,23 @@ class TestOrder:
         node = opened(world)
         world.said.clear()
         node.on_feedback(*feedback(world, 0.2))
-        (first, sync), (second, change) = world.said
-        assert (first, sync.text, second) == ("sync", "HOLDING", "transitions")
+        (first, sync), (second, hold), (third, change) = world.said
+        assert (first, sync.text, second, third) == ("sync", "HOLDING", "hold", "transitions")
+        assert understood(hold.cause).key == "reason.gate.differs" and from_time(hold.since) == world.wall
         assert change.target is SyncState.HOLDING and world.logged == []
+
+    def test_why_it_holds_is_told_once_until_it_is_mended(self, world):
+        node = opened(world)
+        node.on_feedback(*feedback(world, 0.2))
+        since = world.wall
+        world.said.clear()
+        world.pass_time(31.0)
+        node.watch()
+        assert world.syncs()[-1] == "STOPPED" and "hold" not in dict(world.said)
+        node.on_link(Link(session="s2", state=Link.ARMED))
+        run(world, node, 40)
+        told = [message for name, message in world.said if name == "hold"]
+        assert [message.cause for message in told] == [""] and from_time(told[-1].header.stamp) > since
 
     def test_what_is_published_last_is_the_newest(self, world):
         """A thread that is held up while it publishes keeps a newer state from overtaking it."""

@@ -19,6 +19,7 @@ from paho.mqtt.client import topic_matches_sub
 from rospy.exceptions import TransportTerminated
 
 from construction_twin.core.errors import PayloadError, PoseUnknownError
+from construction_twin.core.reports import HoldReport
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ClosestView, ViewWriter
@@ -352,6 +353,8 @@ class Feed:
     """In place of a ConsoleFeed."""
 
     plan = "p7"
+    hold = HoldReport("joint_a3 differs", 7 * 10**9)
+    approval_obstacle = "not in sync"
 
     def __init__(self):
         self.heard: list = []
@@ -474,6 +477,8 @@ def test_the_view_has_what_feed_and_desk_know(bench, consoles):
     message = view(made)
     assert (message["plan"], message["closest"]["between"]) == ("p7", ["link_3", "wall"])
     assert (message["link"]["round_trip_ms"], message["link"]["late"]) == (32.1, 3)
+    assert message["hold"] == {"cause": "joint_a3 differs", "since": 7.0}
+    assert message["approval_obstacle"] == "not in sync"
     assert message["execution"]["segment"] == {"number": 1, "name": "carry", "at_boundary": True}
     assert made.node.is_engaged() and made.node.report().values["ik free"] == 2
     made.node.on_link(Link(text="ARMED", gateway_counters=[KeyValue("telegrams", "9")]))
@@ -486,3 +491,4 @@ def test_the_view_has_what_feed_and_desk_know(bench, consoles):
     bench.steady += 10.0
     made.node.publish_status_line()
     assert feed.heard[-1] == ("tell", None, None, "IDLE"), "what is silent is not the present"
+    assert view(made)["hold"] is None

@@ -74,7 +74,7 @@ def lines(reports: ReportsNow) -> dict[str, dict]:
 def test_every_state_of_every_node_has_words():
     assert {state.name for state in LinkState} | {"", "NEEDS_NAME"} == set(states_of("link"))
     assert {state.name for state in SyncState} | {""} == set(states_of("sync"))
-    assert {state.name for state in ExecutorState} | {"", "REVIEW", "ENGAGED"} == set(states_of("execution"))
+    assert {state.name for state in ExecutorState} | {"", "REVIEW", "NOT_YET", "ENGAGED"} == set(states_of("execution"))
     assert {topic for topic, _ in TABLE} == set(TOPICS)
 
 
@@ -122,6 +122,23 @@ def test_the_most_urgent_comes_first_with_the_reason_of_the_node():
         "sync.HOLDING", "joint_a3 differs by 0.7 deg", "operator",
     )  # fmt: skip
     assert found[0].waits_for == Sentence("line.sync.HOLDING.waits")
+
+
+@pytest.mark.parametrize(
+    "state, words", [("HOLDING", "held"), ("REPLANNING", "held"), ("STOPPED", "stopped"), ("WAITING", "held")]
+)
+def test_why_the_arm_holds_comes_before_all_that_follows_from_it(state, words):
+    cause = Sentence("reason.holds.because", reason="joint_a3 differs by 0.7 deg", since="10:02:03")
+    heard = ReportsNow(
+        Word("ARMED", ""), Word(state, "another reason"), Word("IDLE", ""), plan="p1", cause=cause, obstacle="not in sync",
+        started=True, missing=Missing("gate_reset", "it holds", HERE),
+    )  # fmt: skip
+    first, *others = status_lines(heard)
+    assert "startup" not in [line.topic for line in others], "that the gate is closed is said already"
+    assert (first.topic, first.state, first.words, first.reason) == ("cause", state, f"cause.{words}", cause)
+    assert first.said == cause.document() and first.level == Level.PERSON
+    execution = next(line for line in others if line.topic == "execution")
+    assert (execution.words, execution.reason, execution.level) == ("execution.NOT_YET", "not in sync", Level.WAITS)
 
 
 def test_what_is_silent_is_a_line_of_its_own():

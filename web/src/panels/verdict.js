@@ -186,7 +186,8 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     setText(approveText, texts(pressing ? "verdict.keep" : "verdict.approve"));
     const drawn = store.robot(robot)?.drawn ?? "none";
     const unseen = why === "look" && drawn !== "seen";
-    setText(hint, why === "" ? texts("verdict.hint") : texts(unseen ? `verdict.unseen.${drawn}` : `verdict.blocked.${why}`));
+    setText(hint, why === "" ? texts("verdict.hint")
+      : texts(unseen ? `verdict.unseen.${drawn}` : `verdict.blocked.${why}`, {reason: texts.reason(machine.obstacle)}));
     step(stepLooked, machine.played || machine.checks, texts("verdict.step_looked"));
     step(stepShown, machine.shownFor >= verdict.SHOWN_FOR, texts("verdict.step_shown"));
     const free = machine.state === "open" || machine.state === "unfit";
@@ -251,11 +252,12 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   // -- what is heard
 
   const planOf = (plan) => (plan === null ? null : {id: plan.id, hash: plan.hash, refused: plan.refused ?? "missing"});
+  const viewOf = (view) => ({type: "view", plan: view.plan, obstacle: view.approval_obstacle});
   const connect = (robot) => {
     take(robot, {type: "connected"});
     const known = store.robot(robot);
     if (known.plan !== null) take(robot, {type: "plan", plan: planOf(known.plan)});
-    if (known.view !== null && !known.old) take(robot, {type: "view", plan: known.view.plan});
+    if (known.view !== null && !known.old) take(robot, viewOf(known.view));
   };
   store.on("robots", () => {
     for (const robot of store.robots) if (!machines.has(robot) && connection.state === "connected") connect(robot);
@@ -276,7 +278,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   });
   store.on("plan", (robot, plan) => take(robot, {type: "plan", plan: planOf(plan)}));
   store.on("view", (robot, view) => {
-    if (view !== null) take(robot, view.online ? {type: "view", plan: view.plan} : {type: "old"});
+    if (view !== null) take(robot, view.online ? viewOf(view) : {type: "old"});
   });
   store.on("old", (robot, old) => {
     if (old) take(robot, {type: "old"});

@@ -16,6 +16,7 @@ from typing import Annotated, Literal, NamedTuple, TypeVar
 
 import pydantic
 import rospy
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from construction_twin.core.errors import (
@@ -155,6 +156,7 @@ class Outputs:
 
     next: Sink
     execution: Sink
+    approval_obstacle: Sink
     review: Sink
     tool_command: Sink
     engagement: Sink
@@ -230,6 +232,8 @@ class ExecutorNode:
         self._lock = threading.Lock()
         self._approval = Approval(executor, log.append, self._lock, lambda: present())
         self._without_person = without_person
+        # against approving the plan under review: looked at beside the cycle, because a start is compared with every joint
+        self._obstacle: str | None = None
         self._session: str | None = None
         self._sync_at = 0
         self._reported: ExecutionFields | None = None
@@ -547,6 +551,10 @@ class ExecutorNode:
         with self._lock:
             self._readings.note(now_ns(), time.monotonic_ns())
             self._executor.queue.scene_alive = scene_alive
+            obstacle = self._executor.approval_obstacle()
+        if obstacle != self._obstacle:
+            self._obstacle = obstacle
+            self._outputs.approval_obstacle.publish(String(obstacle))
         if self._without_person == WithoutPerson():
             return
         try:
@@ -743,6 +751,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> ExecutorNode:
         Outputs(
             next=ports.publishers["next/joint_states"],
             execution=ports.publishers["execution"],
+            approval_obstacle=ports.publishers["approval_obstacle"],
             review=ports.publishers["review"],
             tool_command=ports.publishers["tool_command"],
             engagement=ports.publishers["engagement"],
@@ -766,6 +775,7 @@ INTERFACE = Interface(
     publishes=(
         PosePublication("next/joint_states"),
         Publication("execution", Execution, queue_size=10, latch=True),
+        Publication("approval_obstacle", String, queue_size=5, latch=True),
         Publication("review", Review, queue_size=10, latch=True),
         # not latched: a bridge that is started again must not take a switch that was meant for another moment
         Publication("tool_command", ToolCommand, queue_size=50, tcp_nodelay=True),

@@ -18,10 +18,11 @@ from typing import Any, TypeVar
 import genpy
 import pydantic
 import rospy
+from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import PayloadError, PoseUnknownError
-from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
+from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import Joints, TrajectoryRequest, parse_trajectory
 from construction_twin.link.remote_view import PlanProgress, PoseView, Seen, Shown, ViewWriter
@@ -29,7 +30,7 @@ from construction_twin.mqtt.client import Broker, make_client, subscriptions, un
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.mqtt.requests import NAMELESS_TRAJECTORY, TRAJECTORY, RequestKind
-from construction_twin.msg import Execution, Link, Plan, Review, Sync, WorkTasks
+from construction_twin.msg import Execution, Hold, Link, Plan, Review, Sync, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES
@@ -347,6 +348,8 @@ class MqttPlanner:
             self._feed.plan if self._feed is not None else "",
             self._consoles.closest() if self._consoles is not None else None,
             progress,
+            self._feed.hold if self._feed is not None and sync is not None else HoldReport(),
+            self._feed.approval_obstacle if self._feed is not None and execution is not None else "",
         )
 
     def publish_status_line(self) -> None:
@@ -501,6 +504,8 @@ INTERFACE = Interface(
         Subscription("plan", Plan, _fed(ConsoleFeed.on_plan), queue_size=5),
         Subscription("review", Review, _fed(ConsoleFeed.on_review), queue_size=10),
         Subscription("sync", Sync, MqttPlanner.on_sync, queue_size=1),
+        Subscription("hold", Hold, _fed(ConsoleFeed.on_hold), queue_size=1),
+        Subscription("approval_obstacle", String, _fed(ConsoleFeed.on_approval_obstacle), queue_size=1),
         Subscription("link", Link, MqttPlanner.on_link, queue_size=1),
     ),
 )

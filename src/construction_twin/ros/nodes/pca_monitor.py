@@ -14,15 +14,15 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError, RequestRefused
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.reports import SyncReport
+from construction_twin.core.reports import HoldReport, SyncReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.monitor.gate import REPLAN, Gate
+from construction_twin.monitor.gate import REPLAN, Cause, Gate
 from construction_twin.monitor.replan import ReplanGoal, ReplanGoals
 from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.msg import Execution, Feedback, Link, Plan, Sync
+from construction_twin.msg import Execution, Feedback, Hold, Link, Plan, Sync
 from construction_twin.msg import Transition as TransitionMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
@@ -78,6 +78,7 @@ class Outputs:
 
     command: Sink
     sync: Sink
+    hold: Sink
     transitions: TransitionReport
     plan_to_joints: Callable[..., PlanToJointsResponse]
     remember: Callable[[str], None]
@@ -122,6 +123,7 @@ class PcaMonitorNode:
         self._sync_period = round(NANOSECONDS / sync_rate)
         self._sync_at = 0
         self._reported: tuple = ()
+        self._hold: Cause | None = None
         self._goals = ReplanGoals()
         self._changes: deque[Transition] = deque()
         # each from making a message until it is out: several threads publish, and the newest state must be the last one heard
@@ -295,8 +297,11 @@ class PcaMonitorNode:
                 if state == self._reported and now - self._sync_at < self._sync_period:
                     return
                 self._reported, self._sync_at = state, now
-                message = self._sync_message(*state)
+                message, cause = self._sync_message(*state), gate.cause
             self._outputs.sync.publish(message)
+            if cause != self._hold:
+                self._hold = cause
+                self._outputs.hold.publish(_hold_message(cause, now))
 
     def _sync_message(self, state: SyncState, reason: str, agreed: bool) -> Sync:
         gate = self._gate
@@ -358,6 +363,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode
         Outputs(
             ports.publishers["command/joint_states"],
             ports.publishers["sync"],
+            ports.publishers["hold"],
             TransitionReport(settings.transition_file, names, ports.publishers["transitions"]),
             rospy.ServiceProxy("plan_to_joints", PlanToJoints),
             ports.keeper(PARAMETER),
@@ -367,12 +373,20 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode
     )
 
 
+def _hold_message(cause: Cause | None, now: int) -> Hold:
+    stamp = now_ns()
+    # the gate's clock is the monotonic one
+    held = HoldReport(stamp=stamp) if cause is None else HoldReport(cause.sentence, stamp - (now - cause.since), stamp)
+    return to_msg(held, Hold)
+
+
 INTERFACE = Interface(
     report=PcaMonitorNode.report,
     parameters=(SharedParameter(PARAMETER, "", kept=True),),
     publishes=(
         PosePublication("command/joint_states"),
         Publication("sync", Sync, queue_size=50, latch=True, tcp_nodelay=True),
+        Publication("hold", Hold, queue_size=5, latch=True),
         Publication("transitions", TransitionMsg, queue_size=50, latch=True),
     ),
     hears=(

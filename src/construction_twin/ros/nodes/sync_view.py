@@ -11,15 +11,18 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from construction_twin.core.reports import HoldReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain
 from construction_twin.monitor.states import SyncState
-from construction_twin.msg import Sync
+from construction_twin.msg import Hold, Sync
 from construction_twin.robot.description import RobotModel
+from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import tf_frame
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.ports import Every, Interface, Ports, Publication, Subscription
+from construction_twin.views.hold_cause import hold_cause
 from construction_twin.views.sync_picture import (
     COLOURS,
     Shape,
@@ -62,6 +65,7 @@ class SyncViewNode:
         self._text_at = Point(TEXT_FORWARD, 0.0, headline_height(float(chain.shoulder[2]), chain.arm_length))
         self._lock = threading.Lock()
         self._last: Sync | None = None
+        self._hold: HoldReport | None = None
         self._heard = -math.inf
         self._shown: tuple[SyncState, str] | None = None
         self._diagnostics = ports.diagnostics
@@ -75,16 +79,22 @@ class SyncViewNode:
         with self._lock:
             self._last, self._heard = message, time.monotonic()
 
+    def on_hold(self, message: Hold) -> None:
+        """Take why the gate is closed."""
+        with self._lock:
+            self._hold = from_msg(HoldReport, message)
+
     def update(self) -> None:
         """Make the picture anew, and publish it where it has changed."""
         with self._lock:
             last, silent = self._last, time.monotonic() - self._heard > SILENCE
+            cause = hold_cause(self._hold)
         if last is None or silent:
             picture = SyncState.WAITING, headline(SyncState.WAITING, Sentence("view.sync_silent"), "")
         else:
             state = SyncState(last.state)
             worst = worst_joint(last.name, last.error, last.threshold, self._robot.linear)
-            picture = state, headline(state, last.reason, worst)
+            picture = state, headline(state, cause or last.reason, "" if cause else worst)
         if picture != self._shown:
             self._draw(*picture)
 
@@ -131,7 +141,10 @@ def text_marker(text: str, frame: str, at: Point) -> Marker:
 INTERFACE = Interface(
     report=SyncViewNode.report,
     publishes=(Publication("sync_markers", MarkerArray, queue_size=2, latch=True),),
-    hears=(Subscription("sync", Sync, SyncViewNode.on_sync, queue_size=1),),
+    hears=(
+        Subscription("sync", Sync, SyncViewNode.on_sync, queue_size=1),
+        Subscription("hold", Hold, SyncViewNode.on_hold, queue_size=1),
+    ),
     every=(Every(lambda _settings: PERIOD, lambda node, _ports: node.update()),),
 )
 NODE = NodeShell("sync_view", Settings, SyncViewNode, INTERFACE)

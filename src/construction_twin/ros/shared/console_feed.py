@@ -9,18 +9,21 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+from std_msgs.msg import String
+
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.records import SPACED, dumped
-from construction_twin.core.reports import WorkReport
+from construction_twin.core.reports import HoldReport, WorkReport
 from construction_twin.link.remote_review import PlanBoard
 from construction_twin.mqtt.messages import Topics
-from construction_twin.msg import Execution, Link, Plan, Review, Sync, WorkTasks
+from construction_twin.msg import Execution, Hold, Link, Plan, Review, Sync, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.scene.objects import Scene
+from construction_twin.views.hold_cause import hold_cause
 from construction_twin.views.scene_view import scene_view
 from construction_twin.views.startup import Deployment, Seen, Word, first_missing
 from construction_twin.views.status_line import ReportsNow, status_lines
@@ -58,6 +61,7 @@ class ConsoleFeed:
         self._retained: dict[str, bytes] = {}
         self._scene: Scene | None = None
         self._work: WorkReport | None = None
+        self._hold, self._obstacle = HoldReport(), ""
         self._arm_seen = self._twin_seen = False
         self._looked = self._told_at = float("-inf")
         self._told = b""
@@ -73,6 +77,14 @@ class ConsoleFeed:
         """Take a verdict."""
         with self._lock:
             self._board.on_verdict(message.plan_id)
+
+    def on_hold(self, message: Hold) -> None:
+        """Take why the gate is closed."""
+        self._hold = from_msg(HoldReport, message)
+
+    def on_approval_obstacle(self, message: String) -> None:
+        """Take why the plan under review could not be approved now."""
+        self._obstacle = message.data
 
     def on_link(self, message: Link) -> None:
         """Take that another session has made the plan void."""
@@ -135,6 +147,16 @@ class ConsoleFeed:
         with self._lock:
             return self._board.payload.decode()
 
+    @property
+    def hold(self) -> HoldReport:
+        """Why the gate is closed, as the monitor said last."""
+        return self._hold
+
+    @property
+    def approval_obstacle(self) -> str:
+        """Why the plan under review could not be approved now, as the executor said last; empty: it could."""
+        return self._obstacle
+
     def note_poses(self, twin: bool, arm: bool) -> None:
         """Take whether a pose of the twin, and of the arm, is known: a start waits for the first of each."""
         self._twin_seen, self._arm_seen = self._twin_seen or twin, self._arm_seen or arm
@@ -164,6 +186,8 @@ class ConsoleFeed:
             *words,
             bare=link is not None and link.gateway_kind == "plc",
             plan=self.plan,
+            obstacle="" if execution is None else self._obstacle,
+            cause="" if sync is None else hold_cause(self._hold),
             engaged=execution is not None and bool(execution.engaged),
             work=self._work,
         )

@@ -13,11 +13,12 @@ from typing import TypeVar
 import genpy
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import String
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
-from construction_twin.msg import Execution, Link, Plan, PlanCaller, Review, Sync
+from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
+from construction_twin.msg import Execution, Hold, Link, Plan, PlanCaller, Review, Sync
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanValue
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
@@ -27,7 +28,7 @@ from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.views.snapshot import NodeFacts, Snapshot
 
-_Report = TypeVar("_Report", LinkReport, SyncReport, ExecutionReport)
+_Report = TypeVar("_Report", LinkReport, SyncReport, HoldReport, ExecutionReport)
 
 #: Streams whose rates are counted, with short names.
 STREAMS = {"twin": "twin/joint_states", "physical": "physical/joint_states", "command": "command/joint_states"}
@@ -37,7 +38,9 @@ SILENT_NODE = 5.0
 _REPORTS = {
     "link": Link,
     "sync": Sync,
+    "hold": Hold,
     "execution": Execution,
+    "approval_obstacle": String,
     "plan": Plan,
     "plan_caller": PlanCaller,
     "review": Review,
@@ -143,7 +146,9 @@ class RobotListener:
             link=_record(LinkReport, newest.get("link")),
             sync=_record(SyncReport, newest.get("sync")),
             execution=_record(ExecutionReport, newest.get("execution")),
+            hold=_record(HoldReport, newest.get("hold")) if "sync" not in silent else None,
             plan=plan,
+            approval_obstacle=getattr(newest.get("approval_obstacle"), "data", ""),
             rates=self._rates(),
             nodes=nodes,
             silent=silent,
