@@ -5,13 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.sentences import Value, key_and_values, understood
+from construction_twin.core.sentences import Sentence, Value, key_and_values, understood
 from construction_twin.core.work_errors import TaskPlanningError
 
 
 def key_of(text: str) -> str:
     """Return the key of what is said, or of the reason that a text reads as; empty: it has none."""
     return (key_and_values(text) or key_and_values(understood(text)) or {"key": ""})["key"]
+
+
+def has_parts(text: str, *parts: str) -> bool:
+    """Return whether a text has these parts: keys of its sentence, of a sentence that is a value of it, or texts of its values."""
+    said = text if isinstance(text, Sentence) else understood(text)
+    if said is None:
+        return False
+    values = list(said.values.values())
+    return all(
+        part == said.key
+        or any(has_parts(value, part) if isinstance(value, Sentence) else part in str(value) for value in values)
+        for part in parts
+    )
 
 
 def says(key: str, /, **values: Value) -> Callable[[ConstructionTwinError], bool]:

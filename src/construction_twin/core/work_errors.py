@@ -25,6 +25,10 @@ class BuildingError(WorkError):
         where = Sentence("building.part", file=file, what=what)
         super().__init__(Sentence("motion.scene", where=where, found=found, expected=expected))
 
+    def __reduce__(self):
+        """Return what it is made of again in another process."""
+        return type(self), (self.file, self.what, self.found, self.expected)
+
 
 class ScheduleError(WorkError):
     """The order of the tasks makes no sense.

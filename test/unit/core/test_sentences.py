@@ -79,6 +79,17 @@ def test_no_key_that_is_used_is_missing():
     assert [each for each in sorted(wanted) if each[0] not in SENTENCES] == []
 
 
+@pytest.mark.parametrize(
+    "key", [key for key in SENTENCES if key.startswith("ifc.note.") and not SENTENCES[key]["en"].endswith(":s}")]
+)
+def test_a_note_with_the_names_that_it_holds_for_is_found_in_its_text_again(key):
+    """The page gets the text alone. What ends with a text takes the names for a part of that."""
+    values = {name: "IFC4" for name in re.findall(r"\{(\w+)", SENTENCES[key]["en"])}
+    note = Sentence("ifc.note.of", note=Sentence(key, **values), names="wall (0000000000000000000008), #12=IFCWALL")
+    found = understood(str(note))
+    assert found is not None and (found.key, found.values["note"].key) == ("ifc.note.of", key)
+
+
 def value_of(value: object) -> object:
     if isinstance(value, dict):
         return Quantity(math.nan if value["value"] is None else value["value"], value["unit"])

@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ifc_models import IfcModel
+from sentence_checks import has_parts, key_of
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.ifc.model_file import load, save
 from construction_twin.work.ifc.reader import read_ifc
@@ -38,14 +40,14 @@ def read(tmp_path):
     return write_and_read
 
 
-def said(model, words: str) -> bool:
-    """Whether a note has these words."""
-    return any(words in note for note in model.notes)
+def said(model, *parts: str) -> bool:
+    """Whether a note has these keys and values."""
+    return any(has_parts(note, *parts) for note in model.notes)
 
 
-def remarked(model, one, words: str) -> bool:
-    """Whether these words are said at one element or task."""
-    return any(words in remark for remark in model.remarks.get(one.GlobalId, ()))
+def remarked(model, one, *parts: str) -> bool:
+    """Whether a remark on one element or task has these keys and values."""
+    return any(has_parts(remark, *parts) for remark in model.remarks.get(one.GlobalId, ()))
 
 
 def add_units(model: IfcModel, *units) -> None:
@@ -133,7 +135,7 @@ def test_a_weight_in_a_unit_of_length_is_left_out_and_told(read):
     weigh(model, plate, 28.8, length_unit(model))
     found = read(model)
     assert found.elements[plate.GlobalId].mass is None
-    assert remarked(found, plate, "a unit of their own that is none of theirs")
+    assert remarked(found, plate, "ifc.note.own_unit")
 
 
 def test_a_density_that_can_be_of_two_units_is_not_guessed(read):
@@ -143,7 +145,7 @@ def test_a_density_that_can_be_of_two_units_is_not_guessed(read):
     of_material(model, plate, "Gyp", 50.0)
     found = read(model)
     assert found.elements[plate.GlobalId].mass is None
-    assert remarked(found, plate, "without a unit can be kg/m³ or of the project's units")
+    assert remarked(found, plate, "ifc.note.density_unit")
 
 
 @pytest.mark.parametrize("unit", ["foot", "inch"])
@@ -162,8 +164,8 @@ def test_a_density_or_weight_of_feet_without_a_unit_of_mass_is_not_guessed(read,
         weigh(model, one, 63.5)
     found = read(model)
     assert [found.elements[one.GlobalId].mass for one in (dense, heavy)] == [None, None]
-    assert remarked(found, dense, "A density of 50 without a unit can be kg/m³ or")
-    assert remarked(found, heavy, "A weight of 63.5 without a unit can be kilograms or pounds")
+    assert remarked(found, dense, "ifc.note.density_unit", "50")
+    assert remarked(found, heavy, "ifc.note.weight_unit", "63.5")
     # nothing is so heavy in pounds per cubic foot
     assert found.elements[both.GlobalId].mass == pytest.approx(2.4 * LITRES)
 
@@ -174,7 +176,7 @@ def test_what_a_unit_was_taken_for_is_told(read):
     of_material(model, plate, "Concrete", 2400.0)
     found = read(model)
     assert found.elements[plate.GlobalId].mass == pytest.approx(2.4 * LITRES)
-    assert said(found, "2400 is taken as kg/m³")
+    assert said(found, "ifc.note.density", "2400")
 
 
 def test_a_weight_of_a_metric_project_without_a_unit_of_mass_is_taken_as_kilograms_and_told(read):
@@ -183,7 +185,7 @@ def test_a_weight_of_a_metric_project_without_a_unit_of_mass_is_taken_as_kilogra
     weigh(model, plate, 28.8)
     found = read(model)
     assert found.elements[plate.GlobalId].mass == pytest.approx(28.8)
-    assert said(found, "weights are taken as kilograms")
+    assert said(found, "ifc.note.kilograms")
     model = IfcModel(unit="foot")
     own = board(model)
     weigh(model, own, 63.5, pound(model))
@@ -192,18 +194,18 @@ def test_a_weight_of_a_metric_project_without_a_unit_of_mass_is_taken_as_kilogra
 
 
 @pytest.mark.parametrize(
-    ("weight", "material", "density", "words"),
+    ("weight", "material", "density", "doubt"),
     [
-        (0.0288, "Gyp", 800.0, "0.0288 kg by its quantity, 28.8 kg"),
-        (63.5, "Gypsum board", None, "expected 400 to 1700"),
-        (None, "Gypsum", 50.0, "expected 400 to 1700"),
-        (63.5, "Gyp", None, "expected 400 to 1700"),
-        (2.0e6, "unobtainium", None, "expected 5 to 23000"),
-        (28.8, "Gypsum board", 800.0, ""),
-        (None, "unobtainium", 800.0, ""),
+        (0.0288, "Gyp", 800.0, ("ifc.note.mass_by_density", "0.0288", "28.8")),
+        (63.5, "Gypsum board", None, ("ifc.note.mass_of", "400", "1700")),
+        (None, "Gypsum", 50.0, ("ifc.note.mass_of", "400", "1700")),
+        (63.5, "Gyp", None, ("ifc.note.mass_of", "400", "1700")),
+        (2.0e6, "unobtainium", None, ("ifc.note.mass_of", "5", "23000")),
+        (28.8, "Gypsum board", 800.0, ()),
+        (None, "unobtainium", 800.0, ()),
     ],
 )
-def test_a_mass_that_volume_and_material_do_not_bear_out_is_doubted(read, weight, material, density, words):
+def test_a_mass_that_volume_and_material_do_not_bear_out_is_doubted(read, weight, material, density, doubt):
     model = IfcModel()
     add_units(model, model.make("IfcSIUnit", UnitType="MASSUNIT", Prefix="KILO", Name="GRAM"))
     plate = board(model)
@@ -212,8 +214,8 @@ def test_a_mass_that_volume_and_material_do_not_bear_out_is_doubted(read, weight
         weigh(model, plate, weight)
     found = read(model)
     assert found.elements[plate.GlobalId].mass is not None
-    if words:
-        assert remarked(found, plate, "THE MASS IS DOUBTFUL") and remarked(found, plate, words)
+    if doubt:
+        assert remarked(found, plate, *doubt)
     else:
         assert found.notes == ()
 
@@ -265,7 +267,7 @@ def test_what_is_completed_is_no_job_and_nobody_waits_for_it(read, complete):
     complete(model, first)
     schedule = Schedule.of(found := read(model))
     assert [(job.element, job.after) for job in schedule.jobs] == [(studs[1].GlobalId, ())]
-    assert schedule.unmade == () and said(found, "completed: not done again")
+    assert schedule.unmade == () and said(found, "ifc.note.completed")
 
 
 @pytest.mark.parametrize(("status", "part"), [("STARTED", None), (None, 0.5), (None, 50.0), ("who knows", None)])
@@ -275,8 +277,8 @@ def test_what_may_have_begun_is_a_job_with_a_remark(read, status, part):
     if part is not None:
         first.TaskTime = model.make("IfcTaskTime", Completion=part)
     found = read(model)
-    assert len(Schedule.of(found).jobs) == 2 and remarked(found, first, "MAY HAVE BEGUN")
-    assert any("MAY HAVE BEGUN" in remark for remark in Schedule.of(found).remarks[first.GlobalId])
+    assert len(Schedule.of(found).jobs) == 2 and remarked(found, first, "ifc.note.maybe_begun")
+    assert any(has_parts(remark, "ifc.note.maybe_begun") for remark in Schedule.of(found).remarks[first.GlobalId])
 
 
 @pytest.mark.parametrize(
@@ -287,7 +289,7 @@ def test_words_for_completed_in_other_clothes_and_german_are_known(read, status)
     first.Status = status
     found = read(model)
     assert [job.element for job in Schedule.of(found).jobs] == [studs[1].GlobalId]
-    assert remarked(found, first, "completed") and not said(found, "MAY HAVE BEGUN")
+    assert remarked(found, first, "ifc.note.completed") and not said(found, "ifc.note.maybe_begun")
 
 
 @pytest.mark.parametrize("status", ["NOT COMPLETED", "50% completed", "100%", "COMPLETED?", "Complete (QA ok)"])
@@ -295,7 +297,7 @@ def test_words_that_do_not_say_completed_are_not_taken_for_it(read, status):
     model, _, (first, _) = two_studs()
     first.Status = status
     found = read(model)
-    assert len(Schedule.of(found).jobs) == 2 and remarked(found, first, "MAY HAVE BEGUN")
+    assert len(Schedule.of(found).jobs) == 2 and remarked(found, first, "ifc.note.maybe_begun")
 
 
 @pytest.mark.parametrize("nested", [False, True])
@@ -310,7 +312,7 @@ def test_what_is_cancelled_is_no_job_and_nobody_waits_for_it(read, status, neste
         first.TaskTime = model.make("IfcTaskTime", ActualFinish="2026-01-01T10:00:00")
     schedule = Schedule.of(found := read(model))
     assert [(job.element, job.after) for job in schedule.jobs] == [(studs[1].GlobalId, ())]
-    assert remarked(found, first, "cancelled") and not said(found, "completed") and not said(found, "BEGUN")
+    assert remarked(found, first, "ifc.note.cancelled") and len(found.notes) == 1
     assert schedule.removals == ()
 
 
@@ -320,7 +322,7 @@ def test_a_task_that_its_times_alone_complete_has_no_note_on_its_status(read):
     completed_by_finish(model, second)
     second.Status = "STARTED"
     found = read(model)
-    assert not said(found, "None") and remarked(found, second, "the status 'STARTED' whose times say")
+    assert not said(found, "None") and remarked(found, second, "ifc.note.completed_by_times", "'STARTED'")
 
 
 @pytest.mark.parametrize("name", ["PSet_MemberCommon", "pset_membercommon", "PSET_MEMBERCOMMON"])
@@ -337,7 +339,10 @@ def test_a_status_of_an_authors_own_set_is_told(read, status):
     model.properties(studs[1], "PSet_Revit_Phasing", Status="New")
     found = read(model)
     assert found.elements[studs[0].GlobalId].status == ""
-    assert remarked(found, studs[0], f"the status {status!r} in PSet_Revit_Phasing") and len(found.notes) == 1
+    assert (
+        remarked(found, studs[0], "ifc.note.status_elsewhere", repr(status), "PSet_Revit_Phasing")
+        and len(found.notes) == 1
+    )
 
 
 def test_a_lag_after_what_is_completed_is_not_waited_for_and_told(read):
@@ -347,7 +352,7 @@ def test_a_lag_after_what_is_completed_is_not_waited_for_and_told(read):
     tasks[0].Status = "COMPLETED"
     model.sequence(*tasks, lag="P1D")
     schedule = Schedule.of(read(model))
-    assert any("is not waited for" in note for note in schedule.notes)
+    assert any(has_parts(note, "work.order.lag_over") for note in schedule.notes)
 
 
 @pytest.mark.parametrize(
@@ -378,7 +383,7 @@ def test_a_task_that_only_looks_after_something_places_nothing(read):
     found = read(model)
     schedule = Schedule.of(found)
     assert [job.element for job in schedule.jobs] == [studs[1].GlobalId] and schedule.removals == ()
-    assert remarked(found, first, "places nothing")
+    assert remarked(found, first, "ifc.note.places_nothing")
 
 
 def test_what_exists_or_goes_is_not_proposed(read):
@@ -391,7 +396,7 @@ def test_what_exists_or_goes_is_not_proposed(read):
     schedule = Schedule.of(propose(found).applied(found), True)
     assert [job.element for job in schedule.jobs] == [new.GlobalId]
     assert [(job.id, job.element) for job in schedule.removals] == [(f"{gone.GlobalId}/removal", gone.GlobalId)]
-    assert remarked(found, kept, "never placed") and remarked(found, gone, "until a person says")
+    assert remarked(found, kept, "ifc.note.existing") and remarked(found, gone, "ifc.note.demolish")
 
 
 def test_parts_of_what_exists_exist_and_a_task_does_not_place_them(read):
@@ -404,7 +409,7 @@ def test_parts_of_what_exists_exist_and_a_task_does_not_place_them(read):
     found = read(model)
     schedule = Schedule.of(found)
     assert found.elements[stud.GlobalId].status == "existing"
-    assert schedule.jobs == () and any(task.GlobalId in note and "not placed" in note for note in schedule.notes)
+    assert schedule.jobs == () and any(has_parts(note, task.GlobalId, "work.order.stands") for note in schedule.notes)
 
 
 def test_what_is_to_go_and_is_given_to_a_task_without_a_kind_is_taken_down_by_it(read):
@@ -423,7 +428,7 @@ def test_what_a_task_places_and_another_takes_down_stays_with_a_note(read):
     model.sequence(second, down)
     schedule = Schedule.of(read(model))
     assert len(schedule.jobs) == 2 and schedule.removals == ()
-    assert any("which another task places" in note for note in schedule.notes)
+    assert any(has_parts(note, "work.order.temporary") for note in schedule.notes)
 
 
 # -- what the parser drops
@@ -437,7 +442,7 @@ def text_of_two() -> str:
 def test_an_order_of_an_unknown_kind_is_told_at_its_tasks(read):
     model, _, tasks = two_studs()
     found = read(model.text().replace("IFCRELSEQUENCE", "IFCRELSEQUENZE"))
-    assert found.sequences == () and said(found, "LINES LEFT OUT") and said(found, "IFCRELSEQUENZE")
+    assert found.sequences == () and said(found, "ifc.note.lines_left_out", "IFCRELSEQUENZE")
     assert all(remarked(found, task, "IFCRELSEQUENZE") for task in tasks)
 
 
@@ -488,7 +493,7 @@ def test_a_line_with_too_few_values_is_told(read):
     model, studs, _ = two_studs()
     line = next(line for line in model.text().splitlines() if f"'{studs[0].GlobalId}'" in line)
     found = read(model.text().replace(line, line.replace(",$,$);", ");")))
-    assert said(found, "values instead of")
+    assert said(found, "ifc.note.values")
 
 
 @pytest.mark.parametrize(("code", "called"), [("utf-8", "UTF-8"), ("cp1252", "Latin-1"), ("utf-8-sig", "UTF-8")])
@@ -496,7 +501,7 @@ def test_letters_that_are_not_ascii_are_kept_and_told(read, code, called):
     model, _, _ = two_studs()
     found = read(model.text().replace("'a'", "'Brücke Süd'").encode(code))
     assert "Brücke Süd" in [element.name for element in found.elements.values()]
-    assert said(found, called)
+    assert said(found, "ifc.note.letters", called)
 
 
 def test_letters_as_ifc_writes_them_need_no_note(read):
@@ -526,8 +531,8 @@ def test_a_profile_that_crosses_itself_is_a_hull_and_no_job_without_doubt(read, 
     of_material(model, bow, "Wood", 420.0)
     found = read(model)
     element = found.elements[bow.GlobalId]
-    assert "crosses itself" in element.doubt and element.mass is None
-    assert remarked(found, bow, "THE BODY IS DOUBTFUL")
+    assert key_of(element.doubt) == "ifc.doubt.crossed" and element.mass is None
+    assert remarked(found, bow, "ifc.note.doubtful", "ifc.doubt.crossed")
     (hull,) = element.bodies
     assert is_closed(hull.triangles) and volume(hull.vertices, hull.triangles) > 0.0
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
@@ -554,8 +559,8 @@ def test_what_its_openings_cut_into_pieces_is_an_obstacle_and_told(read, holes, 
         model.opening(bar, size, at)
     found = read(model)
     element = found.elements[bar.GlobalId]
-    split = f"it is in {pieces} pieces that do not touch, after its openings"
-    assert (split in element.doubt) == remarked(found, bar, f"THE BODY IS DOUBTFUL: {split}") == (pieces > 1)
+    assert element.doubt == (Sentence("ifc.doubt.in_pieces", count=pieces) if pieces > 1 else "")
+    assert remarked(found, bar, "ifc.note.doubtful", "ifc.doubt.in_pieces") == (pieces > 1)
     # what was cut out is free
     solid = sum(volume(body.vertices, body.triangles) for body in element.bodies)
     assert element.bodies and solid < 0.99 * 0.01 and (pieces > 1 or not element.doubt)
@@ -574,15 +579,15 @@ def test_a_note_that_has_an_id_has_the_name_too(read):
     far, nameless = (model.box(name, (0.1, 0.1, 0.1), at=(2.0e4, 0.0, 0.0)) for name in ("far", None))
     found = read(model)
     (note,) = found.notes
-    assert note.endswith(f": far ({far.GlobalId}), {nameless.GlobalId}")
-    assert remarked(found, far, "More than 10 km")
+    assert key_of(note) == "ifc.note.of" and note.values["names"] == f"far ({far.GlobalId}), {nameless.GlobalId}"
+    assert remarked(found, far, "ifc.note.far")
 
 
 def test_an_element_without_a_body_is_told(read):
     model = IfcModel()
     stud, pipe = model.box("stud", (0.1, 0.1, 1.0)), model.element("IfcPipeSegment", "pipe")
     found = read(model)
-    assert remarked(found, pipe, "without a body are no obstacle") and stud.GlobalId not in found.remarks
+    assert remarked(found, pipe, "ifc.note.no_body") and stud.GlobalId not in found.remarks
 
 
 # -- assemblies, calendars, what is not read
@@ -600,7 +605,7 @@ def test_a_task_that_makes_an_assembly_places_its_parts_once_a_person_accepts_th
     assert [(job.task, job.element) for job in schedule.jobs] == [
         (task.GlobalId, lower.GlobalId), (task.GlobalId, upper.GlobalId), (own.GlobalId, other.GlobalId),
     ]  # fmt: skip
-    assert schedule.proposed and any("an assembly without a body" in note for note in schedule.notes)
+    assert schedule.proposed and any(has_parts(note, "work.order.assembly") for note in schedule.notes)
 
 
 def test_calendars_and_lags_in_working_time_are_told(read):
@@ -609,13 +614,13 @@ def test_calendars_and_lags_in_working_time_are_told(read):
     model.root("IfcRelAssignsToControl", RelatedObjects=[first], RelatingControl=calendar)
     model.sequence(first, second, lag="P1D")
     found = read(model)
-    assert remarked(found, first, "Calendars are not read") and remarked(found, first, "around the clock")
-    assert not remarked(found, second, "Calendars are not read")
-    assert said(found, "Not read: 1 IfcWorkCalendar")
+    assert remarked(found, first, "ifc.note.calendar")
+    assert not remarked(found, second, "ifc.note.calendar")
+    assert said(found, "ifc.note.unread", "1", "IfcWorkCalendar")
 
 
 def test_what_no_task_waits_for_is_told(read):
     model, _, (first, _) = two_studs()
     model.sequence(model.root("IfcEvent", Name="approval"), first)
     found = read(model)
-    assert said(found, "Not read: 1 IfcEvent") and said(found, "something that is no task")
+    assert said(found, "ifc.note.unread", "1", "IfcEvent") and said(found, "ifc.note.foreign_order")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import re
 import resource
 import signal
@@ -18,8 +19,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ifc_models import IfcModel
+from sentence_checks import has_parts, key_of
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import BuildingModel
 from construction_twin.work.ifc import model_file, reading
@@ -93,6 +96,26 @@ def test_another_process_reads_the_same_and_the_cache_gives_it_again(path, tmp_p
     renamed = path.rename(tmp_path / "again.ifc")
     again = read_building(renamed, tmp_path / "cache")
     assert again.file == "again.ifc" and same(found, again)
+
+
+def test_what_is_noted_keeps_its_key_and_values_behind_the_process_and_in_the_cache(tmp_path):
+    model = IfcModel()
+    bow = model.element("IfcMember", "bow", model.extrusion(model.polygon([(0, 0), (1, 1), (1, 0), (0, 1)]), 0.1))
+    path = tmp_path / "model.ifc"
+    path.write_text(model.text())
+    for found in (read_building(path, tmp_path / "cache"), read_building(path, tmp_path / "cache")):
+        assert key_of(found.elements[bow.GlobalId].doubt) == "ifc.doubt.crossed"
+        for texts in (found.notes, found.remarks[bow.GlobalId]):
+            assert all(isinstance(text, Sentence) for text in texts)
+            assert any(has_parts(text, "ifc.note.doubtful", "ifc.doubt.crossed") for text in texts)
+
+
+def test_an_error_of_a_model_is_itself_again_in_another_process():
+    error = BuildingError("model.ifc", "#12=IFCWALL", Sentence("ifc.found.twice"), Sentence("expected.one"))
+    again = pickle.loads(pickle.dumps(error))
+    assert (type(again), again.args, again.what, again.sentence.key) == (
+        BuildingError, error.args, "#12=IFCWALL", "motion.scene",
+    )  # fmt: skip
 
 
 def test_a_damaged_cache_is_made_anew(path, tmp_path):

@@ -43,24 +43,15 @@ _ROUNDING = 1e-9
 #: Pieces that are nearer touch [m]; smaller ones [m³] are rounding of the kernel's.
 _TOUCH = 1e-4
 _CRUMB = 1e-9
-#: Why a body is doubted, and what stands for it.
-_HULL = "a hull stands for it as an obstacle"
-CROSSED = f"its profile crosses itself, and nobody can say what of it is solid; {_HULL}"
 #: The message of the kernel's after which a part of a shape that crosses another is missing.
 MISSING_CODE = "GEO161"
-MISSING = f"the geometry kernel finds that a part of its shape crosses another; {_HULL}"
-WITH_ERROR = (
-    "the geometry kernel cannot make all of its shape ({}); what it made stands as an obstacle, and may be more or less"
-)
 #: Messages of the kernel's after which its lengths are none.
 NO_UNIT_CODES = ("GEO308", "GEO309", "GEO312")
-LESS = "the geometry kernel cannot make a part of its shape ({}); a hull of the rest stands as an obstacle, WITHOUT THAT PART"
 #: Items that have a surface: one that gives no triangle is missed.
 _SURFACES = (
     *("IfcSolidModel", "IfcBooleanResult", "IfcCsgPrimitive3D", "IfcTessellatedItem", "IfcFaceBasedSurfaceModel"),
     *("IfcShellBasedSurfaceModel", "IfcSurface"),
 )
-IN_PIECES = "it is in {} pieces that do not touch, after its openings; it stands as an obstacle"
 
 
 @dataclass(frozen=True)
@@ -143,8 +134,7 @@ def shapes(
                 made.add(shape.id)
                 progress(len(made), len(bodies))
                 pieces = pieces_of(found) if shape.id in cut and not (crossed or less) else 1
-                doubt = IN_PIECES.format(pieces) if pieces > 1 else ""
-                yield Shape(shape.id, found, matrix, CROSSED if crossed else LESS.format(less) if less else doubt)
+                yield Shape(shape.id, found, matrix, _doubt(bool(crossed), less, pieces))
         more = bool(iterator.next())
 
 
@@ -285,6 +275,15 @@ def _bodies(
                 yield Body(body.vertices, body.triangles, _agreeing(body, candidates))
 
 
+def _doubt(crossed: bool, less: str, pieces: int) -> str:
+    """Return why a body is doubted, and what stands for it; empty: it is not."""
+    if crossed:
+        return Sentence("ifc.doubt.crossed")
+    if less:
+        return Sentence("ifc.doubt.less", problem=less)
+    return Sentence("ifc.doubt.in_pieces", count=pieces) if pieces > 1 else ""
+
+
 def _split(triangles: np.ndarray) -> list[np.ndarray]:
     count = int(triangles.max()) + 1
     ends = np.concatenate([triangles[:, :2], triangles[:, 1:]])
@@ -297,7 +296,7 @@ def _split(triangles: np.ndarray) -> list[np.ndarray]:
 def _oriented(vertices: np.ndarray, triangles: np.ndarray, about: str, notes: Notes) -> Body | None:
     vertices, triangles = _welded(vertices, triangles)
     if len(triangles) == 0:
-        notes.add("Bodies without any extent are left out of", about)
+        notes.add(Sentence("ifc.note.no_extent"), about)
         return None
     if not is_closed(triangles):
         # cut by an opening: the corners of both sides of an edge may differ by rounding
@@ -305,11 +304,11 @@ def _oriented(vertices: np.ndarray, triangles: np.ndarray, about: str, notes: No
         if is_closed(near[1]):
             vertices, triangles = near
     if not is_closed(triangles):
-        notes.add("Bodies that are not closed (their triangles stand as they are, without a volume) of", about)
+        notes.add(Sentence("ifc.note.not_closed"), about)
         return Body(vertices, triangles)
     enclosed = volume(vertices, triangles)
     if abs(enclosed) < 1e-15:
-        notes.add("Bodies without any extent are left out of", about)
+        notes.add(Sentence("ifc.note.no_extent"), about)
         return None
     return Body(vertices, triangles if enclosed > 0 else np.ascontiguousarray(triangles[:, ::-1]))
 

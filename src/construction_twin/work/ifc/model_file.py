@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter
 
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, understood
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import BuildingModel, Element
 
@@ -132,7 +132,20 @@ def _load(path: Path, file: str, digest: str) -> BuildingModel:
     (model,) = _MODEL.validate_python(({**document["model"], "file": file},))
     for element in model.elements.values():
         _check(element)
-    return model
+    return dataclasses.replace(
+        model,
+        elements={
+            name: dataclasses.replace(element, doubt=_with_key(element.doubt)) if element.doubt else element
+            for name, element in model.elements.items()
+        },
+        notes=tuple(map(_with_key, model.notes)),
+        remarks={name: tuple(map(_with_key, remarks)) for name, remarks in model.remarks.items()},
+    )
+
+
+def _with_key(text: str) -> str:
+    """Return a note with its key and values, which its text alone has crossed the file."""
+    return understood(text) or text
 
 
 def _check(element: Element) -> None:

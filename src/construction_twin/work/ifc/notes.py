@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
+from construction_twin.work.first_few import first_few
 
 _NAMED = 5
 #: Remarks of one element or task.
@@ -26,7 +27,7 @@ class Notes:
         """Add a sentence, or one more thing that an earlier one holds for.
 
         Args:
-            sentence: Without a full stop; must make sense for one and for many: ``geometry that could not be made, left out``.
+            sentence: Without a full stop; must make sense for one and for many, whose names follow behind a colon.
             about: Name or GlobalId; empty: the sentence says it all.
             at: Id of the element or task whose remark it is; by default what it is about.
         """
@@ -35,7 +36,6 @@ class Notes:
 
     def remark(self, sentence: str, at: str) -> None:
         """Add a sentence to an element or task only."""
-        sentence = sentence.removesuffix(" of").removesuffix(",")
         remarks = self._at.setdefault(at, [])
         # a file can be wrong in the same way very often
         if sentence not in remarks and len(remarks) < _REMARKS:
@@ -62,8 +62,7 @@ def _sentence(text: str, named: list[str]) -> str:
     named = list(dict.fromkeys(named))
     if not named:
         return text
-    more = f" and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
-    return f"{text}: {', '.join(named[:_NAMED])}{more}"
+    return Sentence("ifc.note.of", note=text, names=first_few(named, _NAMED))
 
 
 class Where:

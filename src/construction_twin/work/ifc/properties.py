@@ -10,6 +10,7 @@ import ifcopenshell.util.element
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import Body, Value
 from construction_twin.work.ifc.notes import Notes, Where, label
@@ -73,7 +74,7 @@ def read_properties(product: ifcopenshell.entity_instance, at: str, units: Units
                     if name is not None and isinstance(value, dict)
                 }
     except BuildingError:
-        notes.add("Property sets that cannot be read are left out of", label(product), at)
+        notes.add(Sentence("ifc.note.property_sets"), label(product), at)
     return sets
 
 
@@ -84,12 +85,12 @@ def _value(entry: dict, units: Units, what: str, product: ifcopenshell.entity_in
         return value
     if isinstance(value, (int, float)):
         if not math.isfinite(value):
-            notes.add("Values that are no finite numbers are left out", "", at)
+            notes.add(Sentence("ifc.note.not_finite"), "", at)
             return None
         factor = _factor(product.file.by_id(entry["id"]), measure, units) if "id" in entry else units.factor(measure)
         if factor is None:
             about = f"{product.Name or at} ({what})"
-            notes.add("Values with a unit of their own that is none of theirs, left out, of", about, at)
+            notes.add(Sentence("ifc.note.own_unit"), about, at)
             return None
         return value if factor == 1.0 else value * factor
     if isinstance(value, str):
@@ -120,7 +121,7 @@ def read_material(product: ifcopenshell.entity_instance, at: str, notes: Notes) 
             materials = ifcopenshell.util.element.get_materials(product)
             return ", ".join(dict.fromkeys(material.Name for material in materials if material.Name))
     except BuildingError:
-        notes.add("Materials that cannot be read are left out of", label(product), at)
+        notes.add(Sentence("ifc.note.materials"), label(product), at)
     return ""
 
 
@@ -141,12 +142,11 @@ def read_status(product: ifcopenshell.entity_instance, at: str, sets: Sets, note
                 status = _status(words)
                 found = found or status or ("new" if words == {"NEW"} else "")
                 for word in () if status else sorted(words - _MADE):
-                    notes.add(f"Elements with the status {word!r}, taken as still to be made", about, at)
+                    notes.add(Sentence("ifc.note.status", status=repr(word)), about, at)
             elif any(word in key.casefold() for word in _STATUS_NAMES) and _stands(key, given):
                 where = name if key == "Status" else f"{name} ({key})"
                 notes.add(
-                    f"Elements with the status {given[:40]!r} in {where}, which is no `Status` of a set Pset_...Common: not used, "
-                    "taken as still to be made",
+                    Sentence("ifc.note.status_elsewhere", status=repr(given[:40]), where=where),
                     about,
                     at,
                 )
@@ -184,7 +184,7 @@ def read_mass(
     whole = sum(volume(body.vertices, body.triangles) for body in bodies) if closed else 0.0
     if len(bodies) > 1 and whole > _hull_volume(bodies) * (1.0 + _OVERLAP):
         notes.add(
-            "ITS BODIES OVERLAP: volume, and mass by density, are larger than they are, of",
+            Sentence("ifc.note.overlap"),
             product.Name or label(product),
             at,
         )
@@ -196,18 +196,17 @@ def read_mass(
                 continue
             if isinstance(value, (int, float)) and not isinstance(value, bool):
                 if value <= 0:
-                    notes.add("Weights that are not above 0, left out, of", product.Name or label(product), at)
+                    notes.add(Sentence("ifc.note.no_weight"), product.Name or label(product), at)
                     continue
                 if not units.weighs and not _has_own_unit(product, name, quantity):
                     if not _is_power_of_ten(units.length):
                         notes.add(
-                            f"A weight of {value:.6g} without a unit can be kilograms or pounds: the project has no unit of "
-                            "mass, and its unit of length is not metric; not used, of",
+                            Sentence("ifc.note.weight_unit", weight=f"{value:.6g}"),
                             product.Name or label(product),
                             at,
                         )
                         continue
-                    notes.add("The project has no unit of mass; weights are taken as kilograms")
+                    notes.add(Sentence("ifc.note.kilograms"))
                 _doubt(product, at, float(value), whole, material, density, notes)
                 return float(value)
     if density is None or whole <= 0.0:
@@ -238,19 +237,20 @@ def _doubt(
         return
     shown, found = product.Name or at, mass / whole
     if density is not None and not 1 / _UNLIKE <= found / density <= _UNLIKE:
-        sentence = (
-            f"THE MASS IS DOUBTFUL: {mass:.3g} kg by its quantity, {density * whole:.3g} kg by volume and density"
-        )
-        notes.add(sentence, shown, at)
+        doubtful = Sentence("ifc.note.mass_by_density", given=f"{mass:.3g}", expected=f"{density * whole:.3g}")
+        notes.add(doubtful, shown, at)
         return
     lightest, heaviest = _densities(material)
     if not lightest <= found <= heaviest:
-        of = f" of {material}" if material else ""
-        sentence = (
-            f"THE MASS IS DOUBTFUL: {mass:.3g} kg for {1e3 * whole:.3g} l{of} is {found:.3g} kg/m³, "
-            f"expected {lightest:g} to {heaviest:g}"
-        )
-        notes.add(sentence, shown, at)
+        values = {
+            "mass": f"{mass:.3g}",
+            "litres": f"{1e3 * whole:.3g}",
+            "density": f"{found:.3g}",
+            "lightest": f"{lightest:g}",
+            "heaviest": f"{heaviest:g}",
+        }
+        of = Sentence("ifc.note.mass_of", material=material, **values)
+        notes.add(of if material else Sentence("ifc.note.mass", **values), shown, at)
 
 
 def _densities(material: str) -> tuple[float, float]:
@@ -273,14 +273,13 @@ def _density(product: ifcopenshell.entity_instance, at: str, units: Units, notes
     shown = f"{found[0]:g}"
     if factor is None:
         notes.add(
-            f"A density of {shown} without a unit can be kg/m³ or of the project's units of mass and volume "
-            "(pounds where it has feet or inches and no unit of mass), or is none of either; the mass is not known of",
+            Sentence("ifc.note.density_unit", density=shown),
             product.Name or label(product),
             at,
         )
         return None
     if units.density is None and found[1] is None and factor == 1.0 and not _is_metric(units):
-        notes.add(f"The project has no unit of density; {shown} is taken as kg/m³")
+        notes.add(Sentence("ifc.note.density", density=shown))
     return float(found[0] * factor)
 
 

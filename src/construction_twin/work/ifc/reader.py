@@ -21,7 +21,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.work.building import Body, BuildingModel, Element
-from construction_twin.work.ifc.geometry import MISSING, MISSING_CODE, NO_UNIT_CODES, WITH_ERROR, Shape, shapes
+from construction_twin.work.ifc.geometry import MISSING_CODE, NO_UNIT_CODES, Shape, shapes
 from construction_twin.work.ifc.notes import Notes, Where
 from construction_twin.work.ifc.placements import Placements, check_rigid
 from construction_twin.work.ifc.properties import read_mass, read_material, read_properties, read_status
@@ -52,8 +52,8 @@ _NOT_THERE = (
     "IfcExternalSpatialStructureElement",
 )
 _STATUS = {
-    "existing": "Existing elements: obstacles, never placed",
-    "demolish": "Elements that are to be taken down: obstacles until a person says that they are gone (`twin work removed`)",
+    "existing": Sentence("ifc.note.existing"),
+    "demolish": Sentence("ifc.note.demolish"),
 }
 #: What says where something is, what shape it has or in which unit; and what of that only says how it looks.
 _GEOMETRY = (
@@ -200,10 +200,7 @@ def _note_map(file: ifcopenshell.file, found: _Found) -> None:
             shift = [conversion.Eastings, conversion.Northings, conversion.OrthogonalHeight]
             turned = (conversion.XAxisOrdinate or 0.0) != 0.0
         shown = ", ".join(f"{value:.3f}" for value in shift)
-        turn = ", turned" if turned else ""
-        found.notes.add(
-            f"The map conversion (eastings, northings, height {shown}{turn}) is left out: poses are the model's own"
-        )
+        found.notes.add(Sentence("ifc.note.map_turned" if turned else "ifc.note.map", shift=shown))
 
 
 def _note_origin(file: ifcopenshell.file, found: _Found) -> None:
@@ -216,11 +213,8 @@ def _note_origin(file: ifcopenshell.file, found: _Found) -> None:
             matrix = np.array(ifcopenshell.util.placement.get_axis2placement(system), dtype=float)
         if not np.allclose(matrix, np.eye(4), atol=1e-9):
             shift = ", ".join(f"{value * found.units.length:.3f}" for value in matrix[:3, 3])
-            turn = "" if np.allclose(matrix[:3, :3], np.eye(3), atol=1e-9) else ", turned"
-            found.notes.add(
-                f"The world coordinate system of the model's context ({shift} m{turn}) is left out: poses are those of the "
-                "placements"
-            )
+            turned = not np.allclose(matrix[:3, :3], np.eye(3), atol=1e-9)
+            found.notes.add(Sentence("ifc.note.origin_turned" if turned else "ifc.note.origin", shift=shift))
 
 
 def _elements(file: ifcopenshell.file, found: _Found, progress: Progress) -> tuple[dict[str, Element], dict[int, str]]:
@@ -256,9 +250,9 @@ def _elements(file: ifcopenshell.file, found: _Found, progress: Progress) -> tup
         if count % 100 == 0:
             progress("elements", count, len(products))
         if product.id() in bodies and (product.id() not in made or not made[product.id()].bodies):
-            found.notes.add("Geometry that the kernel cannot make is left out of", ids[product.id()])
+            found.notes.add(Sentence("ifc.note.no_geometry"), ids[product.id()])
         if product.id() in made and (doubt := made[product.id()].doubt):
-            sentence = f"THE BODY IS DOUBTFUL: {doubt}, the arm does not place it"
+            sentence = Sentence("ifc.note.doubtful", doubt=doubt)
             found.notes.add(sentence, product.Name or ids[product.id()], ids[product.id()])
         with Where(found.name, product):
             element = _element(product, ids, matrices[product.id()], made.get(product.id()), found)
@@ -283,13 +277,13 @@ def _note_more(
     ]
     if len(same) > 1:
         notes.add(
-            f"Elements with {len(same)} bodies of one kind, of which the first is taken and the others are not",
+            Sentence("ifc.note.more_bodies", count=len(same)),
             about,
             element_id,
         )
     voids = getattr(product, "HasOpenings", None) or ()
     if any(body_of(relation.RelatedOpeningElement) is None for relation in voids):
-        notes.add("Openings without a body are not cut out of", about, element_id)
+        notes.add(Sentence("ifc.note.openings"), about, element_id)
 
 
 def _take_kernel_log(file: ifcopenshell.file, file_name: str, made: dict[int, Shape], notes: Notes) -> None:
@@ -308,10 +302,10 @@ def _take_kernel_log(file: ifcopenshell.file, file_name: str, made: dict[int, Sh
                 number = 0
             shape = made.get(number)
             if shape is not None and not shape.doubt and said.code == MISSING_CODE:
-                made[number] = shape.doubted(MISSING)
+                made[number] = shape.doubted(Sentence("ifc.doubt.missing"))
             elif shape is not None and not shape.doubt and said.is_error:
-                made[number] = replace(shape, doubt=WITH_ERROR.format(said.sentence))
-        notes.add(f"The geometry kernel says: {said.sentence}", said.about)
+                made[number] = replace(shape, doubt=Sentence("ifc.doubt.with_error", problem=said.sentence))
+        notes.add(Sentence("ifc.note.kernel", problem=said.sentence), said.about)
 
 
 def _products(file: ifcopenshell.file, found: _Found) -> list[ifcopenshell.entity_instance]:
@@ -350,21 +344,21 @@ def _element(
     bodies: tuple[Body, ...] = ()
     if matrix is None:
         if shape is None:
-            found.notes.add("Placed on a grid or an alignment, without a body: left out", element_id)
+            found.notes.add(Sentence("ifc.note.grid_without_body"), element_id)
             return None
         matrix = shape.model_T_shape
         check_rigid(found.name, product, matrix)
-        found.notes.add("Placed on a grid or an alignment, as the geometry kernel says", element_id)
+        found.notes.add(Sentence("ifc.note.grid"), element_id)
     if shape is not None:
         bodies = _in_frame(shape, matrix)
         if product.ObjectPlacement is None:
             found.notes.add(
-                "HAS A BODY AND NO PLACEMENT: where it is nobody says, taken at the model's origin",
+                Sentence("ifc.note.no_placement"),
                 product.Name or element_id,
                 element_id,
             )
     if np.abs(matrix[:3, 3]).max() > _FAR:
-        found.notes.add("More than 10 km from the model's origin (map coordinates in a placement?)", element_id)
+        found.notes.add(Sentence("ifc.note.far"), element_id)
     doubt = "" if shape is None else shape.doubt
     properties = read_properties(product, element_id, found.units, found.notes)
     material = read_material(product, element_id, found.notes)
@@ -421,7 +415,7 @@ def _without_doubles(elements: dict[str, Element], notes: Notes) -> dict[str, El
     for whole, parts in filled.items():
         own = _volume(elements[whole]) if whole in elements else 0.0
         if own > 0 and parts >= own / 2:
-            notes.add("Has a body and parts that fill it; only the parts' bodies are taken", whole)
+            notes.add(Sentence("ifc.note.parts"), whole)
             elements[whole] = replace(elements[whole], bodies=())
     return elements
 

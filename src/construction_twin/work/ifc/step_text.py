@@ -30,7 +30,6 @@ _TWICE = re.compile(r"Overwriting instance with name #(\d+)")
 _VALUES = re.compile(r"Expected (\d+) attribute values, found (\d+) for instance #(\d+)")
 _LOGGED = re.compile(r"^\[(\w+)\](?: \[(\w+)\])? \[[^\]]*\] (.*)$")
 _SHOWN = 200
-_LOST = "what they say, an order of tasks for instance, is lost"
 
 
 def check_whole(contents: bytes, name: str) -> None:
@@ -80,9 +79,7 @@ def in_ascii(contents: bytes, notes: Notes) -> bytes:
     result = _OTHER_LETTERS.sub(written, contents[3:] if marked else contents)
     if shown:
         said = {"utf-8": "UTF-8", "cp1252": "Latin-1 (Windows-1252)"}[code]
-        notes.add(
-            f"The file has letters that are not ASCII, which IFC does not allow; taken as {said}: {', '.join(shown)}"
-        )
+        notes.add(Sentence("ifc.note.letters", code=said, letters=", ".join(shown)))
     return result
 
 
@@ -146,28 +143,26 @@ def note_parser_log(
             raise BuildingError(name, f"#{found.group(1)}", Sentence("ifc.found.twice"), Sentence("expected.one"))
         elif (found := _VALUES.search(entry)) is not None:
             expected, given, number = map(int, found.groups())
-            sentence = (
-                f"A line with {given} values instead of {expected} ({schema}), taken as if the others were not said"
-            )
+            sentence = Sentence("ifc.note.values", given=given, expected=expected, schema=schema)
             notes.add(sentence, shown(number), global_id(number) if number in present else "")
             for each in referring.get(number, ()):
                 if each in present and (named := global_id(each)):
-                    notes.remark(f"{sentence}: {shown(number)}", named)
+                    notes.remark(Sentence("ifc.note.of", note=sentence, names=shown(number)), named)
         elif (found := _UNKNOWN.search(entry)) is not None:
             unknown = found.group(1).upper()
             if unknown not in {kinds[number] for number in dropped}:
-                sentence = f"VALUES LEFT OUT, of a kind that {schema} does not have: {unknown}, in"
+                sentence = Sentence("ifc.note.values_left_out", schema=schema, kind=unknown)
                 notes.add(sentence, _line_of(contents, found.group(3)))
         else:
             plain = _LOGGED.match(entry)
             if plain is not None and plain.group(1) in ("error", "warning"):
-                notes.add("The parser says", plain.group(3)[:_SHOWN])
+                notes.add(Sentence("ifc.note.parser"), plain.group(3)[:_SHOWN])
     for number, references in dropped.items():
-        sentence = f"LINES LEFT OUT, of a kind that {schema} does not have or that cannot be read: {_LOST}"
+        sentence = Sentence("ifc.note.lines_left_out", schema=schema)
         notes.add(sentence, shown(number))
         for each in references:
             if each in present and (named := global_id(each)):
-                notes.remark(f"{sentence}: {shown(number)}", named)
+                notes.remark(Sentence("ifc.note.of", note=sentence, names=shown(number)), named)
 
 
 def _line_of(contents: bytes, offset: str | None) -> str:

@@ -16,6 +16,7 @@ import ifcopenshell.util.date
 import ifcopenshell.util.element
 import isodate
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import Sequence, Task
 from construction_twin.work.ifc.notes import Notes, Where, label
@@ -23,10 +24,7 @@ from construction_twin.work.ifc.properties import read_properties
 from construction_twin.work.ifc.units import Units
 from construction_twin.work.recipe import PROPERTY_SET, RECIPE
 
-_CALENDAR = (
-    "Calendars are not read: lags and durations count around the clock, holidays and nights included, of tasks of one"
-)
-_NO_TIME = "The project has no unit of time: a lag or duration that is a number is taken as seconds"
+_NO_TIME = Sentence("ifc.note.no_time_unit")
 _KINDS = ("FINISH_START", "START_START", "FINISH_FINISH", "START_FINISH")
 #: Resources that do work; materials and products are no robots.
 _WORKERS = ("IfcConstructionEquipmentResource", "IfcCrewResource", "IfcLaborResource", "IfcSubContractResource")
@@ -100,7 +98,7 @@ def read_tasks(
     for entity in entities:
         if calendar := _calendar(entity, assigned):
             about = entity.Name or task_ids[entity.id()]
-            notes.add(f"{_CALENDAR} ({calendar})", about, task_ids[entity.id()])
+            notes.add(Sentence("ifc.note.calendar", calendar=calendar), about, task_ids[entity.id()])
         with Where(name, entity):
             task = _task(entity, name, task_ids, assigned, ids, set(workpieces), units, notes)
             tasks[task.id] = _as_recorded(task, recorded, notes)
@@ -123,7 +121,7 @@ def unique_id(entity: ifcopenshell.entity_instance, taken: Collection[str], note
     )
     if allowed and given not in taken:
         return given
-    notes.add("Named by the number in the file, because the GlobalId is missing, wrong or another one's", label(entity))
+    notes.add(Sentence("ifc.note.numbered"), label(entity))
     return f"#{entity.id()}"
 
 
@@ -186,7 +184,7 @@ def _scheduled(
             top = parent
         schedule = assigned.schedules.get(top.id())
         if schedule is None:
-            key, schedules[0] = 0, ("(tasks without a schedule)", "")
+            key, schedules[0] = 0, (Sentence("ifc.note.without_schedule"), "")
         else:
             key = schedule.id()
             schedules[key] = (schedule.Name or "", _schedule_kind(schedule))
@@ -194,9 +192,10 @@ def _scheduled(
     kept = [key for key, (_, kind) in schedules.items() if kind not in _OTHER_SCHEDULES] or list(schedules)
     for key in schedules.keys() - set(kept):
         name, kind = schedules[key]
-        notes.add(f"Schedules of the kind {kind}, left out with their tasks because there is another", name)
+        notes.add(Sentence("ifc.note.other_schedules", kind=kind), name)
     if len(kept) > 1:
-        notes.add(f"{len(kept)} schedules, whose tasks are all read: {', '.join(schedules[key][0] for key in kept)}")
+        names = ", ".join(schedules[key][0] for key in kept)
+        notes.add(Sentence("ifc.note.schedules", count=len(kept), names=names))
     wanted = {entity.id() for key in kept for entity in by_schedule[key]}
     return [entity for entity in entities if entity.id() in wanted]
 
@@ -240,14 +239,10 @@ def _as_recorded(task: Task, recorded: set[str], notes: Notes) -> Task:
     if task.kind != "makes" or task.completed or not made:
         return task
     if made == set(task.products):
-        sentence = "Tasks that a schedule of the kind ACTUAL says are completed: not done again, what they made stands"
+        sentence = Sentence("ifc.note.recorded")
         notes.add(sentence, task.name or task.id, task.id)
         return replace(task, completed=True)
-    sentence = (
-        "TASKS OF WHICH A SCHEDULE OF THE KIND ACTUAL SAYS THAT A PART IS DONE, taken as still to be done; skip what stands "
-        "already"
-    )
-    notes.add(sentence, task.name or task.id, task.id)
+    notes.add(Sentence("ifc.note.recorded_part"), task.name or task.id, task.id)
     return task
 
 
@@ -270,13 +265,13 @@ def _task(
     by_recipe = properties.get(RECIPE) is not None
     kind = _kind(entity, assigned, task_id, shown, by_recipe, notes) if not cancelled else "other"
     if cancelled:
-        sentence = "Tasks that the file says are cancelled: not done, nothing waits for them but what comes before"
+        sentence = Sentence("ifc.note.cancelled")
         notes.add(sentence, shown, task_id)
     if by_recipe and not products and kind == "makes":
         products, inputs = inputs, []
     elif not products and inputs and kind == "makes" and (made := [each for each in inputs if each in workpieces]):
         notes.add(
-            "Tasks whose workpieces are assigned as inputs only (IfcRelAssignsToProcess); taken as what they make",
+            Sentence("ifc.note.inputs_only"),
             shown,
             task_id,
         )
@@ -315,20 +310,18 @@ def _kind(
         said = _said_kind(each)
         if said:
             break
-    of = "" if said and said == _said_kind(entity) else " (said of what they nest in)"
+    shown_kind = said if said and said == _said_kind(entity) else Sentence("ifc.note.kind_nested", kind=said)
     if said in _TAKES_DOWN or any(word in said.casefold() for word in _TAKES_DOWN_WORDS):
-        notes.add(
-            f"Tasks of the kind {said}{of}: the arm takes nothing down, a person says when it is gone", shown, task_id
-        )
+        notes.add(Sentence("ifc.note.takes_down", kind=shown_kind), shown, task_id)
         return "takes_down"
     if by_recipe:
         return "makes"
     if said and said not in _MAKES:
-        notes.add(f"Tasks of the kind {said}{of}, which places nothing; kept for the order", shown, task_id)
+        notes.add(Sentence("ifc.note.places_nothing", kind=shown_kind), shown, task_id)
         return "other"
     own = _own_word(entity)
     if own and own.upper() not in _MAKES:
-        notes.add(f"Tasks of a kind of their own ({own!r}), taken as placing", shown, task_id)
+        notes.add(Sentence("ifc.note.own_kind", kind=repr(own)), shown, task_id)
     return "makes"
 
 
@@ -366,11 +359,7 @@ def _doubt_names(
     for each in _above(entity, assigned):
         name = each.Name or ""
         if any(word in name.casefold() for word in _TAKES_DOWN_WORDS if word != "tear"):
-            sentence = (
-                f"TASKS THAT MAY TAKE DOWN WHAT THEY ARE TAKEN TO PLACE: the name {name!r} says so, their kind does not; skip "
-                "them, or have the model say the kind"
-            )
-            notes.add(sentence, shown, task_id)
+            notes.add(Sentence("ifc.note.may_take_down", name=repr(name)), shown, task_id)
             return
 
 
@@ -414,32 +403,31 @@ def _completed(
     status = _status_word(entity)
     part = getattr(time, "Completion", None)
     if _says_completed(entity, control):
-        sentence = "Tasks that the file says are completed: not done again, what they made stands"
+        sentence = Sentence("ifc.note.completed")
         notes.add(sentence, shown, task_id)
         if status and status not in _DONE_WORDS:
-            notes.add(
-                f"Tasks with the status {entity.Status!r} whose times say that they are completed", shown, task_id
-            )
+            notes.add(Sentence("ifc.note.completed_by_times", status=repr(entity.Status)), shown, task_id)
         return True
     begun = getattr(time, "ActualStart", None) is not None or (isinstance(part, (int, float)) and part > 0)
-    said = f"status {entity.Status!r}" if status else "a start or a part that is done"
+    by_status = Sentence("ifc.note.begun_status", status=repr(entity.Status))
+    said = by_status if status else Sentence("ifc.note.begun_times")
     whole = next(
         (each for each in _above(entity, assigned) if _says_completed(each, assigned.times.get(each.id()))), None
     )
     if whole is not None:
-        about = f"what they nest in ({whole.Name or whole.GlobalId}) is"
+        because = Sentence("ifc.note.nest_in", name=whole.Name or whole.GlobalId)
         if status or begun:
             notes.add(
-                f"TASKS THAT MAY NOT BE COMPLETED ({said}), taken as completed because {about}: what they make counts as standing",
+                Sentence("ifc.note.maybe_not_completed", said=said, because=because),
                 shown,
                 task_id,
             )
         else:
-            notes.add(f"Tasks taken as completed because {about}: what they made stands", shown, task_id)
+            notes.add(Sentence("ifc.note.completed_by_whole", because=because), shown, task_id)
         return False
     if begun or (status and status not in _NOT_BEGUN_WORDS):
         notes.add(
-            f"TASKS THAT MAY HAVE BEGUN ({said}), taken as still to be done; if what they make stands already, skip them",
+            Sentence("ifc.note.maybe_begun", said=said),
             shown,
             task_id,
         )
@@ -451,7 +439,7 @@ def _elements(
 ) -> list[str]:
     for entity in entities:
         if entity.id() not in ids:
-            notes.add(f"Assigned to a task but no element ({entity.is_a()}); left out of", task, at)
+            notes.add(Sentence("ifc.note.no_element", kind=entity.is_a()), task, at)
     return list(dict.fromkeys(ids[entity.id()] for entity in entities if entity.id() in ids))
 
 
@@ -484,7 +472,7 @@ def _moment(value: str | ifcopenshell.entity_instance | None, task: str, task_id
                 return str(ifcopenshell.util.date.ifc2datetime(value).isoformat())  # type: ignore[union-attr]
             return _date_and_time(value).isoformat()
     except BuildingError:
-        notes.add("A time that is no date, left out, of tasks", task, task_id)
+        notes.add(Sentence("ifc.note.no_date"), task, task_id)
         return ""
 
 
@@ -501,15 +489,14 @@ def _date_and_time(value: ifcopenshell.entity_instance) -> datetime:
 
 def _seconds(value: str, about: str, at: Iterable[str], notes: Notes) -> float | None:
     """Return a duration [s]; one that cannot be read is noted, also at the tasks of these ids."""
-    sentence = ""
     try:
         parsed = isodate.parse_duration(value)
     except (ValueError, TypeError, OverflowError, ArithmeticError):
-        sentence = f"{value[:40]!r} is no duration of ISO 8601, left out, of tasks"
+        sentence = Sentence("ifc.note.no_duration", value=repr(value[:40]))
     else:
         if isinstance(parsed, timedelta):
             return parsed.total_seconds()
-        sentence = f"A duration in years or months ({value[:40]!r}) has no length in seconds, left out, of tasks"
+        sentence = Sentence("ifc.note.years", value=repr(value[:40]))
     _told(sentence, about, at, notes)
     return None
 
@@ -531,11 +518,11 @@ def _sequence(
     before, after = (task_ids.get(end.id()) for end in (relation.RelatingProcess, relation.RelatedProcess))
     if before is None or after is None:
         at = [task for task in (before, after) if task is not None]
-        _told("Orders with something that is no task of the schedule, left out", label(relation), at, notes)
+        _told(Sentence("ifc.note.foreign_order"), label(relation), at, notes)
         return None
     kind = relation.SequenceType
     if kind not in _KINDS:
-        sentence = "Orders without one of the four kinds, taken as finish to start"
+        sentence = Sentence("ifc.note.order_kind")
         _told(sentence, label(relation), (before, after), notes)
         kind = _KINDS[0]
     return Sequence(before, after, kind, _lag(relation, tasks[before], after, time_unit, notes))
@@ -556,15 +543,15 @@ def _lag(
         value = lag.LagValue
         if value.is_a("IfcRatioMeasure"):
             if before.duration is None:
-                _told("A lag that is a part of a duration that is not known, left out, of", about, at, notes)
+                _told(Sentence("ifc.note.lag_unknown"), about, at, notes)
                 return 0.0
             seconds = value.wrappedValue * before.duration
-            _told("A lag that is a part of the duration of the task before, of", about, at, notes)
+            _told(Sentence("ifc.note.lag_part"), about, at, notes)
         else:
             seconds = _seconds(value.wrappedValue, about, at, notes)
         if lag.DurationType == "WORKTIME" and seconds:
             _told(
-                "A lag in working time is waited for around the clock (no calendar is read), between the tasks of",
+                Sentence("ifc.note.lag_working"),
                 about,
                 at,
                 notes,

@@ -95,7 +95,7 @@ def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
             name, Sentence("ifc.length_unit"), Sentence("ifc.found.metres", length=length), Sentence("ifc.drawn_in")
         )
     if "PLANEANGLEUNIT" not in given:
-        notes.add("The project has no unit of angles; radians are assumed")
+        notes.add(Sentence("ifc.note.radians"))
     return Units(
         length,
         _scale(file, name, "AREAUNIT") if "AREAUNIT" in given else length**2,

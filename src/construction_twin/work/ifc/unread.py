@@ -10,16 +10,16 @@ from construction_twin.work.ifc.notes import Notes, Where
 
 #: Entities whose meaning the work would need, and what is not done with them.
 _UNREAD = {
-    "IfcWorkCalendar": "calendars: lags and durations count around the clock",
-    "IfcTaskTimeRecurring": "times of tasks that are repeated: only the first is read",
-    "IfcEvent": "events: no task waits for one",
-    "IfcProcedure": "procedures: no task waits for one",
-    "IfcOrderAction": "actions of an order (IFC2x3), of which only what every task has is read",
-    "IfcRelConnectsElements": "connections of elements: what holds what is seen from the shapes only",
-    "IfcRelConnectsStructuralActivity": "loads",
-    "IfcRelProjectsElement": "projections from elements, which stand as elements of their own",
-    "IfcRelInterferesElements": "interferences that their author knows of",
-    "IfcConstraint": "constraints",
+    "IfcWorkCalendar": Sentence("ifc.unread.calendars"),
+    "IfcTaskTimeRecurring": Sentence("ifc.unread.recurring"),
+    "IfcEvent": Sentence("ifc.unread.events"),
+    "IfcProcedure": Sentence("ifc.unread.procedures"),
+    "IfcOrderAction": Sentence("ifc.unread.orders"),
+    "IfcRelConnectsElements": Sentence("ifc.unread.connections"),
+    "IfcRelConnectsStructuralActivity": Sentence("ifc.unread.loads"),
+    "IfcRelProjectsElement": Sentence("ifc.unread.projections"),
+    "IfcRelInterferesElements": Sentence("ifc.unread.interferences"),
+    "IfcConstraint": Sentence("ifc.unread.constraints"),
 }
 
 
@@ -37,8 +37,8 @@ def note_unread(file: ifcopenshell.file, name: str, elements: dict[str, Element]
                 # not of this schema
                 continue
             if count:
-                notes.add(f"Not read: {count} {kind}, {meaning}")
+                notes.add(Sentence("ifc.note.unread", count=count, kind=kind, meaning=meaning))
     wholes = {element.assembly for element in elements.values()}
     for element in elements.values():
         if not element.bodies and element.id not in wholes:
-            notes.add("Elements without a body are no obstacle", element.name or element.id, element.id)
+            notes.add(Sentence("ifc.note.no_body"), element.name or element.id, element.id)
