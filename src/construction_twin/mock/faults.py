@@ -153,10 +153,12 @@ class FaultBoard:
             raise ConfigurationError(fault.name, fault.values, str(error)) from error
         self.changes += 1
         if not kind.lasting:
-            return f"{fault.name} is carried out"
+            return Sentence("fault.happened", fault=fault.name)
         cycles = math.ceil(fault.duration / self.controller.config.period - 1e-9) if fault.duration else math.inf
         self._active[fault.name, fault.subject] = fault, self._cycle + cycles
-        return f"{fault} is on" + (f" for {fault.duration:g} s" if fault.duration else "")
+        if fault.duration:
+            return Sentence("fault.on_for", fault=str(fault), seconds=fault.duration)
+        return Sentence("fault.on", fault=str(fault))
 
     def end(self, fault: Fault) -> str:
         """Switch a fault off; only name, axis and direction count.
@@ -174,7 +176,7 @@ class FaultBoard:
         stop()
         del self._active[fault.name, fault.subject]
         self.changes += 1
-        return f"{fault} is over"
+        return Sentence("fault.over", fault=str(fault))
 
     def _is_over(self, fault: Fault) -> bool:
         return fault.name == "rsi_timeout" and not self.controller.running

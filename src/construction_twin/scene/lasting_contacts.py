@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from construction_twin.core.sentences import Sentence, Value
 from construction_twin.scene.collision_world import CollisionWorld
 
 #: A base that overlaps an object by less than this stands on it [m].
@@ -36,19 +37,16 @@ class LastingContact:
     kept: float
     moves: bool
 
-    def __str__(self) -> str:
-        pair = f"object {self.name!r} and link {self.link!r}"
-        allow = f"add `touch: [{self.link}]` to the object"
+    @property
+    def sentence(self) -> Sentence:
+        """What it is, what follows from it, and what to do."""
+        pair: dict[str, Value] = {"object": repr(self.name), "link": repr(self.link), "name": self.link}
         if not self.moves:
-            return (
-                f"{pair} overlap by {-self.distance * 1e3:.1f} mm; no joint moves the link, so this is not checked. If they do not "
-                f"overlap in the cell, correct the object's position or size, or raise the arm; if they do, {allow}"
-            )
-        apart = "overlap by" if self.distance < 0.0 else "are apart by"
-        return (
-            f"{pair} {apart} {abs(self.distance) * 1e3:.1f} mm, expected {self.kept * 1e3:.1f} mm of clearance, in every pose of "
-            f"the arm: nothing can be planned. Move the object, raise the arm or lower `padding`; if they may touch, {allow}"
-        )
+            return Sentence("scene.lasting.base", depth=-self.distance * 1e3, **pair)
+        kept = self.kept * 1e3
+        if self.distance < 0.0:
+            return Sentence("scene.lasting.overlap", depth=-self.distance * 1e3, kept=kept, **pair)
+        return Sentence("scene.lasting.near", distance=self.distance * 1e3, kept=kept, **pair)
 
 
 def lasting_contacts(world: CollisionWorld) -> list[LastingContact]:

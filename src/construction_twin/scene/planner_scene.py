@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.scene.collision_bodies import RobotBodies
@@ -116,7 +117,7 @@ def scene_text(told: PlannerScene, name: str, beside: Iterable[PlannerObject] = 
         _write_object(item, item.pose, out)
     print(".", file=out)
     left_out = tuple(
-        f"{item.name!r} is carried by {item.frame}: the format has no carried objects, attach it in the panel"
+        Sentence("scene.told.carried", object=repr(item.name), frame=item.frame)
         for item in told.objects
         if item.carried
     )
@@ -185,4 +186,4 @@ def _remarks(scene: Scene) -> Iterable[str]:
     for item in scene.objects:
         margin = item.padding + (0.0 if item.link else scene.padding)
         if item.shape == "mesh" and margin > 0.0:
-            yield f"{item.name!r} is a mesh: its padding of {margin * 1e3:g} mm is not in it"
+            yield Sentence("scene.told.mesh", object=repr(item.name), padding=margin * 1e3)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
@@ -140,7 +141,7 @@ def _other_order(
         left = _without(scene, element)
         if len(left.objects) == len(scene.objects):
             continue
-        sentence = f"place it before {placed[element] or element!r}, which is in the way"
+        sentence = Sentence("work.change.order", element=repr(placed[element] or element))
         yield Candidate(Change("order", sentence), _asked_of(job, left), left, lambda: planner)
 
 
@@ -175,8 +176,9 @@ def _other_places(job: WorkJob, scene: Scene, planner: TaskPlanner, placed: Mapp
         move = _move(job.base_T_goal, x, y, turn)
         there = _moved(scene, move, job, placed)
         goal = replace(job, base_T_goal=product(move, job.base_T_goal))
-        how = f"turned by {turn:g} deg" if turn else f"{_shift(x, 'x')}{_shift(y, 'y')}"
-        sentence = f"build it {how}, seen from the robot's base: move model_T_base and what the work stands on with it"
+        by, axis = (x, "x") if x else (y, "y")
+        shifted = Sentence("work.change.shifted", by=abs(by), direction=f"{'-' if by < 0 else '+'}{axis}")
+        sentence = Sentence("work.change.turned", turn=turn) if turn else shifted
         yield Candidate(Change("base", sentence), goal, there, lambda: planner)
 
 
@@ -184,11 +186,7 @@ def _longer(
     job: WorkJob, scene: Scene, longer: Iterable[tuple[float, Callable[[], TaskPlanner]]]
 ) -> Iterator[Candidate]:
     for by, make in longer:
-        yield Candidate(Change("track", f"give the track {by:g} m more at both ends"), job, scene, make)
-
-
-def _shift(value: float, axis: str) -> str:
-    return f"{abs(value):g} m further in {'-' if value < 0 else '+'}{axis}" if value else ""
+        yield Candidate(Change("track", Sentence("work.change.track", by=by)), job, scene, make)
 
 
 def _move(about: Pose, x: float, y: float, turn_deg: float) -> Pose:

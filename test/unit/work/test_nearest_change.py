@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sentence_checks import because
+from sentence_checks import because, has_parts
 from work_samples import building, element, layout, planner, recipes, robot, site
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.work.motions import TaskLimits
 from construction_twin.work.nearest_change import longer_track, nearest_change
@@ -47,7 +48,11 @@ def test_another_grip_is_named_with_its_key(tmp_path):
     with pytest.raises(TaskPlanningError, match="3 are needed"):
         planner(odd, limits=SHORT).plan(job, HOME, scene)
     change = nearest_change(job, HOME, scene, planner(odd, limits=SHORT), {})
-    assert change.kind == "grip" and "yaws_deg" in change.sentence
+    assert (
+        change.kind == "grip"
+        and change.sentence.key == "work.change.grip"
+        and change.sentence.values["key"] == "yaws_deg"
+    )
 
 
 def test_a_neighbour_that_came_too_early_is_named(tmp_path):
@@ -63,7 +68,7 @@ def test_a_neighbour_that_came_too_early_is_named(tmp_path):
     found = layout(site(tmp_path, {"racks": {"r": rack}}), model)
     job, scene, why = failed(found, "low", WorkState({"high": found.base_T_goal("high")}))
     change = change_for(job, scene, why, {"high": "the high one"})
-    assert change.kind == "order" and "'the high one'" in change.sentence
+    assert change.kind == "order" and change.sentence == Sentence("work.change.order", element="'the high one'")
     waits = change_for(job, scene, why, {"high": "the high one"}, before={"high"})
     assert waits is None or waits.kind != "order"
 
@@ -95,9 +100,7 @@ def test_what_cannot_come_from_the_side_comes_from_a_little_above(tmp_path):
     assert why.stage == "set down"
     change = nearest_change(job, HOME, scene, planner(sideways, limits=SHORT), {}, failure=why)
     assert change.kind == "direction"
-    assert (
-        "set it down from [0, -1, 0.5]" in change.sentence and "place/arrive of its recipe 'brick'" in change.sentence
-    )
+    assert has_parts(change.sentence, "work.change.set_down", "[0, -1, 0.5]", "place/arrive", "'brick'")
     # what it says helps
     place = sideways.recipes["brick"].place.model_copy(update={"arrive": ((0.0, -1.0, 0.5),)})
     said = replace(sideways, recipes={"brick": sideways.recipes["brick"].model_copy(update={"place": place})})
@@ -120,7 +123,7 @@ def test_a_vector_without_a_length_is_no_direction():
 def test_a_property_that_would_override_the_advice_is_named(tmp_path):
     job, scene, sideways, why = beside_the_table(tmp_path, {"CTwin_RobotTask": {"Arrive": "-y"}})
     change = nearest_change(job, HOME, scene, planner(sideways, limits=SHORT), {}, failure=why)
-    assert change.kind == "direction" and change.sentence.endswith("take CTwin_RobotTask.Arrive from the element")
+    assert change.kind == "direction" and has_parts(change.sentence, "work.change.and_take", "CTwin_RobotTask.Arrive")
 
 
 class OnlyWithout:
@@ -175,7 +178,7 @@ def test_a_work_that_is_too_far_away_comes_nearer(tmp_path):
     found = layout(site(tmp_path, {"model_T_base": {"xyz": [0.0, -2.7, -0.6]}}, objects), building(element("b")))
     job, scene, why = failed(found, "b")
     change = change_for(job, scene, why)
-    assert change.kind == "base" and "further in -y" in change.sentence
+    assert change.kind == "base" and has_parts(change.sentence, "work.change.shifted", "-y")
 
 
 def test_a_longer_track_helps_where_the_work_is_beyond_its_end(tmp_path):
@@ -187,7 +190,7 @@ def test_a_longer_track_helps_where_the_work_is_beyond_its_end(tmp_path):
     assert why.stage == "reach"
     longer = [(by, lambda by=by: planner(of=longer_track(robot(), by), limits=SHORT)) for by in (0.2, 2.0)]
     change = change_for(job, scene, why, longer=longer)
-    assert change.kind == "track" and "2 m more" in change.sentence
+    assert change.kind == "track" and change.sentence == Sentence("work.change.track", by=2.0)
     stops = iter([True, True])
     assert change_for(job, scene, why, longer=longer, going_on=lambda: next(stops, False)) is None
 

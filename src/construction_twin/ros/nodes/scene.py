@@ -197,7 +197,7 @@ class SceneNode:
 
     def _new_lasting_contacts(self) -> list[str]:
         """Look for contacts that no motion of the arm ends; return what there is to say about those that are new."""
-        before, self._lasting = self._lasting, [str(contact) for contact in lasting_contacts(self._world)]
+        before, self._lasting = self._lasting, [contact.sentence for contact in lasting_contacts(self._world)]
         return [sentence for sentence in self._lasting if sentence not in before]
 
     def check(self) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import Scene
 from construction_twin.work.jobs import WorkJob
@@ -36,10 +37,10 @@ def changes(job: WorkJob, scene: Scene, planner: TaskPlanner, stage: str) -> Ite
 def _other_grips(job: WorkJob, scene: Scene, planner: TaskPlanner) -> Iterator[Candidate]:
     recipes = planner.recipes
     for words, key, update in (
-        ("the tool turned by quarter turns", "yaws_deg", {"yaws_deg": _YAWS_DEG}),
-        ("every flat face", "faces", {"yaws_deg": _YAWS_DEG, "faces": ("up", "any")}),
+        (Sentence("work.change.quarter_turns"), "yaws_deg", {"yaws_deg": _YAWS_DEG}),
+        (Sentence("work.change.faces"), "faces", {"yaws_deg": _YAWS_DEG, "faces": ("up", "any")}),
         (
-            "places further from the middle",
+            Sentence("work.change.places"),
             "along, across, lever",
             {
                 "yaws_deg": _YAWS_DEG,
@@ -57,7 +58,7 @@ def _other_grips(job: WorkJob, scene: Scene, planner: TaskPlanner) -> Iterator[C
             else recipe
             for name, recipe in recipes.recipes.items()
         }
-        sentence = f"allow {words} in its recipe ({key}), or in {PROPERTY_SET}"
+        sentence = Sentence("work.change.grip", words=words, key=key, set=PROPERTY_SET)
         other = Recipes(recipes.file, wider)
         asked = _without_overrides(job, [("grips", name) for name in update])
         yield Candidate(Change("grip", sentence), asked, scene, partial(planner.with_recipes, other))
@@ -74,28 +75,30 @@ def _other_directions(job: WorkJob, scene: Scene, planner: TaskPlanner, stage: s
     """Yield other sides from which it is set down, or to which it is lifted off the stock, where that was not possible."""
     if stage not in (LIFT, SET_DOWN):
         return
-    part, key, words, pose = (
-        ("stock", "leave", "lift it towards", job.base_T_stock)
+    part, key, change, pose = (
+        ("stock", "leave", "work.change.lift", job.base_T_stock)
         if stage == LIFT
-        else ("place", "arrive", "set it down from", job.base_T_goal)
+        else ("place", "arrive", "work.change.set_down", job.base_T_goal)
     )
     assert pose is not None
     recipes = planner.recipes
     name, recipe = recipes.of(job)
     part_of = getattr(recipe, part)
     asked = _without_overrides(job, [(part, key)])
-    note = (
-        "" if asked.properties == job.properties else f", and take {PROPERTY_SET}.{key.capitalize()} from the element"
-    )
     for other in other_directions(getattr(part_of, key), pose):
         changed = recipe.model_copy(update={part: part_of.model_copy(update={key: (other,)})})
-        shown = f"[{', '.join(f'{value:g}' for value in other)}]" if isinstance(other, tuple) else other
-        seen = (
-            "seen from the robot's base" if isinstance(other, tuple) else "of the element" if other != "up" else "above"
-        )
-        sentence = f"{words} {shown} ({seen}): {part}/{key} of its recipe {name!r}{note}"
+        sentence = Sentence(change, direction=_shown(other), key=f"{part}/{key}", recipe=repr(name))
+        if asked.properties != job.properties:
+            overrides = f"{PROPERTY_SET}.{key.capitalize()}"
+            sentence = Sentence("work.change.and_take", change=sentence, name=overrides)
         with_it = Recipes(recipes.file, {**recipes.recipes, name: changed})
         yield Candidate(Change("direction", sentence), asked, scene, partial(planner.with_recipes, with_it))
+
+
+def _shown(way: Direction) -> Sentence:
+    if isinstance(way, tuple):
+        return Sentence("work.change.seen_from_base", direction=f"[{', '.join(f'{value:g}' for value in way)}]")
+    return Sentence("work.change.above" if way == "up" else "work.change.of_element", direction=way)
 
 
 def other_directions(given: Sequence[Direction], base_T_element: Pose) -> Iterator[Direction]:
