@@ -132,7 +132,7 @@ def test_what_lay_on_its_way_starts_nothing_and_who_looks_again_can_ask_anew(pag
     (
         ("viewer-vic", False, False, False),
         ("stopper-sam", True, False, False),
-        ("planner-pia", False, False, True),
+        ("planner-pia", True, False, True),
         ("reviewer-bob", True, True, False),
     ),
 )

@@ -22,6 +22,7 @@ from websockets.sync.client import connect
 from construction_twin.core.freshness import parse_moment, staleness
 from construction_twin.core.units import from_wire
 from construction_twin.kinematics.chain import Chain
+from construction_twin.link.remote_view import COMPATIBLE, VERSION
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.ros.shared.robot_clock import present
@@ -178,7 +179,7 @@ class ConsoleTest(RobotTest):
         wait(lambda: console.line("startup").get("state") == "ready", "the start on the status line")
         self.assertEqual({line["topic"] for line in console.newest("screen")}, {"startup", "link", "sync", "execution"})
         view = console.newest("view")
-        self.assertEqual((view["version"], view["compatible"], view["online"]), (3, 1, True))
+        self.assertEqual((view["version"], view["compatible"], view["online"]), (VERSION, COMPATIBLE, True))
         wait(lambda: (console.newest("view")["closest"] or {}).get("between"), "the closest two bodies")
         wait(lambda: console.newest("view")["link"]["round_trip_ms"], "the round trip")
         scene = console.newest("scene")

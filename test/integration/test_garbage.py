@@ -50,6 +50,8 @@ HEARD_BY = {
     "tool": {"executor"},
     "review": set(),
     "sync": {"executor", "mqtt_bridge"},
+    "hold": set(),
+    "approval_obstacle": set(),
     "link": {"pca_monitor", "executor", "virtual_robot"},
     "scene": {"executor", "planner"},
     "plan_outcome": set(),

@@ -6,8 +6,9 @@
  * Events, all with `at`:
  *   connected, disconnected
  *   plan {plan: {id, hash, refused} or null}   from the store; `refused`: why it cannot be shown, else ""
- *   view {plan: id, obstacle}                  a view came; id of the plan under review, "" for none; undefined: it does not say;
- *                                              `obstacle`: why it could not be approved now, "" when it could
+ *   view {plan: id, obstacle, ended}           a view came; id of the plan under review, "" for none; undefined: it does not say;
+ *                                              `obstacle`: why it could not be approved now, "" when it could; `ended`: id of the
+ *                                              last plan that has ended
  *   old                                        no view for a second
  *   looked {what, hash}                        the page showed the plan of this hash: "shown" (again and again), "played" (to its
  *                                              end), "checks" (its checks were opened)
@@ -104,9 +105,11 @@ const keepPlan = () => ({gone: false});
 const leave = () => ({...forget(), plan: null, gone: false, live: false, viewPlan: undefined, obstacle: "", sent: null});
 const leaveUnknown = (machine) => ({...leave(), notice: {kind: "unknown", verdict: machine.sent.verdict}});
 const leavePressing = () => ({...leave(), notice: {kind: "cancelled", why: "offline"}});
-const see = (machine, {plan, obstacle = ""}) => {
+const see = (machine, {plan, obstacle = "", ended = ""}) => {
   const other = machine.plan !== null && plan !== undefined && plan !== machine.plan.id;
-  return {...(other ? forget() : {}), live: true, viewPlan: plan, obstacle};
+  // that an approval was accepted is news until its plan has ended
+  const over = machine.notice?.kind === "accepted" && machine.notice.plan === ended;
+  return {...(other ? forget() : {}), ...(over ? {notice: null} : {}), live: true, viewPlan: plan, obstacle};
 };
 const grow = (machine, {at, what, hash}) => {
   if (machine.plan === null || hash !== machine.plan.hash) return {shownAt: null};
@@ -126,7 +129,7 @@ const send = (verdict) => (machine, {at, reviewer, reason = ""}) => ({
 const fail = (machine, {reason}) => ({...forget(), sent: null, notice: {kind: "failed", reason, verdict: machine.sent.verdict}});
 const wait = (machine, {at}) => ({sent: {...machine.sent, at}});
 const giveUp = (machine) => ({...forget(), sent: null, notice: {kind: "unanswered", verdict: machine.sent.verdict, sent: machine.sent}});
-const win = (machine, {ack}) => ({sent: null, notice: {kind: "accepted", verdict: ack.verdict, reason: ack.reason}});
+const win = (machine, {ack}) => ({sent: null, notice: {kind: "accepted", verdict: ack.verdict, reason: ack.reason, plan: ack.plan_id}});
 /** What an answer that says no tells; `expired`: it came too late after what the page had shown, and a person must look again. */
 const told = ({verdict}, {ack}) => ({kind: ack.expired === true ? "expired" : "refused", verdict, reason: ack.reason});
 /** What was looked at stays looked at, unless the answer says that it is too long ago. */

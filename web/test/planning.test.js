@@ -277,6 +277,21 @@ test("what was too old is told apart from what cannot be planned", () => {
   assert.deepEqual([asking.state, asking.isBusy], ["expired", false]);
 });
 
+test("that there is a plan is said while it is under review", () => {
+  const after = (...reviewed) => {
+    const asking = new Asking("run");
+    asking.ask(wayBackRequest(), 0, "c0ffee00-7");
+    asking.onReviewed(reviewed[0]);
+    asking.onAnswer({id: "run-1", ok: true, reason: "", plan_id: "p7"});
+    for (const id of reviewed.slice(1)) asking.onReviewed(id);
+    return asking.state;
+  };
+  assert.equal(after("", "p7"), "done");
+  assert.equal(after("p6", "p6"), "done", "the answer has overtaken the plan");
+  assert.equal(after("", "p7", ""), "idle");
+  assert.equal(after("p7", "p8"), "idle");
+});
+
 test("an answer that overtakes the broker's own stays", () => {
   const asking = new Asking("run");
   asking.ask(wayBackRequest(), 0);

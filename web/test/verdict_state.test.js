@@ -133,12 +133,19 @@ test("the broker's refusal is shown, and the plan must be looked at again", () =
 });
 
 test("the executor's answer is shown", () => {
-  assert.deepEqual(run([...SENT, "taken", ack()]).machine.notice, {kind: "accepted", verdict: "approved", reason: "moves"});
+  assert.deepEqual(run([...SENT, "taken", ack()]).machine.notice, {kind: "accepted", verdict: "approved", reason: "moves", plan: "p1"});
   const {machine} = run([...SENT, "taken", ack({ok: false, reason: "stale hash"})]);
   assert.deepEqual(machine.notice, {kind: "refused", verdict: "approved", reason: "stale hash"});
   // what was looked at stays so: the plan is the same
   assert.equal(blocked(machine), "");
   assert.equal(blocked(run([...SENT, "taken", ack({ok: false, reason: "too old", expired: true})]).machine), "look");
+});
+
+test("that an approval was accepted is said until its plan has ended", () => {
+  const accepted = [...SENT, "taken", ack(), gone];
+  assert.equal(run([...accepted, view("")]).machine.notice.kind, "accepted");
+  assert.equal(run([...accepted, {...view(""), ended: "p0"}]).machine.notice.kind, "accepted", "another plan");
+  assert.equal(run([...accepted, {...view(""), ended: "p1"}]).machine.notice, null);
 });
 
 test("what the executor would refuse cannot be pressed, and an approval that is being held down ends", () => {
@@ -204,7 +211,7 @@ test("an answer that comes after it was given up is still told", () => {
   assert.deepEqual([old.state, old.notice], ["open", {kind: "expired", verdict: "approved", reason: "too old"}]);
   assert.equal(run([...late, ack({ok: false})]).machine.notice.kind, "refused");
   assert.equal(run([...late, ack()]).machine.state, "decided");
-  assert.deepEqual(run([...late, gone, ack()]).machine.notice, {kind: "accepted", verdict: "approved", reason: "moves"});
+  assert.deepEqual(run([...late, gone, ack()]).machine.notice, {kind: "accepted", verdict: "approved", reason: "moves", plan: "p1"});
   // of another plan, or another's
   assert.equal(run([...late, ack({plan_id: "p2", ok: false})]).machine.notice.kind, "unanswered");
   assert.equal(run([...late, ack({account: "grace", ok: false})]).machine.notice.kind, "unanswered");

@@ -18,12 +18,21 @@ _OF_ACCOUNTS = [kind for kind in REQUESTS if kind.right]
 #: What a right lets an account do is its template, ``right_<right>.acl``, with the topics of its requests in it. Each right has
 #: topics of its own, so the broker alone decides.
 RIGHTS = ("view", *dict.fromkeys(kind.right for kind in _OF_ACCOUNTS))
+#: Whoever has one of these may set an arm in motion, or let it go on, and so may stop it.
+MOVING = ("review", "pause", "plan_request", "trajectory")
+
+
+def _seeing(*rights: str) -> tuple[str, ...]:
+    """Return the rights of who sees a robot and has others; `stop` with those of `MOVING`."""
+    return ("view", *(("stop",) if {*MOVING} & {*rights} else ()), *rights)
+
+
 #: Roles of people, and of programs in their place: lists of rights.
 ROLES = {
-    "viewer": ("view",),
-    "stopper": ("view", "stop", "pause"),
-    "planner": ("view", "plan_request", "trajectory"),
-    "reviewer": ("view", "stop", "pause", "review"),
+    "viewer": _seeing(),
+    "stopper": _seeing("pause"),
+    "planner": _seeing("plan_request", "trajectory"),
+    "reviewer": _seeing("pause", "review"),
 }
 #: Programs of the link, each with rules of its own (``bridge.acl``); `plc` is made on request.
 PROGRAMS, PLC = ("bridge", "gateway"), "plc"

@@ -9,7 +9,7 @@ import pytest
 from processes import ROOT, wait_until
 from site_broker import ROBOTS, Listener, SiteBroker
 
-from construction_twin.broker.access import PLC, PROGRAMS, RIGHTS, ROLES, Site, access_rules
+from construction_twin.broker.access import MOVING, PLC, PROGRAMS, RIGHTS, ROLES, Site, access_rules
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import REQUESTS
@@ -30,7 +30,7 @@ ACTS = {kind.right: [each.topic[:-3] for each in OF_ACCOUNTS if each.right == ki
 ANSWERS = {kind.ack.format("one-planner-ada") for kind in OF_ACCOUNTS}
 #: Who has which right.
 HAVE = {
-    "stop": ("reviewer", "stopper"),
+    "stop": ("reviewer", "stopper", "planner"),
     "pause": ("reviewer", "stopper"),
     "review": ("reviewer",),
     "plan_request": ("planner",),
@@ -111,6 +111,9 @@ def test_every_right_is_in_a_role_and_has_its_rules():
     assert {path.stem for path in (ROOT / "config/mosquitto").glob("right_*.acl")} == {
         f"right_{right}" for right in RIGHTS
     }
+    assert all("stop" in rights for rights in ROLES.values() if set(MOVING) & set(rights)), (
+        "who may move it may stop it"
+    )
     assert {role for role in ROLES if "review" in ROLES[role]} == set(HAVE["review"])
 
 

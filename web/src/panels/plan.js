@@ -397,6 +397,10 @@ export function make(parent, store, connection, texts, means = {}) {
   store.on("plan_request_ack", (robot, message) => {
     if (desk(robot).asking.onAnswer(message)) show();
   });
+  store.on("plan", (robot, plan) => {
+    desk(robot).asking.onReviewed(plan?.id ?? "");
+    show();
+  });
   store.on("connection", (_, state) => {
     for (const mine of desks.values()) {
       mine.follower.drop();

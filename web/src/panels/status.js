@@ -11,7 +11,7 @@ export const SCREEN_OLD_AFTER = 3000;
 const PAGE = /^(?:[\w-]+\/)*[\w-]+\.md(?:#[\w-]+)?$/;
 
 /** Topics whose line, where a person is waited for, tells of a fault. */
-const FAULTS = ["link", "sync"];
+const FAULTS = ["cause", "link", "sync"];
 
 /** Return the address of a page of the docs as the build writes it (web/docs_pages.js), or "" for what is none. */
 export function addressOf(page) {

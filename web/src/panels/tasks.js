@@ -167,6 +167,10 @@ export function make(parent, store, connection, texts, {now = () => performance.
   store.on("plan_request_ack", (robot, message) => {
     if (asking(robot).onAnswer(message)) show();
   });
+  store.on("plan", (robot, plan) => {
+    asking(robot).onReviewed(plan?.id ?? "");
+    show();
+  });
   store.on("connection", (_, state) => {
     if (state !== "connected") for (const mine of askings.values()) mine.onLost();
     show();

@@ -252,7 +252,9 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   // -- what is heard
 
   const planOf = (plan) => (plan === null ? null : {id: plan.id, hash: plan.hash, refused: plan.refused ?? "missing"});
-  const viewOf = (view) => ({type: "view", plan: view.plan, obstacle: view.approval_obstacle});
+  const viewOf = ({plan, approval_obstacle: obstacle, execution}) => (
+    {type: "view", plan, obstacle, ended: execution?.outcome ? execution.plan_id : ""}
+  );
   const connect = (robot) => {
     take(robot, {type: "connected"});
     const known = store.robot(robot);

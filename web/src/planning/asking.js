@@ -44,6 +44,8 @@ export class Asking {
     this.state = "idle";
     this.answer = null;
     this.reason = "";
+    this._reviewed = "";
+    this._wasThere = false;
   }
 
   get isBusy() {
@@ -82,8 +84,17 @@ export class Asking {
     if (answer.id !== this._id || this.state === "idle") return false;
     this.answer = answer;
     this.reason = answer.reason;
+    this._wasThere = answer.plan_id === this._reviewed;
     this.state = answer.ok ? "done" : answer.expired === true ? "expired" : "refused";
     return true;
+  }
+
+  // Id of the plan under review; "": none. That there is a plan is said while there is: it was decided, or another one came.
+  onReviewed(id) {
+    this._reviewed = id;
+    if (this.state !== "done") return;
+    if (id === this.answer.plan_id) this._wasThere = true;
+    else if (this._wasThere) this.state = "idle";
   }
 
   // The connection has ended: what was under way may have arrived, and its answer may have been missed.

@@ -123,7 +123,8 @@ class PcaMonitorNode:
         self._sync_period = round(NANOSECONDS / sync_rate)
         self._sync_at = 0
         self._reported: tuple = ()
-        self._hold: Cause | None = None
+        #: As it was told last; empty: not yet.
+        self._hold: tuple[Cause | None, ...] = ()
         self._goals = ReplanGoals()
         self._changes: deque[Transition] = deque()
         # each from making a message until it is out: several threads publish, and the newest state must be the last one heard
@@ -299,8 +300,8 @@ class PcaMonitorNode:
                 self._reported, self._sync_at = state, now
                 message, cause = self._sync_message(*state), gate.cause
             self._outputs.sync.publish(message)
-            if cause != self._hold:
-                self._hold = cause
+            if (cause,) != self._hold:
+                self._hold = (cause,)
                 self._outputs.hold.publish(_hold_message(cause, now))
 
     def _sync_message(self, state: SyncState, reason: str, agreed: bool) -> Sync:
