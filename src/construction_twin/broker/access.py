@@ -36,14 +36,65 @@ ROLES = {
 }
 #: Programs of the link, each with rules of its own (``bridge.acl``); `plc` is made on request.
 PROGRAMS, PLC = ("bridge", "gateway"), "plc"
+#: What a person cannot be called: programs, and what stands for an account where a broker knows none.
+_RESERVED = (*PROGRAMS, PLC, "console")
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
 #: Host names and addresses, IPv6 included: nothing that openssl's configuration could take for something else.
 _HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.:-]{0,251}[A-Za-z0-9])?|::1")
 
 
 @dataclass(frozen=True)
+class Grant:
+    """What a person may do at some robots.
+
+    Attributes:
+        rights: Of `RIGHTS`; `view` and, with those of `MOVING`, `stop` come with them.
+        robots: Empty: every robot of the site.
+    """
+
+    rights: tuple[str, ...]
+    robots: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Person:
+    """A person with one account, which has the person's name, for all robots.
+
+    Attributes:
+        grants: Those of one robot add up.
+    """
+
+    name: str
+    grants: tuple[Grant, ...]
+
+    @classmethod
+    def parse(cls, words: str) -> Person:
+        """Return what ``ada:plan_request,review@kr120_1,kr120_2`` says: name, rights, and at which robots; without ``@`` at all.
+
+        Raises:
+            ConfigurationError: When it has another form, or names an unknown right.
+        """
+        found = re.fullmatch(r"([^:@]+):([^:@]+)(?:@([^:@]+))?", words)
+        if found is None:
+            raise ConfigurationError("--person", words, Sentence("expected.site.person"))
+        name, rights, robots = found.groups()
+        grant = Grant(tuple(rights.split(",")), tuple(robots.split(",")) if robots else ())
+        if unknown := set(grant.rights) - set(RIGHTS):
+            raise ConfigurationError(
+                "--person", sorted(unknown)[0], Sentence("expected.one_of", known=", ".join(RIGHTS))
+            )
+        return cls(name, (grant,))
+
+    def rights(self, robot: str) -> tuple[str, ...]:
+        """Return the rights at a robot, in the order of `RIGHTS`; none where no grant is of it."""
+        given = {right for grant in self.grants if robot in (grant.robots or (robot,)) for right in grant.rights}
+        seeing = _seeing(*given - {"view", "stop"}, *given & {"stop"}) if given else ()
+        return tuple(right for right in RIGHTS if right in seeing)
+
+
+@dataclass(frozen=True)
 class SiteAccount:
-    """One account: a role at one robot; `person` is empty, or names its owner."""
+    """One account: a role at one robot, whose owner `person` names, if it has one; without a robot all robots of a `Person`."""
 
     robot: str
     role: str
@@ -63,6 +114,7 @@ class Site:
         hosts: Names and addresses under which clients reach the broker.
         reviewers, stoppers, viewers, planners: People, who each get an account of their own at every robot, in that role. Without
             reviewers every robot has one account for all who review.
+        persons: People who have one account for several robots, each with rights of their own.
         shared: Robots that have that account without a person beside those of people, from a run before there were any.
         plc: Also an account for a PLC that commands in place of the bridge.
         certificates: Also a listener for client certificates.
@@ -90,6 +142,7 @@ class Site:
     reviewers: tuple[str, ...] = field(default=())
     stoppers: tuple[str, ...] = field(default=())
     viewers: tuple[str, ...] = field(default=())
+    persons: tuple[Person, ...] = field(default=())
     consoles: tuple[str, ...] = field(default=())
     console_port: int = 8480
 
@@ -98,6 +151,7 @@ class Site:
             ("--host", self.hosts, _HOST),
             ("--robot", self.robots, _NAME),
             *((f"--{role}", self.named(role), _NAME) for role in ROLES),
+            ("--person", tuple(person.name for person in self.persons), _NAME),
             ("--console", self.consoles, _HOST),
             ("--prefix", (self.prefix,), _NAME),
             ("--listen", (self.listen,) if self.listen else (), _HOST),
@@ -116,6 +170,13 @@ class Site:
             )
         if not self.folder or re.search(r"\s", self.folder):
             raise ConfigurationError("--broker-folder", self.folder, Sentence("expected.site.folder"))
+        for person in self.persons:
+            if unknown := {robot for grant in person.grants for robot in grant.robots} - set(self.robots):
+                known = Sentence("expected.one_of", known=", ".join(self.robots))
+                raise ConfigurationError(f"--person {person.name}", sorted(unknown)[0], known)
+            # what a program, or an account of a role, is called or may be called
+            if person.name in _RESERVED or person.name.startswith(tuple(f"{robot}-" for robot in self.robots)):
+                raise ConfigurationError("--person", person.name, Sentence("expected.site.person_name"))
         accounts = [account.name for account in self.accounts()]
         if len(set(accounts)) != len(accounts):
             raise ConfigurationError(
@@ -137,7 +198,7 @@ class Site:
                 accounts.append(SiteAccount(robot, "reviewer"))
             accounts.append(SiteAccount(robot, "viewer"))
             accounts += [SiteAccount(robot, role, person) for role in ROLES for person in self.named(role)]
-        return accounts
+        return accounts + [SiteAccount("", "", person.name) for person in self.persons]
 
     def console_addresses(self) -> list[str]:
         """Return what a person's browser opens, per name of the console."""
@@ -152,15 +213,31 @@ def access_rules(site: Site, template: Callable[[str], str]) -> str:
     """
     parts = ["# Who may do what. Made by make_site from config/mosquitto/; it is written anew with every run.\n"]
     for account in site.accounts():
-        topics = Topics(site.prefix, account.robot)
+        if not account.robot:
+            continue
+        if rights := ROLES.get(account.role):
+            head = f"# {account.role}: {', '.join(rights)}\nuser {account.name}\n"
+            parts.append(head + _rules(site, account.robot, account.name, rights, template))
+            continue
+        topics, name = Topics(site.prefix, account.robot), f"{account.role}.acl"
         values = {"account": account.name, "topics": f"{site.prefix}/{account.robot}", "requests": _answering(topics)}
-        rights = ROLES.get(account.role)
-        head = f"# {account.role}: {', '.join(rights)}\nuser {account.name}\n" if rights else ""
-        files = {f"right_{right}.acl": right for right in rights} if rights else {f"{account.role}.acl": ""}
-        for name, right in files.items():
-            head += _filled(name, template(name), **values, writes=_asking(topics, right, account.name))
+        parts.append(_filled(name, template(name), **values))
+    for person in site.persons:
+        head = f"user {person.name}\n"
+        for robot in site.robots:
+            if rights := person.rights(robot):
+                head += f"# {robot}: {', '.join(rights)}\n" + _rules(site, robot, person.name, rights, template)
         parts.append(head)
     return "\n".join(parts)
+
+
+def _rules(site: Site, robot: str, account: str, rights: Iterable[str], template: Callable[[str], str]) -> str:
+    """Return what rights let an account do at a robot."""
+    topics, rules = Topics(site.prefix, robot), ""
+    for right in rights:
+        name, values = f"right_{right}.acl", {"account": account, "topics": f"{site.prefix}/{robot}"}
+        rules += _filled(name, template(name), **values, writes=_asking(topics, right, account))
+    return rules
 
 
 def _asking(topics: Topics, right: str, account: str) -> str:

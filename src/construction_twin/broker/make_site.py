@@ -11,11 +11,21 @@ import json
 import re
 import secrets
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC
 from pathlib import Path
 
-from construction_twin.broker.access import ROLES, Site, SiteAccount, access_rules, broker_configuration, merged
+from construction_twin.broker.access import (
+    RIGHTS,
+    ROLES,
+    Grant,
+    Person,
+    Site,
+    SiteAccount,
+    access_rules,
+    broker_configuration,
+    merged,
+)
 from construction_twin.broker.certificates import Authority, expiry, make_folder, run_tool, write_private
 from construction_twin.broker.console_files import ConsoleFiles
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
@@ -243,6 +253,15 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
         rights = ", ".join(ROLES[role])
         add(f"--{role}", action="append", default=[], metavar="NAME", help=f"{what}; rights: {rights}; may be repeated")
     add(
+        "--person",
+        action="append",
+        default=[],
+        metavar="NAME:RIGHTS[@ROBOTS]",
+        help="one account for a person at several robots, e.g. ada:plan_request,review@kr120_1,kr120_2; without @ at all of "
+        f"them; rights: {', '.join(RIGHTS)}; whoever may set an arm in motion may stop it; may be repeated, also for one name; "
+        "a name that there is gets these rights in place of those before",
+    )
+    add(
         "--console",
         action="append",
         default=[],
@@ -283,6 +302,7 @@ def _site(arguments: argparse.Namespace, before: dict) -> Site:
         "hosts": merged(before.get("hosts", ()), arguments.host),
         "robots": merged(before.get("robots", ()), arguments.robot),
         **{field: named[role] for role, field in _FIELDS.items()},
+        "persons": _persons(arguments.person, before.get("persons", ())),
         "shared": shared if named["reviewer"] else (),
         "plc": arguments.plc or before.get("plc", False),
         "certificates": arguments.certificates or before.get("certificates", False),
@@ -294,6 +314,20 @@ def _site(arguments: argparse.Namespace, before: dict) -> Site:
         "folder": arguments.broker_folder or before.get("folder") or str(arguments.folder.absolute() / "broker"),
     }
     return Site(**given)
+
+
+def _persons(given: Iterable[str], before: Iterable[Mapping]) -> tuple[Person, ...]:
+    """Return the people with one account each: those of before, and those who are given now in place of their own of before."""
+    persons = {}
+    for one in before:
+        grants = tuple(Grant(tuple(grant["rights"]), tuple(grant["robots"])) for grant in one["grants"])
+        persons[one["name"]] = Person(one["name"], grants)
+    now: dict[str, Person] = {}
+    for words in given:
+        person = Person.parse(words)
+        grants = now[person.name].grants if person.name in now else ()
+        now[person.name] = Person(person.name, (*grants, *person.grants))
+    return tuple((persons | now).values())
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -20,6 +20,7 @@ from PIL import Image
 from sentence_checks import expects, says
 
 from construction_twin.broker import certificates
+from construction_twin.broker.access import Person, Site
 from construction_twin.broker.certificates import Authority, expiry
 from construction_twin.broker.make_site import main
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
@@ -180,6 +181,58 @@ def test_planners_get_accounts_of_their_own_only_when_asked_for(folder):
         assert load_account(folder / f"accounts/kr120-planner-ada/{name}.json").context().check_hostname
     make(folder)
     assert "kr120-planner-ada" in (folder / "broker/access.acl").read_text()
+
+
+def test_a_person_has_one_account_with_rights_of_its_own_at_each_robot(folder):
+    make(
+        folder,
+        "--robot",
+        "kr121",
+        "--person",
+        "ada:plan_request@kr120",
+        "--person",
+        "ada:view@kr121",
+        "--person",
+        "cy:review",
+    )
+    assert {"ada", "cy"} < names_of(folder)
+    assert load_account(folder / "accounts/ada/account.json").user == "ada"
+    rules = (folder / "broker/access.acl").read_text()
+    of_ada = rules.split("user ada\n")[1].split("user ")[0]
+    assert "twin/kr120/stop/ada" in of_ada and "twin/kr120/plan_request/ada" in of_ada
+    assert "twin/kr121/#" in of_ada and "topic write twin/kr121" not in of_ada
+    of_cy = rules.split("user cy\n")[1]
+    assert all(
+        f"topic write twin/{robot}/{act}/cy" in of_cy for robot in ("kr120", "kr121") for act in ("review", "stop")
+    )
+    before = contents(folder)
+    make(folder)
+    assert contents(folder) == before
+    # rights that are given anew are those alone; the password stays
+    make(folder, "--person", "ada:pause@kr121")
+    of_ada = (folder / "broker/access.acl").read_text().split("user ada\n")[1].split("user ")[0]
+    assert "kr120" not in of_ada and "twin/kr121/pause/ada" in of_ada and "plan_request" not in of_ada
+    assert (folder / "accounts/ada/password").read_bytes() == before["accounts/ada/password"]
+
+
+@pytest.mark.parametrize(
+    "words, key, found",
+    [
+        ("ada", "expected.site.person", "ada"),
+        ("ada:", "expected.site.person", "ada:"),
+        ("ada:review@", "expected.site.person", "ada:review@"),
+        ("ada:reset_all", "expected.one_of", "reset_all"),
+        ("ada:review@kr999", "expected.one_of", "kr999"),
+        ("a/b:review", "expected.site.names", "a/b"),
+        ("bridge:review", "expected.site.person_name", "bridge"),
+        ("console:view", "expected.site.person_name", "console"),
+        ("kr120-viewer:view", "expected.site.person_name", "kr120-viewer"),
+    ],
+)
+def test_a_person_who_cannot_be_is_refused(words, key, found):
+    with pytest.raises(ConfigurationError, check=expects(key, "--person")) as caught:
+        Site(("broker.example",), ("kr120",), folder="/site", persons=(Person.parse(words),))
+    assert found in str(caught.value)
 
 
 def test_everybody_gets_an_account_of_the_role_asked_for(folder):

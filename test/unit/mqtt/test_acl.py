@@ -9,7 +9,7 @@ import pytest
 from processes import ROOT, wait_until
 from site_broker import ROBOTS, Listener, SiteBroker
 
-from construction_twin.broker.access import MOVING, PLC, PROGRAMS, RIGHTS, ROLES, Site, access_rules
+from construction_twin.broker.access import MOVING, PLC, PROGRAMS, RIGHTS, ROLES, Grant, Person, Site, access_rules
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import REQUESTS
@@ -69,7 +69,8 @@ BY_NAME = {"reviewers": ("ada", "ben"), "stoppers": ("bob",)}
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    site = SiteBroker(tmp_path_factory.mktemp("site"), planners=("ada", "ben"), **BY_NAME)
+    cora = Person("cora", (Grant(("review",), ("one",)), Grant(("view",), ("two",))))
+    site = SiteBroker(tmp_path_factory.mktemp("site"), planners=("ada", "ben"), persons=(cora,), **BY_NAME)
     site.start()
     yield site
     site.stop()
@@ -208,6 +209,26 @@ def test_a_planner_cannot_send_in_another_one_s_name(site, crowd):
         assert not any(payload == b"not Ada" for _, payload in bridge.messages)
     finally:
         ben.close()
+
+
+def test_a_person_does_at_each_robot_what_was_granted_there_in_the_person_s_own_name(site, crowd):
+    cora = Listener(site.broker(site.account("cora")), "twin/+/view", "cora")
+    other = Listener(site.broker(site.account("two-bridge")), "#", "two")
+    try:
+        mine = next(NUMBERS)
+        for act in ("review", "stop"):
+            assert cora.publish(f"twin/one/{act}/cora", mine).value != NOT_AUTHORIZED
+            wait_until(lambda act=act: (f"twin/one/{act}/cora", mine) in crowd["bridge"].messages, what=act)
+        refused = [f"twin/two/{act}/cora" for act in ("review", "stop", "pause")]
+        refused += ["twin/one/review/one-reviewer-ada", "twin/one/plan_request/cora", "twin/one/control"]
+        assert {cora.publish(topic, b"no").value for topic in refused} == {NOT_AUTHORIZED}
+        # both robots in one picture
+        for robot, bridge in (("one", crowd["bridge"]), ("two", other)):
+            bridge.publish(f"twin/{robot}/view", mine)
+            wait_until(lambda robot=robot: (f"twin/{robot}/view", mine) in cora.messages, what=f"the view of {robot}")
+    finally:
+        cora.close()
+        other.close()
 
 
 def test_a_long_trajectory_passes_the_broker_and_a_still_longer_one_does_not(site, crowd):
