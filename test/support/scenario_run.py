@@ -193,7 +193,7 @@ class ScenarioRun:
         return self._plan(time_path(np.array([held, goal]), ROBOT, None, SPEED_SCALE, ACCELERATION_SCALE))
 
     def _approve(self) -> None:
-        plan = self.chain.executor.queue.plan
+        plan = self.chain.executor.under_review.plan
         if plan is None:
             raise ScenarioError("there is no plan to approve")
         self._approval.review(plan.id, plan.hash, True, "scenario", self.scenario.name)

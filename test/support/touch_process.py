@@ -22,7 +22,7 @@ from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import product
 from construction_twin.work import processes
-from construction_twin.work.jobs import WorkPlan
+from construction_twin.work.jobs import TaskMotions
 from construction_twin.work.motions import Failed, PlanBuilder, Search
 from construction_twin.work.process import Process
 from construction_twin.work.recipe import SHARED, Finite, Length, Override, Recipe, numbers
@@ -72,7 +72,7 @@ def check(search: Search) -> None:
             raise TaskPlanningError(job.task, f"{item.name} is not at its place in the scene; expected it there")
 
 
-def plan(search: Search) -> WorkPlan:
+def plan(search: Search) -> TaskMotions:
     furthest: Failed | None = None
     for point in search.recipe.points:
         if furthest is not None and search.late:
@@ -85,7 +85,7 @@ def plan(search: Search) -> WorkPlan:
     raise furthest
 
 
-def _at(search: Search, point: tuple[float, float, float]) -> WorkPlan:
+def _at(search: Search, point: tuple[float, float, float]) -> TaskMotions:
     recipe, name = search.recipe, f"point {' '.join(f'{1e3 * value:g}' for value in point)} mm"
     scene, job = search.scene, search.job
     there = job.base_T_goal.position + job.base_T_goal.rotation @ np.array(point)
@@ -106,7 +106,7 @@ def _at(search: Search, point: tuple[float, float, float]) -> WorkPlan:
     raise furthest
 
 
-def _planned(search: Search, before: np.ndarray, at: Pose, above: Pose, name: str) -> WorkPlan:
+def _planned(search: Search, before: np.ndarray, at: Pose, above: Pose, name: str) -> TaskMotions:
     scene, scale = search.scene, search.recipe.free_speed_scale
     down = search.line(before, at, scale, scene, TOUCH, name)
     back = search.line(down.positions[-1], above, scale, scene, BACK, name)

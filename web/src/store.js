@@ -6,7 +6,7 @@
  *
  * Kinds from the broker: view, screen, scene, plan, tasks, review_ack, stop_ack, pause_ack, plan_request_ack, ik_ack. A value of
  * null means: not known (any more). `plan` is told once its hash was checked (plan_hash.js); a plan whose hash does not fit has
- * `refused`, a sentence, and nothing of it may be shown or approved.
+ * `refused`, a word of plan_hash.js, and nothing of it may be shown or approved.
  *
  * Kinds of the page itself:
  *   connection   the connection's state has changed; value: connection.state

@@ -60,7 +60,7 @@ class TaskPlanningError(WorkError):
     Attributes:
         task: Id of the task, or of the element.
         stage: Segment that was not possible with the method that came furthest; empty: before any.
-        method: Name of that method, see `work.jobs.WorkPlan`; empty: none.
+        method: Name of that method, see `work.jobs.TaskMotions`; empty: none.
         reason: Why, as a sentence without the above.
     """
 

@@ -146,8 +146,8 @@ class Approval:
             RecordError: When it cannot be recorded; the plan is withdrawn.
         """
         with self._lock:
-            plan = self._executor.queue.plan if self._executor.is_ready() else None
-            scene = self._executor.queue.scene
+            plan = self._executor.under_review.plan if self._executor.is_ready() else None
+            scene = self._executor.under_review.scene
         reason = which.reason(plan.source) if plan is not None else ""
         if plan is None or not reason:
             return None
@@ -166,8 +166,7 @@ class Approval:
 
     def _examine(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "") -> Verdict:
         """Return the verdict that could be carried out now; an approval at the wrong moment leaves the plan under review."""
-        queue = self._executor.queue
-        plan = queue.check(plan_id, plan_hash, reviewer)
+        plan = self._executor.under_review.check(plan_id, plan_hash, reviewer)
         if approve:
             self._executor.check_start(plan)
         return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan)
@@ -183,7 +182,7 @@ class Approval:
         """Begin what an approval that was recorded is for, if it still may; return a sentence."""
         left = self._demand_fresh(moment)
         self._examine(verdict.plan_id, verdict.plan_hash, True, verdict.reviewer)
-        plan = self._executor.queue.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
+        plan = self._executor.under_review.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
         who = {"reviewer": verdict.reviewer}
         self._executor.begin(plan, Sentence("executor.approved", **who), left)
         return Sentence("review.approved", plan=plan.id, seconds=plan.trajectory.duration, **who)
@@ -191,18 +190,18 @@ class Approval:
     def _withdraw(self, plan_id: str, reason: str) -> None:
         """Take a plan out of review, if it is still there."""
         executor = self._executor
-        if executor.queue.plan is not None and executor.queue.plan.id == plan_id:
-            executor.tell_withdrawn(executor.queue.clear(), reason)
+        if executor.under_review.plan is not None and executor.under_review.plan.id == plan_id:
+            executor.tell_withdrawn(executor.under_review.clear(), reason)
 
     def _prove(self, plan_id: str) -> None:
         """Prove the named plan's hash once, outside of the lock: a plan cannot change, so that it holds when it is carried out."""
         with self._lock:
-            plan = self._executor.queue.plan
+            plan = self._executor.under_review.plan
         if plan is not None and plan.id == plan_id:
             prove_hash(plan)
 
     def _refuse(self, plan_id: str, plan_hash: str, reviewer: str, reason: str) -> None:
         with self._lock:
-            plan = self._executor.queue.plan
+            plan = self._executor.under_review.plan
         known = plan if plan is not None and plan.id == plan_id else None
         self._record(Verdict(REFUSED, plan_id, plan_hash, reviewer, reason, known))

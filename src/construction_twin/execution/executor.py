@@ -1,7 +1,7 @@
 """The executor: one setpoint per cycle, from an approved plan or, idle, the twin's pose.
 
 Pure: `step` is called once per 4 ms with the cycle's nominal stamp [ns]. Angles in rad. `now` is on the monotonic clock, but
-for `stop` and `restart`: these are compared with when a plan was made, on the clock of the stamps.
+for `stop`, `pause` and `restart`: these are compared with when a plan was made, on the clock of the stamps.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Executor:
         self.side_effects = SideEffects()
         self.lag = 0.0
         self.neighbour = ConflictVerdicts()
-        self.queue = PlanUnderReview()
+        self.under_review = PlanUnderReview()
         self._machine = Machine(
             ROWS,
             ExecutorState.WAITING,
@@ -198,8 +198,8 @@ class Executor:
 
     def on_scene(self, scene: str) -> None:
         """Take the present scene's hash: what was planned for another one is withdrawn, stopped or ended."""
-        change = {"before": self.queue.scene[:12] or "none", "after": scene[:12]}
-        self.tell_withdrawn(self.queue.on_scene(scene), Sentence("executor.scene_changed_since", **change))
+        change = {"before": self.under_review.scene[:12] or "none", "after": scene[:12]}
+        self.tell_withdrawn(self.under_review.on_scene(scene), Sentence("executor.scene_changed_since", **change))
         if self.state not in ACTIVE:
             return
         reason = Sentence("executor.scene_changed", **change)
@@ -236,7 +236,7 @@ class Executor:
 
     def restart(self, reason: str, now: int) -> None:
         """Drop everything, plans asked for until `now` [ns] too, and wait for twin and arm to agree again."""
-        self.tell_withdrawn(self.queue.void(now), reason)
+        self.tell_withdrawn(self.under_review.void(now), reason)
         while self.state is not ExecutorState.WAITING:
             self._on(ExecutorEvent.NEW_SESSION, reason)
         self._on(ExecutorEvent.NEW_SESSION, reason)
@@ -260,7 +260,7 @@ class Executor:
         present = self.engagement.present
         if self.engagement.engaged and present is not way_back:
             raise ReviewError(Sentence("executor.start.engaged", plan=plan.id, reason=self.engaged()))
-        self.tell_withdrawn(self.queue.offer(plan), Sentence("executor.replaced", plan=plan.id))
+        self.tell_withdrawn(self.under_review.offer(plan), Sentence("executor.replaced", plan=plan.id))
         self._way_back = None if way_back is None else (plan.id, way_back)
 
     def engaged(self) -> str:
@@ -319,13 +319,13 @@ class Executor:
                     problem = Sentence("executor.start.tool_changed")
         if problem:
             raise ReviewError(Sentence("executor.start.refused", plan=plan.id, reason=problem))
-        self.queue.check_scene()
+        self.under_review.check_scene()
         assert self._setpoint is not None  # in IDLE there always is one
         check_start_pose(plan, self._setpoint, self._robot)
 
     def approval_obstacle(self) -> str:
         """Return why the plan under review could not be approved now; "" when it could, and when there is none."""
-        plan = self.queue.plan
+        plan = self.under_review.plan
         if plan is None:
             return ""
         try:
@@ -337,8 +337,8 @@ class Executor:
     def is_ready(self) -> bool:
         """Return whether a plan is under review and nothing that passes by itself is against approving it."""
         ready = self.state is ExecutorState.IDLE and self._sync is SyncState.IN_SYNC and not self._unarmed
-        plan = self.queue.plan
-        if not ready or plan is None or not self.queue.scene or not self.queue.scene_alive:
+        plan = self.under_review.plan
+        if not ready or plan is None or not self.under_review.scene or not self.under_review.scene_alive:
             return False
         if awaited(self.tool, plan):
             return False
@@ -352,7 +352,7 @@ class Executor:
         Raises:
             ReviewError: When it is not under review, or was decided already.
         """
-        self.queue.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
+        self.under_review.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
         self._events.append(verdict)
 
     def begin(self, plan: Plan, reason: str, may_wait: int = LIFETIME) -> None:
@@ -382,7 +382,7 @@ class Executor:
         Plans asked for until `now` [ns] are void, so that nothing that a person stopped is taken up again by itself.
         """
         reason = Sentence("executor.stop_asked")
-        waiting = self.queue.void(now)
+        waiting = self.under_review.void(now)
         is_active = self.state in ACTIVE
         sentence = self._stop(reason) if is_active else Sentence("executor.stop.nothing", state=self.state.name)
         self.side_effects.run("the verdict on a waiting plan", self.tell_withdrawn, waiting, reason)
@@ -433,7 +433,7 @@ class Executor:
             raise ExecutionError(Sentence("executor.pause.nothing", state=self.state.name, reason=self.reason))
         before = self.state
         if before in (ExecutorState.PLAYING, ExecutorState.AT_BOUNDARY):
-            self.queue.void_coming(now)
+            self.under_review.void_coming(now)
         self._on(ExecutorEvent.PAUSE, Sentence("executor.pause_asked"))
         if self.segment_run is not None and before is ExecutorState.AT_BOUNDARY:
             where = self.side_effects.run("where a pause rests", lambda work: work.where, self.segment_run)
@@ -511,7 +511,7 @@ class Executor:
     def _wait_at_boundary(self, stamp: int, now: int) -> None:
         work = self.segment_run
         assert work is not None  # only a work plan has boundaries
-        scene = self.queue.scene if self.queue.scene_alive else ""
+        scene = self.under_review.scene if self.under_review.scene_alive else ""
         event = work.update(stamp, now, self.tool, scene, self.limit.fraction > 0.0)
         if event is not None:
             self._on(event.event, event.reason)
@@ -663,7 +663,7 @@ class Executor:
         was_engaged = self.engagement.engaged
         self._orders += work.end(action is Action.FINISH, self._played.elapsed, sentence)
         if self.engagement.engaged and not was_engaged:
-            waiting = self.queue.clear()
+            waiting = self.under_review.clear()
             self.side_effects.run("the verdict on a waiting plan", self._withdraw_other, waiting)
         if action is Action.FINISH:
             return sentence

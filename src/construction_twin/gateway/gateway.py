@@ -190,7 +190,7 @@ class Gateway:
         return self._controller.accepts(source, now)
 
     def on_telegram(self, telegram: Telegram, source: object, now: int) -> tuple[float, ...] | None:
-        """Take a telegram and return the target to answer it with.
+        """Take a telegram and return what its answer carries.
 
         Args:
             source: Where it came from; another source is another session.
@@ -252,7 +252,7 @@ class Gateway:
     @property
     def kept(self) -> tuple[float, ...]:
         """The target that the controller has until the last answer arrives, as it was sent [rad], [m]; () before the first."""
-        return self._replies.target(self._replies.kept, self._controller.origin)
+        return self._replies.carried(self._replies.kept, self._controller.origin)
 
     @property
     def correction(self) -> tuple[float, ...]:

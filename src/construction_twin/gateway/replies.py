@@ -41,9 +41,9 @@ class Replies:
         self.correction = correction
         if not self._zero:
             self.sent = correction
-        return correction if self._plain else self.target(correction, origin)
+        return correction if self._plain else self.carried(correction, origin)
 
-    def target(self, correction: tuple[float, ...], origin: tuple[float, ...]) -> tuple[float, ...]:
+    def carried(self, correction: tuple[float, ...], origin: tuple[float, ...]) -> tuple[float, ...]:
         """Return what an answer carries for a correction [rad]."""
         if self._zero:
             correction = (0.0,) * len(correction)

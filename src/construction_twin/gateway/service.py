@@ -181,7 +181,7 @@ class GatewayService:
     def guarded(self, part: Callable[..., _Result], *arguments: object) -> _Result | None:
         """Return what a part of the gateway returns; None after an unexpected exception, when the gateway has failed.
 
-        The package's only handler for every exception: without it one error in a status message would end the answers, and the
+        The gateway loop's only handler for every exception: without it one error in a status message would end the answers, and the
         controller would stop the arm dead from full speed.
         """
         try:
@@ -337,12 +337,12 @@ class GatewayService:
         if newest is None:
             return False
         telegram, source = newest.telegram, newest.source
-        target = self.gateway.on_telegram(telegram, source, time.monotonic_ns())
-        if target is not None and self._encoder is not None:
+        carried = self.gateway.on_telegram(telegram, source, time.monotonic_ns())
+        if carried is not None and self._encoder is not None:
             stop = True if self.gateway.ends else None
             switched = self._switched(self._encoder) if self.gateway.tool is not None else ()
-            self._answer(self._encoder.encode(target, telegram.controller_ms, stop, switched), source)
-            self._last_resort.sent(telegram.controller_ms, source, target, self.gateway.kept, telegram.missed)
+            self._answer(self._encoder.encode(carried, telegram.controller_ms, stop, switched), source)
+            self._last_resort.sent(telegram.controller_ms, source, carried, self.gateway.kept, telegram.missed)
             self.reply_time.add((time.time_ns() - newest.arrived) / 1e3)
         self._publish_state()
         return True

@@ -24,7 +24,7 @@ ALIGNED, INSTANT = "aligned", "instant"
 
 
 def agrees(theta_virtual: tuple[float, ...], theta_physical: tuple[float, ...], threshold: tuple[float, ...]) -> bool:
-    """Return whether twin and arm agree: the test of Algorithm 1. What follows from it is in `Gate.pass_next`.
+    """Return whether twin and arm agree: the test of Algorithm 1. What follows from it is in `Gate.on_physical`.
 
     Args:
         theta_virtual, theta_physical: Shape (n,). Joint angles of the twin and of the physical arm [rad].

@@ -86,7 +86,7 @@ class PlanUnderReview:
         """Put a plan under review, unless it was decided already; return the plan that it replaces.
 
         Raises:
-            ReviewError: When it, or one of its segments, does not start and end at rest, or was asked for before the queue was last
+            ReviewError: When it, or one of its segments, does not start and end at rest, or was asked for before it was last
                 voided. (That a plan's hash is that of its content is the Plan's own matter.)
         """
         trajectory = plan.trajectory
@@ -102,7 +102,7 @@ class PlanUnderReview:
         return replaced
 
     def void(self, now: int) -> Plan | None:
-        """Clear the queue and refuse plans asked for until `now` [ns] that are not here yet; return what lay there."""
+        """Take the plan out of review, and refuse plans asked for until `now` [ns] that are not here yet; return what lay there."""
         self.void_coming(now)
         return self.clear()
 

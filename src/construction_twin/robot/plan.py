@@ -61,13 +61,13 @@ class PlanReport:
 
 @dataclass(frozen=True)
 class Plan:
-    """A trajectory with its origin, as a reviewer sees it. The constructor refuses a hash that is not the trajectory's.
+    """A trajectory with its origin, as a reviewer sees it. The constructor refuses a hash that is not that of its content.
 
     Attributes:
         id: Unique id.
         hash: The trajectory's `content_hash`; of a work plan: `segments_hash`.
         source: Name of the requester.
-        planner: How the path was found: name of an OMPL planner, ``direct``, ``cartesian``, ``waypoints``.
+        planner: How the path was found: name of an OMPL planner, ``direct``, ``cartesian``, ``waypoints``, ``work``, ``way back``.
         scene: Hash of the scene it was checked against.
         created_ns: When it was planned [ns, ROS time].
         planning_time: Time spent planning and timing [s], without `PlanReport.recheck_time`.

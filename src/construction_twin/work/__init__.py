@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from construction_twin.work.check import Checker as Checker
     from construction_twin.work.element_bodies import element_shapes as element_shapes
     from construction_twin.work.events import Entry as Entry
+    from construction_twin.work.jobs import TaskMotions as TaskMotions
     from construction_twin.work.jobs import WorkJob as WorkJob
-    from construction_twin.work.jobs import WorkPlan as WorkPlan
     from construction_twin.work.ledger import Ledger as Ledger
     from construction_twin.work.motions import TaskLimits as TaskLimits
     from construction_twin.work.placement import Placement as Placement

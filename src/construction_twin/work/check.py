@@ -24,7 +24,7 @@ from construction_twin.planning.planner import PlannerSettings
 from construction_twin.robot.description import RobotModel
 from construction_twin.scene.objects import Scene, product
 from construction_twin.scene.self_collision import SelfCollision
-from construction_twin.work.jobs import WorkJob, WorkPlan
+from construction_twin.work.jobs import TaskMotions, WorkJob
 from construction_twin.work.motions import TaskLimits
 from construction_twin.work.nearest_change import LONGER, longer_track, nearest_change
 from construction_twin.work.processes import process_of
@@ -48,10 +48,10 @@ class CheckedTask:
     Attributes:
         number: In the order of the schedule, from 0.
         job, name: Id of the job, name of its task.
-        grip: How it is done, see `WorkPlan.method`, or the method that came furthest; empty: none.
+        grip: How it is done, see `TaskMotions.method`, or the method that came furthest; empty: none.
         track: Value of the first linear joint where the process acts at the element's place [m]; None: the robot has none, or
             there is no plan.
-        clearance: [m], see `WorkPlan`.
+        clearance: [m], see `TaskMotions`.
         duration: Of all motions [s], without the waiting for the tool.
         planning: Time it took to find out [s].
         stage, reason: What was not possible, and why; empty if it is possible.
@@ -189,7 +189,7 @@ class Checker:
         scene = self._layout.scene(WorkState({one: self._layout.base_T_goal(one) for one in before}, gone))
         return scene, self._layout.job_for(self._jobs[number].element, scene, self._jobs[number].id)
 
-    def _described(self, found: CheckedTask, plan: WorkPlan) -> CheckedTask:
+    def _described(self, found: CheckedTask, plan: TaskMotions) -> CheckedTask:
         acts = process_of(found.process).acts
         at = next(segment for segment in plan.segments if segment.name == acts).trajectory.positions[-1]
         linear = [float(value) for value, is_linear in zip(at, self._robot.linear, strict=True) if is_linear]
@@ -203,7 +203,7 @@ class Checker:
             path=tuple(self._path(plan)),
         )
 
-    def _path(self, plan: WorkPlan) -> Iterator[tuple[float, float, float]]:
+    def _path(self, plan: TaskMotions) -> Iterator[tuple[float, float, float]]:
         for segment in plan.segments:
             count = max(2, int(segment.trajectory.duration / _PATH_STEP))
             for q in segment.trajectory.sample_many(np.linspace(0.0, segment.trajectory.duration, count))[0]:

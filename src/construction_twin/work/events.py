@@ -31,7 +31,7 @@ class Entry:
         task, element: GlobalIds; empty where it is about neither.
         source: Of the pose of `released`: `MEASURED` by the arm's own feedback, or `PLANNED`: as planned, not measured.
         plan, offer: `offer` is named in the plan's `source`, so that a plan whose id was never learnt is known again.
-        grip: Of `offered`: how it is done, see `jobs.WorkPlan.method`.
+        grip: Of `offered`: how it is done, see `jobs.TaskMotions.method`.
         process: Of `offered`; empty: `recipe.DEFAULT`.
         pose: Length 7 or 0. How it will be held (`offered`), or where it stands (`released`, `measured`) or is said to stand
             (`unknown`).

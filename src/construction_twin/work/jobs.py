@@ -64,7 +64,7 @@ def bare_job(element: Element, task: str = "", task_properties: Mapping[str, Val
 
 
 @dataclass(frozen=True, eq=False)
-class WorkPlan:
+class TaskMotions:
     """A whole task, planned.
 
     Attributes:

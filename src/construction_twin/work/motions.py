@@ -33,7 +33,7 @@ from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene
 from construction_twin.work.contacts import Shapes, deepest, difference
-from construction_twin.work.jobs import WorkJob, WorkPlan
+from construction_twin.work.jobs import TaskMotions, WorkJob
 from construction_twin.work.process import REACH
 from construction_twin.work.recipe import Recipe
 
@@ -278,13 +278,13 @@ class PlanBuilder:
         self._scenes.append(after)
         self._clearances.append(clearance)
 
-    def plan(self, method: str, tool0_T_element: Pose | None = None) -> WorkPlan:
-        """Return the plan; arguments as of `WorkPlan`."""
+    def plan(self, method: str, tool0_T_element: Pose | None = None) -> TaskMotions:
+        """Return the plan; arguments as of `TaskMotions`."""
         search = self._search
         planning_time = search.clock() - search.began
         clearance = min(map(self._clearance, self._segments, self._scenes, self._clearances))
         segments, scenes = tuple(self._segments), tuple(self._scenes)
-        return WorkPlan(search.job, method, segments, scenes, planning_time, clearance, tool0_T_element)
+        return TaskMotions(search.job, method, segments, scenes, planning_time, clearance, tool0_T_element)
 
     def _clearance(self, segment: WorkSegment, scene: Scene, known: float | None) -> float:
         if known is not None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from construction_twin.robot.tool import Tool
-from construction_twin.work.jobs import WorkJob, WorkPlan
+from construction_twin.work.jobs import TaskMotions, WorkJob
 from construction_twin.work.recipe import Override, Recipe
 
 #: The stage of every process at which the arm does not get there at all.
@@ -48,5 +48,5 @@ class Process:
     mass: Callable[[WorkJob, str, Any, Tool], float | None]
     acts: str
     check: Callable[[Any], None]
-    plan: Callable[[Any], WorkPlan]
+    plan: Callable[[Any], TaskMotions]
     changes: Callable[[WorkJob, Any, Any, str], Iterator[Any]]

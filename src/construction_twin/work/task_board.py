@@ -572,9 +572,6 @@ class TaskBoard:
                 reason = Sentence("work.noted" if before else "work.note", remark=remark, **before)
         return reason
 
-    def _waits_for(self, task: str) -> str:
-        return f"waits for {', '.join(map(self.title, self.book.missing(task)))}"
-
     def _stands(self, task: str, now: int) -> str:
         memory = self.book.tasks[task]
         if memory.state is TaskState.WAITING:

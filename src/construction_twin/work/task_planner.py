@@ -22,7 +22,7 @@ from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import SelfCollision
 from construction_twin.work.contacts import Shapes, tool_objects
-from construction_twin.work.jobs import WorkJob, WorkPlan
+from construction_twin.work.jobs import TaskMotions, WorkJob
 from construction_twin.work.motions import Failed, Search, TaskLimits, Worlds
 from construction_twin.work.processes import process_of
 from construction_twin.work.recipes import Recipes
@@ -80,14 +80,14 @@ class TaskPlanner:
         scene: Scene,
         end: JointValues | None = None,
         held: Pose | None = None,
-    ) -> WorkPlan:
+    ) -> TaskMotions:
         """Plan a task.
 
         Args:
             start: Length n. Where the arm stands.
             scene: The present one: with the tool (`contacts.tool_objects`), and the element where the job has it or in the grip.
             end: Length n. Where the arm goes afterwards. Default: it stays where the process leaves it.
-            held: ``tool0_T_element`` of an element that is in the grip already, as `WorkPlan.tool0_T_element` of the plan that
+            held: ``tool0_T_element`` of an element that is in the grip already, as `TaskMotions.tool0_T_element` of the plan that
                 gripped it: the rest of the task is planned.
 
         Raises:

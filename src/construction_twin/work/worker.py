@@ -198,7 +198,7 @@ def serve_parent(functions: Mapping[str, Callable]) -> None:
 
 def main() -> None:
     """Serve the work node."""
-    from construction_twin.work.tasks import FUNCTIONS
+    from construction_twin.work.worker_functions import FUNCTIONS
 
     serve_parent(FUNCTIONS)
 

@@ -190,7 +190,7 @@ class TestReplan:
         chain.run_for(fastest)
         chain.faults.inject(STALL)
         assert chain.run_until(lambda: chain.gate.state is SyncState.REPLANNING, 1.0)
-        offered = chain.executor.queue.plan
+        offered = chain.executor.under_review.plan
         assert offered.id != plan.id
         assert np.abs(offered.trajectory.positions[0] - chain.gate.held).max() == 0.0
         chain.run_for(1.0)

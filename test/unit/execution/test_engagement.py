@@ -65,7 +65,7 @@ def way_back(bench: Bench, name: str = "back", **fields):
     """Return the plan of the way back, from where the arm stands."""
     left = bench.executor.engagement.present
     begin = left.path.entry(bench.twin).time
-    fields = {"requires": left.requires(bench.executor.tool), "scene": bench.executor.queue.scene} | fields
+    fields = {"requires": left.requires(bench.executor.tool), "scene": bench.executor.under_review.scene} | fields
     return plan_back(motion_back(left.path, begin), name=name, created_ns=bench.stamp, **fields)
 
 
@@ -524,4 +524,4 @@ def test_a_keeper_is_settled_when_the_disk_says_what_is_so():
 
 def test_the_scene_of_the_stop_is_that_of_the_segment(bench):
     stopped_in(bench, 1)
-    assert bench.executor.queue.scene == SCENE
+    assert bench.executor.under_review.scene == SCENE

@@ -74,7 +74,7 @@ class TestApproval:
             return
         with pytest.raises(ReviewError, check=says("executor.start.pose", joint=ROBOT.joint_names[joint])):
             bench.approve(plan)
-        assert bench.state is ExecutorState.IDLE and bench.executor.queue.plan is plan
+        assert bench.state is ExecutorState.IDLE and bench.executor.under_review.plan is plan
 
     def test_only_with_the_hash_that_was_looked_at(self, bench):
         bench.executor.offer(make_plan())
@@ -171,7 +171,7 @@ class TestRecordFirst:
         with pytest.raises(RecordError, check=says("review.no_record")):
             bench.review("p", plan.hash, True, "Ada")
         assert set(bench.run(100)) == {ROBOT.home}
-        assert bench.executor.queue.plan is plan and bench.executor.plan is None
+        assert bench.executor.under_review.plan is plan and bench.executor.plan is None
 
     def test_no_disk_is_waited_for_under_the_lock_of_the_cycle(self, bench):
         held, written = [], []
@@ -204,7 +204,7 @@ class TestRecordFirst:
         bench.executor.offer(plan)
         bench.record = self.refuse
         assert bench.review("p", plan.hash, False, "Ada") == "plan p rejected by Ada"
-        assert bench.executor.queue.plan is None
+        assert bench.executor.under_review.plan is None
         assert [event.verdict for event in bench.executor.take_events()] == ["rejected"]
 
     def test_a_rejection_while_an_approval_is_written_down_is_carried_out_at_once(self, bench):
@@ -228,7 +228,7 @@ class TestRecordFirst:
         thread.start()
         assert writes.wait(10.0)
         assert bench.review("p", plan.hash, False, "Bob") == "plan p rejected by Bob"
-        assert not hangs.is_set() and bench.executor.queue.plan is None
+        assert not hangs.is_set() and bench.executor.under_review.plan is None
         hangs.set()
         thread.join(10.0)
         assert refused == [True] and set(bench.run(50)) == {ROBOT.home} and bench.executor.plan is None
@@ -256,7 +256,7 @@ class TestRecordFirst:
         bench.record = self.refuse
         with pytest.raises(RecordError):
             bench.approval.approve_by_itself(bench.stamp)
-        assert bench.executor.queue.plan is None
+        assert bench.executor.under_review.plan is None
         assert set(bench.run(100)) == {ROBOT.home}
 
 
@@ -294,7 +294,9 @@ class TestAge:
         with pytest.raises(ExpiredError):
             bench.review("p", plan.hash, True, "Ada")
         bench.record = bench.records.append
-        assert bench.executor.queue.plan is plan and "approved by Ada" in bench.review("p", plan.hash, True, "Ada")
+        assert bench.executor.under_review.plan is plan and "approved by Ada" in bench.review(
+            "p", plan.hash, True, "Ada"
+        )
 
     @pytest.mark.parametrize("age, taken", [(0.0, True), (2.9, True), (3.1, False), (6.0, False)])
     def test_what_lay_on_its_way_counts_from_what_the_screen_had_shown(self, bench, age, taken):
@@ -413,14 +415,14 @@ class TestScene:
     def test_a_plan_for_another_scene_cannot_be_approved(self, bench):
         with pytest.raises(ReviewError, check=says("review.other_scene", plan="p", scene="0ther", present="5ce0e")):
             bench.approve(make_plan(scene="0ther"))
-        assert bench.executor.queue.plan is not None
+        assert bench.executor.under_review.plan is not None
         bench.executor.on_scene("0ther")
         bench.review("p", "", True, "Ada")
         assert bench.state is ExecutorState.PLAYING
 
     def test_nothing_can_be_approved_before_a_scene_is_known(self):
         bench = Bench()
-        bench.executor.queue.scene = ""
+        bench.executor.under_review.scene = ""
         bench.ready()
         with pytest.raises(ReviewError, check=says("review.no_scene")):
             bench.approve(make_plan())
@@ -439,15 +441,15 @@ class TestScene:
     def test_the_same_scene_again_changes_nothing(self, bench):
         bench.executor.offer(make_plan())
         bench.executor.on_scene(SCENE)
-        assert bench.executor.queue.plan is not None and bench.executor.take_events() == []
+        assert bench.executor.under_review.plan is not None and bench.executor.take_events() == []
 
     def test_not_while_nobody_tells_of_the_scene(self, bench):
         bench.executor.offer(make_plan())
-        bench.executor.queue.scene_alive = False
+        bench.executor.under_review.scene_alive = False
         assert bench.approval.approve_by_itself(bench.stamp) is None
         with pytest.raises(ReviewError, check=says("review.scene_silent", plan="p")):
             bench.review("p", "", True, "Ada")
-        bench.executor.queue.scene_alive = True
+        bench.executor.under_review.scene_alive = True
         assert "approved" in bench.review("p", "", True, "Ada")
 
     def test_a_rejection_needs_no_scene(self, bench):
@@ -546,7 +548,7 @@ class TestAutoApprove:
         assert bench.approval.approve_by_itself(0) is None
         assert bench.approval.approve_by_itself(SCENE_DELAY + 1) is None
         assert "made for scene n3w" in bench.executor.take_events()[0].reason
-        assert bench.executor.queue.plan is None
+        assert bench.executor.under_review.plan is None
 
 
 class TestAutoApproveSources:
@@ -573,4 +575,6 @@ class TestAutoApproveSources:
         bench.executor.offer(replace(make_plan(), source=source))
         assert bench.approval.approve_by_itself(bench.stamp, self.TRUSTED) is None
         assert bench.approval.approve_by_itself(bench.stamp, WithoutPerson()) is None
-        assert bench.state is ExecutorState.IDLE and bench.executor.queue.plan is not None and bench.records == []
+        assert (
+            bench.state is ExecutorState.IDLE and bench.executor.under_review.plan is not None and bench.records == []
+        )

@@ -79,7 +79,7 @@ def test_auto_approve_waits_until_the_way_is_free():
     bench = Beside().offered()
     bench.say(PROBLEM)
     assert bench.approval.approve_by_itself(bench.stamp) is None
-    assert bench.executor.queue.plan is bench.plan
+    assert bench.executor.under_review.plan is bench.plan
     bench.say("")
     assert bench.approval.approve_by_itself(bench.stamp) is not None
 

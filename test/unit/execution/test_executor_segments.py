@@ -242,10 +242,10 @@ class TestBoundary:
     def test_a_scene_of_a_node_that_is_gone_does_not_count(self, bench):
         bench.approve(make_work_plan())
         bench.run_to_end_of(0)
-        bench.executor.queue.scene_alive = False
+        bench.executor.under_review.scene_alive = False
         bench.run(100)
         assert bench.state is ExecutorState.AT_BOUNDARY
-        bench.executor.queue.scene_alive = True
+        bench.executor.under_review.scene_alive = True
         bench.run_into(1)
 
     def test_an_unexpected_scene_at_a_boundary_drops_the_rest(self, bench):
@@ -578,7 +578,7 @@ class TestBeforeTheFirstSegment:
 
         bench.record = record
         bench.approve(make_work_plan())
-        bench.executor.queue.scene_alive = False
+        bench.executor.under_review.scene_alive = False
         waited = bench.run_until_idle()
         assert set(waited) == {ROBOT.home} and bench.executor.outcome == "stopped"
         assert "not begun, waits for the scene 5ce0e: an approval is void after 3 s" in bench.executor.reason
@@ -596,10 +596,10 @@ class TestBeforeTheFirstSegment:
     def test_later_boundaries_wait_as_long_as_before(self, bench):
         bench.approve(make_work_plan())
         bench.run_to_end_of(0)
-        bench.executor.queue.scene_alive = False
+        bench.executor.under_review.scene_alive = False
         bench.run(round(10.0 / CYCLE))
         assert bench.state is ExecutorState.AT_BOUNDARY
-        bench.executor.queue.scene_alive = True
+        bench.executor.under_review.scene_alive = True
         bench.run_into(1)
 
 
@@ -667,11 +667,13 @@ def test_whatever_happens_no_switch_fires_twice_and_no_boundary_is_passed_early(
                     continue
                 # entered only with the tool and the scene that it needs
                 segment = plan.segments[number]
-                assert not executor.tool.problem(segment.requires) and executor.queue.scene == segment.scene
+                assert not executor.tool.problem(segment.requires) and executor.under_review.scene == segment.scene
         EVENTS[name](bench)
     counted = [value for _, value in bench.tool.fired]
     assert counted in ([], [True], [True, False])
-    if executor.state not in ACTIVE:
+    # a slow plan may be under way still, and goes on below
+    under_way = executor.state in ACTIVE
+    if not under_way:
         inside = executor.outcome != "finished" and executor.segment_run.number in (1, 2)
         # at the very beginning of the engaged segments the arm is free
         if inside and np.abs(np.array(bench.outputs[-1]) - poses[1]).max() > 1e-6:
@@ -679,7 +681,8 @@ def test_whatever_happens_no_switch_fires_twice_and_no_boundary_is_passed_early(
         if executor.outcome == "finished":
             assert counted == [True, False] and not executor.engagement.engaged
     bench.run(400)
-    assert [value for _, value in bench.tool.fired] == counted or executor.state in ACTIVE
+    fired = [value for _, value in bench.tool.fired]
+    assert fired[: len(counted)] == counted and (fired == counted or under_way) and fired in ([], [True], [True, False])
 
 
 def test_a_dropped_work_plan_withdraws_what_was_waiting_when_the_arm_is_engaged(bench):

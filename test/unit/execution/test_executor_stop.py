@@ -99,7 +99,7 @@ class TestStop:
         assert bench.state is ExecutorState.STOPPING and bench.executor.reason == "cancelled by /client"
         assert bench.executor.stop_plan("p", "again") == "plan p is braking already"
         bench.run_until_idle()
-        assert bench.executor.outcome == "stopped" and bench.executor.queue.plan is waiting
+        assert bench.executor.outcome == "stopped" and bench.executor.under_review.plan is waiting
         # what was asked for before is not void either
         bench.executor.offer(make_plan("coming"))
         with pytest.raises(ExecutionError, match=r"plan 'p' is not played: the executor is IDLE \(cancelled by"):
@@ -164,12 +164,12 @@ class TestPause:
     def test_a_plan_asked_for_before_the_pause_is_void_when_it_arrives_and_one_that_waits_is_not(self, bench):
         bench.play(make_plan(), 250)
         waiting = make_plan("waits")
-        bench.executor.queue.offer(waiting)
+        bench.executor.under_review.offer(waiting)
         bench.executor.pause(bench.stamp)
-        assert bench.executor.queue.plan is waiting
+        assert bench.executor.under_review.plan is waiting
         with pytest.raises(ReviewError, check=says("review.void")):
-            bench.executor.queue.offer(make_plan("late", created_ns=bench.stamp - 1))
-        bench.executor.queue.offer(make_plan("new", created_ns=bench.stamp + 1))
+            bench.executor.under_review.offer(make_plan("late", created_ns=bench.stamp - 1))
+        bench.executor.under_review.offer(make_plan("new", created_ns=bench.stamp + 1))
 
     def test_goes_on_along_the_same_path_to_the_goal_without_another_approval(self, bench):
         pause_after(bench, 250)

@@ -141,7 +141,7 @@ def test_a_stop_of_one_plan_names_who_asked_for_it_and_no_other_is_stopped(world
     assert world.run(1).executor.reason == "stop requested by /client"
     # a plan that somebody asked for before is not void
     world.executor.offer(make_plan("q", created_ns=world.wall - NANOSECONDS // 100))
-    assert world.executor.queue.plan.id == "q"
+    assert world.executor.under_review.plan.id == "q"
 
 
 class TestClocks:
@@ -260,7 +260,7 @@ class TestAge:
         assert not answer.success and answer.expired and "look again" in answer.message
         assert [reason for reason, _ in world.refused] == ["too_old"]
         world.run(50)
-        assert world.executor.plan is None and world.executor.queue.plan is plan
+        assert world.executor.plan is None and world.executor.under_review.plan is plan
         (refused,) = records(tmp_path)
         assert (refused["verdict"], refused["reviewer"]) == ("refused", "kr120-reviewer-ada")
 
@@ -276,7 +276,7 @@ class TestAge:
             answer = world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", ""))
         assert not answer.success and "too old: it is of 120.0 s ago" in answer.message
         world.run(50)
-        assert world.executor.plan is None and world.executor.queue.plan is plan
+        assert world.executor.plan is None and world.executor.under_review.plan is plan
         approved, ended = records(tmp_path)
         assert approved["verdict"] == "approved" and ended["outcome"] == "dropped" and "not started" in ended["reason"]
 
@@ -291,7 +291,7 @@ class TestAge:
     @pytest.mark.parametrize("moment", ["", "c0ffee00", "1795369597.396", "deadbeef-7000000"])
     def test_without_a_moment_of_this_robot_nothing_is_approved(self, world, moment):
         answer = world.from_screen(world.waiting(), moment)
-        assert not answer.success and len(world.refused) == 1 and world.executor.queue.plan is not None
+        assert not answer.success and len(world.refused) == 1 and world.executor.under_review.plan is not None
 
     @pytest.mark.parametrize("moment", ["", "of an old screen", "c0ffee00-1"])
     def test_a_rejection_is_never_too_old(self, world, moment):
@@ -561,7 +561,7 @@ class TestEngaged:
         pose = [message[1] for name, message in work.said if name == "next/joint_states"][-1]
         plan = make_plan("other", reach(pose, ROBOT.home), "5ce1e", work.wall + NANOSECONDS)
         work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
-        assert work.executor.queue.plan is None and "is not the way back" in work.refused[-1][1]
+        assert work.executor.under_review.plan is None and "is not the way back" in work.refused[-1][1]
 
     def test_the_way_back_leads_out_and_the_file_goes(self, work, tmp_path):
         work.left_in_lift().run(3)

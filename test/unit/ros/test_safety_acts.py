@@ -58,7 +58,7 @@ def act(world: World, which: str):
         request = StopPlanRequest(plan_id="p")
         request._connection_header = {"callerid": "/client"}
         return node.on_stop_plan(request)
-    plan = world.executor.queue.plan
+    plan = world.executor.under_review.plan
     return node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "too close to the wall"))
 
 
@@ -74,7 +74,7 @@ def is_carried_out(world: World, which: str) -> None:
     """Check that the act has had its effect, to its end."""
     executor = world.executor
     if which == "reject":
-        assert executor.queue.plan is None and executor.state is ExecutorState.PLAYING
+        assert executor.under_review.plan is None and executor.state is ExecutorState.PLAYING
         return
     assert executor.state in (ExecutorState.STOPPING, ExecutorState.PAUSING)
     begin = len(setpoints(world))

@@ -48,7 +48,7 @@ from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, product
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.views.work_texts import list_lines, show_lines
-from construction_twin.work import processes, tasks
+from construction_twin.work import processes, worker_functions
 from construction_twin.work.check import Checker
 from construction_twin.work.check_report import cell_picture, row
 from construction_twin.work.events import Entry
@@ -201,7 +201,7 @@ def test_the_works_child_process_reads_a_model_with_it_and_plans_it(tmp_path, wo
     bricks = [model.box(f"brick{number}", BRICK, (0.25 * number, 0.0, 0.0), "IfcBeam") for number in range(2)]
     asked = [model.task(f"do {brick.Name}", [brick]) for brick in bricks]
     site(tmp_path, {"recipes": str(recipes_file(tmp_path))})
-    made = tasks.FUNCTIONS["prepare"](
+    made = worker_functions.FUNCTIONS["prepare"](
         model=str(model.save(tmp_path / "m.ifc")), cell=str(tmp_path / "cell.yaml"), robot=robot(),
         self_collision=str(ROOT / "config/kr120_track_self_collision.yaml"), planner={**PLANNER, "seed": 1}, cache=str(tmp_path),
     )  # fmt: skip
@@ -213,7 +213,7 @@ def test_the_works_child_process_reads_a_model_with_it_and_plans_it(tmp_path, wo
     wanted, alone = board.wanted_scene()
     assert not alone and f"{element_id}/0" in wanted and not wanted[f"{element_id}/0"].link
     scene = Scene((*work.site.scene.objects, *wanted.values()), work.site.scene.padding)
-    plan = tasks.FUNCTIONS["plan"](task=task, element=element_id, start=robot().home, scene=scene)
+    plan = worker_functions.FUNCTIONS["plan"](task=task, element=element_id, start=robot().home, scene=scene)
     assert [part.name for part in plan.segments] == ["to point", "touch", "back"]
     board.ledger.close()
 

@@ -20,7 +20,7 @@ from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work.contacts import Shapes, deepest, tool_objects
-from construction_twin.work.jobs import WorkPlan
+from construction_twin.work.jobs import TaskMotions
 from construction_twin.work.motions import TaskLimits
 from construction_twin.work.site_scene import Layout, WorkState
 
@@ -33,7 +33,7 @@ def work(tmp_path_factory) -> Layout:
 
 
 @pytest.fixture(scope="module")
-def plans(work) -> list[WorkPlan]:
+def plans(work) -> list[TaskMotions]:
     """The three bricks, one after the other."""
     made, placed, q = [], {}, HOME
     for brick in work.order:

@@ -28,7 +28,7 @@ from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.scene.objects import Scene, product
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.work import tasks
+from construction_twin.work import worker_functions
 from construction_twin.work.build_report import TaskResult, summary
 from construction_twin.work.building import Sequence, Task
 from construction_twin.work.built import change, pose_tuple
@@ -130,9 +130,9 @@ def test_a_schedule_that_only_places_is_accepted_as_it_was_before_there_were_oth
     jobs = Job("a", "a", "A", "e", (), ()), Job("b", "b", "B", "f", ("kr120",), (Wait("a", True, 1.0),))
     before = [{key: value for key, value in asdict(one).items() if key != "process"} for one in jobs]
     digest = hashlib.sha256(json.dumps(before).encode()).hexdigest()
-    assert tasks.schedule_digest(Schedule(jobs, (), ())) == digest
+    assert worker_functions.schedule_digest(Schedule(jobs, (), ())) == digest
     other = Schedule((jobs[0], replace(jobs[1], process="touch")), (), ())
-    assert tasks.schedule_digest(other) != digest
+    assert worker_functions.schedule_digest(other) != digest
 
 
 # -- which recipe
@@ -198,7 +198,7 @@ def work(tmp_path):
     model.properties(touch, "CTwin_RobotTask", Recipe="probe")
     place, other = model.task("place first", [bricks[0]]), model.task("place second", [bricks[1]])
     site(tmp_path, {"recipes": str(recipes_file(tmp_path, match={"elements": ["none"]}))})
-    made = tasks.FUNCTIONS["prepare"](
+    made = worker_functions.FUNCTIONS["prepare"](
         model=str(model.save(tmp_path / "m.ifc")), cell=str(tmp_path / "cell.yaml"), robot=robot(),
         self_collision=str(ROOT / "config/kr120_track_self_collision.yaml"), planner={**PLANNER, "seed": 1}, cache=str(tmp_path),
     )  # fmt: skip
@@ -222,7 +222,7 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
         return Scene((*surroundings.objects, *wanted.values()), surroundings.padding)
 
     def planned(task: str):
-        plan = tasks.FUNCTIONS["plan"](task=task, element=element_id, start=robot().home, scene=scene())
+        plan = worker_functions.FUNCTIONS["plan"](task=task, element=element_id, start=robot().home, scene=scene())
         held = () if plan.tool0_T_element is None else pose_tuple(plan.tool0_T_element)
         process = "" if (name := made.schedule.job(task).process) == "place" else name
         board.ledger.add(Entry("offered", task, element_id, offer="o", grip=plan.method, pose=held, process=process))

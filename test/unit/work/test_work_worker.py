@@ -46,7 +46,7 @@ PROGRAM = """
     def end():
         sys.exit(3)
 
-    tasks = types.ModuleType("construction_twin.work.tasks")
+    tasks = types.ModuleType("construction_twin.work.worker_functions")
     tasks.FUNCTIONS = {name: one for name, one in globals().items() if isinstance(one, types.FunctionType)}
     sys.modules[tasks.__name__] = tasks
     runpy.run_module("construction_twin.work.worker", run_name="__main__", alter_sys=True)

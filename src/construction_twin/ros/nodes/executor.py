@@ -438,7 +438,7 @@ class ExecutorNode:
         return self._carry_out("stop_plan", stop, rospy.logwarn)
 
     def _carry_out(self, request: str, act: Callable[[], str], write: Callable[..., None] | None = None) -> Outcome:
-        """Carry out a person's request: the one place where a refusal becomes an answer, a count and a line in the log."""
+        """Carry out a person's request, and answer it."""
         try:
             sentence = act()
         except ConstructionTwinError as error:
@@ -447,7 +447,7 @@ class ExecutorNode:
         return Outcome(True, sentence)
 
     def _refused(self, request: str, error: ConstructionTwinError) -> Outcome:
-        """Count a request that was refused, and have it written after the answer."""
+        """Return the answer to a request that was refused, count it, and have its line written after the answer."""
         if isinstance(error, PayloadError):
             self._diagnostics.refuse(error.reason, str(error))
         elif isinstance(error, ExpiredError):
@@ -550,7 +550,7 @@ class ExecutorNode:
         (_do if reported else self._side_effects.run)("the engagement", self.keep_engagement)
         with self._lock:
             self._readings.note(now_ns(), time.monotonic_ns())
-            self._executor.queue.scene_alive = scene_alive
+            self._executor.under_review.scene_alive = scene_alive
             obstacle = self._executor.approval_obstacle()
         if obstacle != self._obstacle:
             self._obstacle = obstacle

@@ -74,7 +74,7 @@ from construction_twin.views.work_markers import DrawnElement, work_picture
 from construction_twin.work.built import change, pose_tuple
 from construction_twin.work.events import Entry
 from construction_twin.work.glb import ShownElement, glb
-from construction_twin.work.jobs import WorkPlan
+from construction_twin.work.jobs import TaskMotions
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.recipe import DEFAULT
 from construction_twin.work.task_board import Prepared, TaskBoard, WorkRefused
@@ -359,7 +359,7 @@ class WorkNode:
         start = self._inputs.twin_pose()
         began = time.monotonic()
         try:
-            plan: WorkPlan = self._worker.ask(
+            plan: TaskMotions = self._worker.ask(
                 "plan", task=task, element=board.element_of(task), start=start, scene=scene, held=held
             )
         except WorkerError as error:
@@ -384,7 +384,7 @@ class WorkNode:
                 raise WorkRefused(obstacle)
             return task, work
 
-    def _offer(self, task: str, plan: WorkPlan, work: _Opened) -> Outcome:
+    def _offer(self, task: str, plan: TaskMotions, work: _Opened) -> Outcome:
         """Have the planner check a plan and put it under review; the ledger knows of it before."""
         board, offer = work.board, uuid.uuid4().hex[:12]
         title, process = board.title(task), board.prepared.schedule.job(task).process

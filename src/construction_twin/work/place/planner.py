@@ -20,7 +20,7 @@ from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.objects import Scene, product
 from construction_twin.work.contacts import FALL
 from construction_twin.work.convex_bodies import Pieces
-from construction_twin.work.jobs import WorkPlan
+from construction_twin.work.jobs import TaskMotions
 from construction_twin.work.motions import Failed, Free, PlanBuilder, Search
 from construction_twin.work.place.grips import Grip, find_grips
 from construction_twin.work.place.phases import Scenes, Ways, direction, scenes, ways
@@ -65,7 +65,7 @@ def check(search: Search) -> None:
         raise TaskPlanningError(job.task, falls, SET_DOWN)
 
 
-def plan(search: Search) -> WorkPlan:
+def plan(search: Search) -> TaskMotions:
     """Return the plan of a task; of one whose element is held already, its rest: carry, set down, let go, go away.
 
     Raises:
@@ -75,7 +75,7 @@ def plan(search: Search) -> WorkPlan:
     return _whole(search) if search.held is None else _rest(search, search.held)
 
 
-def _whole(search: Search) -> WorkPlan:
+def _whole(search: Search) -> TaskMotions:
     job = search.job
     assert job.base_T_stock is not None
     mass = mass_of(job, search.name, search.recipe, search.tool.tool)
@@ -103,7 +103,7 @@ def _whole(search: Search) -> WorkPlan:
     raise furthest
 
 
-def _rest(search: Search, tool0_T_element: Pose) -> WorkPlan:
+def _rest(search: Search, tool0_T_element: Pose) -> TaskMotions:
     job, recipe = search.job, search.recipe
     element_T_tcp = product(inverse(tool0_T_element), pose_of(search.tool.tool.tool0_T_tcp))
     grip = Grip("the grip it is held with", element_T_tcp, Pose(np.zeros(3), np.eye(3)), 0)
@@ -149,7 +149,7 @@ def _falls(search: Search) -> str:
     return Sentence("work.cannot.falls", element=job.element_name or job.element, gap=1e3 * FALL)
 
 
-def _with_grip(search: Search, grip: Grip) -> WorkPlan:
+def _with_grip(search: Search, grip: Grip) -> TaskMotions:
     """Return the plan with one grip; the ways from the stock and to the place in the recipe's order."""
     recipe, job = search.recipe, search.job
     assert job.base_T_stock is not None
@@ -264,7 +264,7 @@ class _OneWay:
     _stocks: dict[int, _Stock | Failed] = field(default_factory=dict)
     _goals: dict[int, _Goal | Failed] = field(default_factory=dict)
 
-    def plan(self) -> WorkPlan:
+    def plan(self) -> TaskMotions:
         """Return the plan; the combinations of joint solutions with the shortest free ways first."""
         befores = self._solutions(self.at.before, self.search.start, self.scenes.fetch, APPROACH, "before gripping")
         aboves = self._solutions(self.at.above, befores[0], self.scenes.carry, SET_DOWN, "above its place")
@@ -283,7 +283,7 @@ class _OneWay:
         assert furthest is not None
         raise furthest
 
-    def plan_carried(self) -> WorkPlan:
+    def plan_carried(self) -> TaskMotions:
         """Return the rest of a plan whose element is held already."""
         recipe, search, there = self._recipe, self.search, self.scenes
         aboves = self._solutions(self.at.above, search.start, there.carry, SET_DOWN, "above its place")
@@ -364,7 +364,7 @@ class _OneWay:
     def _free(self, stage: str, start: np.ndarray, goal: np.ndarray, scale: float, scene: Scene) -> Free:
         return self.search.free(start, goal, scale, scene, stage, self.grip.name)
 
-    def _joined(self, stock: _Stock, goal: _Goal) -> WorkPlan:
+    def _joined(self, stock: _Stock, goal: _Goal) -> TaskMotions:
         recipe, search, there = self._recipe, self.search, self.scenes
         fetch = self._free(TO_STOCK, search.start, stock.before, recipe.free_speed_scale, there.fetch)
         carry = self._free(CARRY, stock.lift.positions[-1], goal.above, recipe.carry_speed_scale, there.carry)
@@ -377,7 +377,7 @@ class _OneWay:
         made.add(LIFT, stock.lift, True, held, (), there.carry)
         return self._carried(made, carry, goal)
 
-    def _carried(self, made: PlanBuilder, carry: Free, goal: _Goal) -> WorkPlan:
+    def _carried(self, made: PlanBuilder, carry: Free, goal: _Goal) -> TaskMotions:
         """Return the plan that goes on with the element in the grip, up to its end."""
         search, there, tool = self.search, self.scenes, self.search.tool.tool
         held, empty = tool.grip.signals(), tool.release.signals()

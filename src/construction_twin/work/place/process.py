@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from construction_twin.work.jobs import WorkJob, WorkPlan
+from construction_twin.work.jobs import TaskMotions, WorkJob
 from construction_twin.work.place.recipe import OVERRIDES, PlaceRecipe, check_tool, mass_of
 from construction_twin.work.place.stages import SET_DOWN
 from construction_twin.work.process import Process
@@ -17,7 +17,7 @@ def _check(search: Any) -> None:
     check(search)
 
 
-def _plan(search: Any) -> WorkPlan:
+def _plan(search: Any) -> TaskMotions:
     from construction_twin.work.place.planner import plan
 
     return plan(search)

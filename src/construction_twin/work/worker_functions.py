@@ -1,4 +1,4 @@
-"""What the work node's child process does: read a model in its cell, and plan its tasks. See `worker`."""
+"""What the work node's worker does, in a process of its own: read a model in its cell, and plan its tasks. See `worker`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from construction_twin.work.built import pose_of_tuple
 from construction_twin.work.contacts import tool_objects
 from construction_twin.work.element_bodies import element_shapes, element_triangles
 from construction_twin.work.ifc.reading import read_building
-from construction_twin.work.jobs import WorkPlan, bare_job
+from construction_twin.work.jobs import TaskMotions, bare_job
 from construction_twin.work.placement import check_placement
 from construction_twin.work.processes import process_of
 from construction_twin.work.proposed_schedule import is_proposal, propose
@@ -165,7 +165,7 @@ def _scheduled(building: BuildingModel, schedule: Schedule) -> dict[str, Schedul
     }
 
 
-def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: tuple[float, ...] = ()) -> WorkPlan:
+def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: tuple[float, ...] = ()) -> TaskMotions:
     """Plan a task.
 
     Args:
