@@ -381,5 +381,70 @@ export const IK_ACK = {
   }
 };
 
+/** A message on <prefix>/<robot>/answer/ack. */
+export const ANSWER_ACK = {
+  "type": "object",
+  "additionalProperties": false,
+  "required": [],
+  "properties": {
+    "id": {"type": "string"},
+    "account": {"type": "string"},
+    "task": {"type": "string"},
+    "ok": {"type": "boolean"},
+    "reason": {"type": "string"},
+    "expired": {"type": "boolean"}
+  }
+};
+
+/** A message on <prefix>/<robot>/acknowledge/ack. */
+export const ACKNOWLEDGE_ACK = {
+  "type": "object",
+  "additionalProperties": false,
+  "required": [],
+  "properties": {
+    "id": {"type": "string"},
+    "account": {"type": "string"},
+    "message": {"type": "string"},
+    "ok": {"type": "boolean"},
+    "reason": {"type": "string"}
+  }
+};
+
+/** One message of <prefix>/<robot>/messages. */
+export const MESSAGES = {
+  "type": "array",
+  "items": {
+    "type": "object",
+    "additionalProperties": false,
+    "required": ["id", "at", "line"],
+    "properties": {
+      "id": {"type": "string"},
+      "at": {"type": "number"},
+      "line": {
+        "type": "object",
+        "additionalProperties": false,
+        "required": ["topic", "sentence"],
+        "properties": {
+          "topic": {"type": "string"},
+          "state": {"type": "string"},
+          "words": {"type": "string"},
+          "values": {"type": "object", "additionalProperties": {"type": "string"}},
+          "level": {"type": "integer"},
+          "sentence": {"type": "string"},
+          "reason": {"type": "string"},
+          "said": {"type": ["object", "null"], "additionalProperties": {}},
+          "waits_for": {"type": "string"},
+          "who": {"type": "string"},
+          "todo": {"type": "string"},
+          "page": {"type": "string"}
+        }
+      },
+      "until": {"type": ["number", "null"]},
+      "acknowledged_by": {"type": "string"},
+      "acknowledged_at": {"type": ["number", "null"]}
+    }
+  }
+};
+
 /** Beginnings of the keys of reasons and answers, as core/sentences.py has them. */
 export const REASONS = ["reason.", "executor.", "review.", "link.", "gateway.", "motion.", "work.", "startup.", "expected.", "telegram.", "ifc."];

@@ -106,6 +106,23 @@ class LinkReport:
 
 
 @dataclass(frozen=True)
+class SessionRequest:
+    """A person asked for a session with the gateway: `SessionRequest.msg`.
+
+    Attributes:
+        verb: `reset` or `arm`.
+        person: By MQTT the account; empty: by a service on the robot's computers, which knows no names.
+        lifts: Why the link waited for a person, as it was told then.
+        stamp: When it was begun [ns].
+    """
+
+    verb: str
+    person: str
+    lifts: str
+    stamp: int = 0
+
+
+@dataclass(frozen=True)
 class ExecutionReport:
     """The executor's report: `Execution.msg`.
 

@@ -159,7 +159,8 @@ class LinkSupervisor:
         return self._owes_stop
 
     @property
-    def _known_stop(self) -> tuple[str, int | None]:
+    def known_stop(self) -> tuple[str, int | None]:
+        """Run and number of the gateway's last stop or fault, as far as it is known."""
         return self.inputs.run, self.inputs.fault_number
 
     def on_status(self, status: dict, now: int) -> str:
@@ -227,7 +228,7 @@ class LinkSupervisor:
         self._want_session()
 
     def _want_session(self) -> None:
-        self._reset_wanted, self._shown = True, self._known_stop
+        self._reset_wanted, self._shown = True, self.known_stop
         self.requests += 1
 
     def withdraw(self, request: int, reason: str) -> None:
@@ -322,7 +323,7 @@ class LinkSupervisor:
             Guard.SESSION_ENDED: self._session_ended,
             Guard.FAULT: lambda at: self.inputs.fault,
             Guard.FAULT_UNASKED: lambda at: self.inputs.fault and not self._asked_for,
-            Guard.STOPPED_SINCE: lambda at: self._asked_for and self._shown != self._known_stop,
+            Guard.STOPPED_SINCE: lambda at: self._asked_for and self._shown != self.known_stop,
             Guard.STOPPED_BEFORE: lambda at: bool(self.inputs.stopped_before),
             Guard.HALTED_HERE: lambda at: self._halted is not None,
             Guard.FIRST_SESSION: lambda at: not self._was_armed and self.inputs.gateway == "ready",
@@ -483,7 +484,7 @@ class LinkSupervisor:
 
     def _send_reset(self, session: str, now: int) -> str:
         # without a request there is no fault in the newest status, and so none that its number would clear
-        run, number = self._shown if self._asked_for else self._known_stop
+        run, number = self._shown if self._asked_for else self.known_stop
         assert number is not None  # without a number the link is a mismatch
         return self._send("reset", session, now, reset_value(run, number))
 

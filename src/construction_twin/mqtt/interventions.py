@@ -1,8 +1,9 @@
-"""`stop`, `pause` and `resume` by MQTT: what a person may press whose account has the right to. Pure; standard library only.
+"""`stop`, `pause`, `resume`, `reset`, `arm` by MQTT: what a person may press whose account has the right to. Pure; standard library
+only.
 
-The account is the topic's last level, which a site's broker has checked; the message holds an id of its own, and a `resume` the
-moment that its screen had shown (`core.freshness`): it starts motion, and is void when that is too old. A stop and a pause need
-none. What is not exactly so is refused (PayloadError).
+The account is the topic's last level, which a site's broker has checked; the message holds an id of its own, and all but a stop and
+a pause the moment that its screen had shown (`core.freshness`): they start motion, or lift what stops it, and are void when that is
+too old. What is not exactly so is refused (PayloadError).
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from construction_twin.mqtt.messages import demand_live, is_short_text, parse_ob
 from construction_twin.mqtt.requests import PRESSED
 
 #: What can be asked for.
-STOP, PAUSE, RESUME = "stop", "pause", "resume"
+STOP, PAUSE, RESUME, RESET, ARM = (kind.name for kind in PRESSED)
 _STARTING = {kind.name for kind in PRESSED if kind.starts}
 #: Longest message that is read [bytes].
 MAX_BYTES = 256
@@ -24,7 +25,7 @@ MAX_BYTES = 256
 
 @dataclass(frozen=True)
 class Intervention:
-    """What a person asks for: `verb` is ``stop``, ``pause`` or ``resume``; `account` is the topic's, `id` the person's own.
+    """What a person asks for: `verb` is the name of one of `PRESSED`; `account` is the topic's, `id` the person's own.
 
     `moment` is the newest that the screen had received, "" where none was told. One that comes again with another is the same.
     """
@@ -41,7 +42,7 @@ def parse_intervention(verb: str, account: str, payload: bytes, retained: bool) 
     Args:
         verb, account: Of the topic.
         payload: JSON object with `id`, a text of 1 to 64 characters in one line; of a `resume` also `moment`, as the newest view
-            has it. In a stop or a pause a moment may stand, and is not read.
+            has it, as of a `reset` and an `arm`. In a stop or a pause a moment may stand, and is not read.
         retained: The message's retain flag.
 
     Raises:

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 from construction_twin.core.rate_limit import Pace, SenderLimits, TokenBucket
 
-#: Who answers: the gateway, which brakes the arm, or the executor, which brakes along the path.
-GATEWAY, EXECUTOR = "gateway", "executor"
+#: Who carries out what is pressed: the gateway, which brakes the arm, the executor, which brakes along the path, or the bridge,
+#: which begins a session with the gateway.
+GATEWAY, EXECUTOR, BRIDGE = "gateway", "executor", "bridge"
 
 
 @dataclass(frozen=True)
@@ -24,13 +25,15 @@ class Answer:
         id: The request's own; "" when it could not be read.
         account, sender: Who asked, as the topic has it; "" in no name.
         reason, sentence: For people.
-        by: `GATEWAY` or `EXECUTOR`.
+        by: Who carries it out.
         expired: The request was too old.
         reviewer: The name on record.
         duration: Of the plan [s].
         reach: ``free``, ``contact``, ``out`` or ``unknown``.
         joints: By name [rad, m].
         between: What is in contact.
+        task: Id of the task whose question was answered.
+        message: Id of the message that was acknowledged.
     """
 
     id: str = ""
@@ -51,6 +54,8 @@ class Answer:
     reach: str = "unknown"
     joints: Mapping[str, float] | None = None
     between: Sequence[str] = ()
+    task: str = ""
+    message: str = ""
 
 
 #: What each field holds while no more is known.
@@ -70,6 +75,7 @@ class RequestKind:
             What comes too often is told when to try again; of QoS 0, where a newer one follows anyway, it is not even read.
         starts: Of what is pressed: it starts motion, repeats the moment that its screen had received, and is carried out once;
             any other may be carried out twice.
+        by: Who carries out what is pressed; a stop the gateway too.
     """
 
     name: str
@@ -80,6 +86,7 @@ class RequestKind:
     qos: int = 1
     pace: Pace | None = None
     starts: bool = False
+    by: str = EXECUTOR
 
     def is_answered_to(self, account: str) -> bool:
         """Return whether somebody hears the answer; where each account has a topic of its own, "" has none."""
@@ -94,6 +101,8 @@ class RequestKind:
 _VERDICT = ("plan_id", "plan_hash", "verdict", "reviewer", "account", "ok", "reason", "expired")
 _PRESSED = ("id", "account", "ok", "reason", "by", "expired")
 _PLANNED = ("id", "account", "kind", "ok", "reason", "plan_id", "plan_hash", "duration", "expired")
+_ANSWERED = ("id", "account", "task", "ok", "reason", "expired")
+_ACKNOWLEDGED = ("id", "account", "message", "ok", "reason")
 _REACHED = ("id", "reach", "joints", "sentence", "between")
 #: Nobody alone holds up the others: a motion is checked in seconds.
 _PLANNING = Pace(1)
@@ -105,8 +114,15 @@ REVIEW = RequestKind("review", "review", "review/{}", "review/ack", _VERDICT)
 STOP = RequestKind("stop", "stop", "stop/{}", "stop/ack", _PRESSED)
 PAUSE = RequestKind("pause", "pause", "pause/{}", "pause/ack", _PRESSED)
 RESUME = RequestKind("resume", "pause", "resume/{}", "pause/ack", _PRESSED, starts=True)
-#: What is pressed: an `Intervention`, which the executor's service of the same name carries out.
-PRESSED = (STOP, PAUSE, RESUME)
+#: Lifts a stop or fault and starts over from the arm's pose; begins a session where nothing needs to move for it. Rights of their
+#: own: whoever may stop does not have them.
+RESET = RequestKind("reset", "reset", "reset/{}", "reset/ack", _PRESSED, starts=True, by=BRIDGE)
+ARM = RequestKind("arm", "arm", "arm/{}", "arm/ack", _PRESSED, starts=True, by=BRIDGE)
+#: What is pressed: an `Intervention`, which a service of the same name carries out.
+PRESSED = (STOP, PAUSE, RESUME, RESET, ARM)
+#: Answers a question of the work; takes note of a message.
+ANSWER = RequestKind("answer", "answer", "answer/{}", "answer/ack", _ANSWERED)
+ACKNOWLEDGE = RequestKind("acknowledge", "acknowledge", "acknowledge/{}", "acknowledge/ack", _ACKNOWLEDGED)
 PLAN_REQUEST = RequestKind(
     "plan_request", "plan_request", "plan_request/{}", "plan_request/ack", _PLANNED, pace=_PLANNING
 )
@@ -116,11 +132,11 @@ NAMELESS_TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory", "tra
 TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory/from/{}", "trajectory/ack", _CHECKED, pace=_PLANNING)
 #: In the order of the broker's rules.
 REQUESTS = (
-    NAMELESS_REVIEW, REVIEW, *PRESSED, PLAN_REQUEST, IK, NAMELESS_TRAJECTORY, TRAJECTORY,
+    NAMELESS_REVIEW, REVIEW, *PRESSED, ANSWER, ACKNOWLEDGE, PLAN_REQUEST, IK, NAMELESS_TRAJECTORY, TRAJECTORY,
 )  # fmt: skip
 
 #: Answers per second, and at once, to what an account sends that cannot be read, or that is a stop of what stands stopped. What can
-#: be read of a verdict, stop, pause or resume is always answered, and a stop always carried out: those have no pace.
+#: be read of a verdict, or of what is pressed, is always answered, and a stop always carried out: those have no pace.
 ANSWERS = 10
 
 

@@ -356,8 +356,11 @@ class TaskBoard:
         self.add(Entry("unknown", held[0], reason=reason))
         return self._asking("work.lost_asks", held[0], reason=reason)
 
-    def answer(self, task: str, answer: str, person: str, reason: str) -> str:
+    def answer(self, task: str, answer: str, person: str, reason: str, shown: str = "") -> str:
         """Take the answer to a task's question; return a sentence.
+
+        Args:
+            shown: The question as the person saw it; empty: it is not compared.
 
         Raises WorkRefused.
         """
@@ -365,8 +368,10 @@ class TaskBoard:
         possible = memory.possible_answers()
         if not possible:
             raise self._not_in(memory.state, "work.answer_nothing", task)
+        question = self._question(task)
+        if shown and shown != question:
+            raise WorkRefused(Sentence("work.answer_other", question=question))
         if answer not in possible:
-            question = self._question(task)
             raise WorkRefused(
                 Sentence("work.answer_wrong", answer=repr(answer), question=question, answers=", ".join(possible))
             )

@@ -23,6 +23,8 @@ ACCOUNTS = {
     "reviewer": "one-reviewer-ada",
     "stopper": "one-stopper-bob",
     "planner": "one-planner-ada",
+    # a person with what no role has
+    "lead": "dora",
 }
 #: What people write in the name of their account, by right; docs/reference/mqtt.md says it again, and is compared (test_docs.py).
 OF_ACCOUNTS = [kind for kind in REQUESTS if "{}" in kind.topic]
@@ -30,22 +32,24 @@ ACTS = {kind.right: [each.topic[:-3] for each in OF_ACCOUNTS if each.right == ki
 ANSWERS = {kind.ack.format("one-planner-ada") for kind in OF_ACCOUNTS}
 #: Who has which right.
 HAVE = {
-    "stop": ("reviewer", "stopper", "planner"),
+    "stop": ("reviewer", "stopper", "planner", "lead"),
     "pause": ("reviewer", "stopper"),
     "review": ("reviewer",),
     "plan_request": ("planner",),
     "trajectory": ("planner",),
+    **dict.fromkeys(("reset", "arm", "answer", "acknowledge"), ("lead",)),
 }
-PEOPLE = ("viewer", "reviewer", "stopper", "planner")
+PEOPLE = ("viewer", "reviewer", "stopper", "planner", "lead")
+OF_PERSONS = ("reset", "arm", "answer", "acknowledge")
 OF_PEOPLE = {f"{act}/{ACCOUNTS[role]}" for acts in ACTS.values() for act in acts for role in PEOPLE}
 TOPICS = (
     "command", "state", "status", "bridge/status", "control", "control/ack", "plan", "review", "scene", "screen", "work/tasks",
-    "trajectory", "view", *sorted(ANSWERS), *sorted(OF_PEOPLE), "somewhere/else",
+    "messages", "trajectory", "view", *sorted(ANSWERS), *sorted(OF_PEOPLE), "somewhere/else",
 )  # fmt: skip
 #: What each role publishes and what it hears, under <prefix>/<robot>/.
 WRITES = {
     "bridge": {
-        "command", "control", "bridge/status", "plan", "scene", "screen", "work/tasks", "view", *ANSWERS,
+        "command", "control", "bridge/status", "plan", "scene", "screen", "work/tasks", "messages", "view", *ANSWERS,
     },
     "gateway": {"state", "status", "control/ack", "stop/ack"},
     "plc": {"command", "control"},
@@ -56,7 +60,7 @@ WRITES["planner"] |= {"trajectory"}
 STOPS = {topic for topic in OF_PEOPLE if topic.startswith("stop/")}
 READS = {
     # who takes `stop/+` also gets `stop/ack`
-    "bridge": {"state", "status", "control/ack", "plan", "scene", "work/tasks", "trajectory"} | OF_PEOPLE
+    "bridge": {"state", "status", "control/ack", "plan", "scene", "work/tasks", "messages", "trajectory"} | OF_PEOPLE
     | ({f"{act}/ack" for acts in ACTS.values() for act in acts} & ANSWERS),
     "gateway": {"command", "control", "stop/ack"} | STOPS,
     "plc": {"state", "status", "control/ack"},
@@ -70,7 +74,8 @@ BY_NAME = {"reviewers": ("ada", "ben"), "stoppers": ("bob",)}
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     cora = Person("cora", (Grant(("review",), ("one",)), Grant(("view",), ("two",))))
-    site = SiteBroker(tmp_path_factory.mktemp("site"), planners=("ada", "ben"), persons=(cora,), **BY_NAME)
+    dora = Person("dora", (Grant(OF_PERSONS, ("one",)),))
+    site = SiteBroker(tmp_path_factory.mktemp("site"), planners=("ada", "ben"), persons=(cora, dora), **BY_NAME)
     site.start()
     yield site
     site.stop()
@@ -98,7 +103,7 @@ MARKED = "twin/one/review/one-reviewer-ada"
 
 
 def test_the_table_knows_every_role_and_topic():
-    assert set(WRITES) == set(READS) == set(ACCOUNTS) == {*PROGRAMS, *ROLES, PLC}
+    assert set(WRITES) == set(READS) == set(ACCOUNTS) == {*PROGRAMS, *ROLES, PLC, "lead"}
     topics = Topics("twin", "one")
     names = [name for name, value in vars(Topics).items() if isinstance(value, property)]
     listed = {getattr(topics, name) for name in names}
@@ -108,7 +113,8 @@ def test_the_table_knows_every_role_and_topic():
 
 
 def test_every_right_is_in_a_role_and_has_its_rules():
-    assert {right for rights in ROLES.values() for right in rights} == set(RIGHTS) == {"view", *ACTS}
+    assert {right for rights in ROLES.values() for right in rights} | {*OF_PERSONS} == set(RIGHTS) == {"view", *ACTS}
+    assert not {*OF_PERSONS} & {right for rights in ROLES.values() for right in rights}, "nobody has these unless named"
     assert {path.stem for path in (ROOT / "config/mosquitto").glob("right_*.acl")} == {
         f"right_{right}" for right in RIGHTS
     }

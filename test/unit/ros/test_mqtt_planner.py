@@ -25,7 +25,7 @@ from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ClosestView, ViewWriter
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
-from construction_twin.mqtt.requests import IK, NAMELESS_TRAJECTORY, PLAN_REQUEST, RequestKind
+from construction_twin.mqtt.requests import ACKNOWLEDGE, IK, NAMELESS_TRAJECTORY, PLAN_REQUEST, RequestKind
 from construction_twin.ros.nodes import mqtt_planner
 from construction_twin.ros.nodes.mqtt_planner import (
     REPEAT_WINDOW,
@@ -371,6 +371,16 @@ class Feed:
     def publish_offline(self):
         self.heard.append("publish_offline")
 
+    def write_messages(self):
+        pass
+
+    def acknowledgements(self, topics, counts, outlets):
+        return Endpoint(ACKNOWLEDGE, topics, lambda incoming: incoming.account, self.acknowledge, counts, outlets)
+
+    def acknowledge(self, account):
+        self.heard.append(("acknowledge", account))
+        return Outcome(True, "read")
+
     def publish_status_line(self, link, sync, execution, now):
         self.heard.append(("tell", *(report and report.text for report in (link, sync, execution))))
 
@@ -460,7 +470,7 @@ def test_wishes_and_poses_reach_the_desk_with_their_account_and_our_own_answers_
 
 def test_where_no_trajectories_are_taken_no_wishes_are_either(consoles):
     _, client, _, desk = consoles(trajectories=False)
-    assert client.topics == ["twin/kr120/ik/+"]
+    assert client.topics == ["twin/kr120/ik/+", "twin/kr120/acknowledge/+"]
     client.deliver("twin/kr120/plan_request/ada", b"{}")
     assert desk.heard == []
 

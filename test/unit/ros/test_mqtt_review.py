@@ -10,17 +10,21 @@ import pytest
 import rospy
 from bridge_bench import Client, Refusals
 from construction_twin.msg import Plan, PlanCaller, Review
-from construction_twin.srv import ResumeFromScreenResponse, ReviewFromScreenResponse
+from construction_twin.srv import ResumeFromScreenResponse, ReviewFromScreenResponse, WorkDecideResponse
 from paho.mqtt.client import topic_matches_sub
 from processes import wait_until
 from rospy.exceptions import TransportTerminated
 
+from construction_twin.core.freshness import Moment
 from construction_twin.mqtt.client import Broker
-from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP
+from construction_twin.mqtt.interventions import ARM, PAUSE, RESET, RESUME, STOP
+from construction_twin.ros.nodes import mqtt_review
 from construction_twin.ros.nodes.mqtt_review import WAITING, MqttReview, Settings
 from construction_twin.ros.shared import remote_interventions
 from construction_twin.ros.shared.diagnostics import WARN
 
+#: What starts something, and repeats a moment.
+STARTING = (RESUME, RESET, ARM)
 #: What the newest view said.
 MOMENT = "c0ffee00-5000"
 
@@ -40,7 +44,8 @@ class Trigger:
     def __call__(self, **asked):
         assert self.free.wait(10.0)
         verb = self.resolved_name.rpartition("/")[2]
-        assert asked == ({"moment": MOMENT} if verb == RESUME else {})
+        person = {"person": asked.get("person")} if verb in (RESET, ARM) else {}
+        assert asked == ({"moment": MOMENT, **person} if verb in STARTING else {}) and person.get("person") != ""
         self._pressed.append(verb)
         if self.error is not None:
             raise self.error
@@ -55,7 +60,7 @@ class Bench:
         self.made = Refusals(None)
         settings = Settings(host="127.0.0.1", port=1, path_points=10, account=account)
         self.pressed = []
-        self.services = {verb: Trigger(verb, self.pressed) for verb in (STOP, PAUSE, RESUME)}
+        self.services = {verb: Trigger(verb, self.pressed) for verb in (STOP, PAUSE, *STARTING)}
         self.node = MqttReview(settings, "kr120", Broker("127.0.0.1", 1), self.client, self, self.services, self.made)
 
     resolved_name = "/kr120/review_plan"
@@ -242,7 +247,7 @@ def pressing(bench, monkeypatch):
 
 def press(bench, verb, id_="1", account="kr120-stopper-bob", retain=False, payload=None, moment=MOMENT):
     if payload is None:
-        payload = json.dumps({"id": id_} | ({"moment": moment} if verb == RESUME else {})).encode()
+        payload = json.dumps({"id": id_} | ({"moment": moment} if verb in STARTING else {})).encode()
     bench.deliver(f"{verb}/{account}", payload, retain)
 
 
@@ -458,3 +463,85 @@ def test_a_screen_says_when_the_client_whose_plan_it_shows_is_gone(bench, first)
     bench.node.on_verdict(Review(plan_id="p1"))
     bench.node.on_caller(gone)
     assert shown(bench) is None
+
+
+# -- reset, arm, answers
+
+
+@pytest.mark.parametrize("verb", [RESET, ARM])
+def test_a_session_is_asked_for_in_the_name_of_the_account(pressing, verb):
+    press(pressing, verb, "7", "ada")
+    wait_until(lambda: acks(pressing, verb), what="an answer")
+    (answer,) = acks(pressing, verb)
+    assert (answer["ok"], answer["by"], answer["account"]) == (True, "bridge", "ada") and pressing.pressed == [verb]
+    press(pressing, verb, "7", "ada")
+    wait_until(lambda: pressing.made.refused == {"repeated": 1}, what="the refusal of the second")
+    assert pressing.pressed == [verb], "QoS 1 may deliver twice"
+
+
+@pytest.mark.parametrize("verb", [RESET, ARM])
+@pytest.mark.parametrize("payload, retain", [(b'{"id": "1"}', False), (b"{}", False), (None, True)])
+def test_a_session_is_asked_for_with_a_moment_and_never_stored(pressing, verb, payload, retain):
+    press(pressing, verb, payload=payload, retain=retain)
+    wait_until(lambda: acks(pressing, verb), what="an answer")
+    assert not acks(pressing, verb)[0]["ok"] and pressing.pressed == []
+
+
+def test_a_stop_waits_for_no_reset(pressing):
+    pressing.services[RESET].free.clear()
+    press(pressing, RESET)
+    press(pressing, STOP)
+    wait_until(lambda: acks(pressing, STOP), what="the answer to the stop")
+    pressing.services[RESET].free.set()
+
+
+def answering(bench, monkeypatch, now=5.0):
+    """Let the bench's node have a work to answer to, and a clock."""
+    asked = []
+
+    def decide(**fields):
+        asked.append(fields)
+        return WorkDecideResponse(True, "T1: it stands at its place")
+
+    decide.resolved_name = "/kr120/work/decide"
+    bench.node._decide = decide
+    monkeypatch.setattr(mqtt_review, "present", lambda: Moment("c0ffee00", round(now * 1e9)))
+    return asked
+
+
+ANSWER = {"id": "3", "task": "T1", "question": "where is it?", "answer": "placed", "moment": MOMENT}
+
+
+def test_an_answer_goes_to_the_work_in_the_name_of_the_account(pressing, monkeypatch):
+    asked = answering(pressing, monkeypatch)
+    pressing.deliver("answer/ada", json.dumps(ANSWER).encode())
+    wait_until(lambda: acks(pressing, "answer"), what="an answer")
+    assert acks(pressing, "answer") == [
+        {
+            "id": "3",
+            "account": "ada",
+            "task": "T1",
+            "ok": True,
+            "reason": "T1: it stands at its place",
+            "expired": False,
+        }
+    ]
+    known = {"task": "T1", "question": "where is it?", "answer": "placed", "person": "ada"}
+    assert asked == [{"decision": "answer", "reason": "by MQTT", **known}]
+
+
+def test_an_answer_to_what_was_shown_long_ago_is_void(pressing, monkeypatch):
+    asked = answering(pressing, monkeypatch, now=9.0)
+    pressing.deliver("answer/ada", json.dumps(ANSWER).encode())
+    wait_until(lambda: acks(pressing, "answer"), what="an answer")
+    (answer,) = acks(pressing, "answer")
+    assert (answer["ok"], answer["expired"], asked) == (False, True, [])
+    assert pressing.made.refused == {"too_old": 1}
+
+
+@pytest.mark.parametrize("missing", sorted(ANSWER))
+def test_an_answer_names_everything(pressing, monkeypatch, missing):
+    asked = answering(pressing, monkeypatch)
+    pressing.deliver("answer/ada", json.dumps({key: ANSWER[key] for key in ANSWER if key != missing}).encode())
+    wait_until(lambda: acks(pressing, "answer"), what="an answer")
+    assert not acks(pressing, "answer")[0]["ok"] and asked == []

@@ -151,6 +151,16 @@ def test_a_question_comes_before_everything_else(tmp_path, clock):
         one.answer("T1", "in_grip", "eva", "")
 
 
+def test_an_answer_to_a_question_that_is_no_longer_open_is_refused(tmp_path, clock):
+    one = board(tmp_path, clock)
+    build(one, "T1", until="gripped")
+    one.ledger.add(Entry("stopped", "T1", "E1"))
+    question = one.report(clock()).tasks[0].question
+    with pytest.raises(WorkRefused, check=says("work.answer_other")):
+        one.answer("T1", "in_grip", "eva", "", "where was it yesterday?")
+    one.answer("T1", "in_grip", "eva", "", question)
+
+
 def test_what_is_in_the_grip_comes_first(tmp_path, clock):
     one = board(tmp_path, clock)
     build(one, "T1")

@@ -28,7 +28,7 @@ from construction_twin.core.errors import (
     ReviewError,
 )
 from construction_twin.core.freshness import LIFETIME, Moment, is_newer, parse_moment, staleness
-from construction_twin.core.reports import ExecutionReport, ToolReport
+from construction_twin.core.reports import ExecutionReport, SessionRequest, ToolReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
@@ -54,13 +54,14 @@ from construction_twin.msg import (
     ToolCommand,
     ToolState,
 )
+from construction_twin.msg import SessionRequest as SessionRequestMessage
 from construction_twin.msg import SpeedLimit as SpeedLimitMessage
 from construction_twin.review.plan_under_review import EXECUTOR, REJECTED, Verdict
 from construction_twin.review.record import Release, Responsibility, ReviewLog
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanContent
 from construction_twin.ros.messages.convert import plan_from_msg
-from construction_twin.ros.messages.records import to_msg
+from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg, tool_report_from_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
@@ -368,6 +369,10 @@ class ExecutorNode:
         self._log.responsibility = now
         if now is not None and now != before:
             self._log.defer(now)
+
+    def on_session_request(self, message: SessionRequestMessage) -> None:
+        """Record who has lifted a stop or fault, or armed."""
+        self._log.defer(from_msg(SessionRequest, message))
 
     # -- services
 
@@ -792,6 +797,9 @@ INTERFACE = Interface(
             when=lambda settings: bool(settings.neighbour),
         ),
         Subscription("link", Link, ExecutorNode.on_link, queue_size=5, when=has_arm),
+        Subscription(
+            "session_request", SessionRequestMessage, ExecutorNode.on_session_request, queue_size=10, when=has_arm
+        ),
         Subscription("tool", ToolState, ExecutorNode.on_tool, queue_size=20, tcp_nodelay=True, when=has_arm),
     ),
     serves=(

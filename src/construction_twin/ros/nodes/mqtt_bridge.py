@@ -16,14 +16,16 @@ import pydantic
 import rospy
 from std_srvs.srv import SetBool, Trigger
 
-from construction_twin.core.errors import PayloadError
+from construction_twin.core.errors import ExpiredError, PayloadError
+from construction_twin.core.freshness import parse_moment, staleness
 from construction_twin.core.records import SPACED, dumped
-from construction_twin.core.reports import LinkReport, ToolReport
+from construction_twin.core.reports import LinkReport, SessionRequest, ToolReport
 from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
+from construction_twin.link.seen_stops import SeenStops
 from construction_twin.link.speed_forwarder import SpeedForwarder
 from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import clock_sentence, controller_sentence, status_values, without_counts
@@ -46,6 +48,7 @@ from construction_twin.mqtt.messages import (
 )
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Execution, Feedback, Link, SpeedLimit, Sync, ToolCommand, ToolState
+from construction_twin.msg import SessionRequest as SessionRequestMessage
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.tool import tool_report_to_msg
@@ -66,11 +69,12 @@ from construction_twin.ros.shared.ports import (
     SharedParameter,
     Subscription,
 )
+from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.shared.stop_memory import StopMemory
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.ros.transport.subscriber import caller_of
-from construction_twin.srv import TakeResponsibility
+from construction_twin.srv import SessionFromScreen, SessionFromScreenRequest, TakeResponsibility
 
 #: Period at which the link is polled [s].
 POLL = 0.02
@@ -98,13 +102,14 @@ class Outputs:
 
     Attributes:
         physical, feedback: The arm's pose for tf and people; the same with its sequence number and command stamp for the gate.
-        tool: None: nobody is told of the tool.
+        tool, session_request: None: nobody is told of the tool, or who asked for a session.
     """
 
     physical: Sink
     feedback: Sink
     link: Sink
     tool: Sink | None = None
+    session_request: Sink | None = None
 
 
 class MqttBridge:
@@ -158,6 +163,7 @@ class MqttBridge:
         #: Id of the plan that the executor plays, or has played last.
         self._played = ""
         self._sequence = 0
+        self._stops = SeenStops()
         self._state_check = StateCheck(settings.max_state_age)
         self._states = 0
         # what the gateway's last status says beside its counters; changed together with the supervisor's status
@@ -210,6 +216,7 @@ class MqttBridge:
         with self._lock:
             now = time.monotonic_ns()
             control = self._supervisor.poll(now)
+            self._note_stops()
             listens = self._supervisor.state is LinkState.ARMED and self._supervisor.sends_control
             armed = self._supervisor.session if listens else ""
             limit = self._speed.poll(armed, now)
@@ -425,18 +432,52 @@ class MqttBridge:
 
     def on_reset(self, _request) -> Outcome:
         """Start over from the arm's pose."""
-        return self._begin_session(self._supervisor.request_reset)
+        return self._begin_session("reset", self._supervisor.request_reset)
 
     def on_arm(self, _request) -> Outcome:
         """Begin a session where nothing needs to move for it."""
-        return self._begin_session(self._supervisor.request_arm)
+        return self._begin_session("arm", self._supervisor.request_arm)
+
+    def on_screen_reset(self, request: SessionFromScreenRequest) -> Outcome:
+        """Start over, unless what the person's screen had shown is too old, or older than the last stop."""
+        return self._from_screen("reset", self._supervisor.request_reset, request)
+
+    def on_screen_arm(self, request: SessionFromScreenRequest) -> Outcome:
+        """Begin a session as `on_screen_reset`; a bare PLC in the name of the account."""
+        if not self._supervisor.sends_control:
+            return self._from_screen("arm", None, request)
+        return self._from_screen("arm", self._supervisor.request_arm, request)
+
+    def _from_screen(self, verb: str, ask: Callable[[int], None] | None, request: SessionFromScreenRequest) -> Outcome:
+        try:
+            seen = parse_moment(request.moment)
+
+            def demand_seen() -> None:
+                if problem := staleness(seen, present()):
+                    raise ExpiredError(Sentence("link.void.session", problem=problem))
+                if not self._stops.was_seen(seen):
+                    raise ExpiredError(Sentence("link.void.session_since"))
+
+            if ask is None:
+                return self._take_responsibility(request.person, demand_seen)
+            return self._begin_session(verb, ask, request.person, demand_seen)
+        except ExpiredError as error:
+            self._diagnostics.refuse("too_old", str(error))
+            return Outcome(False, str(error), expired=True)
 
     def on_responsible(self, request) -> Outcome:
         """Arm a bare PLC in a person's name; when that does not succeed in time it is not tried any longer."""
+        return self._take_responsibility(request.responsible)
+
+    def _take_responsibility(self, name: str, demand: Callable[[], None] = lambda: None) -> Outcome:
         supervisor = self._supervisor
         with self._lock:
-            supervisor.take_responsibility(request.responsible, time.monotonic_ns())
+            self._note_stops()
+            demand()
+            lifts = supervisor.reason
+            supervisor.take_responsibility(name, time.monotonic_ns())
             session, halts = supervisor.session, supervisor.halts
+        self._tell_request("arm", name, lifts)
 
         def withdraw(because: str) -> None:
             # meanwhile a person may have halted, and another one begun
@@ -445,13 +486,35 @@ class MqttBridge:
 
         return Outcome(*self._wait_for_arming(halts, lambda: supervisor.session == session, withdraw))
 
-    def _begin_session(self, request: Callable[[int], None]) -> Outcome:
+    def _begin_session(
+        self, verb: str, ask: Callable[[int], None], person: str = "", demand: Callable[[], None] = lambda: None
+    ) -> Outcome:
+        """Begin a session that a person asked for, and wait until it is armed.
+
+        Args:
+            demand: Called first, under the lock: raises what stands against it.
+        """
         with self._lock:
-            before, halts = self._supervisor.session, self._supervisor.halts
-            request(time.monotonic_ns())
+            self._note_stops()
+            demand()
+            before, halts, lifts = self._supervisor.session, self._supervisor.halts, self._supervisor.reason
+            ask(time.monotonic_ns())
             number = self._supervisor.requests
+        self._tell_request(verb, person, lifts)
         armed, sentence = self._wait_for_request(number, halts, before)
         return Outcome(armed, Sentence("link.armed", reason=sentence) if armed else sentence)
+
+    def _note_stops(self) -> None:
+        """Take note of a stop or halt that was not known yet: no screen has shown it."""
+        supervisor = self._supervisor
+        self._stops.note((*supervisor.known_stop, supervisor.halts), present())
+
+    def _tell_request(self, verb: str, person: str, lifts: str) -> None:
+        """Tell who asked for a session, for the record."""
+        request = SessionRequest(verb, person, lifts, rospy.Time.now().to_nsec())
+        if self._outputs.session_request is not None:
+            self._outputs.session_request.publish(to_msg(request, SessionRequestMessage))
+        self._log_queue.add(rospy.loginfo, "%s asked for by %s: %s", verb, person or "a service", lifts)
 
     def _wait_for_request(self, number: int, halts: int, before: str) -> tuple[bool, str]:
         """Wait as `_wait_for_arming` for the session that a person asked for; what fails is withdrawn, also at the gateway."""
@@ -667,6 +730,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
             feedback=ports.publishers["physical/feedback"],
             link=ports.publishers["link"],
             tool=ports.publishers["tool"],
+            session_request=ports.publishers["session_request"],
         ),
         ports.diagnostics,
         # not a private parameter: those hold settings, and this was asked for while the bridge ran
@@ -687,6 +751,7 @@ INTERFACE = Interface(
         PosePublication("physical/feedback", Feedback),
         Publication("link", Link, queue_size=10, latch=True),
         Publication("tool", ToolState, queue_size=50, latch=True),
+        Publication("session_request", SessionRequestMessage, queue_size=10),
     ),
     hears=(
         PoseSubscription("command/joint_states", MqttBridge.on_command),
@@ -698,7 +763,9 @@ INTERFACE = Interface(
     ),
     serves=(
         Served("reset", Trigger, MqttBridge.on_reset),
+        Served("reset_from_screen", SessionFromScreen, MqttBridge.on_screen_reset),
         Served("~arm", Trigger, MqttBridge.on_arm),
+        Served("arm_from_screen", SessionFromScreen, MqttBridge.on_screen_arm),
         Served("arm", TakeResponsibility, MqttBridge.on_responsible),
         Served("halt", Trigger, MqttBridge.on_halt),
         Served("mirror", SetBool, MqttBridge.on_mirror),

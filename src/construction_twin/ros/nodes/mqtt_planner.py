@@ -30,7 +30,7 @@ from construction_twin.mqtt.client import Broker, make_client, subscriptions, un
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.mqtt.requests import NAMELESS_TRAJECTORY, TRAJECTORY, RequestKind
-from construction_twin.msg import Execution, Hold, Link, Plan, Review, Sync, WorkTasks
+from construction_twin.msg import Execution, Hold, Link, Plan, Review, SessionRequest, Sync, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES
@@ -40,6 +40,7 @@ from construction_twin.ros.shared.console_requests import ConsoleRequests, Robot
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.launch_arguments import BROKER, has_link
+from construction_twin.ros.shared.message_file import MessageFile
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.outcome import Outcome
@@ -79,12 +80,14 @@ class Settings(MqttSettings):
     Attributes:
         trajectories: Whether motions, and requests for plans, are taken by MQTT.
         self_collision: YAML of the link pairs that are not checked; empty: no joint values are found for poses that are dragged.
+        messages: Folder of the messages that outlast this node, relative to ROS_HOME; empty: they do not.
         private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
     """
 
     trajectories: bool = True
     self_collision: str = ""
     private: str = ""
+    messages: str = ""
     max_trajectory_bytes: int = pydantic.Field(ge=1024, le=1 << 24)
     view_rate: float = pydantic.Field(ge=1.0, le=50.0)
     max_pose_age: float = pydantic.Field(gt=0.0, le=5.0)
@@ -141,6 +144,8 @@ class MqttPlanner:
         #: The broker knows accounts, and by a site's rules each account writes on its own topics only.
         self._proven = broker.account is not None
         self._feed: ConsoleFeed | None = None
+        self._acknowledgements: tuple[Endpoint, ...] = ()
+        self._read_messages = RequestCounts("messages", "acknowledged", "not acknowledged")
         self._consoles: ConsoleRequests | None = None
         self._looks_around = bool(settings.private)
         self._counts = RequestCounts("trajectories", "under review", "no plan")
@@ -170,7 +175,7 @@ class MqttPlanner:
         if self._consoles is None:
             return self._motions
         plans = (self._consoles.plan_requests,) if self._settings.trajectories else ()
-        return *self._motions, *plans, self._consoles.ik
+        return *self._motions, *plans, self._consoles.ik, *self._acknowledgements
 
     @property
     def refuse(self) -> Callable[[str, str], None]:
@@ -206,6 +211,7 @@ class MqttPlanner:
     def serve_consoles(self, feed: ConsoleFeed, requests: ConsoleRequests) -> None:
         """Take what tells consoles more than `view`, and what carries out their requests."""
         self._feed, self._consoles = feed, requests
+        self._acknowledgements = (feed.acknowledgements(self._topics, self._read_messages, self.outlets),)
 
     def publish_now(self, topic: str, payload: bytes, qos: int, retain: bool = False) -> None:
         """Publish where there is a connection; what could be sent later only would be of the past."""
@@ -240,6 +246,8 @@ class MqttPlanner:
         """Carry out all requests that wait; wait so long [s] for the first one."""
         self._queue.run(patience)
         self.outlets.write_log()
+        if self._feed is not None:
+            self._feed.write_messages()
 
     # -- motions from MQTT
 
@@ -375,7 +383,7 @@ class MqttPlanner:
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
         values: dict[str, object] = {**self._counts.report(), "trajectories waiting": self._queue.waiting}
-        values |= self._consoles.counts if self._consoles is not None else {}
+        values |= (self._consoles.counts if self._consoles is not None else {}) | self._read_messages.report()
         if not self._client.is_connected():
             return Report(WARN, self._connection.sentence or "connecting to the broker", values)
         taken = (
@@ -445,7 +453,8 @@ def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: P
         if ports.parameters["work"] is None:
             files.drop_building()
     deployment = deployment_of(ports.parameters["startup"], rospy.get_namespace().rstrip("/"))
-    feed = ConsoleFeed(topics, robot.base_link, node.publish_now, node.refuse, deployment, files)
+    messages = MessageFile(ros_home() / settings.messages / f"{robot.name}.json") if settings.messages else None
+    feed = ConsoleFeed(topics, robot.base_link, node.publish_now, node.refuse, deployment, files, messages)
     services = {kind: rospy.ServiceProxy(service.name, service.kind) for kind, service in PLAN_SERVICES.items()}
     around = RobotContext(
         twin=lambda: _positions(poses.twin, settings.max_pose_age),
@@ -507,6 +516,7 @@ INTERFACE = Interface(
         Subscription("hold", Hold, _fed(ConsoleFeed.on_hold), queue_size=1),
         Subscription("approval_obstacle", String, _fed(ConsoleFeed.on_approval_obstacle), queue_size=1),
         Subscription("link", Link, MqttPlanner.on_link, queue_size=1),
+        Subscription("session_request", SessionRequest, _fed(ConsoleFeed.on_session_request), queue_size=10),
     ),
 )
 FILE = ConfigFile(lambda _given: BROKER, has_link)

@@ -1,4 +1,5 @@
-"""mqtt_review: the plan under review on MQTT, and what people do about it: verdicts, `stop`, `pause`, `resume`.
+"""mqtt_review: the plan under review on MQTT, what people do: verdicts, `stop`, `pause`, `resume`, `reset`, `arm`, and answers to
+the work's questions.
 
 A node of its own: the bridge has 4 ms.
 """
@@ -16,9 +17,11 @@ import rospy
 from std_srvs.srv import Trigger
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.freshness import staleness
 from construction_twin.core.motion_errors import PlanningError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.remote_answer import MAX_BYTES, AnswerRequest, parse_answer
 from construction_twin.link.remote_review import (
     ClearanceView,
     PlanBoard,
@@ -33,14 +36,14 @@ from construction_twin.link.remote_review import (
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
-from construction_twin.mqtt.requests import NAMELESS_REVIEW, PRESSED, REVIEW, RequestKind
+from construction_twin.mqtt.requests import ANSWER, BRIDGE, NAMELESS_REVIEW, PRESSED, REVIEW, RequestKind
 from construction_twin.msg import Link, Plan, PlanCaller, Review
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.segments import segments_content
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.messages.plan_services import request_fields
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
+from construction_twin.ros.shared.endpoint import TOO_OLD, Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.launch_arguments import BROKER, has_link
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
@@ -49,8 +52,9 @@ from construction_twin.ros.shared.ports import Interface, Ports, Subscription
 from construction_twin.ros.shared.remote_interventions import EXECUTOR, remote_interventions
 from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.ros.shared.request_queue import RequestQueue
+from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.persistent_service import PersistentService, call, call_twice
-from construction_twin.srv import ResumeFromScreen, ReviewFromScreen
+from construction_twin.srv import ResumeFromScreen, ReviewFromScreen, SessionFromScreen, WorkDecide
 
 #: Verdicts that may wait while one is carried out; a tablet sends one at a time.
 WAITING = 8
@@ -75,13 +79,14 @@ class MqttReview:
         robot: Name in the MQTT topics.
         client: Not connected yet.
         give_approval: The executor's `review_from_screen`.
-        interventions: The executor's services of `stop`, `pause` and `resume`.
+        interventions: The services of what is pressed, by its verb.
         diagnostics: Counts what is refused.
         give_rejection: The same as `give_approval`, for rejections, which may come twice and ask no master.
         connections: What is to be connected before it is called.
+        decide: The service of the work that takes what a person decides; None: there is none.
 
     Attributes:
-        endpoints: What takes verdicts, stops, pauses and resumes.
+        endpoints: What takes verdicts, what is pressed, and answers.
         approvals, rejections: Where verdicts wait: a rejection not behind an approval, whose record may wait for a disk.
     """
 
@@ -96,6 +101,7 @@ class MqttReview:
         diagnostics: NodeDiagnostics,
         give_rejection: rospy.ServiceProxy | None = None,
         connections: Sequence[PersistentService] = (),
+        decide: rospy.ServiceProxy | None = None,
     ):
         self._settings = settings
         self._board = PlanBoard()
@@ -107,7 +113,7 @@ class MqttReview:
         self._checked_at = 0.0
         self._topics = topics = Topics(settings.prefix, robot)
         self._give_approval, self._give_rejection = give_approval, give_rejection or give_approval
-        self._connections = connections
+        self._connections, self._decide = connections, decide
         self._broker = broker
         self._client = client
         self._verdicts, self._pressed = RequestCounts("verdicts"), RequestCounts("interventions")
@@ -115,13 +121,17 @@ class MqttReview:
             self._publish_answer, lambda reason, sentence: self.refuse(reason, sentence), safety=True
         )
         self._connection = report_of(broker, self.outlets.log)
-        self.approvals, self.rejections = RequestQueue(WAITING), RequestQueue(WAITING)
+        self.approvals, self.rejections, self._answers = (RequestQueue(WAITING) for _ in range(3))
         self.interventions = remote_interventions(topics, interventions, self._pressed, self.outlets)
         self.endpoints: tuple[Endpoint, ...] = (
             self._verdict_endpoint(NAMELESS_REVIEW),
             self._verdict_endpoint(REVIEW),
             *self.interventions.endpoints,
-        )
+            Endpoint(
+                ANSWER, topics, _read_answer, self._give_answer, RequestCounts("answers"), self.outlets,
+                lambda asked: f"answer to a question of the work by MQTT account {asked[1]}", lambda _: self._answers,
+            ),
+        )  # fmt: skip
         self._diagnostics = diagnostics
 
     def _verdict_endpoint(self, kind: RequestKind) -> Endpoint[ReviewRequest]:
@@ -144,7 +154,8 @@ class MqttReview:
 
     def start_queues(self) -> None:
         """Begin to carry out what waits for no approval, each kind in a thread of its own."""
-        for name, queue in {"reject": self.rejections, **self.interventions.queues}.items():
+        queues = {"reject": self.rejections, "answer": self._answers, **self.interventions.queues}
+        for name, queue in queues.items():
             threading.Thread(target=_run_queue, args=(queue,), name=name, daemon=True).start()
 
     @property
@@ -266,6 +277,16 @@ class MqttReview:
             answer = call_twice(self._give_rejection, EXECUTOR, **fields)
         return Outcome.of(answer)
 
+    def _give_answer(self, asked: tuple[AnswerRequest, str]) -> Outcome:
+        """Give an answer to the work, in the name of its account."""
+        answer, account = asked
+        if problem := staleness(answer.moment, present()):
+            raise PayloadError(TOO_OLD, Sentence("link.void.answer", problem=problem))
+        if self._decide is None:
+            return Outcome(False, Sentence("link.no_work"))
+        fields = {"task": answer.task, "question": answer.question, "answer": answer.answer, "person": account}
+        return Outcome.of(call(self._decide, "the work", decision="answer", reason="by MQTT", **fields))
+
     def _publish_answer(self, topic: str, payload: bytes, qos: int) -> None:
         self._client.publish(topic, payload, qos=qos)
 
@@ -296,6 +317,12 @@ def _read_verdict(incoming: Incoming) -> ReviewRequest:
 
 def _refuse_nameless(review: ReviewRequest) -> Outcome:
     raise PayloadError("sender", Sentence("link.payload.nameless"))
+
+
+def _read_answer(incoming: Incoming) -> tuple[AnswerRequest, str]:
+    answer = parse_answer(incoming.read_document("answer", MAX_BYTES))
+    incoming.echo["task"] = answer.task
+    return answer, incoming.account
 
 
 def _describe(review: ReviewRequest) -> str:
@@ -397,14 +424,19 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttReview:
     # what starts nothing may be called twice
     twice = {kind.name: PersistentService(kind.name, Trigger) for kind in PRESSED if not kind.starts}
     once = {
-        kind.name: rospy.ServiceProxy(f"{kind.name}_from_screen", ResumeFromScreen) for kind in PRESSED if kind.starts
+        kind.name: rospy.ServiceProxy(
+            f"{kind.name}_from_screen", SessionFromScreen if kind.by == BRIDGE else ResumeFromScreen
+        )
+        for kind in PRESSED
+        if kind.starts
     }
     # a plan is rejected once, and a second time it is said to be
     reject = PersistentService("review_from_screen", ReviewFromScreen)
     connections = (*twice.values(), reject)
     node = MqttReview(
-        settings, robot.name, broker, client, give_approval, twice | once, ports.diagnostics, reject, connections
-    )
+        settings, robot.name, broker, client, give_approval, twice | once, ports.diagnostics, reject, connections,
+        rospy.ServiceProxy("work/decide", WorkDecide),
+    )  # fmt: skip
     node.connect()
     return node
 

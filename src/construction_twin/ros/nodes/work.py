@@ -445,7 +445,7 @@ class WorkNode:
         if request.decision == "accept_schedule":
             return board.accept(request.person, request.reason)
         if request.decision == "answer":
-            return board.answer(request.task, request.answer, request.person, request.reason)
+            return board.answer(request.task, request.answer, request.person, request.reason, request.question)
         if request.decision in DECISIONS:
             return DECISIONS[request.decision](board, request.task, request.person, request.reason)
         raise WorkRefused(Sentence("work.decision", decision=repr(request.decision)))

@@ -6,27 +6,39 @@ Everything here was published on ROS already; it is put into the words and files
 from __future__ import annotations
 
 import threading
+import time
+import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+import genpy
 from std_msgs.msg import String
 
-from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.errors import ConfigurationError, RequestRefused
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import HoldReport, WorkReport
+from construction_twin.core.sentences import Sentence
+from construction_twin.link.remote_answer import MAX_BYTES, Acknowledgement, parse_acknowledgement
 from construction_twin.link.remote_review import PlanBoard
 from construction_twin.mqtt.messages import Topics
-from construction_twin.msg import Execution, Hold, Link, Plan, Review, Sync, WorkTasks
+from construction_twin.mqtt.requests import ACKNOWLEDGE
+from construction_twin.msg import Execution, Hold, Link, Plan, Review, SessionRequest, Sync, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
+from construction_twin.review.plan_under_review import EXECUTOR
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
+from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
+from construction_twin.ros.shared.message_file import MessageFile
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.private_files import PrivateFiles
+from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.scene.objects import Scene
 from construction_twin.views.hold_cause import hold_cause
+from construction_twin.views.message_history import APPROVED, REJECTED, MessageHistory
 from construction_twin.views.scene_view import scene_view
 from construction_twin.views.startup import Deployment, Seen, Word, first_missing
-from construction_twin.views.status_line import ReportsNow, status_lines
+from construction_twin.views.status_line import Line, ReportsNow, status_lines
 
 #: The status line is looked at so often, and sent again without a change after so long [s].
 LOOK, REPEAT = 0.2, 1.0
@@ -41,6 +53,8 @@ class ConsoleFeed:
         refuse: Counts a refused input; takes reason and sentence.
         deployment: What was started; None: what the start waits for is not told.
         files: Where the scene's meshes go; None: no console was started with this robot.
+        messages: Where the messages are kept; None: only in memory.
+        clock: Returns the time of day [s since 1970].
     """
 
     def __init__(
@@ -51,6 +65,8 @@ class ConsoleFeed:
         refuse: Callable[[str, str], None],
         deployment: Deployment | None = None,
         files: PrivateFiles | None = None,
+        messages: MessageFile | None = None,
+        clock: Callable[[], float] = time.time,
     ):
         self._topics, self._base_link = topics, base_link
         self._publish, self._refuse = publish, refuse
@@ -63,6 +79,10 @@ class ConsoleFeed:
         self._work: WorkReport | None = None
         self._hold, self._obstacle = HoldReport(), ""
         self._arm_seen = self._twin_seen = False
+        self._file, self._clock = messages, clock
+        self._history_lock = threading.Lock()
+        self._history = MessageHistory(lambda: uuid.uuid4().hex, b"" if messages is None else messages.read(refuse))
+        self._kept = self._history.text
         self._looked = self._told_at = float("-inf")
         self._told = b""
 
@@ -77,6 +97,14 @@ class ConsoleFeed:
         """Take a verdict."""
         with self._lock:
             self._board.on_verdict(message.plan_id)
+        if message.reviewer not in ("", EXECUTOR):
+            act, at = APPROVED if message.approved else REJECTED, message.header.stamp
+            self._note_act(act, at, person=message.reviewer, reason=message.reason)
+
+    def on_session_request(self, message: SessionRequest) -> None:
+        """Take that a person has lifted a stop or fault, or armed."""
+        person = message.person or Sentence("line.person.somebody")
+        self._note_act(message.verb, message.stamp, person=person, lifts=message.lifts)
 
     def on_hold(self, message: Hold) -> None:
         """Take why the gate is closed."""
@@ -109,6 +137,40 @@ class ConsoleFeed:
         """Tell the tasks."""
         self._work = from_msg(WorkReport, message)
         self._keep(self._topics.work_tasks, dumped(self._work))
+
+    def acknowledgements(self, topics: Topics, counts: RequestCounts, outlets: Outlets) -> Endpoint[tuple[str, str]]:
+        """Return what takes that a person has read a message."""
+        return Endpoint(
+            ACKNOWLEDGE, topics, _read_acknowledgement, self._acknowledge, counts, outlets,
+            lambda asked: f"message {asked[0]} acknowledged by MQTT account {asked[1]}",
+        )  # fmt: skip
+
+    def _acknowledge(self, asked: tuple[str, str]) -> Outcome:
+        try:
+            with self._history_lock:
+                sentence = self._history.acknowledge(*asked, self._clock())
+        except RequestRefused as error:
+            return Outcome(False, str(error))
+        self._publish_messages()
+        return Outcome(True, sentence)
+
+    def _note_act(self, act: str, at: genpy.Time, **values: str) -> None:
+        with self._history_lock:
+            self._history.on_act(act, at.to_sec(), **values)
+        self._publish_messages()
+
+    def _publish_messages(self) -> None:
+        with self._history_lock:
+            text = self._history.text
+        self._keep(self._topics.messages, text)
+
+    def write_messages(self) -> None:
+        """Write the messages where they changed, for a thread that may wait for a disk."""
+        with self._history_lock:
+            text = self._history.text
+        if self._file is not None and text != self._kept:
+            self._file.write(text, self._refuse)
+        self._kept = text
 
     # -- to MQTT
 
@@ -173,13 +235,18 @@ class ConsoleFeed:
         if now - self._looked < LOOK:
             return
         self._looked = now
-        payload = self._screen(link, sync, execution)
+        lines = self._lines(link, sync, execution)
+        with self._history_lock:
+            news = self._history.on_lines(lines, self._clock())
+        if news or self._topics.messages not in self._retained:
+            self._publish_messages()
+        payload = dumped(lines, marks=SPACED)
         if payload == self._told and now - self._told_at < REPEAT:
             return
         self._told, self._told_at = payload, now
         self._publish(self._topics.screen, payload, 1, False)
 
-    def _screen(self, link: Link | None, sync: Sync | None, execution: Execution | None) -> bytes:
+    def _lines(self, link: Link | None, sync: Sync | None, execution: Execution | None) -> list[Line]:
         words = _word(link), _word(sync), _word(execution)
         deployment = self._deployment
         heard = ReportsNow(
@@ -195,7 +262,13 @@ class ConsoleFeed:
             seen = Seen(*words, feedback=self._arm_seen, twin=self._twin_seen, scene=self._scene is not None)
             missing = first_missing(seen, deployment)
             heard = replace(heard, started=True, missing=missing, arm=deployment.arm != "none")
-        return dumped(status_lines(heard), marks=SPACED)
+        return status_lines(heard)
+
+
+def _read_acknowledgement(incoming: Incoming) -> tuple[str, str]:
+    asked: Acknowledgement = parse_acknowledgement(incoming.read_document("acknowledge", MAX_BYTES))
+    incoming.echo["message"] = asked.message
+    return asked.message, incoming.account
 
 
 def _word(report: Link | Sync | Execution | None) -> Word | None:

@@ -206,7 +206,7 @@ class Endpoint(Generic[Asked]):
     def _payload(self, incoming: Incoming, outcome: Outcome) -> bytes:
         known = dict.fromkeys(("account", "sender", "reviewer"), incoming.account)
         said = dict.fromkeys(("reason", "sentence"), outcome.message)
-        done = {"ok": outcome.success, "expired": outcome.expired}
+        done = {"ok": outcome.success, "expired": outcome.expired, "by": self._kind.by}
         return self._kind.payload(**{**known, **said, **done, **incoming.echo, **outcome.fields})
 
     def _publish(self, incoming: Incoming, answer: bytes) -> None:

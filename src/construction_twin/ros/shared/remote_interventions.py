@@ -1,4 +1,4 @@
-"""`stop`, `pause` and `resume` by MQTT, carried out by the executor and answered there; part of mqtt_review.
+"""`stop`, `pause`, `resume`, `reset` and `arm` by MQTT, carried out by executor and bridge; part of mqtt_review.
 
 Each verb has a queue and a thread of its own: a stop and a pause wait for nothing else that was asked for. The gateway reads the
 same stops itself, so this one brakes along the path what the gateway brakes within its limits, and voids the plans that wait.
@@ -15,6 +15,7 @@ import rospy
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.sentences import Sentence
+from construction_twin.mqtt import requests
 from construction_twin.mqtt.interventions import Intervention, parse_intervention
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import PRESSED, RequestKind
@@ -26,10 +27,11 @@ from construction_twin.ros.transport.persistent_service import call, call_twice
 
 #: What may wait while one is carried out, for each of the verbs.
 WAITING = 8
-#: Resumes that are remembered: QoS 1 may deliver twice, and a recording can be replayed.
+#: Of what starts something, requests that are remembered: QoS 1 may deliver twice, and a recording can be replayed.
 MEMORY = 1000
 #: Who offers the services, for sentences.
-EXECUTOR = "the executor"
+EXECUTOR, BRIDGE = "the executor", "the bridge"
+_PROGRAMS = {requests.EXECUTOR: EXECUTOR, requests.BRIDGE: BRIDGE}
 
 
 @dataclass(frozen=True)
@@ -47,29 +49,30 @@ class RemoteInterventions:
 def remote_interventions(
     topics: Topics, services: Mapping[str, rospy.ServiceProxy], counts: RequestCounts, outlets: Outlets
 ) -> RemoteInterventions:
-    """Return what takes interventions and gives them to the executor.
+    """Return what takes interventions and gives them to who carries them out.
 
     Args:
-        services: The executor's of each verb; that of one that starts motion takes `moment`, the others may be called twice.
+        services: Of each verb; one that starts something takes `moment`, and the bridge's the `person`; others may be called twice.
     """
     queues = {kind.name: RequestQueue(WAITING) for kind in PRESSED}
     known: deque[Intervention] = deque(maxlen=MEMORY)
 
-    def start(wanted: Intervention) -> Outcome:
+    def start(kind: RequestKind, wanted: Intervention) -> Outcome:
         if wanted in known:
             # it must not start again what was paused since
             names = {"verb": wanted.verb, "id": repr(wanted.id), "account": wanted.account}
             raise PayloadError(REPEATED, Sentence("link.payload.again", **names))
         known.append(wanted)
         # it asks the master first; when a pause overtakes it, its moment is older than that pause, and it is void
-        return Outcome.of(call(services[wanted.verb], EXECUTOR, moment=wanted.moment))
+        person = {"person": wanted.account} if kind.by == requests.BRIDGE else {}
+        return Outcome.of(call(services[wanted.verb], _PROGRAMS[kind.by], moment=wanted.moment, **person))
 
-    def brake(wanted: Intervention) -> Outcome:
-        return Outcome.of(call_twice(services[wanted.verb], EXECUTOR))
+    def brake(kind: RequestKind, wanted: Intervention) -> Outcome:
+        return Outcome.of(call_twice(services[wanted.verb], _PROGRAMS[kind.by]))
 
     def endpoint(kind: RequestKind) -> Endpoint[Intervention]:
         read, queue = partial(_read, kind.name), queues[kind.name]
-        act = start if kind.starts else brake
+        act = partial(start if kind.starts else brake, kind)
         return Endpoint(kind, topics, read, act, counts, outlets, _describe, lambda _: queue)
 
     return RemoteInterventions(tuple(map(endpoint, PRESSED)), queues)

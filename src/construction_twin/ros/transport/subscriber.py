@@ -24,6 +24,7 @@ PUBLISHERS = {
     "physical/joint_states": "mqtt_bridge",
     "physical/feedback": "mqtt_bridge",
     "link": "mqtt_bridge",
+    "session_request": "mqtt_bridge",
     "sync": "pca_monitor",
     "hold": "pca_monitor",
     "plan": "planner",
