@@ -512,7 +512,7 @@ def test_tasks_that_wait_for_each_other_are_one_sentence_and_the_node_lives(benc
 
 def test_a_person_says_by_the_service_what_is_gone(bench):
     bench.ready()
-    answer = bench.call("work/decide", WorkDecideRequest(TASK, "removed", "", "eva", ""))
+    answer = bench.call("work/decide", WorkDecideRequest(TASK, "removed", "", "eva", "", ""))
     assert not answer.success and key_of(answer.message) == "work.removed_nothing"
-    said = bench.call("work/decide", WorkDecideRequest(TASK, "x", "", "eva", "")).message
+    said = bench.call("work/decide", WorkDecideRequest(TASK, "x", "", "eva", "", "")).message
     assert said == Sentence("work.decision", decision="'x'")
