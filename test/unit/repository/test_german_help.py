@@ -169,7 +169,9 @@ def test_what_is_not_checked_with_a_bare_plc_is_said_as_elsewhere():
 
 def test_a_change_of_the_english_is_noticed_and_where_its_lines_break_is_not(tmp_path):
     page = tmp_path / "page.md"
-    page.write_text("# A\n\none two\n```\n# no heading\n```\n## B `c`\nthree\n<!-- generated: x -->\nrow\n<!-- end of x -->\n")
+    page.write_text(
+        "# A\n\none two\n```\n# no heading\n```\n## B `c`\nthree\n<!-- generated: x -->\nrow\n<!-- end of x -->\n"
+    )
     before = sections(page)
     assert list(before) == ["a", "b-c"] and "row" not in before["b-c"]
     page.write_text(page.read_text().replace("one two", "one\ntwo").replace("row", "other"))
