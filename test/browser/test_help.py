@@ -1,4 +1,4 @@
-"""Where a line of the status leads to, in the person's language: German help where there is some, at the place that the line names."""
+"""Where a line of the status leads to: help in the person's language where there is some, at the place that the line names."""
 
 from __future__ import annotations
 

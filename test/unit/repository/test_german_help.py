@@ -1,7 +1,7 @@
 """The German help (docs/de) is there for each line that has a link to help, and says what the English says.
 
-A heading that translates one of the English page has a line above it: ``<a id="3-look"></a> <!-- en 1a2b3c4d -->``, with the English
-heading's anchor, so that a link needs no language, and the hash of the English section as it was when it was translated.
+A heading that translates one of the English page has a line above it: ``<a id="3-look"></a> <!-- en 1a2b3c4d -->``, with the
+English heading's anchor, so that a link needs no language, and the hash of the English section as it was when it was translated.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def anchor_of(heading: str) -> str:
 
 
 def sections(page: Path) -> dict[str, str]:
-    """Return the sections of a page by anchor: each heading with what stands below it, up to the next one, without generated tables."""
+    """Return the sections of a page by anchor: a heading and what is below it, up to the next one, without generated tables."""
     text = re.sub(r"^<!-- generated: .*?^<!-- end of .*? -->\n", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
     found: dict[str, str] = {}
     anchor, in_code = "", False
@@ -100,7 +100,8 @@ def test_what_a_german_page_translates_has_not_changed_in_english(page):
     english = sections(DOCS / name(page))
     for anchor, (known, _) in translated(page).items():
         assert anchor in english, (
-            f"docs/{name(page)} has no section #{anchor} any more: give the section in docs/de/{name(page)} the anchor that it has now"
+            f"docs/{name(page)} has no section #{anchor} any more: "
+            f"give the section in docs/de/{name(page)} the anchor that it has now"
         )
         present = hash_of(english[anchor])
         assert known == present, (
@@ -151,7 +152,7 @@ def test_lines_of_a_german_page_are_not_too_long(page):
 
 
 def test_messages_in_the_german_troubleshooting_are_what_page_and_programs_say():
-    """What stands in German is in the sentences; what stands in English is quoted by the English page as well, whose test knows it."""
+    """What stands in German is in the sentences; what is English the English page quotes too, whose test looks it up."""
     german = "\n".join(words["de"] for words in SENTENCES.values())
     english = quotes(DOCS / "troubleshooting.md")
     found = quotes(GERMAN / "troubleshooting.md")
