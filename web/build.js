@@ -7,7 +7,7 @@ import {cp, mkdir, readFile, rename, rm, writeFile} from "node:fs/promises";
 import path from "node:path";
 import {fileURLToPath} from "node:url";
 import {build} from "esbuild";
-import {writePages} from "./docs_pages.js";
+import {translatedPages, writePages} from "./docs_pages.js";
 import {tableOf} from "./src/sentences.js";
 
 const here = path.dirname(fileURLToPath(import.meta.url));
@@ -23,10 +23,11 @@ for (const language of Object.keys(sentences["page.title"])) {
   files[language] = `sentences.${language}.${createHash("sha256").update(text).digest("hex").slice(0, 16)}.json`;
   await writeFile(path.join(fresh, files[language]), text);
 }
+const docs = path.join(here, "..", "docs");
 const result = await build({
   entryPoints: [path.join(here, "src", "main.js"), path.join(here, "src", "style.css")],
   bundle: true,
-  define: {SENTENCES: JSON.stringify(files)},
+  define: {SENTENCES: JSON.stringify(files), PAGES: JSON.stringify(await translatedPages(docs))},
   minify: true,
   format: "esm",
   target: ["es2022", "chrome110", "firefox110", "safari16"],
@@ -42,7 +43,7 @@ for (const [file, about] of Object.entries(result.metafile.outputs)) {
 }
 await writeFile(path.join(fresh, "index.html"), html);
 const [style] = Object.entries(result.metafile.outputs).filter(([, about]) => about.entryPoint?.endsWith("style.css")).map(([file]) => path.basename(file));
-await writePages(path.join(here, "..", "docs"), path.join(fresh, "docs"), style);
+await writePages(docs, path.join(fresh, "docs"), style);
 await cp(path.join(here, "src", "icon.svg"), path.join(fresh, "icon.svg"));
 await rm(target, {recursive: true, force: true});
 await rename(fresh, target);

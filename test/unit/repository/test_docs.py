@@ -56,7 +56,12 @@ DOCUMENTS = [
     ROOT / "krl/README.md",
     *sorted((ROOT / "docs").rglob("*.md")),
 ]
-GUIDES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/tutorials").glob("*.md"))]
+GUIDES = [
+    ROOT / "README.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "docs/tutorials").glob("*.md")),
+    *sorted((ROOT / "docs/de").rglob("*.md")),
+]
 PAGES = {page.stem: page.read_text() for page in sorted((ROOT / "docs/reference").glob("*.md"))}
 REFERENCE = "\n".join(PAGES.values())
 ARCHITECTURE = (ROOT / "docs/architecture.md").read_text()
@@ -458,6 +463,7 @@ def test_relative_links_lead_somewhere(file):
         if anchor:
             headings = re.findall(r"^#+ (.+)$", path.read_text(), re.MULTILINE)
             slugs = {re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+            slugs |= set(re.findall(r"^<a id=\"([^\"]+)\"></a>", path.read_text(), re.MULTILINE))
             assert anchor in slugs, f"{file.name} links to {target}#{anchor}"
 
 
