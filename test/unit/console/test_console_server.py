@@ -397,7 +397,18 @@ def test_a_client_that_subscribes_with_its_login_gets_a_long_message_with_the_an
     ("limits", "why"),
     (
         (ConnectionLimits(logins=2), "too many connections are logged in"),
-        (ConnectionLimits(logins_per_address=2), "too many connections from this address are logged in"),
+        (
+            ConnectionLimits(logins_per_address=2, kept_per_address=0),
+            "too many connections from this address are logged in",
+        ),
+        (
+            ConnectionLimits(logins_per_account_and_address=2),
+            "too many connections from this address are logged in to this account",
+        ),
+        (
+            ConnectionLimits(logins_per_address=3, kept_per_address=1),
+            "the last places of this address are kept for other accounts",
+        ),
         (ConnectionLimits(logins_per_account=2), "too many connections are logged in to this account"),
     ),
 )
