@@ -83,7 +83,7 @@ class ConnectionLogin:
         """Note that the broker has accepted it; return why it may not stay all the same, or an empty text."""
         logins = self._logins
         before = logins.pace.right(self._peer, account)
-        after = f", after {before} wrong passwords from there" if before else ""
+        after = f"; wrong passwords from there before: {before}" if before else ""
         if why := logins.connections.login(self._number, account):
             logins.lines.write(logging.WARNING, f"{self._peer} refused as {shown(account)}: {why}{after}")
             return why
