@@ -7,7 +7,7 @@ passwords.
 from __future__ import annotations
 
 import logging
-import time
+from collections.abc import Callable
 
 from construction_twin.console.connection_limits import OpenConnections
 from construction_twin.console.login_pace import LoginPace
@@ -22,15 +22,17 @@ class Lines:
 
     Args:
         rate, burst: So many per second in the long run, and at once.
+        clock: Returns a time from any origin [ns].
     """
 
-    def __init__(self, rate: float, burst: float):
+    def __init__(self, rate: float, burst: float, clock: Callable[[], int]):
+        self._clock = clock
         self._bucket = TokenBucket(rate, burst)
         self._left_out = 0
 
     def write(self, level: int, sentence: str) -> None:
         """Write a line, or count it."""
-        if self._bucket.take(time.monotonic_ns()):
+        if self._bucket.take(self._clock()):
             more = f" ({self._left_out} lines before it were left out)" if self._left_out else ""
             log.log(level, "%s%s", sentence, more)
             self._left_out = 0
@@ -39,15 +41,20 @@ class Lines:
 
 
 class Logins:
-    """The logins of a server."""
+    """The logins of a server.
 
-    def __init__(self, connections: OpenConnections, tickets: Tickets, pace: LoginPace):
+    Args:
+        clock: Returns a time from any origin [ns].
+    """
+
+    def __init__(self, connections: OpenConnections, tickets: Tickets, pace: LoginPace, clock: Callable[[], int]):
         self.connections = connections
         self.tickets = tickets
         self.pace = pace
-        self.lines = Lines(rate=1, burst=20)
+        self.clock = clock
+        self.lines = Lines(1, 20, clock)
         # the pace bounds those of each address already: this is for wrong passwords from very many
-        self.wrong_lines = Lines(rate=2, burst=200)
+        self.wrong_lines = Lines(2, 200, clock)
 
 
 class ConnectionLogin:
@@ -70,7 +77,7 @@ class ConnectionLogin:
 
     def wait_s(self, account: str) -> float:
         """Return how long a CONNECT with user name or password waits before it is passed on [s]."""
-        wait_s = self._logins.pace.wait_s(self._peer, account, time.monotonic_ns())
+        wait_s = self._logins.pace.wait_s(self._peer, account, self._logins.clock())
         if wait_s:
             self._logins.connections.wait(self._number, account)
         return wait_s
@@ -102,7 +109,7 @@ class ConnectionLogin:
         self._count(account, "left before the broker's answer, which counts as a wrong password for")
 
     def _count(self, account: str, what: str) -> None:
-        more = self._logins.pace.wrong(self._peer, account, time.monotonic_ns())
+        more = self._logins.pace.wrong(self._peer, account, self._logins.clock())
         if more is not None:
             self._logins.wrong_lines.write(logging.WARNING, f"{self._peer}: {what} {shown(account)}{more}")
 

@@ -8,6 +8,7 @@ import http
 import logging
 import secrets
 import ssl
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
@@ -85,10 +86,10 @@ class ConsoleServer:
     def __init__(self, settings: ServerSettings):
         self._settings = settings
         self._connections = OpenConnections(settings.connections)
-        self._logins = Logins(self._connections, _tickets(0), LoginPace(settings.pace))
+        self._logins = Logins(self._connections, _tickets(0), LoginPace(settings.pace), time.monotonic_ns)
         self._delivering: set[HttpConnection] = set()
         self._cache = FileCache()
-        self._lines = Lines(rate=1, burst=20)
+        self._lines = Lines(1, 20, time.monotonic_ns)
 
     @property
     def wrong_passwords(self) -> int:
