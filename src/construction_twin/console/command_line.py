@@ -37,6 +37,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     add("--page", type=Path, help="folder of the page; without it there is none, only the pipe")
     add("--private", type=Path, help="folder of files for who is logged in: robot, scene, building model")
     add("--results", type=Path, help="folder of recorded runs, whose reports are listed")
+    add("--rights", type=Path, help="who has which right, for who is logged in: rights.json, which make_site writes")
     add("--listen", default="127.0.0.1", metavar="ADDRESS", help="address on which it listens [%(default)s]")
     add("--port", type=int, default=DEFAULT_PORT, help="TCP port [%(default)s]")
     add("--certificate", type=Path, help="certificate (PEM); needs --key")

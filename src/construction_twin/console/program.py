@@ -57,6 +57,7 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
         own,
         _names(arguments),
         arguments.hsts,
+        rights=arguments.rights,
     )
 
 

@@ -37,6 +37,8 @@ from construction_twin.core.errors import ConfigurationError
 log = logging.getLogger("console")
 #: Path of the WebSocket, and of what only who is logged in gets.
 SOCKET, PRIVATE = "/mqtt", "/private/"
+#: Below `PRIVATE`: who has which right.
+RIGHTS = "rights.json"
 #: The subprotocol that MQTT has for WebSockets (MQTT 5.0, section 6).
 SUBPROTOCOL = "mqtt"
 #: No script, style, picture or connection but this server's own; nothing may frame the page.
@@ -60,6 +62,7 @@ class ServerSettings:
         private: Folder of files for who is logged in: robot model, scene, building model.
         results: Folder of the recorded runs.
         origins: Further origins whose pages may connect.
+        rights: `rights.json` of `make_site`; None: the page does not know who may do what.
         names: With TLS, names and addresses of this server: who comes to one of them without TLS is sent to https.
         hsts_s: With TLS, for so long a browser asks by https alone for anything of the host's name [s]; 0: what it was told before
             ends.
@@ -71,6 +74,7 @@ class ServerSettings:
     results: Path | None
     broker: BrokerAddress
     origins: frozenset[str] = frozenset()
+    rights: Path | None = None
     tls: ssl.SSLContext | None = None
     names: Sequence[str] = ()
     hsts_s: int = HSTS_S
@@ -182,7 +186,9 @@ class ConsoleServer:
         path, policy = None, POLICY
         if name == "runs.json" and settings.results is not None:
             return _file_answer(StaticFile.of(name, listing(settings.results)), request, POLICY, private=True)
-        if name.startswith("runs/") and settings.results is not None:
+        if name == RIGHTS:
+            path = settings.rights
+        elif name.startswith("runs/") and settings.results is not None:
             path, policy = recordings(settings.results).get(name.removeprefix("runs/")), REPORT_POLICY
         elif settings.private is not None:
             path = names(settings.private).get(name)
