@@ -74,7 +74,6 @@ class ServerSettings:
     results: Path | None
     broker: BrokerAddress
     origins: frozenset[str] = frozenset()
-    rights: Path | None = None
     tls: ssl.SSLContext | None = None
     names: Sequence[str] = ()
     hsts_s: int = HSTS_S
@@ -82,6 +81,7 @@ class ServerSettings:
     pace: PaceLimits = field(default_factory=PaceLimits)
     connections: ConnectionLimits = field(default_factory=ConnectionLimits)
     file_stall_s: float = 20.0
+    rights: Path | None = None
 
 
 class ConsoleServer:
