@@ -1,4 +1,6 @@
 /** Which panels stand in which area, in their order. */
+import * as actions from "./panels/actions.js";
+import * as messages from "./panels/messages.js";
 import * as picture from "./picture/picture.js";
 import * as plan from "./panels/plan.js";
 import * as playback from "./panels/playback.js";
@@ -12,11 +14,12 @@ import * as verdict from "./panels/verdict.js";
 /** By area of page.js: modules with `make(parent, store, connection, texts)`. */
 export const panels = {
   picture: [picture],
-  status: [status],
+  status: [status, actions],
   stop: [stop],
   verdict: [playback, verdict],
   plan: [plan],
   tasks: [tasks],
+  messages: [messages],
   plots: [plots],
   runs: [runs],
 };

@@ -4,7 +4,8 @@
  * One store for all. Who wants to know registers with `on(kind, listener)`; a listener gets `(robot, value)`, robot "" where the
  * value is of no robot. An exception of one listener ends nothing but that call: the others are told, and it is `failed`.
  *
- * Kinds from the broker: view, screen, scene, plan, tasks, review_ack, stop_ack, pause_ack, plan_request_ack, ik_ack. A value of
+ * Kinds from the broker: view, screen, scene, plan, tasks, messages, and answers: review_ack, stop_ack, pause_ack, reset_ack, arm_ack,
+ * answer_ack, acknowledge_ack, plan_request_ack, ik_ack. A value of
  * null means: not known (any more). `plan` is told once its hash was checked (plan_hash.js); a plan whose hash does not fit has
  * `refused`, a word of plan_hash.js, and nothing of it may be shown or approved.
  *
@@ -17,6 +18,8 @@
  *   refused      {kind, sentence}: a message was not as expected and is not shown
  *   failed       {part}: a part of the page had an exception (`failed`); told once for each exception of a part
  *   playback     {names, positions, time} or null: the pose of a plan at `time` [s] that the picture shows (playback panel)
+ *   rights       the list of who may do what has come or gone (rights.js); ask `store.rightsOf`
+ *   said         "whole" while a person can read the sentence that says what the arm does, "cut" where it does not fit (status panel)
  *   drawn        "seen" while a person can see the robot in the picture, else why not: a word of picture/seen.js; null: there is no
  *                picture, nothing can be seen in it ever (picture)
  *   looked       {what, hash}: the plan of this hash was "shown" (again and again), "played" to its end (playback panel); told once
@@ -31,7 +34,7 @@
  */
 import {check} from "./check.js";
 import {checkPlan} from "./plan_hash.js";
-import {IK_ACK, PLAN, PLAN_REQUEST_ACK, REVIEW_ACK, SCENE, SCREEN, STOP_ACK, VIEW, WORK} from "./schemas.js";
+import {ACKNOWLEDGE_ACK, ANSWER_ACK, IK_ACK, MESSAGES, PLAN, PLAN_REQUEST_ACK, REVIEW_ACK, SCENE, SCREEN, STOP_ACK, VIEW, WORK} from "./schemas.js";
 
 /** A view is old after so long [ms]. */
 export const OLD_AFTER = 1000;
@@ -43,19 +46,21 @@ const MOST_ROBOTS = 32;
 /** The kind that a topic below `<prefix>/<robot>/` has. */
 const KINDS = {
   "view": "view", "screen": "screen", "scene": "scene", "plan": "plan", "work/tasks": "tasks", "review/ack": "review_ack",
-  "stop/ack": "stop_ack", "pause/ack": "pause_ack", "plan_request/ack": "plan_request_ack",
+  "stop/ack": "stop_ack", "pause/ack": "pause_ack", "plan_request/ack": "plan_request_ack", "messages": "messages",
+  "reset/ack": "reset_ack", "arm/ack": "arm_ack", "answer/ack": "answer_ack", "acknowledge/ack": "acknowledge_ack",
 };
 /** Topics below `<prefix>/+/` that the page reads, with their quality of service. `ik/ack/<account>` comes on top. */
 export const TOPICS = Object.keys(KINDS).map((topic) => ({topic, qos: topic === "view" ? 0 : 1}));
 /** Kinds whose newest value is kept. An answer is told once. */
-const KEPT = ["view", "screen", "scene", "plan", "tasks", "playback", "goal", "handle", "picked", "drawn"];
-const FROM_BROKER = ["view", "screen", "scene", "plan", "tasks"];
+const FROM_BROKER = ["view", "screen", "scene", "plan", "tasks", "messages"];
+const KEPT = [...FROM_BROKER, "playback", "goal", "handle", "picked", "drawn", "said"];
 /** What the broker stores; without a value: there is none any more. Of anything else that it has stored the age is not known. */
-const STORED = ["plan", "scene", "tasks"];
+const STORED = ["plan", "scene", "tasks", "messages"];
 /** What a message must be, but a view: of that by its version. */
 const SCHEMAS = {
   screen: SCREEN, scene: SCENE, plan: PLAN, tasks: WORK,
   review_ack: REVIEW_ACK, stop_ack: STOP_ACK, pause_ack: STOP_ACK, plan_request_ack: PLAN_REQUEST_ACK, ik_ack: IK_ACK,
+  messages: MESSAGES, reset_ack: STOP_ACK, arm_ack: STOP_ACK, answer_ack: ANSWER_ACK, acknowledge_ack: ACKNOWLEDGE_ACK,
 };
 
 function expect(is, sentence) {
@@ -196,7 +201,7 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
     },
 
     /**
-     * What is known of a robot: view, screen, scene, plan, tasks, playback, goal, handle, picked, drawn (null: not known), transitions, `old`
+     * What is known of a robot: view, screen, scene, plan, tasks, messages, playback, goal, handle, picked, drawn, said (null: not known), transitions, `old`
      * (the view is not the present), `heard` [ms] per kind. Null for a robot that was never heard.
      */
     robot(name) {
@@ -217,6 +222,14 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
       const entry = {listener, part};
       listeners.get(kind).add(entry);
       return () => listeners.get(kind).delete(entry);
+    },
+
+    /** Who may do what, as far as it is known: rights.js sets it. */
+    rightsOf: {may: () => null, who: () => []},
+
+    /** Take that the list of rights has come or gone. */
+    rights(list) {
+      tell("rights", "", list);
     },
 
     /** Take that a part of the page, by its area or `page`, had an exception. */

@@ -72,16 +72,16 @@ export function make(parent, store, connection, texts, means = {}) {
     }
   }
 
-  const fold = parent.closest("details");
-  fold?.addEventListener("toggle", () => fold.open && load());
+  const isOpen = () => parent.tab?.isOpen() ?? true;
+  parent.tab?.onOpen(load);
   store.on("connection", (_, state) => {
     if (state !== "connected") {
       turn += 1;
       fail(texts("runs.not_connected"));
-    } else if (fold === null || fold.open) {
+    } else if (isOpen()) {
       load();
     }
   });
   setText(told, texts("runs.not_connected"));
-  if (connection.state === "connected" && (fold === null || fold.open)) load();
+  if (connection.state === "connected" && (isOpen())) load();
 }
