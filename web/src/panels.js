@@ -3,6 +3,7 @@ import * as picture from "./picture/picture.js";
 import * as plan from "./panels/plan.js";
 import * as playback from "./panels/playback.js";
 import * as plots from "./panels/plots.js";
+import * as replay from "./panels/replay.js";
 import * as runs from "./panels/runs.js";
 import * as status from "./panels/status.js";
 import * as stop from "./panels/stop.js";
@@ -11,7 +12,7 @@ import * as verdict from "./panels/verdict.js";
 
 /** By area of page.js: modules with `make(parent, store, connection, texts)`. */
 export const panels = {
-  picture: [picture],
+  picture: [picture, replay],
   status: [status],
   stop: [stop],
   verdict: [playback, verdict],

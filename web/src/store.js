@@ -17,6 +17,10 @@
  *   refused      {kind, sentence}: a message was not as expected and is not shown
  *   failed       {part}: a part of the page had an exception (`failed`); told once for each exception of a part
  *   playback     {names, positions, time} or null: the pose of a plan at `time` [s] that the picture shows (playback panel)
+ *   replay       {run, time, at, names, twin, arm, sync, present} or null: the picture shows a recorded run at `time` [s], `at` as a Date,
+ *                and not the present; twin, arm: positions or null; `sync`: the gate's state then; `present`: see replay/present.js
+ *                (replay panel)
+ *   replay_run   {run, href, report}: the person wants to see the run of this name, from these files of the console (runs panel)
  *   drawn        "seen" while a person can see the robot in the picture, else why not: a word of picture/seen.js; null: there is no
  *                picture, nothing can be seen in it ever (picture)
  *   looked       {what, hash}: the plan of this hash was "shown" (again and again), "played" to its end (playback panel); told once
@@ -48,7 +52,7 @@ const KINDS = {
 /** Topics below `<prefix>/+/` that the page reads, with their quality of service. `ik/ack/<account>` comes on top. */
 export const TOPICS = Object.keys(KINDS).map((topic) => ({topic, qos: topic === "view" ? 0 : 1}));
 /** Kinds whose newest value is kept. An answer is told once. */
-const KEPT = ["view", "screen", "scene", "plan", "tasks", "playback", "goal", "handle", "picked", "drawn"];
+const KEPT = ["view", "screen", "scene", "plan", "tasks", "playback", "goal", "handle", "picked", "drawn", "replay"];
 const FROM_BROKER = ["view", "screen", "scene", "plan", "tasks"];
 /** What the broker stores; without a value: there is none any more. Of anything else that it has stored the age is not known. */
 const STORED = ["plan", "scene", "tasks"];
@@ -196,7 +200,7 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
     },
 
     /**
-     * What is known of a robot: view, screen, scene, plan, tasks, playback, goal, handle, picked, drawn (null: not known), transitions, `old`
+     * What is known of a robot: view, screen, scene, plan, tasks, playback, goal, handle, picked, drawn, replay (null: not known), transitions, `old`
      * (the view is not the present), `heard` [ms] per kind. Null for a robot that was never heard.
      */
     robot(name) {
@@ -234,7 +238,7 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
       tell("selected", name, name);
     },
 
-    /** Set what a panel tells the others: playback, goal, handle, picked, drawn (kept); drag, tap (told once). */
+    /** Set what a panel tells the others: playback, goal, handle, picked, drawn, replay (kept); drag, tap, replay_run (told once). */
     set(kind, name, value) {
       const robot = robots.get(name);
       if (robot === undefined) return;

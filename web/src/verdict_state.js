@@ -10,6 +10,7 @@
  *                                              `obstacle`: why it could not be approved now, "" when it could; `ended`: id of the
  *                                              last plan that has ended
  *   old                                        no view for a second
+ *   replay {on}                                the picture shows a recording, or the present again
  *   looked {what, hash}                        the page showed the plan of this hash: "shown" (again and again), "played" (to its
  *                                              end), "checks" (its checks were opened)
  *   press {reviewer}, release                  of the approve button
@@ -39,7 +40,7 @@ const NOT_LOOKED = {shownFor: 0, shownAt: null, played: false, checks: false};
 /** Return the machine of a robot of which nothing is known. */
 export function begin() {
   return {
-    state: "offline", plan: null, gone: false, viewPlan: undefined, obstacle: "", live: false, ...NOT_LOOKED, pressedAt: null, tickedAt: null, sent: null,
+    state: "offline", plan: null, gone: false, viewPlan: undefined, obstacle: "", live: false, replay: false, ...NOT_LOOKED, pressedAt: null, tickedAt: null, sent: null,
     notice: null,
   };
 }
@@ -52,12 +53,13 @@ export function lookedAt({shownFor, played, checks}) {
 /**
  * Return why approving is not possible now, as a short word; "" when it is.
  *
- * Words: offline, none, unfit, decided, sending, old (no view of the arm), view (the view names another plan, or none), obstacle (the
+ * Words: offline, none, unfit, decided, sending, replay (the picture shows a recording), old (no view of the arm), view (the view names another plan, or none), obstacle (the
  * executor would refuse it), look, shown
  */
 export function blocked(machine) {
   if (["offline", "none", "unfit", "decided"].includes(machine.state)) return machine.state;
   if (machine.state === "sending" || machine.state === "waiting") return "sending";
+  if (machine.replay) return "replay";
   if (!machine.live) return "old";
   if (machine.viewPlan !== undefined && machine.viewPlan !== machine.plan.id) return "view";
   if (machine.obstacle !== "") return "obstacle";
@@ -118,6 +120,7 @@ const grow = (machine, {at, what, hash}) => {
   return {shownAt: at, shownFor: machine.shownFor + (gap <= LONGEST_GAP ? gap : 0)};
 };
 const blind = () => ({live: false});
+const setReplay = (machine, {on}) => ({replay: on});
 const press = (machine, {at}) => ({pressedAt: at, tickedAt: at, notice: null});
 const note = (machine, {at}) => ({tickedAt: at});
 const cancel = (why) => () => ({pressedAt: null, notice: {kind: "cancelled", why}});
@@ -186,6 +189,8 @@ export const TABLE = [
   {states: OPEN, event: "view", action: see},
   {states: ["pressing"], event: "old", action: cancelWith(blind, "old"), next: "open"},
   {states: OPEN, event: "old", action: blind},
+  {states: ["pressing"], event: "replay", guard: (machine, {on}) => on, action: cancelWith(setReplay, "replay"), next: "open"},
+  {states: ["offline", ...OPEN], event: "replay", action: setReplay},
   {states: ["open", "pressing"], event: "looked", action: grow},
 
   {states: ["open"], event: "press", guard: mayPress, action: press, next: "pressing"},
