@@ -139,7 +139,9 @@ def test_a_hold_ends_a_replay_and_stop_goes_out_from_one(page_of, robot, results
     page.page.get_by_label("Stop one").click()
     expect(page.stop_result).to_contain_text("Stop: carried out")
     robot.arm_error = np.array([0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
-    page.wait_drawn("one", "it.replay === null && Math.abs(it.arm.joints.joint_a1 - it.twin.joints.joint_a1 - 0.05) < 1e-6")
+    page.wait_drawn(
+        "one", "it.replay === null && Math.abs(it.arm.joints.joint_a1 - it.twin.joints.joint_a1 - 0.05) < 1e-6"
+    )
     expect(page.page.locator(".replay-told")).to_contain_text("the arm holds")
     # looked at again while it holds, the notice says so
     begin(page)
