@@ -82,6 +82,7 @@ async def pipe(
     limits: PipeLimits,
     on_login: Callable[[str], str],
     clock: Callable[[], int] = time.monotonic_ns,
+    on_data: Callable[[bytes], None] | None = None,
 ) -> str:
     """Carry bytes until one side ends; return in one sentence how it ended.
 
@@ -89,6 +90,7 @@ async def pipe(
         on_login: Called with the account when the broker has accepted it; returns why it may not stay all the same, or an empty
             text.
         clock: Returns a time from any origin [ns].
+        on_data: Called with what the broker sends to a browser that is logged in, and with its CONNACK.
     """
     try:
         connecting = asyncio.open_connection(broker.host, broker.port, ssl=broker.tls)
@@ -104,7 +106,7 @@ async def pipe(
     _notice_silence(writer.get_extra_info("socket"))
     stream = ClientStream(limits.largest)
     up = asyncio.create_task(_from_browser(browser, writer, stream, limits, clock))
-    down = asyncio.create_task(_from_broker(browser, reader, stream, limits, on_login))
+    down = asyncio.create_task(_from_broker(browser, reader, stream, limits, on_login, on_data))
     try:
         done, _ = await asyncio.wait((up, down), return_when=asyncio.FIRST_COMPLETED)
         cut = next((task.exception() for task in done if task.exception() is not None), None)
@@ -187,7 +189,12 @@ async def _from_browser(
 
 
 async def _from_broker(
-    browser: ServerConnection, reader: asyncio.StreamReader, stream: ClientStream, limits: PipeLimits, on_login
+    browser: ServerConnection,
+    reader: asyncio.StreamReader,
+    stream: ClientStream,
+    limits: PipeLimits,
+    on_login: Callable[[str], str],
+    on_data: Callable[[bytes], None] | None,
 ) -> None:
     answer: PacketReader | None = PacketReader(limits.largest)
     refused = False
@@ -212,6 +219,8 @@ async def _from_broker(
                 refused = not is_accepted(first)
                 if not refused and (why := on_login(stream.account)):
                     raise Cut(TOO_MUCH, why)
+        if on_data is not None:
+            on_data(data)
         try:
             await asyncio.wait_for(browser.send(data), limits.stall_s)
         except TimeoutError as error:

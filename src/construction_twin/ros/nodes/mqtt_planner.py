@@ -21,6 +21,7 @@ import rospy
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from construction_twin.console.camera_address import cameras_of
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
 from construction_twin.core.units import NANOSECONDS
@@ -79,11 +80,13 @@ class Settings(MqttSettings):
     Attributes:
         trajectories: Whether motions, and requests for plans, are taken by MQTT.
         self_collision: YAML of the link pairs that are not checked; empty: no joint values are found for poses that are dragged.
+        cameras: As the console has them (``front=http://10.0.0.7/stream``, separated by blanks); of this robot. Announced by name.
         private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
     """
 
     trajectories: bool = True
     self_collision: str = ""
+    cameras: str = ""
     private: str = ""
     max_trajectory_bytes: int = pydantic.Field(ge=1024, le=1 << 24)
     view_rate: float = pydantic.Field(ge=1.0, le=50.0)
@@ -358,6 +361,7 @@ class MqttPlanner:
             return
         link, sync, execution = (report[0] if report is not None else None for report in self._reports())
         self._feed.publish_status_line(link, sync, execution, time.monotonic())
+        self._feed.publish_cameras(time.monotonic())
 
     def _run_view(self) -> None:
         """Show everything `view_rate` times a second."""
@@ -445,7 +449,8 @@ def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: P
         if ports.parameters["work"] is None:
             files.drop_building()
     deployment = deployment_of(ports.parameters["startup"], rospy.get_namespace().rstrip("/"))
-    feed = ConsoleFeed(topics, robot.base_link, node.publish_now, node.refuse, deployment, files)
+    cameras = [each.name for each in cameras_of([settings.cameras], robot.name) if each.robot == robot.name]
+    feed = ConsoleFeed(topics, robot.base_link, node.publish_now, node.refuse, deployment, files, cameras)
     services = {kind: rospy.ServiceProxy(service.name, service.kind) for kind, service in PLAN_SERVICES.items()}
     around = RobotContext(
         twin=lambda: _positions(poses.twin, settings.max_pose_age),
