@@ -1,4 +1,5 @@
 /** Which panels stand in which area, in their order. */
+import * as camera from "./panels/camera.js";
 import * as picture from "./picture/picture.js";
 import * as plan from "./panels/plan.js";
 import * as playback from "./panels/playback.js";
@@ -12,7 +13,7 @@ import * as verdict from "./panels/verdict.js";
 
 /** By area of page.js: modules with `make(parent, store, connection, texts)`. */
 export const panels = {
-  picture: [picture, replay],
+  picture: [picture, camera, replay],
   status: [status],
   stop: [stop],
   verdict: [playback, verdict],

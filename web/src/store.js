@@ -4,8 +4,8 @@
  * One store for all. Who wants to know registers with `on(kind, listener)`; a listener gets `(robot, value)`, robot "" where the
  * value is of no robot. An exception of one listener ends nothing but that call: the others are told, and it is `failed`.
  *
- * Kinds from the broker: view, screen, scene, plan, tasks, review_ack, stop_ack, pause_ack, plan_request_ack, ik_ack. A value of
- * null means: not known (any more). `plan` is told once its hash was checked (plan_hash.js); a plan whose hash does not fit has
+ * Kinds from the broker: view, screen, scene, plan, tasks, cameras, review_ack, stop_ack, pause_ack, plan_request_ack, ik_ack. A value of
+ * null means: not known (any more). `cameras` is the list of names that are announced on `camera/<name>`. `plan` is told once its hash was checked (plan_hash.js); a plan whose hash does not fit has
  * `refused`, a sentence, and nothing of it may be shown or approved.
  *
  * Kinds of the page itself:
@@ -49,13 +49,17 @@ const KINDS = {
   "view": "view", "screen": "screen", "scene": "scene", "plan": "plan", "work/tasks": "tasks", "review/ack": "review_ack",
   "stop/ack": "stop_ack", "pause/ack": "pause_ack", "plan_request/ack": "plan_request_ack",
 };
+/** Where a robot's cameras are announced, each by its name. */
+const CAMERA = "camera/";
+const CAMERA_NAME = /^[\w-]{1,32}$/;
+const MOST_CAMERAS = 16;
 /** Topics below `<prefix>/+/` that the page reads, with their quality of service. `ik/ack/<account>` comes on top. */
-export const TOPICS = Object.keys(KINDS).map((topic) => ({topic, qos: topic === "view" ? 0 : 1}));
+export const TOPICS = [...Object.keys(KINDS).map((topic) => ({topic, qos: topic === "view" ? 0 : 1})), {topic: `${CAMERA}+`, qos: 0}];
 /** Kinds whose newest value is kept. An answer is told once. */
-const KEPT = ["view", "screen", "scene", "plan", "tasks", "playback", "goal", "handle", "picked", "drawn", "replay"];
-const FROM_BROKER = ["view", "screen", "scene", "plan", "tasks"];
+const KEPT = ["view", "screen", "scene", "plan", "tasks", "playback", "goal", "handle", "picked", "drawn", "replay", "cameras"];
+const FROM_BROKER = ["view", "screen", "scene", "plan", "tasks", "cameras"];
 /** What the broker stores; without a value: there is none any more. Of anything else that it has stored the age is not known. */
-const STORED = ["plan", "scene", "tasks"];
+const STORED = ["plan", "scene", "tasks", "cameras"];
 /** What a message must be, but a view: of that by its version. */
 const SCHEMAS = {
   screen: SCREEN, scene: SCENE, plan: PLAN, tasks: WORK,
@@ -152,6 +156,13 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
     }
   }
 
+  function takeCamera(robot, name, there) {
+    const others = (robot.cameras ?? []).filter((each) => each !== name);
+    const cameras = (there ? [...others, name] : others).sort().slice(0, MOST_CAMERAS);
+    // each is announced again and again
+    if (JSON.stringify(cameras) !== JSON.stringify(robot.cameras ?? [])) put(robot, "cameras", cameras);
+  }
+
   function setOld(robot, old) {
     if (robot.old === old) return;
     robot.old = old;
@@ -200,7 +211,7 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
     },
 
     /**
-     * What is known of a robot: view, screen, scene, plan, tasks, playback, goal, handle, picked, drawn, replay (null: not known), transitions, `old`
+     * What is known of a robot: view, screen, scene, plan, tasks, cameras, playback, goal, handle, picked, drawn, replay (null: not known), transitions, `old`
      * (the view is not the present), `heard` [ms] per kind. Null for a robot that was never heard.
      */
     robot(name) {
@@ -277,13 +288,19 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
      * @returns {Promise<void>} resolved when it was taken or refused; a plan's hash takes a moment
      */
     async take(name, topic, text, retained = false) {
-      const kind = KINDS[topic] ?? (topic.startsWith("ik/ack/") ? "ik_ack" : undefined);
+      const kind = KINDS[topic] ?? (topic.startsWith("ik/ack/") ? "ik_ack" : topic.startsWith(CAMERA) ? "cameras" : undefined);
       if (kind === undefined || !robots.has(name) && robots.size >= MOST_ROBOTS) return;
       if (retained && !STORED.includes(kind)) return;
       const robot = record(name);
       try {
         const value = text === "" ? null : JSON.parse(text);
         expect(value !== null || STORED.includes(kind), `an empty ${kind}`);
+        if (kind === "cameras") {
+          const camera = topic.slice(CAMERA.length);
+          expect(CAMERA_NAME.test(camera), "a camera with another name");
+          takeCamera(robot, camera, value !== null);
+          return;
+        }
         if (kind !== "view" && value !== null) check(SCHEMAS[kind], value, kind);
         if (kind === "view") takeView(robot, value);
         else if (kind === "plan") await takePlan(robot, value);

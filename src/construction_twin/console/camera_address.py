@@ -1,6 +1,7 @@
 """Which cameras a site has: names, addresses, robots; and the MQTT topic that is the right to see one. Pure.
 
-Addresses come from whoever starts the console, and from nobody else: a browser names a robot and a camera, and gets that one or none.
+Addresses come from whoever starts the console, and from nobody else: a browser names a robot and a camera, and gets that one
+or none.
 """
 
 from __future__ import annotations

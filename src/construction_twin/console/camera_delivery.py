@@ -1,4 +1,4 @@
-"""A camera's pictures to one browser, as fast as it takes them: who is slow misses pictures, and never gets an old one for a new one.
+"""A camera's pictures to one browser, as fast as it takes them: who is slow misses pictures, and gets no old one for a new one.
 
 The answer has no end: it is a row of packets, each a head and a JPEG. The head says how old the picture is, when it was sent, and
 whether the camera is there; where no other picture has come for half a second, it comes alone. So the page can always say how old

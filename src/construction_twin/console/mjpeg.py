@@ -6,6 +6,7 @@ Cameras are not to be trusted more than any other device of a network: lengths a
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.sentences import Sentence
@@ -64,7 +65,7 @@ class PictureReader:
         self._mark = boundary if boundary.startswith(b"--") else b"--" + boundary
         self._largest = largest
         self._rest = bytearray()
-        self._step = self._between
+        self._step: Callable[[list[bytes]], bool] = self._between
         self._length: int | None = None
         self._headers = self._skipped = self._looked = 0
         self.refused = 0

@@ -20,9 +20,9 @@ import rosgraph
 import rospkg
 
 from construction_twin.broker.start import DEFAULT_PORT, listener_ports, trial
+from construction_twin.console.camera_address import cameras_of
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.controller.port import Make
-from construction_twin.console.camera_address import cameras_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import check_writable
 from construction_twin.core.network import port_is_free, reaches_itself
