@@ -3,8 +3,8 @@
 The robot's programs say on ``<prefix>/<robot>/camera/<name>``, again and again, that the camera is there. The broker passes that to
 whom its rules let read it, and to nobody else. So a message on this topic, on its way from the broker to a browser's session, is
 the broker's word that the session's account may see the camera. That the broker has granted the subscription is not: mosquitto
-grants every one where its rules stand in a file (2.0), and then delivers nothing. A browser cannot make up the message: it comes from
-the broker's side of the pipe.
+grants every one where its rules stand in a file (2.0), and then delivers nothing. A browser cannot make up the message: it comes
+from the broker's side of the pipe.
 """
 
 from __future__ import annotations

@@ -490,8 +490,8 @@ def test_the_view_has_what_feed_and_desk_know(bench, consoles):
     made.node.on_link(Link(text="GATEWAY_OFFLINE"))
     assert view(made)["link"]["late"] is None
     made.node.publish_status_line()
-    assert ("link", "ARMED") in feed.heard
-    assert feed.heard[-2:] == [("tell", "GATEWAY_OFFLINE", "IN_SYNC", "IDLE"), "publish_cameras"]
+    assert ("link", "ARMED") in feed.heard and feed.heard[-1] == ("tell", "GATEWAY_OFFLINE", "IN_SYNC", "IDLE")
+    assert "publish_cameras" in feed.heard
     bench.steady += 10.0
     made.node.publish_status_line()
     assert feed.heard[-1] == ("tell", None, None, "IDLE"), "what is silent is not the present"

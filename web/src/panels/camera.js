@@ -33,10 +33,9 @@ export function make(parent, store, connection, texts, {
   const bar = add(parent, "div", {className: "camera-bar", role: "group", "aria-label": texts("camera.title"), hidden: true});
   const area = add(parent, "figure", {className: "camera", hidden: true});
   const stage = add(area, "div", {className: "camera-stage"});
-  const canvas = add(stage, "canvas", {className: "camera-picture", role: "img"});
   const cover = add(stage, "p", {className: "camera-cover", role: "alert", hidden: true});
   const caption = add(area, "figcaption", {className: "camera-age"});
-  // what is open: {robot, name, stop, age, why}
+  // what is open: {robot, name, stop, canvas, age, why}
   let open = null;
   let listed = "";
 
@@ -63,8 +62,8 @@ export function make(parent, store, connection, texts, {
 
   function begin(robot, name) {
     const stop = new AbortController();
-    open = {robot, name, stop, age: new PictureAge(), why: "camera.waits"};
-    canvas.setAttribute("aria-label", texts("camera.of", {name, robot}));
+    const canvas = add(stage, "canvas", {className: "camera-picture", role: "img", "aria-label": texts("camera.of", {name, robot}), width: "1", height: "1"});
+    open = {robot, name, stop, canvas, age: new PictureAge(), why: "camera.waits"};
     area.hidden = false;
     parent.classList.add("has-camera");
     show();
@@ -74,14 +73,10 @@ export function make(parent, store, connection, texts, {
   function close() {
     if (open === null) return;
     open.stop.abort();
+    open.canvas.remove();
     open = null;
     area.hidden = true;
     parent.classList.remove("has-camera");
-    blank();
-  }
-
-  function blank() {
-    canvas.width = canvas.height = 1;
   }
 
   /** Look at a camera until it is closed, again and again where that ends. */
@@ -128,7 +123,7 @@ export function make(parent, store, connection, texts, {
       const newest = found.findLast(({jpeg}) => jpeg !== null);
       if (newest !== undefined) {
         try {
-          await draw(canvas, newest.jpeg);
+          await draw(mine.canvas, newest.jpeg);
           any = true;
         } catch (error) {
           mine.age = new PictureAge();
@@ -144,7 +139,7 @@ export function make(parent, store, connection, texts, {
     if (open === null) return;
     const age = open.age.at(now());
     const gone = age === null || age > GONE_AFTER;
-    if (gone) blank();
+    if (gone) open.canvas.width = open.canvas.height = 1;
     const seconds = age === null ? "" : (age / 1000).toFixed(age < 10000 ? 1 : 0);
     area.classList.toggle("is-old", !gone && age > OLD_AFTER);
     area.classList.toggle("is-gone", gone);

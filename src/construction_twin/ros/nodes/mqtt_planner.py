@@ -360,8 +360,9 @@ class MqttPlanner:
         if self._feed is None:
             return
         link, sync, execution = (report[0] if report is not None else None for report in self._reports())
-        self._feed.publish_status_line(link, sync, execution, time.monotonic())
-        self._feed.publish_cameras(time.monotonic())
+        now = time.monotonic()
+        self._feed.publish_cameras(now)
+        self._feed.publish_status_line(link, sync, execution, now)
 
     def _run_view(self) -> None:
         """Show everything `view_rate` times a second."""
