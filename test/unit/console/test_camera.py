@@ -263,6 +263,18 @@ def test_a_right_that_is_not_repeated_ends_and_with_the_session_at_once(make, ro
     assert stream.ended_within(1.4)
 
 
+def test_a_right_ends_with_its_session_though_the_account_has_another_one(make, robot):
+    console = make()
+    heard, other = make.browser(console), make.browser(console, subscribe="")
+    heard.wait_for_topic()
+    # a ticket each, and one account
+    stream = other.look()
+    stream.picture()
+    heard.close()
+    assert stream.ended_within(3.0)
+    assert other.look().status == 403
+
+
 def test_all_who_look_share_one_connection_and_there_are_not_too_many(make, camera, robot):
     console = make(viewers=3, viewers_per_browser=2)
     vic, ada = make.browser(console), make.browser(console, "one-reviewer-ada")
@@ -285,9 +297,11 @@ def test_a_frozen_camera_is_gone_and_comes_back(make, camera, robot):
     stream = browser.look()
     stream.picture()
     camera.frozen = True
+    end = time.monotonic() + 5.0
     while (found := stream.packet())[3]:
         # the age of what was shown rises, and no old picture is sent again
         last = found
+        assert time.monotonic() < end, "the camera is gone, and its picture is not"
     assert last[1] < 1500 and found[0] == b""
     camera.frozen = False
     camera.picture = jpeg(200)
