@@ -172,14 +172,13 @@ class ConsoleServer:
         path = request.path.partition("?")[0]
         if path == SOCKET:
             return self._refuse_socket(connection, request)
-        answer = self._strict(await self._answer_to(path, request))
         assert isinstance(connection, HttpConnection)
         if path.startswith(PRIVATE + CAMERA):
-            answer = self._camera_answer(path.removeprefix(PRIVATE + CAMERA), request)
+            answer = self._strict(self._camera_answer(path.removeprefix(PRIVATE + CAMERA), request))
             if answer.status_code == http.HTTPStatus.OK:
                 return await self._show_camera(connection, path.removeprefix(PRIVATE + CAMERA), request, answer)
         else:
-            answer = await self._answer_to(path, request)
+            answer = self._strict(await self._answer_to(path, request))
         peer = _peer(connection)
         self._delivering.add(connection)
         try:
