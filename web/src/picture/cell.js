@@ -684,7 +684,9 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       const result = {ready: bodies !== null, failed: state.failed, lacks: state.lacks, stale: state.stale, seq: robot()?.view?.seq ?? null};
       for (const body of ["twin", "arm", "plan", "goal"]) result[body] = {joints: values(body), tool: toolPosition(body)};
       result.path = path === null ? null : robot()?.plan?.tool_path ?? null;
+      result.waypoints = path === null ? 0 : path.userData.waypoints;
       result.armColour = ghosts.arm.color.getHex();
+      result.goalColour = ghosts.goal.color.getHex();
       result.objects = objects.map((each) => each.name);
       result.elements = building === null ? [] : [...building.elements].map(([element, {material}]) => [element, material.color.getHex()]);
       result.handle = gizmo.object === undefined ? null
@@ -696,6 +698,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       result.measured = measuring;
       result.shadows = sun.castShadow;
       result.reach = reach.visible ? reach.material.color.getHex() : null;
+      result.reachAt = reach.position.toArray();
       return result;
     },
     end() {

@@ -9,10 +9,10 @@ const ABOVE = 10;
 const overlap = (a, b) => a.x < b.x + b.width + GAP && b.x < a.x + a.width + GAP && a.y < b.y + b.height + GAP && b.y < a.y + a.height + GAP;
 
 /**
- * Return the labels that have room, each {...label, left, top}: the more important first, above its point, else below it or beside it,
- * within the picture. Pure.
+ * Return the labels that have room, each {...label, left, top}: the more important first, above its point, else below it or beside it
+ * (with `beside` the other way round), within the picture. Pure.
  *
- * @param {{x: number, y: number, width: number, height: number, rank: number}[]} labels place of the point and size [px]
+ * @param {{x: number, y: number, width: number, height: number, rank: number, beside: boolean}[]} labels place of the point, size [px]
  * @param {number} width, height of the picture [px]
  * @param {{x: number, y: number, width: number, height: number}[]} taken where nothing may stand
  */
@@ -22,10 +22,9 @@ export function placed(labels, width, height, taken = []) {
   for (const label of [...labels].sort((one, other) => other.rank - one.rank)) {
     const {x, y} = label;
     if (!(x >= 0 && x <= width && y >= 0 && y <= height)) continue;
-    const places = [
-      [x - label.width / 2, y - label.height - ABOVE], [x - label.width / 2, y + ABOVE], [x + ABOVE, y - label.height / 2],
-      [x - label.width - ABOVE, y - label.height / 2],
-    ];
+    const upright = [[x - label.width / 2, y - label.height - ABOVE], [x - label.width / 2, y + ABOVE]];
+    const beside = [[x + ABOVE, y - label.height / 2], [x - label.width - ABOVE, y - label.height / 2]];
+    const places = label.beside ? [...beside, ...upright] : [...upright, ...beside];
     for (const [left, top] of places) {
       const box = {x: left, y: top, width: label.width, height: label.height};
       if (left < 0 || top < 0 || left + label.width > width || top + label.height > height) continue;
@@ -53,7 +52,8 @@ export function makeLabels(overlay) {
   const layer = add(overlay, "div", {className: "labels", "aria-hidden": "true"});
   const elements = [];
   return (labels, width, height, taken) => {
-    const shown = placed(labels.map((label) => ({...label, ...sizeOf(label.text, label.kind === "waypoint")})), width, height, taken);
+    const shown = placed(labels.map((label) => (
+      {...label, ...sizeOf(label.text, label.kind === "waypoint"), beside: label.kind === "closest" || label.kind === "measure"})), width, height, taken);
     while (elements.length < shown.length) elements.push(add(layer, "span"));
     elements.forEach((element, k) => {
       element.hidden = k >= shown.length;

@@ -153,7 +153,7 @@ function dots(points, rims, size) {
 }
 
 /** So large are the dots at the waypoints, and at the ends of a path and of its segments [px]. */
-const DOT = 7;
+const DOT = 6;
 const END = 12;
 
 /**
@@ -175,6 +175,7 @@ export function pathLine(points, segments = [], ratio = 1) {
   const ends = [...new Set([0, ...segments.map((each) => each.tool_path_end), usable.length - 1])].filter((k) => k >= 0 && k < usable.length);
   const marked = (which, size) => dots(which.map((k) => usable[k]), which.map((k) => rims[k]), size * ratio);
   group.add(marked([...usable.keys()], DOT), marked(ends, END));
+  group.userData.waypoints = usable.length;
   return group;
 }
 
