@@ -112,9 +112,10 @@ const ROBOT = `<robot name="two"><material name="orange"><color rgba="1 0.4 0.05
     .map(([name, type, parent, child, at]) => `<joint name="${name}" type="${type}"><parent link="${parent}"/><child link="${child}"/>
   <origin xyz="${at}"/><axis xyz="0 -1 0"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>`).join("")}</robot>`;
 
-async function robotCell(options = {}) {
+async function robotCell(options = {}, before = async () => {}) {
   Object.assign(globalThis, {DOMParser, Document, Element});
   const it = cell({"robot.urdf": ROBOT, ...options});
+  await before(it);
   await it.hear("kr120", "view", view({twin: {stamp: 1, age: 0, positions: [0, 0]}, arm: {stamp: 1, age: 0, positions: [0, 0]}}));
   for (let k = 0; k < 200 && !it.made.ready; k += 1) await it.settle();
   assert.equal(it.made.ready, true, it.made.state.failed);
@@ -135,8 +136,16 @@ const orders = (rest) => (rest.length < 2 ? [rest] : rest.flatMap((one) => order
 test("a goal has the colour of its reach, whatever is told first: goal, handle, plan or view, before the model or after it", async () => {
   for (const order of orders(Object.keys(TELLS))) {
     for (const [reach, colour] of Object.entries(BY_REACH)) {
-      const it = await robotCell();
-      for (const what of order) await TELLS[what](it, reach);
+      const tell = async (cellOf, kinds) => {
+        for (const what of kinds) await TELLS[what](cellOf, reach);
+      };
+      // some before the model is there
+      const early = order.indexOf("view");
+      const it = await robotCell({}, async (cellOf) => {
+        await cellOf.hear("kr120", "work/tasks", null, true);
+        await tell(cellOf, order.slice(0, early));
+      });
+      await tell(it, order.slice(early));
       const found = it.made.inspect();
       assert.deepEqual([found.goalColour, found.reach, found.handle.position], [colour, colour, [1, 0.2, 1]], `${order} ${reach}`);
       assert.deepEqual(it.made.drawn().goal, {colour, reach});

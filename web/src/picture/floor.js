@@ -128,6 +128,7 @@ export function makeFloor(document) {
     }
     for (const [text, colour, x, y] of [["x", colours.AXES[0], right, 0], ["y", colours.AXES[1], 0, rear]]) {
       const sprite = written(document, text, `#${colour.toString(16).padStart(6, "0")}`);
+      if (sprite === null) return;
       sprite.position.set(x && x + 4.5 * out, y && y + 4.5 * out, 0.02);
       numbers.add(sprite);
     }
