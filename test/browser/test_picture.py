@@ -281,7 +281,8 @@ def test_the_legend_has_what_is_drawn_in_its_colours(seen, robot):
     def legend() -> dict[str, str]:
         return seen.page.evaluate("""() => {
             const colour = (entry) => getComputedStyle(entry.querySelector(".swatch")).getPropertyValue("--drawn");
-            return Object.fromEntries([...document.querySelectorAll(".legend li")].map((entry) => [entry.className, colour(entry)]));
+            const entries = [...document.querySelectorAll(".legend li")];
+            return Object.fromEntries(entries.map((entry) => [entry.className, colour(entry)]));
         }""")
 
     seen.wait_frame()
@@ -439,6 +440,19 @@ def test_axe_finds_nothing_serious_light_or_dark(page_of, robot, size):
         assert not serious(page)
     finally:
         robot.publish("work/tasks", b"", retain=True)
+
+
+def test_axe_finds_nothing_serious_in_the_picture_light_or_dark(seen, robot):
+    robot.show_scene([FLOOR, TABLE])
+    robot.show_plan()
+    seen.wait_drawn("one", "it.path !== null && it.words.includes('table')")
+    seen.page.get_by_role("button", name="Measure a distance").click()
+    for scheme in ("light", "dark"):
+        seen.page.emulate_media(color_scheme=scheme)
+        assert not serious(seen)
+    seen.page.keyboard.press("Escape")
+    seen.page.emulate_media(color_scheme="light")
+    robot.show_scene([])
 
 
 @pytest.mark.parametrize("scheme", ("light", "dark"))

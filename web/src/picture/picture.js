@@ -18,7 +18,7 @@ import {makePace} from "./pace.js";
 import {IN_VIEW, seenWord} from "./seen.js";
 
 const VIEWS = ["home", "front", "side", "top", "tool"];
-/** Smaller pictures begin with the legend folded [px]. */
+/** Smaller parts of the picture begin with the legend folded [px]. */
 const ROOMY = {width: 620, height: 340};
 /** So much of the picture's width is left to an open legend: less than it takes, because little is drawn in that corner. */
 const LEGEND = 0.14;
@@ -228,13 +228,13 @@ export function make(parent, store, connection, texts) {
     width = box.width;
     height = box.height;
     renderer.setSize(width, height, false);
+    const visible = shown();
     if (folded !== undefined) {
-      folded = width >= ROOMY.width && height >= ROOMY.height;
+      folded = width / visible.length >= ROOMY.width && height >= ROOMY.height;
       legend.open = folded;
     }
     showBar();
     covers = null;
-    const visible = shown();
     const buttons = bar.getBoundingClientRect();
     for (const each of cells.values()) each.overlay.hidden = !visible.includes(each);
     visible.forEach(({cell, overlay}, k) => {
