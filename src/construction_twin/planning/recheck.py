@@ -5,7 +5,8 @@ next. The plan's own curve is beside that line by about (4 ms)^2 / 8 times the a
 of the KR 120 at once, no point of the arm by more than 0.1 mm, the end of a bar of 4 m by 0.4 mm (docs/planning.md).
 
 What it measures is shown to the reviewer: the smallest clearance and where it is, and the largest use of each limit. A distance
-that no joint changes is none of the plan's, and left out of it: link_1 of the KR 120 turns 315 mm above the floor, whatever is planned.
+that no joint changes is none of the plan's, and left out of it: link_1 of the KR 120 turns 315 mm above the floor, whatever is
+planned.
 """
 
 from __future__ import annotations
