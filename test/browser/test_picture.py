@@ -1,4 +1,6 @@
-"""What is drawn, and that everybody can use it: the robot's pixels, the plan's geometry, two robots, a phone, accessibility."""
+"""What is drawn, and that everybody can use it: the robot's pixels, the plan's geometry, what is measured, two robots, a phone,
+accessibility.
+"""
 
 from __future__ import annotations
 
@@ -249,6 +251,178 @@ def test_the_tool_is_dragged_to_a_goal_and_the_planner_is_asked_for_the_way(page
     assert np.allclose(drawn["path"][0], begin, atol=1e-3) and np.allclose(drawn["path"][-1], end, atol=1e-3)
 
 
+def box(name: str, size: list[float], position: list[float]) -> dict:
+    """Return an object of a scene."""
+    return {
+        "name": name, "shape": "box", "size": size, "mesh": "", "position": position, "orientation": [0, 0, 0, 1], "padding": 0,
+        "link": "", "touch": [],
+    }  # fmt: skip
+
+
+FLOOR = box("floor", [20.0, 20.0, 1.0], [0.0, 0.0, -0.5])
+TABLE = box("table", [0.8, 0.8, 0.8], [1.2, -1.2, 0.4])
+
+
+def test_the_floor_is_solid_and_has_its_metres_beside_it(seen, robot):
+    robot.show_scene([FLOOR, TABLE])
+    drawn = seen.wait_drawn("one", "it.objects.includes('table')")
+    assert drawn["floor"]["height"] == 0.0 and {"-1 m", "0 m", "1 m"} <= set(drawn["floor"]["numbers"])
+    seen.wait_frame()
+    # below the robot the picture has the floor's colour, and not the background's
+    colour = seen.page.evaluate("getComputedStyle(document.querySelector('.stage')).getPropertyValue('--floor')")
+    floor = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)])
+    lower = np.median(pixels(seen)[-25:-5, 350:-80].reshape(-1, 3), axis=0)
+    assert np.abs(lower - floor).max() < 12, (lower, floor)
+    robot.show_scene([])
+    seen.wait_drawn("one", "it.objects.length === 0")
+
+
+def test_the_legend_has_what_is_drawn_in_its_colours(seen, robot):
+    def legend() -> dict[str, str]:
+        return seen.page.evaluate("""() => {
+            const colour = (entry) => getComputedStyle(entry.querySelector(".swatch")).getPropertyValue("--drawn");
+            const entries = [...document.querySelectorAll(".legend li")];
+            return Object.fromEntries(entries.map((entry) => [entry.className, colour(entry)]));
+        }""")
+
+    seen.wait_frame()
+    assert legend()["legend-both"] == "#ff660d" and "legend-path" not in legend() and "legend-arm" not in legend()
+    robot.show_plan()
+    robot.arm_error = np.array([0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
+    drawn = seen.wait_drawn(
+        "one", "it.path !== null && Math.abs(it.arm.joints.joint_a1 - it.twin.joints.joint_a1) > 0.04"
+    )
+    expect(seen.page.locator(".legend-path")).to_have_count(1)
+    expect(seen.page.locator(".legend-arm")).to_have_count(1)
+    assert (
+        legend()["legend-arm"] == f"#{drawn['armColour']:06x}"
+        and legend()["legend-goal"] == f"#{drawn['goalColour']:06x}"
+    )
+    # the closest point is the plan's, with its distance in words and in the picture
+    expect(seen.page.locator(".legend-closest")).to_contain_text("213 mm after 1.0 s (link_4 - table)")
+    assert "213 mm" in seen.drawn("one")["words"]
+    robot.arm_error = np.zeros(6)
+
+
+def test_a_distance_is_measured_by_two_taps_and_escape_ends_it(seen, robot):
+    ruler = seen.page.get_by_role("button", name="Measure a distance")
+    note = seen.page.locator(".picture-note")
+    ruler.click()
+    expect(note).to_contain_text("tap the first point")
+    area = seen.page.locator("#picture canvas").bounding_box()
+    assert area is not None
+    for across, down in ((0.55, 0.9), (0.75, 0.8)):
+        seen.page.mouse.click(area["x"] + across * area["width"], area["y"] + down * area["height"])
+    one, other = np.array(seen.wait_drawn("one", "it.measured.length === 2")["measured"])
+    # both on the floor
+    assert abs(one[2]) < 1e-6 and abs(other[2]) < 1e-6
+    distance = f"{1000 * np.linalg.norm(other - one):.0f} mm"
+    expect(note).to_contain_text(distance)
+    seen.wait_frame()
+    assert distance in seen.drawn("one")["words"]
+    seen.page.keyboard.press("Escape")
+    seen.wait_drawn("one", "it.measured.length === 0")
+    expect(ruler).to_have_attribute("aria-pressed", "false")
+    expect(note).to_be_hidden()
+
+
+def test_a_distance_is_measured_with_a_keyboard(seen, robot):
+    ruler = seen.page.get_by_role("button", name="Measure a distance")
+    ruler.focus()
+    seen.page.keyboard.press("Enter")
+    expect(seen.page.locator(".overlay")).to_be_focused()
+    for _ in range(12):
+        seen.page.keyboard.press("ArrowDown")
+    seen.page.keyboard.press("Enter")
+    seen.wait_drawn("one", "it.measured.length === 1")
+    seen.page.keyboard.press("ArrowRight")
+    seen.page.keyboard.press("Enter")
+    one, other = np.array(seen.wait_drawn("one", "it.measured.length === 2")["measured"])
+    assert 0.001 < np.linalg.norm(other - one) < 3.0
+    seen.page.keyboard.press("Escape")
+    expect(ruler).to_be_focused()
+
+
+def test_the_camera_is_fitted_until_a_person_turns_it_and_again_by_the_button(seen, robot):
+    fit = seen.page.get_by_role("button", name="Fit: show the whole cell")
+    fit.click()
+    close = seen.wait_drawn("one", "it.camera.chosen === 'home'")["camera"]
+    robot.show_scene([FLOOR, box("wall", [0.1, 3.0, 2.0], [-3.0, 0.0, 1.0])])
+    seen.wait_drawn("one", "it.objects.includes('wall')")
+    far = seen.wait_drawn("one", f"Math.abs(it.camera.position[0] - {close['position'][0]}) > 0.2")["camera"]
+    area = seen.page.locator("#picture canvas").bounding_box()
+    assert area is not None
+    seen.page.mouse.move(area["x"] + 300, area["y"] + 150)
+    seen.page.mouse.down()
+    seen.page.mouse.move(area["x"] + 360, area["y"] + 160, steps=4)
+    seen.page.mouse.up()
+    turned = seen.wait_drawn("one", "it.camera.chosen === ''")["camera"]
+    assert turned["position"] != far["position"]
+    robot.show_scene([])
+    assert seen.wait_drawn("one", "it.objects.length === 0")["camera"] == turned
+    fit.click()
+    again = seen.wait_drawn("one", "it.camera.chosen === 'home'")["camera"]
+    assert np.allclose(again["position"], close["position"], atol=1e-6)
+
+
+def test_shadows_fall_on_the_floor_where_a_device_draws_them(page_of, robot):
+    page = page_of("reviewer-ada", picture=True, size=SMALL)
+    # software draws here: it does not begin by itself
+    assert page.wait_drawn("one")["shadows"] is False
+    page.wait_frame()
+    before = pixels(page).sum(axis=2)
+    page.page.evaluate("document.querySelector('canvas').shadows(true)")
+    page.wait_drawn("one", "it.shadows")
+    page.wait_frame()
+    after = pixels(page).sum(axis=2)
+    assert (after < before - 60).mean() > 0.005
+    # frames that take long end them: here all do
+    area = page.page.locator("#picture canvas").bounding_box()
+    assert area is not None
+    page.page.mouse.move(area["x"] + 200, area["y"] + 100)
+    for number in range(60):
+        if not page.drawn("one")["shadows"]:
+            break
+        page.page.mouse.wheel(0, 20 if number % 2 else -20)
+        page.wait_frame()
+    page.wait_drawn("one", "!it.shadows")
+
+
+@pytest.mark.parametrize("width, height", ((300, 180), (390, 300), (800, 260)))
+def test_in_a_small_picture_everything_has_its_place(page_of, robot, width, height):
+    page = page_of("reviewer-ada", picture=True, size=(1280, 800))
+    robot.show_plan()
+    page.wait_drawn("one", "it.path !== null")
+    page.page.evaluate(
+        """([width, height]) => {
+            const {style} = document.querySelector("#picture");
+            const sizes = {width, height, "min-height": 0};
+            for (const [name, value] of Object.entries(sizes)) style.setProperty(name, `${value}px`);
+        }""",
+        [width, height],
+    )
+    page.wait_for("(width) => Math.abs(document.querySelector('.stage').clientWidth - width) < 4", width)
+    page.wait_frame()
+    boxes = page.page.evaluate("""() => {
+        const of = (element) => {
+            const {left, top, right, bottom} = element.getBoundingClientRect();
+            return [left, top, right, bottom];
+        };
+        const all = [...document.querySelectorAll(".tool, .legend, .label, .overlay-name")];
+        const parts = all.filter((each) => each.checkVisibility()).map((each) => [each.className, ...of(each)]);
+        return {stage: of(document.querySelector(".stage")), parts};
+    }""")
+    left, top, right, bottom = boxes["stage"]
+    parts = [(name, np.array(place)) for name, *place in boxes["parts"]]
+    assert sum(name.startswith("tool ") for name, _ in parts) >= 3
+    for number, (name, one) in enumerate(parts):
+        assert one[0] >= left and one[1] >= top and one[2] <= right + 0.5 and one[3] <= bottom + 0.5, name
+        if name.startswith("tool "):
+            assert min(one[2:] - one[:2]) >= 44, name
+        for other_name, other in parts[number + 1 :]:
+            assert (one[2:] <= other[:2] + 1).any() or (other[2:] <= one[:2] + 1).any(), (name, other_name)
+
+
 @pytest.mark.parametrize("size", (TABLET, PHONE), ids=("tablet", "phone"))
 def test_axe_finds_nothing_serious_light_or_dark(page_of, robot, size):
     page = page_of("reviewer-ada", size=size, color_scheme="light")
@@ -266,6 +440,19 @@ def test_axe_finds_nothing_serious_light_or_dark(page_of, robot, size):
         assert not serious(page)
     finally:
         robot.publish("work/tasks", b"", retain=True)
+
+
+def test_axe_finds_nothing_serious_in_the_picture_light_or_dark(seen, robot):
+    robot.show_scene([FLOOR, TABLE])
+    robot.show_plan()
+    seen.wait_drawn("one", "it.path !== null && it.words.includes('table')")
+    seen.page.get_by_role("button", name="Measure a distance").click()
+    for scheme in ("light", "dark"):
+        seen.page.emulate_media(color_scheme=scheme)
+        assert not serious(seen)
+    seen.page.keyboard.press("Escape")
+    seen.page.emulate_media(color_scheme="light")
+    robot.show_scene([])
 
 
 @pytest.mark.parametrize("scheme", ("light", "dark"))

@@ -158,7 +158,7 @@ class ExecutionView:
 
 @dataclass(frozen=True)
 class ClosestView:
-    """The two bodies that are closest at the twin's pose; null: not measured.
+    """The two bodies that are closest at the twin's pose, of those whose distance some joint changes; null: not measured.
 
     Attributes:
         distance: [m]; below 0: they overlap.

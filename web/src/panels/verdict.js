@@ -15,6 +15,8 @@ export const REASONS = ["too_close", "wrong_place", "scene", "person", "too_fast
 /** Longest reason that mqtt_review reads, with the one that was picked. */
 const LONGEST_REASON = 300;
 const LONGEST_NAME = 64;
+/** Words of picture/seen.js for a picture that a person cannot see: nothing is approved without it. */
+const HIDDEN = ["away", "small", "lost"];
 const GOOD = ["accepted"];
 /** The broker's reason code for a message that nobody has subscribed to (MQTT 5.0, section 3.4.2.1). */
 const NOBODY = 16;
@@ -255,10 +257,10 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const viewOf = ({plan, approval_obstacle: obstacle, execution}) => (
     {type: "view", plan, obstacle, ended: execution?.outcome ? execution.plan_id : ""}
   );
-  // no picture at all is no picture that is covered: then the checks are what a person looks at
+  // no picture, or none of this robot, is no picture that is covered: then the checks are what a person looks at
   const hides = (robot) => {
     const {drawn = null, said = null} = store.robot(robot) ?? {};
-    return drawn !== null && drawn !== "seen" ? "unseen" : said !== "whole" ? "unread" : "";
+    return HIDDEN.includes(drawn) ? "unseen" : said !== "whole" ? "unread" : "";
   };
   const look = (robot) => {
     // before `connect` there is no machine of it
