@@ -130,25 +130,26 @@ def test_a_plan_that_was_played_to_its_end_in_the_picture_may_be_approved(seen, 
     seen.wait_drawn("one", f"Math.abs(it.twin.joints.joint_a1 - {plan.goal[0]}) < 1e-6")
 
 
-def test_on_a_phone_a_playback_waits_until_the_picture_is_in_view_and_what_was_played_stays(page_of, robot):
+def test_nothing_is_played_or_approved_in_a_picture_that_is_too_small(page_of, robot):
     page = page_of("reviewer-ada", picture=True, size=PHONE)
     page.wait_drawn("one")
     robot.show_plan(duration=0.5)
     play, time = page.page.locator(".playback-play"), page.page.locator(".playback-time")
     hint, waits = page.page.locator(".verdict-hint"), page.page.locator(".playback-waits")
-    picture = page.page.locator("#picture")
     expect(hint).to_contain_text("Play the plan to its end")
-    page.page.evaluate("window.scrollTo(0, document.documentElement.scrollHeight)")
-    expect(picture).not_to_be_in_viewport()
-    expect(hint).to_contain_text("not in view: scroll to it")
-    # the button without the scrolling that a click does
-    play.dispatch_event("click")
+    page.page.set_viewport_size({"width": 290, "height": PHONE[1]})
+    expect(hint).to_contain_text("too small to judge a motion")
+    play.click()
     expect(waits).to_be_visible()
     page.wait_frame()
     expect(time).to_contain_text("0.0 s of 0.5 s")
-    picture.scroll_into_view_if_needed()
+    page.page.set_viewport_size({"width": PHONE[0], "height": PHONE[1]})
     expect(time).to_contain_text("0.5 s of 0.5 s")
     expect(page.approve_button).to_be_enabled()
+    # what was played stays played, and is approved only where it can be seen
+    page.page.set_viewport_size({"width": 290, "height": PHONE[1]})
+    expect(page.approve_button).to_be_disabled()
+    page.page.set_viewport_size({"width": PHONE[0], "height": PHONE[1]})
     page.hold_approve()
     expect(page.notice).to_contain_text("accepted")
 
@@ -226,10 +227,9 @@ def test_the_tool_is_dragged_to_a_goal_and_the_planner_is_asked_for_the_way(page
     """From the picture to the plan and back: handle, questions for joint values, ghost, request, path."""
     page = page_of("planner-pia", picture=True, size=SMALL)
     page.wait_drawn("one")
-    page.page.locator(".plan-begin").click()
+    page.tab("plan").locator(".plan-begin").click()
     begin = np.array(page.wait_drawn("one", "it.handle !== null")["handle"]["position"])
     assert np.allclose(begin, robot.tool(robot.twin), atol=_FINE)
-    page.page.locator("#picture").scroll_into_view_if_needed()
     # what has not been drawn yet cannot be taken
     page.wait_frame()
     page.drag_tool("one", 1.5)
@@ -431,13 +431,11 @@ def test_axe_finds_nothing_serious_light_or_dark(page_of, robot, size):
     try:
         expect(page.page.locator(".verdict")).to_be_visible()
         page.page.locator(".verdict-checks summary").click()
-        for area in ("plots", "runs"):
-            page.page.locator(f"#{area} > summary").click()
-        for area in ("tasks", "plots", "runs", "plan"):
-            expect(page.page.locator(f"#{area} > .inside")).to_be_visible()
-        assert not serious(page)
-        page.page.emulate_media(color_scheme="dark")
-        assert not serious(page)
+        for scheme in ("light", "dark"):
+            page.page.emulate_media(color_scheme=scheme)
+            for area in ("verdict", "tasks", "plots", "runs", "plan", "messages"):
+                page.tab(area)
+                assert not serious(page), area
     finally:
         robot.publish("work/tasks", b"", retain=True)
 
@@ -462,24 +460,56 @@ def test_axe_finds_nothing_serious_in_the_login(page_of, scheme):
     assert not serious(page)
 
 
-@pytest.mark.parametrize("size", (TABLET, PHONE), ids=("tablet", "phone"))
-def test_stop_can_be_pressed_without_scrolling_and_nothing_is_wider_than_the_screen(page_of, robot, size):
-    page = page_of("reviewer-ada", size=size)
+#: A tablet, a desk, a phone on its side and upright.
+SCREENS = ((1280, 800), (1920, 1080), (844, 390), (390, 844))
+
+
+@pytest.mark.parametrize("language", ("en", "de"))
+@pytest.mark.parametrize("size", SCREENS, ids=lambda size: f"{size[0]}x{size[1]}")
+def test_sentence_picture_verdict_and_stop_are_in_view_together(page_of, robot, size, language):
+    page = page_of("reviewer-ada", f"?language={language}", size=size, picture=True)
+    page.wait_drawn("one")
     robot.show_plan()
     expect(page.page.locator(".verdict")).to_be_visible()
-    page.page.locator("#plots > summary").click()
-    stop = page.page.locator(".stop-stop").first
-    height = page.page.evaluate("document.documentElement.scrollHeight")
-    assert height > size[1]
-    for top in np.linspace(0, height - size[1], 5):
-        page.page.evaluate("(top) => window.scrollTo(0, top)", top)
-        expect(stop).to_be_in_viewport(ratio=1)
-        box = stop.bounding_box()
-        assert box is not None and min(box["width"], box["height"]) >= 44
-        # in view, and under nothing else
+    assert page.page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]") == list(
+        size
+    )
+    # the approve button says why it is not to be pressed yet: the picture is large enough, and the sentence is whole
+    expect(page.page.locator(".verdict-hint")).to_contain_text("Play the plan" if language == "en" else "Spielen Sie")
+    boxes = {}
+    for name, place in (
+        ("picture", ".stage"), ("sentence", ".status-worst"), ("approve", ".verdict-approve"), ("play", ".playback-play"),
+        ("stop", ".stop-stop"), ("pause", ".stop-pause"), ("bar", "#stop"),
+    ):  # fmt: skip
+        found = page.page.locator(place).first
+        expect(found).to_be_in_viewport(ratio=0.99)
+        box = boxes[name] = found.bounding_box()
         middle = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
-        assert page.page.evaluate("([x, y]) => document.elementFromPoint(x, y).className", middle) == "stop-stop"
-    assert page.page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        # in view, and under nothing else
+        inside = "([x, y, place]) => document.elementFromPoint(x, y).closest(place) !== null"
+        assert page.page.evaluate(inside, [*middle, place]), name
+    assert boxes["picture"]["width"] >= 300 and boxes["picture"]["height"] >= 180
+    assert all(min(boxes[name]["width"], boxes[name]["height"]) >= 64 for name in ("stop", "pause", "approve"))
+    assert boxes["bar"]["height"] <= 0.2 * size[1]
+    small = page.page.evaluate(
+        """() => [...document.querySelectorAll("button, summary, select, input, a")]
+          .filter((each) => each.getClientRects().length && getComputedStyle(each).visibility === "visible" && !each.closest(".legend"))
+          .map((each) => [each.className, each.getBoundingClientRect()])
+          .filter(([, {width, height}]) => Math.min(width, height) < 43.5).map(([name]) => name)"""
+    )
+    assert small == []
+
+
+def test_nothing_moves_when_the_sentence_grows(page_of, robot):
+    page = page_of("reviewer-ada", size=PHONE)
+    robot.show_plan()
+    expect(page.page.locator(".verdict")).to_be_visible()
+    places = "() => ['.stop-stop', '.verdict-approve', '#picture'].map((each) => document.querySelector(each).getBoundingClientRect().top)"
+    before = page.page.evaluate(places)
+    page.page.evaluate(
+        """() => { const box = document.querySelector('.status-sentence'); box.textContent = box.textContent.repeat(6); }"""
+    )
+    assert page.page.evaluate(places) == before
 
 
 def test_the_page_speaks_german(page_of, robot):
