@@ -40,5 +40,4 @@ def parse_speed(document: Mapping[str, Any]) -> SpeedRequest:
     id_, limit, moment = own_id(document["id"], "id"), number(document["limit"], "limit"), document.get("moment")
     if not LEAST <= limit <= 1.0:
         raise PayloadError("values", Sentence("link.payload.speed", found=limit, least=LEAST))
-    is_text = isinstance(moment, str) and len(moment) <= MAX_TEXT
-    return SpeedRequest(id_, limit, moment if is_text else "")
+    return SpeedRequest(id_, limit, moment if isinstance(moment, str) and len(moment) <= MAX_TEXT else "")

@@ -67,7 +67,8 @@ def kept(path: str, text: str) -> PeopleLimit:
         made = PeopleLimit(**found)
         numbers = (made.limit, made.replaced)
         wrong = made.problem or any(type(each) not in (int, float) or not LEAST <= each <= 1.0 for each in numbers)
-        if wrong or type(made.since) is not int or not isinstance(made.person, str):
+        names = (made.person, made.replaced_person)
+        if wrong or type(made.since) is not int or not all(isinstance(each, str) for each in names):
             raise ValueError(found)
     except (ValueError, TypeError) as error:
         raise ConfigurationError(path, str(error)[:200], Sentence("expected.speed_file", least=LEAST)) from error
@@ -159,7 +160,7 @@ class SpeedLimits:
             raise ExpiredError(Sentence("executor.void.speed_since"))
 
     def report(self, now: int) -> SpeedReport | None:
-        """Return what is in force at `now` [ns, monotonic]; None before anybody has set a limit: then nothing needs to be repeated."""
+        """Return what is in force at `now` [ns, monotonic]; None before anybody has set a limit: nothing is to be repeated then."""
         program, people = self._program, self._people
         allowed = program.update(now)
         if not program.name and people == PeopleLimit():

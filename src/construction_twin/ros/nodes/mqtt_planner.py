@@ -30,7 +30,17 @@ from construction_twin.mqtt.client import Broker, make_client, subscriptions, un
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.mqtt.requests import NAMELESS_TRAJECTORY, TRAJECTORY, RequestKind
-from construction_twin.msg import Execution, Hold, Link, Plan, Review, SessionRequest, SpeedLimitInForce, Sync, WorkTasks
+from construction_twin.msg import (
+    Execution,
+    Hold,
+    Link,
+    Plan,
+    Review,
+    SessionRequest,
+    SpeedLimitInForce,
+    Sync,
+    WorkTasks,
+)
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES

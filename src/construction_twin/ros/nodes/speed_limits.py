@@ -1,7 +1,7 @@
 """speed_limits: merges what limits the speed; executor and bridge hear it alone. The lowest wins, and is repeated.
 
-Sources: one program on `speed_limit`, and people by the service `limit_speed`, which `mqtt_review` calls. What people set is kept in
-a file, so that a restart raises nothing. Not safety rated.
+Sources: one program on `speed_limit`, and people by the service `limit_speed`, which `mqtt_review` calls. What people set is kept
+in a file, so that a restart raises nothing. Not safety rated.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import pydantic
 import rospy
@@ -28,6 +29,7 @@ from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.endpoint import TOO_OLD
+from construction_twin.ros.shared.launch_arguments import arm_of
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import ros_home, settings_of
@@ -39,6 +41,7 @@ from construction_twin.ros.shared.ports import (
     Served,
     SharedParameter,
     Subscription,
+    has_arm,
 )
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.shared.stop_memory import StopMemory
@@ -60,6 +63,7 @@ class Settings(pydantic.BaseModel):
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
+    arm: Literal["mock", "real", "none"]
     folder: str
     rate: float = pydantic.Field(ge=1, le=100)
 
@@ -235,7 +239,8 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> SpeedLimitsNod
     program = source_of_program(ports.parameters["executor"], ports.parameters["gateway"])
     before = str(ports.parameters[PROGRAM])
     remembered(program, before, time.monotonic_ns())
-    file = LimitFile(ros_home() / settings.folder / f"{robot.name}.json" if settings.folder else None)
+    outlasts = bool(settings.folder) and has_arm(settings)
+    file = LimitFile(ros_home() / settings.folder / f"{robot.name}.json" if outlasts else None)
     limits = SpeedLimits(program, file.read(), present())
     if limits.people != PeopleLimit():
         rospy.loginfo("%s", limits.people.reason)
@@ -255,7 +260,7 @@ INTERFACE = Interface(
     serves=(Served("limit_speed", LimitSpeed, SpeedLimitsNode.on_limit_speed),),
     every=(Every(lambda settings: 1.0 / settings.rate, lambda node, _ports: node.repeat()),),
 )
-NODE = NodeShell("speed_limits", Settings, start, INTERFACE, file=ConfigFile())
+NODE = NodeShell("speed_limits", Settings, start, INTERFACE, file=ConfigFile(lambda given: {"arm": arm_of(given)}))
 
 
 def main() -> None:
