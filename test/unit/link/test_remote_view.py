@@ -79,7 +79,8 @@ def properties(node: dict) -> dict:
 
 
 def test_the_message_has_the_keys_of_the_schema_at_every_level():
-    message = read(writer().write(NOW, replace(SEEN, hold=HoldReport("joint_a1 differs", NOW)), MOMENT))
+    held = replace(SEEN, hold=HoldReport("joint_a1 differs", NOW), speed=SpeedReport())
+    message = read(writer().write(NOW, held, MOMENT))
     assert set(message) == set(properties(SCHEMA))
     for key, node in properties(SCHEMA).items():
         inner = properties(node)
