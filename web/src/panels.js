@@ -4,6 +4,7 @@ import * as plan from "./panels/plan.js";
 import * as playback from "./panels/playback.js";
 import * as plots from "./panels/plots.js";
 import * as runs from "./panels/runs.js";
+import * as speed from "./panels/speed.js";
 import * as status from "./panels/status.js";
 import * as stop from "./panels/stop.js";
 import * as tasks from "./panels/tasks.js";
@@ -12,7 +13,7 @@ import * as verdict from "./panels/verdict.js";
 /** By area of page.js: modules with `make(parent, store, connection, texts)`. */
 export const panels = {
   picture: [picture],
-  status: [status],
+  status: [status, speed],
   stop: [stop],
   verdict: [playback, verdict],
   plan: [plan],

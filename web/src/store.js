@@ -4,8 +4,8 @@
  * One store for all. Who wants to know registers with `on(kind, listener)`; a listener gets `(robot, value)`, robot "" where the
  * value is of no robot. An exception of one listener ends nothing but that call: the others are told, and it is `failed`.
  *
- * Kinds from the broker: view, screen, scene, plan, tasks, review_ack, stop_ack, pause_ack, plan_request_ack, ik_ack. A value of
- * null means: not known (any more). `plan` is told once its hash was checked (plan_hash.js); a plan whose hash does not fit has
+ * Kinds from the broker: view, screen, scene, plan, tasks, review_ack, stop_ack, pause_ack, speed_ack, plan_request_ack, ik_ack. A
+ * value of null means: not known (any more). `plan` is told once its hash was checked (plan_hash.js); a plan whose hash does not fit has
  * `refused`, a word of plan_hash.js, and nothing of it may be shown or approved.
  *
  * Kinds of the page itself:
@@ -31,7 +31,7 @@
  */
 import {check} from "./check.js";
 import {checkPlan} from "./plan_hash.js";
-import {IK_ACK, PLAN, PLAN_REQUEST_ACK, REVIEW_ACK, SCENE, SCREEN, STOP_ACK, VIEW, WORK} from "./schemas.js";
+import {IK_ACK, PLAN, PLAN_REQUEST_ACK, REVIEW_ACK, SCENE, SCREEN, SPEED_ACK, STOP_ACK, VIEW, WORK} from "./schemas.js";
 
 /** A view is old after so long [ms]. */
 export const OLD_AFTER = 1000;
@@ -43,7 +43,7 @@ const MOST_ROBOTS = 32;
 /** The kind that a topic below `<prefix>/<robot>/` has. */
 const KINDS = {
   "view": "view", "screen": "screen", "scene": "scene", "plan": "plan", "work/tasks": "tasks", "review/ack": "review_ack",
-  "stop/ack": "stop_ack", "pause/ack": "pause_ack", "plan_request/ack": "plan_request_ack",
+  "stop/ack": "stop_ack", "pause/ack": "pause_ack", "speed/ack": "speed_ack", "plan_request/ack": "plan_request_ack",
 };
 /** Topics below `<prefix>/+/` that the page reads, with their quality of service. `ik/ack/<account>` comes on top. */
 export const TOPICS = Object.keys(KINDS).map((topic) => ({topic, qos: topic === "view" ? 0 : 1}));
@@ -55,7 +55,7 @@ const STORED = ["plan", "scene", "tasks"];
 /** What a message must be, but a view: of that by its version. */
 const SCHEMAS = {
   screen: SCREEN, scene: SCENE, plan: PLAN, tasks: WORK,
-  review_ack: REVIEW_ACK, stop_ack: STOP_ACK, pause_ack: STOP_ACK, plan_request_ack: PLAN_REQUEST_ACK, ik_ack: IK_ACK,
+  review_ack: REVIEW_ACK, stop_ack: STOP_ACK, pause_ack: STOP_ACK, speed_ack: SPEED_ACK, plan_request_ack: PLAN_REQUEST_ACK, ik_ack: IK_ACK,
 };
 
 function expect(is, sentence) {
