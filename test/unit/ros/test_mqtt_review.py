@@ -57,6 +57,16 @@ class Trigger:
         return ResumeFromScreenResponse(self.success, "as the executor says", self.expired)
 
 
+class Later:
+    """In place of a service of another node; `do` answers, once a test has put it there."""
+
+    def __init__(self, name):
+        self.resolved_name, self.do = f"/kr120/{name}", None
+
+    def __call__(self, **asked):
+        return self.do(**asked)
+
+
 class Bench:
     """The node, a client that remembers, and an executor that says yes."""
 
@@ -66,7 +76,11 @@ class Bench:
         settings = Settings(host="127.0.0.1", port=1, path_points=10, account=account)
         self.pressed = []
         self.services = {verb: Trigger(verb, self.pressed) for verb in (STOP, PAUSE, *STARTING)}
-        self.node = MqttReview(settings, "kr120", Broker("127.0.0.1", 1), self.client, self, self.services, self.made)
+        self.decide, self.limit_speed = Later("work/decide"), Later("limit_speed")
+        self.node = MqttReview(
+            settings, "kr120", Broker("127.0.0.1", 1), self.client, self, self.services, self.made,
+            decide=self.decide, limit_speed=self.limit_speed,
+        )  # fmt: skip
 
     resolved_name = "/kr120/review_plan"
 
@@ -508,8 +522,7 @@ def answering(bench, monkeypatch, now=5.0):
         asked.append(fields)
         return WorkDecideResponse(True, "T1: it stands at its place")
 
-    decide.resolved_name = "/kr120/work/decide"
-    bench.node._decide = decide
+    bench.decide.do = decide
     monkeypatch.setattr(mqtt_review, "present", lambda: Moment("c0ffee00", round(now * 1e9)))
     return asked
 
@@ -563,8 +576,7 @@ def limiting(bench, expired=False):
         asked.append(fields)
         return LimitSpeedResponse(not expired, "as speed_limits says", expired, fields["limit"])
 
-    limit_speed.resolved_name = "/kr120/limit_speed"
-    bench.node._limit_speed = limit_speed
+    bench.limit_speed.do = limit_speed
     return asked, free
 
 

@@ -10,6 +10,7 @@ import rospy
 from construction_twin.msg import SpeedLimit
 from construction_twin.srv import LimitSpeedRequest
 from executor_bench import ROBOT
+from processes import wait_until
 from unplugged import Unplugged
 
 from construction_twin.core.errors import ConfigurationError
@@ -66,8 +67,6 @@ class Bench:
     def later(self, seconds):
         self.now += seconds
         self.made.timers[0](SimpleNamespace())
-        while self.node._memory.writing:
-            pass
 
     @property
     def limit(self):
@@ -160,7 +159,7 @@ def test_a_raise_that_is_too_old_is_refused_counted_and_said(bench):
 
 
 def test_lowering_is_in_force_before_a_disk_is_asked(bench, monkeypatch):
-    monkeypatch.setattr(bench.node._file, "write", lambda _: pytest.fail("the answer waited for a disk"))
+    monkeypatch.setattr(module, "write_whole", lambda *_: pytest.fail("the answer waited for a disk"))
     assert bench.sets(0.3).success and bench.limit == 0.3
 
 
@@ -222,7 +221,7 @@ def test_a_file_that_cannot_be_written_is_said_and_tried_again(bench, monkeypatc
 def test_a_program_that_was_heard_counts_as_silent_in_the_node_after_this_one(bench):
     bench.says(0.05)
     bench.later(0.05)
-    assert bench.server[PROGRAM] == "0.05 /kr120/separation"
+    wait_until(lambda: bench.server[PROGRAM] == "0.05 /kr120/separation", what="the memory")
     bench.restart()
     bench.later(0.05)
     assert bench.limit == 0.05 and "silent" in bench.sent[-1].reason
