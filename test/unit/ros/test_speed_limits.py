@@ -70,6 +70,7 @@ class Bench:
 
     @property
     def limit(self):
+        assert self.sent, "nothing was published"
         return self.sent[-1].limit
 
 
