@@ -13,9 +13,9 @@ import * as verdict from "./panels/verdict.js";
 /** By area of page.js: modules with `make(parent, store, connection, texts)`. */
 export const panels = {
   picture: [picture],
-  status: [status, speed],
+  status: [status],
   stop: [stop],
-  verdict: [playback, verdict],
+  verdict: [playback, verdict, speed],
   plan: [plan],
   tasks: [tasks],
   plots: [plots],
