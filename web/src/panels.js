@@ -8,6 +8,7 @@ import * as playback from "./panels/playback.js";
 import * as plots from "./panels/plots.js";
 import * as replay from "./panels/replay.js";
 import * as runs from "./panels/runs.js";
+import * as speed from "./panels/speed.js";
 import * as status from "./panels/status.js";
 import * as stop from "./panels/stop.js";
 import * as tasks from "./panels/tasks.js";
@@ -18,7 +19,7 @@ export const panels = {
   picture: [picture, camera, replay],
   status: [status, actions],
   stop: [stop],
-  verdict: [playback, verdict],
+  verdict: [playback, verdict, speed],
   plan: [plan],
   tasks: [tasks],
   messages: [messages],

@@ -14,11 +14,11 @@ from typing import Annotated, Generic, Literal, TypeVar
 
 from construction_twin.core.freshness import Moment
 from construction_twin.core.records import decimals, dumped
-from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
+from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
 from construction_twin.core.units import NANOSECONDS, seconds
 from construction_twin.link.remote_trajectory import Joints
 
-VERSION = 4
+VERSION = 5
 #: The oldest version whose readers can read this one.
 COMPATIBLE = 1
 #: Decimals of positions [rad], [m] and of times [s].
@@ -131,6 +131,31 @@ class HoldView:
 
 
 @dataclass(frozen=True)
+class SpeedView:
+    """The speed limit in force and whose it is; fractions of the planned speed. null: nobody has ever set one, or it is not known.
+
+    Attributes:
+        limit: The lowest of what a program and people have set; it may stand still at 0.
+        by: Whose that is: ``people``, ``program``; empty: nobody limits.
+        reason: One sentence.
+        people: The one limit of all people, which a request sets.
+        person: Who set it, by MQTT the account; empty: not known, or nobody has.
+        since: When, ROS time [s]; 0: nobody has.
+        replaced: What it was before that.
+        replaced_person: Whose that was; empty: nobody's.
+    """
+
+    limit: float
+    by: str
+    reason: str
+    people: float
+    person: str
+    since: _Seconds
+    replaced: float
+    replaced_person: str
+
+
+@dataclass(frozen=True)
 class ExecutionView:
     """The executor; null while it does not run.
 
@@ -176,7 +201,7 @@ class ClosestView:
 @dataclass(frozen=True)
 class View:
     """A message on <prefix>/<robot>/view: the state of one robot. SI units: m, rad, s. null: not known, or too old. Versions 2 to
-    4 add keys to version 1 and change none: a reader of version 1 that asks for `compatible` <= 1, in place of `version` = 1, and
+    5 add keys to version 1 and change none: a reader of version 1 that asks for `compatible` <= 1, in place of `version` = 1, and
     leaves alone the keys that it does not know, reads it. `since` is the version that has added a key.
 
     Attributes:
@@ -214,6 +239,7 @@ class View:
     closest: Annotated[ClosestView | None, {"since": 2}]
     hold: Annotated[HoldView | None, {"since": 4}]
     approval_obstacle: Annotated[str, {"since": 4}]
+    speed: Annotated[SpeedView | None, {"since": 5}]
 
 
 @dataclass(frozen=True)
@@ -240,6 +266,7 @@ class Seen:
     progress: float = 0.0
     hold: HoldReport = HoldReport()
     approval_obstacle: str = ""
+    speed: SpeedReport | None = None
 
 
 class ViewWriter:
@@ -291,6 +318,7 @@ class ViewWriter:
             closest=seen.closest,
             hold=HoldView(seen.hold.cause, round(seconds(seen.hold.since), _TIME)) if seen.hold.cause else None,
             approval_obstacle=seen.approval_obstacle if seen.plan else "",
+            speed=_speed(seen.speed),
         )
         return dumped(view, _POSITION)
 
@@ -302,6 +330,13 @@ def _part(kind: type[_Part], shown: Shown | None, **known: object) -> _Part | No
     report, given = shown.report, {"state": shown.report.text, "age": shown.age, **known}
     names = [each.name for each in fields(kind)]  # type: ignore[arg-type]  # a part is a record
     return kind(**{name: given[name] if name in given else getattr(report, name) for name in names})
+
+
+def _speed(report: SpeedReport | None) -> SpeedView | None:
+    if report is None:
+        return None
+    since, whose = round(seconds(report.since), _TIME), (report.replaced, report.replaced_person)
+    return SpeedView(report.limit, report.by, report.reason, report.people, report.person, since, *whose)
 
 
 def _round_trip_ms(sync: Shown[SyncReport] | None) -> float:
