@@ -109,6 +109,8 @@ class ScriptedRobot:
         self.plan: PlanView | None = None
         self.trajectory: Trajectory | None = None
         self.state = "IDLE"
+        #: Lines of `screen` that stand before its own.
+        self.urgent: list[dict] = []
         #: How much older than it is what comes shall count [s]: as if it had lain on its way.
         self.delay = 0.0
         self._chain = Chain(self.robot)
@@ -246,7 +248,7 @@ class ScriptedRobot:
             "who": "reviewer" if waits else "", "todo": "look at the plan, then approve or reject it" if waits else "",
             "page": "reference/states.md#execution", "level": 2 if waits else 0,
         }  # fmt: skip
-        return json.dumps([line]).encode()
+        return json.dumps([*self.urgent, line]).encode()
 
     def _view_of(self, trajectory: Trajectory, plan_id: str, source: str) -> PlanView:
         report = make_report(len(self._names))

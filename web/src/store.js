@@ -19,6 +19,7 @@
  *   playback     {names, positions, time} or null: the pose of a plan at `time` [s] that the picture shows (playback panel)
  *   drawn        "seen" while a person can see the robot in the picture, else why not: a word of picture/seen.js; null: there is no
  *                picture, nothing can be seen in it ever (picture)
+ *   acted        {topic}: this page publishes on the topic: stop, pause, review, plan_request, ... (connection)
  *   looked       {what, hash}: the plan of this hash was "shown" (again and again), "played" to its end (playback panel); told once
  *   goal         {names, positions, reach} or null: the pose that is asked for, shown as a goal ghost; `reach` free, contact, out or
  *                unknown (plan panel)
