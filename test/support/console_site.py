@@ -13,6 +13,7 @@ from processes import ROOT, BrokerProcess, listens, wait_until
 from scripted_robot import VIEW, XACRO, ScriptedRobot
 from site_broker import ROBOTS, SiteBroker, free_ports
 
+from construction_twin.broker.access import RIGHTS, Grant, Person
 from construction_twin.mqtt.client import Broker
 from construction_twin.robot.urdf import expand_xacro
 
@@ -20,7 +21,11 @@ from construction_twin.robot.urdf import expand_xacro
 PAGE = ROOT / ".ws/console/page"
 _PACKAGE = "package://construction_twin/"
 #: Who may do what in the tests: role and names.
-PEOPLE = {"reviewers": ("ada", "bob"), "viewers": ("vic",), "stoppers": ("sam",), "planners": ("pia",)}
+PEOPLE = {
+    "reviewers": ("ada", "bob"), "viewers": ("vic",), "stoppers": ("sam",), "planners": ("pia",),
+    # who may do everything, at every robot
+    "persons": (Person("dora", (Grant(RIGHTS),)),),
+}  # fmt: skip
 
 
 def write_robot_files(private: Path, robots: tuple[str, ...] = ROBOTS) -> None:
@@ -132,7 +137,7 @@ class ConsoleSite:
         files = self.site.folder / "console"
         self._process = run_console(
             self.log, self._page, self._listen, self.port, "--private", self.private, "--results", self.results,
-            "--certificate", files / "console.crt", "--key", files / "console.key",
+            "--rights", files / "rights.json", "--certificate", files / "console.crt", "--key", files / "console.key",
             "--broker-host", "localhost", "--broker-port", str(self.site.site.port), "--broker-ca", self.site.folder / "ca/ca.crt",
         )  # fmt: skip
 

@@ -19,13 +19,14 @@ def addresses(listen: str, port: int, certificate: Path | None, key: Path | None
         scheme, path: What stands before and behind.
     """
     hosts: Iterable[str] = [listen]
-    if _is_everywhere(listen):
+    if is_everywhere(listen):
         named = certificate_names(certificate, key) if certificate and key else []
         hosts = named or [socket.gethostname()]
     return [f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}{path}" for host in hosts]
 
 
-def _is_everywhere(listen: str) -> bool:
+def is_everywhere(listen: str) -> bool:
+    """Return whether a server on this address listens on all of them."""
     try:
         return ipaddress.ip_address(listen).is_unspecified
     except ValueError:

@@ -29,16 +29,17 @@ def refusal(origin: str | None, host: str | None, secure: bool, allowed: frozens
     if origin in allowed:
         return ""
     own = f"{'https' if secure else 'http'}://{host}"
-    place = _place(own) if host else None
+    place = place_of(own) if host else None
     if place is not None and not secure and not is_loopback(place[1]):
         return f"host {place[1][:100]!r}; expected localhost or a loopback address, because there is no TLS"
     # parsed, not compared as text: a browser leaves the default port out of both or of one
-    if place is not None and _place(origin) == place:
+    if place is not None and place_of(origin) == place:
         return ""
     return f"origin {origin[:100]!r}; expected the page of this server, {own[:100]!r}"
 
 
-def _place(url: str) -> tuple[str, str, int] | None:
+def place_of(url: str) -> tuple[str, str, int] | None:
+    """Return scheme, name and port of an address without a path; None when it is none."""
     try:
         parts = urlsplit(url)
         port = parts.port

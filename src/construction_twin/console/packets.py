@@ -12,6 +12,8 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.core.sentences import Sentence
 
 CONNECT, CONNACK, PUBLISH, DISCONNECT = 1, 2, 3, 14
+#: Answers to a login by which the broker says that account or password is wrong: MQTT 3.1.1, 3.2.2.3, and MQTT 5.0, 3.2.2.2.
+WRONG_PASSWORD = frozenset((4, 5, 134, 135))
 #: What a client may send: CONNECT, PUBLISH, PUBACK, PUBREC, PUBREL, PUBCOMP, SUBSCRIBE, UNSUBSCRIBE, PINGREQ, DISCONNECT, AUTH.
 FROM_CLIENT = frozenset((1, 3, 4, 5, 6, 7, 8, 10, 12, 14, 15))
 #: The reserved flags of each of them that are not 0.
@@ -110,6 +112,7 @@ class ClientStream:
 
     Attributes:
         account: User name of CONNECT; "" before it, and for an anonymous client.
+        anonymous: CONNECT has neither user name nor password, or has not come.
         connected: CONNECT has come.
         ended: DISCONNECT has come: the broker hangs up next, and that is no fault.
     """
@@ -117,6 +120,7 @@ class ClientStream:
     def __init__(self, largest: int):
         self._reader = PacketReader(largest, from_client=True)
         self.account = ""
+        self.anonymous = True
         self.connected = False
         self.ended = False
 
@@ -136,7 +140,7 @@ class ClientStream:
                 )
                 raise PayloadError("mqtt", Sentence("view.packet.one_connect", found=found))
             if packet.kind == CONNECT:
-                self.account = user_name(packet)
+                self.account, self.anonymous = user_name(packet), not has_credentials(packet)
                 self.connected = True
             self.ended = self.ended or packet.kind == DISCONNECT
         return packets
@@ -164,9 +168,17 @@ def user_name(connect: Packet) -> str:
     return fields.text() if flags & 0x80 else ""
 
 
-def is_accepted(connack: Packet) -> bool:
-    """Return whether a CONNACK says that the client is logged in."""
-    return connack.kind == CONNACK and len(connack.data) >= connack.body + 2 and connack.data[connack.body + 1] == 0
+def has_credentials(connect: Packet) -> bool:
+    """Return whether a CONNECT that `user_name` can read has a user name, a password, or both."""
+    # behind the name of the protocol, with its length, and the version
+    return bool(connect.data[connect.body + 7] & 0xC0)
+
+
+def reason_code(connack: Packet) -> int | None:
+    """Return the broker's answer to a login, 0 when the client is logged in; None when the packet is none."""
+    if connack.kind != CONNACK or len(connack.data) < connack.body + 2:
+        return None
+    return connack.data[connack.body + 1]
 
 
 class _Fields:

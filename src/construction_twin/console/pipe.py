@@ -14,11 +14,12 @@ import ssl
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-from construction_twin.console.packets import ClientStream, PacketReader, is_accepted
+from construction_twin.console.packets import WRONG_PASSWORD, ClientStream, PacketReader, reason_code
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.rate_limit import TokenBucket
 from construction_twin.core.sentences import Sentence
@@ -76,18 +77,42 @@ class Cut(Exception):
         super().__init__(sentence)
 
 
+class Login(Protocol):
+    """What is asked and told about the login of one connection."""
+
+    def wait_s(self, account: str) -> float:
+        """Return how long a CONNECT with user name or password waits before it is passed on [s]."""
+
+    def waited(self) -> None:
+        """Note that it is passed on now, or that its browser has gone."""
+
+    def accepted(self, account: str) -> str:
+        """Note that the broker has accepted it; return why it may not stay all the same, or an empty text."""
+
+    def wrong(self, account: str) -> None:
+        """Note that the broker says that user name or password is wrong."""
+
+    def left(self, account: str) -> None:
+        """Note that a browser has left after its login was passed on, and before the broker's answer."""
+
+
+class _Attempt:
+    """Whether a login with user name or password is with the broker, which has not answered it yet."""
+
+    is_open = False
+
+
 async def pipe(
     browser: ServerConnection,
     broker: BrokerAddress,
     limits: PipeLimits,
-    on_login: Callable[[str], str],
+    login: Login,
     clock: Callable[[], int] = time.monotonic_ns,
 ) -> str:
     """Carry bytes until one side ends; return in one sentence how it ended.
 
     Args:
-        on_login: Called with the account when the broker has accepted it; returns why it may not stay all the same, or an empty
-            text.
+        login: Says how long a login waits, and gets to know what became of it.
         clock: Returns a time from any origin [ns].
     """
     try:
@@ -103,11 +128,15 @@ async def pipe(
         )
     _notice_silence(writer.get_extra_info("socket"))
     stream = ClientStream(limits.largest)
-    up = asyncio.create_task(_from_browser(browser, writer, stream, limits, clock))
-    down = asyncio.create_task(_from_broker(browser, reader, stream, limits, on_login))
+    attempt = _Attempt()
+    up = asyncio.create_task(_from_browser(browser, writer, stream, limits, login, attempt, clock))
+    down = asyncio.create_task(_from_broker(browser, reader, stream, limits, login, attempt))
     try:
         done, _ = await asyncio.wait((up, down), return_when=asyncio.FIRST_COMPLETED)
         cut = next((task.exception() for task in done if task.exception() is not None), None)
+        # what came with the login is carried out if the password is right, so that nobody need wait for the answer to see it
+        if attempt.is_open and not (isinstance(cut, Cut) and cut.code == BROKER_AWAY):
+            login.left(stream.account)
         if cut is None:
             # its DISCONNECT, so that the broker publishes no last will, and what came before it
             await _finish(writer)
@@ -149,7 +178,13 @@ async def _finish(writer: asyncio.StreamWriter) -> None:
 
 
 async def _from_browser(
-    browser: ServerConnection, writer: asyncio.StreamWriter, stream: ClientStream, limits: PipeLimits, clock
+    browser: ServerConnection,
+    writer: asyncio.StreamWriter,
+    stream: ClientStream,
+    limits: PipeLimits,
+    login: Login,
+    attempt: _Attempt,
+    clock: Callable[[], int],
 ) -> None:
     packets = TokenBucket(limits.packets_per_s, limits.burst_packets)
     volume = TokenBucket(limits.bytes_per_s, limits.burst_bytes)
@@ -166,7 +201,7 @@ async def _from_browser(
             return
         if isinstance(message, str):
             raise Cut(NOT_MQTT, Sentence("view.pipe.text_frame"))
-        now = clock()
+        now, is_login = clock(), not stream.connected
         if not volume.take(now, len(message)):
             raise Cut(TOO_MUCH, too_much)
         try:
@@ -176,6 +211,10 @@ async def _from_browser(
         # an empty frame costs time too
         if not packets.take(now, max(1, len(passed))):
             raise Cut(TOO_MUCH, too_much)
+        if is_login and not stream.anonymous:
+            if not await _waited(browser, login, stream.account):
+                return
+            attempt.is_open = True
         for packet in passed:
             writer.write(packet.data)
         try:
@@ -186,8 +225,28 @@ async def _from_browser(
             raise Cut(BROKER_AWAY, Sentence("view.pipe.broken", problem=str(error))) from error
 
 
+async def _waited(browser: ServerConnection, login: Login, account: str) -> bool:
+    """Let a CONNECT wait for its pace; return whether its browser is still there."""
+    wait_s = login.wait_s(account)
+    if not wait_s:
+        return True
+    try:
+        async with asyncio.timeout(wait_s):
+            await browser.wait_closed()
+    except TimeoutError:
+        return True
+    finally:
+        login.waited()
+    return False
+
+
 async def _from_broker(
-    browser: ServerConnection, reader: asyncio.StreamReader, stream: ClientStream, limits: PipeLimits, on_login
+    browser: ServerConnection,
+    reader: asyncio.StreamReader,
+    stream: ClientStream,
+    limits: PipeLimits,
+    login: Login,
+    attempt: _Attempt,
 ) -> None:
     answer: PacketReader | None = PacketReader(limits.largest)
     refused = False
@@ -208,9 +267,13 @@ async def _from_broker(
             except PayloadError as error:
                 raise Cut(BROKER_AWAY, Sentence("view.pipe.no_broker", problem=str(error))) from error
             if first is not None:
-                answer = None
-                refused = not is_accepted(first)
-                if not refused and (why := on_login(stream.account)):
+                answer, attempt.is_open = None, False
+                code = reason_code(first)
+                refused = code != 0
+                # an attempt without any, as the page's first one, is no guess
+                if code in WRONG_PASSWORD and not stream.anonymous:
+                    login.wrong(stream.account)
+                if not refused and (why := login.accepted(stream.account)):
                     raise Cut(TOO_MUCH, why)
         try:
             await asyncio.wait_for(browser.send(data), limits.stall_s)

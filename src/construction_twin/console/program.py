@@ -9,13 +9,16 @@ import signal
 import ssl
 from collections.abc import Iterable
 
-from construction_twin.console.addresses import addresses
+from construction_twin.console.addresses import addresses, certificate_names, is_everywhere
 from construction_twin.console.pipe import BrokerAddress
 from construction_twin.console.server import SOCKET, ConsoleServer, ServerSettings
 from construction_twin.console.static_files import read_folder
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
 from construction_twin.core.sentences import Sentence
+
+#: A year [s].
+_LONGEST_HSTS_S = 365 * 24 * 3600
 
 
 def settings_of(arguments: argparse.Namespace) -> ServerSettings:
@@ -39,6 +42,10 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
     except (OSError, ssl.SSLError) as error:
         where = "--broker-ca" if own or not arguments.certificate else "--certificate and --key"
         raise ConfigurationError(where, str(error), Sentence("expected.pem")) from error
+    if not 0 <= arguments.hsts <= _LONGEST_HSTS_S:
+        raise ConfigurationError(
+            "--hsts", arguments.hsts, Sentence("expected.range", lowest=0, largest=_LONGEST_HSTS_S)
+        )
     if broker_tls is None and not is_loopback(arguments.broker_host):
         raise ConfigurationError("--broker-host", arguments.broker_host, Sentence("expected.loopback_ca"))
     return ServerSettings(
@@ -48,7 +55,18 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
         BrokerAddress(arguments.broker_host, arguments.broker_port, broker_tls),
         frozenset(arguments.origin),
         own,
+        _names(arguments),
+        arguments.hsts,
+        rights=arguments.rights,
     )
+
+
+def _names(arguments: argparse.Namespace) -> list[str]:
+    """Return the names of this server, by which it is asked for with TLS."""
+    if not arguments.certificate:
+        return []
+    named = certificate_names(arguments.certificate, arguments.key)
+    return [*named, *(() if is_everywhere(arguments.listen) else (arguments.listen,))]
 
 
 async def _serve(server: ConsoleServer, host: str, port: int, opened_at: Iterable[str]) -> None:

@@ -9,9 +9,10 @@ import logging
 import secrets
 import ssl
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from websockets.asyncio.server import ServerConnection, serve
@@ -22,17 +23,22 @@ from construction_twin.console.connection_limits import ConnectionLimits, OpenCo
 from construction_twin.console.delivery import deliver
 from construction_twin.console.http_connection import HttpConnection, connection_type
 from construction_twin.console.listener import Listener, listeners
+from construction_twin.console.login_pace import LoginPace, PaceLimits
+from construction_twin.console.logins import ConnectionLogin, Lines, Logins
 from construction_twin.console.origin import refusal
 from construction_twin.console.pipe import CLOSE_S, BrokerAddress, PipeLimits, pipe
+from construction_twin.console.plain_http import HSTS_S
+from construction_twin.console.plain_http import answer as plain_answer
 from construction_twin.console.recordings import listing, recordings
 from construction_twin.console.static_files import FileCache, StaticFile, names
 from construction_twin.console.tickets import Tickets
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.rate_limit import TokenBucket
 
 log = logging.getLogger("console")
 #: Path of the WebSocket, and of what only who is logged in gets.
 SOCKET, PRIVATE = "/mqtt", "/private/"
+#: Below `PRIVATE`: who has which right.
+RIGHTS = "rights.json"
 #: The subprotocol that MQTT has for WebSockets (MQTT 5.0, section 6).
 SUBPROTOCOL = "mqtt"
 #: No script, style, picture or connection but this server's own; nothing may frame the page.
@@ -56,6 +62,10 @@ class ServerSettings:
         private: Folder of files for who is logged in: robot model, scene, building model.
         results: Folder of the recorded runs.
         origins: Further origins whose pages may connect.
+        rights: `rights.json` of `make_site`; None: the page does not know who may do what.
+        names: With TLS, names and addresses of this server: who comes to one of them without TLS is sent to https.
+        hsts_s: With TLS, for so long a browser asks by https alone for anything of the host's name [s]; 0: what it was told before
+            ends.
         file_stall_s: Who takes nothing of a file for so long is cut off [s].
     """
 
@@ -65,9 +75,13 @@ class ServerSettings:
     broker: BrokerAddress
     origins: frozenset[str] = frozenset()
     tls: ssl.SSLContext | None = None
+    names: Sequence[str] = ()
+    hsts_s: int = HSTS_S
     limits: PipeLimits = field(default_factory=PipeLimits)
+    pace: PaceLimits = field(default_factory=PaceLimits)
     connections: ConnectionLimits = field(default_factory=ConnectionLimits)
     file_stall_s: float = 20.0
+    rights: Path | None = None
 
 
 class ConsoleServer:
@@ -75,12 +89,16 @@ class ConsoleServer:
 
     def __init__(self, settings: ServerSettings):
         self._settings = settings
-        self._tickets = Tickets(lambda: secrets.token_urlsafe(24), 0)
         self._connections = OpenConnections(settings.connections)
+        self._logins = Logins(self._connections, _tickets(0), LoginPace(settings.pace), time.monotonic_ns)
         self._delivering: set[HttpConnection] = set()
         self._cache = FileCache()
-        self._lines = TokenBucket(rate=1, burst=20)
-        self._untold = 0
+        self._lines = Lines(1, 20, time.monotonic_ns)
+
+    @property
+    def wrong_passwords(self) -> int:
+        """How many there were."""
+        return self._logins.pace.count
 
     async def run(self, host: str, port: int, ready: asyncio.Event | None = None) -> None:
         """Serve until cancelled.
@@ -88,9 +106,10 @@ class ConsoleServer:
         Args:
             ready: Set when the port is open.
         """
-        self._tickets = Tickets(lambda: secrets.token_urlsafe(24), port)
+        self._logins.tickets = _tickets(port)
         async with contextlib.AsyncExitStack() as serving:
-            for listener in await listeners(host, port, self._connections, self._on_full):
+            plain = None if self._settings.tls is None else partial(self._on_plain, port)
+            for listener in await listeners(host, port, self._connections, self._on_full, plain):
                 await serving.enter_async_context(self._serve(listener))
             if ready is not None:
                 ready.set()
@@ -125,7 +144,11 @@ class ConsoleServer:
         )
 
     def _on_full(self, peer: str) -> None:
-        self._tell(logging.WARNING, f"{peer}: too many connections; its oldest one without a login had to go")
+        self._lines.write(logging.WARNING, f"{peer}: too many connections; its oldest one without a login had to go")
+
+    def _on_plain(self, port: int, peer: str, head: bytes) -> bytes:
+        self._lines.write(logging.INFO, f"{peer} asked by http; told to use https")
+        return plain_answer(head, self._settings.names, port)
 
     # -- files
 
@@ -133,13 +156,13 @@ class ConsoleServer:
         path = request.path.partition("?")[0]
         if path == SOCKET:
             return self._refuse_socket(connection, request)
-        answer = await self._answer_to(path, request)
+        answer = self._strict(await self._answer_to(path, request))
         assert isinstance(connection, HttpConnection)
         peer = _peer(connection)
         self._delivering.add(connection)
         try:
             if not await deliver(connection, request, answer, self._settings.file_stall_s):
-                self._tell(logging.WARNING, f"{peer} did not take all of {path[:100]!r}")
+                self._lines.write(logging.WARNING, f"{peer} did not take all of {path[:100]!r}")
         finally:
             self._delivering.discard(connection)
         # the connection has ended: the library sends nothing more
@@ -149,7 +172,7 @@ class ConsoleServer:
         if request.method not in ("GET", "HEAD"):
             return _answer(http.HTTPStatus.METHOD_NOT_ALLOWED, b"only GET and HEAD\n")
         if path.startswith(PRIVATE):
-            if not self._tickets.is_known(_joined(request.headers, "Cookie", "; ")):
+            if not self._logins.tickets.is_known(_joined(request.headers, "Cookie", "; ")):
                 return _answer(http.HTTPStatus.FORBIDDEN, b"log in first\n")
             # in a thread: reading and compressing must not keep the other connections waiting
             return await asyncio.to_thread(self._private, path.removeprefix(PRIVATE), request)
@@ -163,7 +186,9 @@ class ConsoleServer:
         path, policy = None, POLICY
         if name == "runs.json" and settings.results is not None:
             return _file_answer(StaticFile.of(name, listing(settings.results)), request, POLICY, private=True)
-        if name.startswith("runs/") and settings.results is not None:
+        if name == RIGHTS:
+            path = settings.rights
+        elif name.startswith("runs/") and settings.results is not None:
             path, policy = recordings(settings.results).get(name.removeprefix("runs/")), REPORT_POLICY
         elif settings.private is not None:
             path = names(settings.private).get(name)
@@ -189,46 +214,37 @@ class ConsoleServer:
         if not why and SUBPROTOCOL not in [word.strip() for word in spoken.split(",")]:
             why = f"no subprotocol {SUBPROTOCOL}"
         if why:
-            self._tell(logging.WARNING, f"{peer} refused: {why}")
+            self._lines.write(logging.WARNING, f"{peer} refused: {why}")
             return _answer(http.HTTPStatus.FORBIDDEN, f"{why}\n".encode())
         return None
 
-    def _tell(self, level: int, sentence: str) -> None:
-        """Write a line that anybody on the network can cause: not more of them than a disk can hold."""
-        if self._lines.take(time.monotonic_ns()):
-            log.log(level, "%s%s", sentence, f" ({self._untold} lines before it were left out)" if self._untold else "")
-            self._untold = 0
-        else:
-            self._untold += 1
+    def _strict(self, response: Response) -> Response:
+        """Return an answer that keeps browsers to https; without TLS a browser would not believe it (RFC 6797, section 7.2)."""
+        if self._settings.tls is not None and "Strict-Transport-Security" not in response.headers:
+            # neither includeSubDomains nor preload: they would bind what is not this machine
+            response.headers["Strict-Transport-Security"] = f"max-age={self._settings.hsts_s}"
+        return response
 
     def _on_response(self, connection: ServerConnection, request: Request, response: Response) -> Response | None:
         if response.status_code == http.HTTPStatus.SWITCHING_PROTOCOLS:
             assert isinstance(connection, HttpConnection)
-            connection.ticket = self._tickets.give(_joined(request.headers, "Cookie", "; "))
-            response.headers["Set-Cookie"] = self._tickets.cookie(connection.ticket, self._settings.tls is not None)
-        return None
+            connection.ticket = self._logins.tickets.give(_joined(request.headers, "Cookie", "; "))
+            response.headers["Set-Cookie"] = self._logins.tickets.cookie(
+                connection.ticket, self._settings.tls is not None
+            )
+        return self._strict(response)
 
     async def _on_socket(self, connection: ServerConnection) -> None:
         assert isinstance(connection, HttpConnection)
-        peer, ticket = _peer(connection), connection.ticket
-        number = connection.transport.get_extra_info("socket").fileno()
-        accounts: list[str] = []
-
-        def on_login(account: str) -> str:
-            if why := self._connections.login(number, account):
-                self._tell(logging.WARNING, f"{peer} refused as {_shown(account)}: {why}")
-                return why
-            accounts.append(account)
-            self._tickets.login(ticket, account)
-            self._tell(logging.INFO, f"{peer} logged in as {_shown(account)}")
-            return ""
-
+        number, peer = connection.transport.get_extra_info("socket").fileno(), _peer(connection)
+        login = ConnectionLogin(self._logins, number, peer, connection.ticket)
         try:
-            how = await pipe(connection, self._settings.broker, self._settings.limits, on_login)
-            self._tell(logging.INFO, f"{peer}: {how}")
+            how = await pipe(connection, self._settings.broker, self._settings.limits, login)
+            # a wrong password has had its line
+            if not login.is_wrong:
+                self._lines.write(logging.INFO, f"{peer}: {how}")
         finally:
-            for account in accounts:
-                self._tickets.logout(ticket, account)
+            login.end()
 
 
 def _joined(headers: Headers, name: str, between: str) -> str | None:
@@ -236,9 +252,8 @@ def _joined(headers: Headers, name: str, between: str) -> str | None:
     return between.join(headers.get_all(name)) or None
 
 
-def _shown(account: str) -> str:
-    """Return an account for the log: a browser chooses the text."""
-    return repr(account[:64]) if account else "nobody (no account)"
+def _tickets(port: int) -> Tickets:
+    return Tickets(lambda: secrets.token_urlsafe(24), port)
 
 
 def _peer(connection: ServerConnection) -> str:

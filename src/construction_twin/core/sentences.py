@@ -28,9 +28,8 @@ from construction_twin.core.records import document
 from construction_twin.core.units import for_people, from_people, to_people
 
 _PLACE = re.compile(r"\{(\w+)(?::(?:\.(\d))?([fgqpst]))?\}")
-_ENGLISH: dict[str, str] = {
-    key: words["en"] for key, words in json.loads(Path(__file__).with_name("sentences.json").read_bytes()).items()
-}
+_FILE = Path(__file__).with_name("sentences.json")
+_ENGLISH: dict[str, str] = {key: words["en"] for key, words in json.loads(_FILE.read_bytes()).items()}
 #: Beginnings of the keys of what nodes give as reasons and answers: `understood` finds these.
 REASONS = (
     "reason.",
@@ -119,6 +118,12 @@ def key_and_values(text: object) -> dict[str, Any] | None:
 def has(key: str) -> bool:
     """Return whether there is a sentence of this key."""
     return key in _ENGLISH
+
+
+def in_every_language(key: str) -> dict[str, str]:
+    """Return the template of a key by language, English first, for whom no page says its own; reads the file."""
+    words: dict[str, dict[str, str]] = json.loads(_FILE.read_bytes())
+    return words[key]
 
 
 def fill(template: str, values: Mapping[str, Value]) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from construction_twin.console.connection_limits import ConnectionLimits, OpenConnections
 
 
@@ -41,6 +43,86 @@ def test_the_places_of_an_account_are_its_own_and_free_when_it_leaves():
 
 def test_a_broker_without_accounts_has_no_limit_per_account():
     connections = OpenConnections(ConnectionLimits(logins_per_account=1))
+    for number in (1, 2):
+        connections.enter(number, "a")
+        assert connections.login(number, "") == ""
+
+
+def test_a_login_that_waits_is_passed_over_by_a_flood_from_its_own_address():
+    connections = OpenConnections(ConnectionLimits(anonymous_per_address=2))
+    assert [connections.enter(number, "a") for number in (1, 2)] == [None, None]
+    connections.wait(1, "ada")
+    assert [connections.enter(number, "a") for number in (3, 4, 5)] == [2, 3, 4]
+    connections.waited(1)
+    assert connections.enter(6, "a") == 1
+
+
+def test_one_that_had_to_go_waits_no_more_and_its_number_is_free():
+    connections = OpenConnections(ConnectionLimits(anonymous_per_address=1, waiting_per_account=1))
+    connections.enter(1, "a")
+    connections.wait(1, "ada")
+    connections.leave(1)
+    # no such connection
+    connections.wait(1, "ada")
+    for number in (1, 2):
+        connections.enter(number, "b" if number == 1 else "a")
+    connections.wait(2, "ada")
+    assert connections.enter(3, "a") == 3
+
+
+@pytest.mark.parametrize(
+    ("limits", "accounts", "ended"),
+    (
+        # the third waits as well, and goes first
+        (ConnectionLimits(anonymous_per_address=3, waiting_per_address=2), ("ada", "bob", "eve"), 3),
+        (ConnectionLimits(anonymous_per_address=3, waiting_per_account=2), ("ada", "ada", "ada"), 3),
+        (ConnectionLimits(anonymous_per_address=3, waiting_per_account=2), ("ada", "ada", "bob"), 4),
+        # of one address with the most of them the oldest loses its protection
+        (ConnectionLimits(anonymous_per_address=3, waiting=2), ("ada", "bob", "eve"), 1),
+    ),
+)
+def test_so_many_that_wait_are_passed_over_and_those_beyond_are_like_others(limits, accounts, ended):
+    connections = OpenConnections(limits)
+    for number, account in enumerate(accounts, 1):
+        assert connections.enter(number, "a") is None
+        connections.wait(number, account)
+    assert connections.enter(4, "a") == ended
+
+
+def test_the_waiting_of_one_address_takes_no_protection_from_another():
+    connections = OpenConnections(ConnectionLimits(anonymous=4, waiting=3))
+    for number, address in enumerate("baaa", 1):
+        assert connections.enter(number, address) is None
+        connections.wait(number, "ada")
+    assert connections.enter(5, "a") == 2
+
+
+def test_one_account_fills_no_address_and_the_last_places_are_for_others():
+    connections = OpenConnections(
+        ConnectionLimits(logins_per_address=6, logins_per_account_and_address=3, kept_per_address=2)
+    )
+    numbers = iter(range(100))
+
+    def login(account: str, address: str = "a") -> str:
+        number = next(numbers)
+        connections.enter(number, address)
+        return connections.login(number, account)
+
+    kept = "the last places of this address are kept for other accounts"
+    assert [login("ada") for _ in range(4)] == [
+        *[""] * 3,
+        "too many connections from this address are logged in to this account",
+    ]
+    assert login("ada", "b") == ""
+    assert [login("bob") for _ in range(2)] == ["", kept]
+    assert [login("cy"), login("cy"), login("dee")] == ["", kept, ""]
+    assert login("eve") == "too many connections from this address are logged in"
+
+
+def test_a_broker_without_accounts_has_places_for_nobody_in_particular():
+    connections = OpenConnections(
+        ConnectionLimits(logins_per_address=2, logins_per_account_and_address=1, kept_per_address=1)
+    )
     for number in (1, 2):
         connections.enter(number, "a")
         assert connections.login(number, "") == ""

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from mqtt_packets import connect, packet, text
 
 from construction_twin.console.origin import refusal
-from construction_twin.console.packets import ClientStream, PacketReader, is_accepted
+from construction_twin.console.packets import WRONG_PASSWORD, ClientStream, PacketReader, reason_code
 from construction_twin.console.static_files import StaticFile
 from construction_twin.console.tickets import Tickets
 from construction_twin.core.errors import PayloadError
@@ -67,9 +67,20 @@ def test_what_no_client_sends_is_refused(data, reason):
 
 def test_a_login_that_the_broker_accepts_is_told_from_one_that_it_refuses():
     reader = PacketReader(100)
-    accepted, refused = reader.feed(packet(2, b"\0\0\0") + packet(2, b"\0\x87\0"))
-    assert is_accepted(accepted)
-    assert not is_accepted(refused)
+    packets = reader.feed(packet(2, b"\0\0\0") + packet(2, b"\0\x87\0") + packet(2, b"\0\x88\0") + packet(15, b"\0\0"))
+    assert [reason_code(each) for each in packets] == [0, 0x87, 0x88, None]
+    assert [reason_code(each) in WRONG_PASSWORD for each in packets] == [False, True, False, False]
+
+
+@pytest.mark.parametrize("version", (4, 5))
+@pytest.mark.parametrize(("flags", "anonymous"), ((0x02, True), (0x82, False), (0x42, False), (0xC2, False)))
+def test_a_login_without_user_name_and_password_is_anonymous(version, flags, anonymous):
+    fields = (text("") if flags & 0x80 else b"") + (text("secret") if flags & 0x40 else b"")
+    start = text("MQTT") + bytes([version, flags]) + b"\0\x0a" + (b"\0" if version == 5 else b"")
+    stream = ClientStream(1000)
+    assert stream.anonymous
+    stream.feed(packet(1, start + text("client") + fields))
+    assert (stream.account, stream.anonymous) == ("", anonymous)
 
 
 @pytest.mark.parametrize(

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import http.client
 import importlib.util
 import json
 import logging
 import re
-import shutil
 import signal
 import socket
 import ssl
-import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator, Iterator
@@ -25,6 +24,7 @@ from typing import ClassVar
 import pytest
 from evaluation_samples import run
 from mqtt_packets import connect, packet, text
+from piped_console import CONNACK_OK, MOSQUITTO, PING, PONG, broker_with, browser_at, closed, login, serving, started
 from sentence_checks import expects
 from websockets.asyncio.client import connect as websocket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -35,15 +35,13 @@ from construction_twin.console.command_line import main
 from construction_twin.console.connection_limits import ConnectionLimits, OpenConnections
 from construction_twin.console.listener import listeners
 from construction_twin.console.pipe import BROKER_AWAY, NOT_MQTT, TOO_MUCH, BrokerAddress, PipeLimits
-from construction_twin.console.server import ConsoleServer, ServerSettings
+from construction_twin.console.server import ServerSettings
 from construction_twin.console.static_files import read_folder
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.evaluation.report import write_report
 
 PORT, BROKER_PORT = 28480, 28481
 ORIGIN = f"http://127.0.0.1:{PORT}"
-CONNACK_OK = b"\x20\x02\0\0"
-PING, PONG = b"\xc0\0", b"\xd0\0"
 #: A browser's request for the WebSocket.
 UPGRADE = (
     f"GET /mqtt HTTP/1.1\r\nHost: 127.0.0.1:{PORT}\r\n"
@@ -55,34 +53,8 @@ UPGRADE = (
 @pytest.fixture(scope="module")
 def broker(tmp_path_factory) -> Iterator[None]:
     """Mosquitto with one account, `ada` with password `secret`."""
-    folder = tmp_path_factory.mktemp("broker")
-    passwords, configuration = folder / "passwords", folder / "mosquitto.conf"
-    passwords.write_text("ada:secret\n")
-    passwords.chmod(0o600)
-    subprocess.run(["mosquitto_passwd", "-U", passwords], check=True)
-    configuration.write_text(
-        f"listener {BROKER_PORT} 127.0.0.1\nallow_anonymous false\npassword_file {passwords}\nuser root\n"
-    )
-    program = shutil.which("mosquitto", path="/usr/sbin:/usr/bin")
-    with started([program, "-c", configuration], BROKER_PORT):
+    with broker_with(tmp_path_factory.mktemp("broker"), BROKER_PORT, "ada"):
         yield
-
-
-@contextlib.contextmanager
-def started(command: list, port: int) -> Iterator[subprocess.Popen]:
-    """Start a program; wait until its port is open."""
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    try:
-        end = time.monotonic() + 10
-        while time.monotonic() < end and process.poll() is None:
-            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
-                break
-            time.sleep(0.02)
-        assert process.poll() is None
-        yield process
-    finally:
-        process.terminate()
-        process.communicate(timeout=10)
 
 
 def page(folder: Path) -> Path:
@@ -97,27 +69,11 @@ def settings(folder: Path, **more) -> ServerSettings:
     return ServerSettings(read_folder(page(folder)), **values)
 
 
-@contextlib.asynccontextmanager
-async def running(served: ServerSettings) -> AsyncIterator[None]:
-    ready = asyncio.Event()
-    task = asyncio.create_task(ConsoleServer(served).run("127.0.0.1", PORT, ready))
-    await asyncio.wait_for(ready.wait(), 10)
-    try:
-        yield
-    finally:
-        task.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await task
+running = functools.partial(serving, port=PORT)
 
 
 def browser(origin: str | None = ORIGIN, **more):
-    return websocket(f"ws://127.0.0.1:{PORT}/mqtt", origin=origin, subprotocols=["mqtt"], compression=None, **more)
-
-
-def login(user: str = "ada", password: str = "secret") -> bytes:
-    return packet(
-        1, text("MQTT") + b"\x04\xc2\0\x0a" + text(f"test-{time.monotonic_ns()}") + text(user) + text(password)
-    )
+    return browser_at(PORT, origin=origin, **more)
 
 
 def get(path: str, **headers: str) -> tuple[http.client.HTTPResponse, bytes]:
@@ -127,14 +83,6 @@ def get(path: str, **headers: str) -> tuple[http.client.HTTPResponse, bytes]:
     body = answer.read()
     connection.close()
     return answer, body
-
-
-async def closed(client) -> tuple[int, str]:
-    """Wait until the server has closed; return code and reason."""
-    with pytest.raises(ConnectionClosed) as caught:
-        while True:
-            await asyncio.wait_for(client.recv(), 10)
-    return caught.value.rcvd.code, caught.value.rcvd.reason
 
 
 def test_bytes_reach_the_broker_and_come_back(broker, tmp_path, caplog):
@@ -397,7 +345,18 @@ def test_a_client_that_subscribes_with_its_login_gets_a_long_message_with_the_an
     ("limits", "why"),
     (
         (ConnectionLimits(logins=2), "too many connections are logged in"),
-        (ConnectionLimits(logins_per_address=2), "too many connections from this address are logged in"),
+        (
+            ConnectionLimits(logins_per_address=2, kept_per_address=0),
+            "too many connections from this address are logged in",
+        ),
+        (
+            ConnectionLimits(logins_per_account_and_address=2),
+            "too many connections from this address are logged in to this account",
+        ),
+        (
+            ConnectionLimits(logins_per_address=3, kept_per_address=1),
+            "the last places of this address are kept for other accounts",
+        ),
         (ConnectionLimits(logins_per_account=2), "too many connections are logged in to this account"),
     ),
 )
@@ -530,6 +489,26 @@ def test_the_runs_are_listed_for_who_is_logged_in(broker, tmp_path):
             for name in ("run1/secret.key", "run1/outside.png", "../page/index.html", "run2/report.html"):
                 answer, _ = await asyncio.to_thread(get, f"/private/runs/{name}", Cookie=ticket)
                 assert answer.status == 404, name
+
+    asyncio.run(scene())
+
+
+def test_who_is_logged_in_learns_who_has_which_right_as_it_is_now(broker, tmp_path):
+    rights = tmp_path / "rights.json"
+    rights.write_text('{"robots": {}}')
+
+    async def scene() -> None:
+        async with running(settings(tmp_path, rights=rights)), browser() as client:
+            ticket = client.response.headers["Set-Cookie"].partition(";")[0]
+            assert (await asyncio.to_thread(get, "/private/rights.json"))[0].status == 403
+            await client.send(login())
+            assert await client.recv() == CONNACK_OK
+            for text in ('{"robots": {}}', '{"robots": {"one": {"stop": {"ada": "ada"}}}}'):
+                rights.write_text(text)
+                answer, body = await asyncio.to_thread(get, "/private/rights.json", Cookie=ticket)
+                assert (answer.status, body.decode()) == (200, text)
+            rights.unlink()
+            assert (await asyncio.to_thread(get, "/private/rights.json", Cookie=ticket))[0].status == 404
 
     asyncio.run(scene())
 
@@ -775,7 +754,6 @@ def test_a_site_s_accounts_come_through_with_tls_on_both_sides(tmp_path):
     site, port, broker_port = tmp_path / "site", 28484, 28485
     made = ["--host", "localhost", "--robot", "kr120", "--port", str(broker_port)]
     assert make_site.main([str(site), *made]) == 0
-    program = shutil.which("mosquitto", path="/usr/sbin:/usr/bin")
     configuration = tmp_path / "mosquitto.conf"
     configuration.write_text((site / "broker/mosquitto.conf").read_text() + "\nuser root\n")
     command = [
@@ -799,7 +777,7 @@ def test_a_site_s_accounts_come_through_with_tls_on_both_sides(tmp_path):
             # a PUBACK without a reason code says 0
             return accepted, (await asyncio.wait_for(client.recv(), 10) + b"\0\0\0")[4]
 
-    with started([program, "-c", configuration], broker_port), started(command, port) as console:
+    with started([MOSQUITTO, "-c", configuration], broker_port), started(command, port) as console:
         passwords = {
             name: (site / f"accounts/kr120-{name}/password").read_text().strip() for name in ("reviewer", "viewer")
         }
@@ -808,10 +786,9 @@ def test_a_site_s_accounts_come_through_with_tls_on_both_sides(tmp_path):
         assert asyncio.run(answers("kr120-reviewer", passwords["reviewer"], review))[1] != refused
         assert asyncio.run(answers("kr120-viewer", passwords["viewer"], review)) == (0, refused)
         assert asyncio.run(answers("kr120-viewer", passwords["reviewer"], review)) == (refused, 255)
-        with contextlib.suppress(ConnectionError), socket.create_connection(("127.0.0.1", port), 5) as plain:
-            plain.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
-            # TLS ends with an alert, or with a reset: never with a page
-            assert not plain.recv(1000).startswith(b"HTTP")
+        with socket.create_connection(("127.0.0.1", port), 5) as plain:
+            plain.sendall(f"GET / HTTP/1.1\r\nHost: localhost:{port}\r\n\r\n".encode())
+            assert f"307 Temporary Redirect\r\nLocation: https://localhost:{port}/\r\n" in plain.recv(1000).decode()
         console.send_signal(signal.SIGINT)
         said, _ = console.communicate(timeout=10)
     assert console.returncode == 0
