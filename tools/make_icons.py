@@ -29,8 +29,8 @@ def main() -> None:
         browser = launch(playwright)
         for name, (size, part, behind) in ICONS.items():
             page = browser.new_page(viewport={"width": size, "height": size})
-            style = f"html{{background:{behind}}}body{{margin:0;height:100vh;display:grid;place-items:center}}svg{{width:{part:.0%}}}"
-            page.set_content(f"<style>{style}</style>{drawing}")
+            middle = "body{margin:0;height:100vh;display:grid;place-items:center}"
+            page.set_content(f"<style>html{{background:{behind}}}{middle}svg{{width:{part:.0%}}}</style>{drawing}")
             page.screenshot(path=WEB / f"{name}.png", omit_background=True)
             page.close()
         browser.close()

@@ -1,4 +1,4 @@
-"""The page calls: what a person hears and sees when something waits, on a device of a person's own; and that it can be installed."""
+"""The page calls: what a person hears, feels and sees when something waits; and that it can be installed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,11 @@ navigator.vibrate = () => { window.noted.beats += 1; return true; };
 navigator.setAppBadge = async (count) => { window.noted.badges.push(count); };
 navigator.clearAppBadge = async () => { window.noted.badges.push(0); };
 const ask = navigator.wakeLock.request.bind(navigator.wakeLock);
-navigator.wakeLock.request = async (kind) => { const lock = await ask(kind); window.noted.locks += 1; window.lock = lock; return lock; };
+navigator.wakeLock.request = async (kind) => {
+  window.lock = await ask(kind);
+  window.noted.locks += 1;
+  return window.lock;
+};
 """
 
 
@@ -187,5 +191,3 @@ def test_it_can_be_installed_and_nothing_keeps_an_old_page(browser, site):
     assert page.page.evaluate("async () => (await navigator.serviceWorker.getRegistrations()).length") == 0
     assert not page.errors
     page.close()
-
-
