@@ -131,6 +131,25 @@ def test_what_version_4_adds_is_in_it():
     assert without["approval_obstacle"] == "", "there is no plan that it could stand against"
 
 
+def test_what_version_5_adds_is_in_it():
+    def controller(**counters: str) -> dict | None:
+        told = {f"controller_{name}": value for name, value in counters.items()}
+        link = Shown(LinkReport("ARMED", "", "following", told, gateway_kind="rsi"), 0.0)
+        return read(writer().write(NOW, replace(SEEN, link=link), MOMENT))["link"]["controller"]
+
+    assert controller(mode="T1", program="ACTIVE", override_percent="12.5", sentence="x") == {
+        "mode": "T1",
+        "program": "ACTIVE",
+        "override_percent": 12.5,
+    }
+    # the controller's XML has one of them
+    assert controller(mode="AUT") == {"mode": "AUT", "program": "", "override_percent": None}
+    assert controller(override_percent="0") == {"mode": "", "program": "", "override_percent": 0.0}
+    for told in ({}, {"sentence": ""}, {"mode": "", "program": "", "override_percent": ""}, {"override_percent": "?"}):
+        assert controller(**told) is None
+    assert read(writer().write(NOW, replace(SEEN, link=None), MOMENT))["link"] is None
+
+
 def test_what_was_seen_is_in_it():
     message = read(writer().write(NOW, SEEN, MOMENT))
     assert (message["robot"], message["online"], message["stamp"]) == ("kr120", True, 1_795_369_597.396012)
