@@ -35,7 +35,10 @@ SEEN = Seen(
         SyncReport("IN_SYNC", "agree", "resume", "", (0.0, 0.0001), (0.001, 0.01), 0.03125, violations=3, agreed=True),
         0.01,
     ),
-    Shown(LinkReport("ARMED", "well", "following", {"late_replies": "4"}, gateway_kind="rsi"), 0.7),
+    Shown(
+        LinkReport("ARMED", "well", "following", {"late_replies": "4", "controller_mode": "T1"}, gateway_kind="rsi"),
+        0.7,
+    ),
     Shown(
         ExecutionReport(
             "PLAYING", "plays p1", "p1", duration=8.0, rate=1.0, speed_limit=1.0, segment=1, segment_name="carry"
