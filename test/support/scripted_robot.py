@@ -109,6 +109,8 @@ class ScriptedRobot:
         self.plan: PlanView | None = None
         self.trajectory: Trajectory | None = None
         self.state = "IDLE"
+        #: What the gateway counts and tells of its controller, as the bridge reports it.
+        self.counters = {"late_replies": "0"}
         #: Lines of `screen` that stand before its own.
         self.urgent: list[dict] = []
         #: How much older than it is what comes shall count [s]: as if it had lain on its way.
@@ -193,7 +195,7 @@ class ScriptedRobot:
                 twin=PoseView(stamp, 0.0, tuple(self.twin)),
                 arm=PoseView(self.arm_stamp or stamp, 0.0, tuple(self.twin + self.arm_error)),
                 sync=self._sync(),
-                link=Shown(LinkReport("ARMED", "", "ARMED", {"late_replies": "0"}, gateway_kind="rsi"), 0.0),
+                link=Shown(LinkReport("ARMED", "", "ARMED", self.counters, gateway_kind="rsi"), 0.0),
                 execution=Shown(
                     ExecutionReport(
                         self.state,

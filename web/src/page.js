@@ -7,12 +7,12 @@
 import {add, button, clear, setText} from "./dom.js";
 
 /** Areas in the order of the document: the one in which a keyboard or a screen reader goes through them. */
-export const AREAS = ["status", "picture", "stop", "verdict", "plan", "tasks", "plots", "runs"];
+export const AREAS = ["status", "picture", "stop", "verdict", "plan", "tasks", "motion", "plots", "runs"];
 /** Areas that stand beside the picture where there is room, one below the other: the stop stays in view above the others. */
 const BESIDE = ["stop", "verdict", "plan", "tasks"];
 /** Areas that can be folded: what must always be there cannot. */
-const FOLDING = ["plan", "tasks", "plots", "runs"];
-const OPEN_AT_FIRST = ["plan"];
+const FOLDING = ["plan", "tasks", "motion", "plots", "runs"];
+const OPEN_AT_FIRST = ["plan", "motion"];
 /** Areas whose panels are made and told before the others, whatever becomes of those. */
 const FIRST = ["stop", "status"];
 /** An area that takes no presses any more once it has failed: what it shows may be of another plan. */

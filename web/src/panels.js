@@ -1,22 +1,26 @@
 /** Which panels stand in which area, in their order. */
 import * as picture from "./picture/picture.js";
+import * as motion from "./panels/motion.js";
 import * as plan from "./panels/plan.js";
 import * as playback from "./panels/playback.js";
 import * as plots from "./panels/plots.js";
+import * as progress from "./panels/progress.js";
 import * as runs from "./panels/runs.js";
 import * as status from "./panels/status.js";
 import * as stop from "./panels/stop.js";
 import * as tasks from "./panels/tasks.js";
 import * as verdict from "./panels/verdict.js";
+import * as waypoints from "./panels/waypoints.js";
 
 /** By area of page.js: modules with `make(parent, store, connection, texts)`. */
 export const panels = {
   picture: [picture],
-  status: [status],
+  status: [status, progress],
   stop: [stop],
-  verdict: [playback, verdict],
+  verdict: [playback, verdict, waypoints],
   plan: [plan],
   tasks: [tasks],
+  motion: [motion],
   plots: [plots],
   runs: [runs],
 };
