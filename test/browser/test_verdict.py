@@ -224,4 +224,4 @@ def test_what_a_plan_says_is_shown_as_text_and_never_as_markup(page_of, robot):
     robot.show_plan(source='<img src=x onerror="document.title=1"><b id=evil>bold</b>')
     expect(page.page.locator(".verdict-title")).to_contain_text("<b id=evil>bold</b>")
     assert page.page.locator("#evil").count() == 0
-    assert page.page.title() == "construction_twin console"
+    expect(page.page).to_have_title("(1) Plan waits - construction_twin console")

@@ -112,6 +112,10 @@ class ScriptedRobot:
         self.plan: PlanView | None = None
         self.trajectory: Trajectory | None = None
         self.state = "IDLE"
+        #: What the gateway counts and tells of its controller, as the bridge reports it.
+        self.counters = {"late_replies": "0"}
+        #: Lines of `screen` that stand before its own.
+        self.urgent: list[dict] = []
         #: How much older than it is what comes shall count [s]: as if it had lain on its way.
         self.delay = 0.0
         self.speed_limits = SpeedLimits(SpeedLimit(0.5), PeopleLimit(), present())
@@ -195,7 +199,7 @@ class ScriptedRobot:
                 twin=PoseView(stamp, 0.0, tuple(self.twin)),
                 arm=PoseView(self.arm_stamp or stamp, 0.0, tuple(self.twin + self.arm_error)),
                 sync=self._sync(),
-                link=Shown(LinkReport("ARMED", "", "ARMED", {"late_replies": "0"}, gateway_kind="rsi"), 0.0),
+                link=Shown(LinkReport("ARMED", "", "ARMED", self.counters, gateway_kind="rsi"), 0.0),
                 execution=Shown(
                     ExecutionReport(
                         self.state,
@@ -251,7 +255,7 @@ class ScriptedRobot:
             "who": "reviewer" if waits else "", "todo": "look at the plan, then approve or reject it" if waits else "",
             "page": "reference/states.md#execution", "level": 2 if waits else 0,
         }  # fmt: skip
-        return json.dumps([line]).encode()
+        return json.dumps([*self.urgent, line]).encode()
 
     def _view_of(self, trajectory: Trajectory, plan_id: str, source: str) -> PlanView:
         report = make_report(len(self._names))

@@ -66,7 +66,7 @@ export const VIEW = {
     "link": {
       "type": ["object", "null"],
       "additionalProperties": false,
-      "required": ["state", "reason", "age", "gateway_state", "gateway_kind", "responsible", "round_trip_ms", "late"],
+      "required": ["state", "reason", "age", "gateway_state", "gateway_kind", "responsible", "round_trip_ms", "late", "controller"],
       "properties": {
         "state": {"type": "string"},
         "reason": {"type": "string"},
@@ -75,7 +75,18 @@ export const VIEW = {
         "gateway_kind": {"type": "string"},
         "responsible": {"type": "string"},
         "round_trip_ms": {"type": ["number", "null"], "since": 2},
-        "late": {"type": ["integer", "null"], "minimum": 0, "since": 2}
+        "late": {"type": ["integer", "null"], "minimum": 0, "since": 2},
+        "controller": {
+          "type": ["object", "null"],
+          "additionalProperties": false,
+          "required": ["mode", "program", "override_percent"],
+          "properties": {
+            "mode": {"type": "string"},
+            "program": {"type": "string"},
+            "override_percent": {"type": ["number", "null"]}
+          },
+          "since": 5
+        }
       }
     },
     "execution": {

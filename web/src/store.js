@@ -26,6 +26,7 @@
  *   replay_run   {run, href, report}: the person wants to see the run of this name, from these files of the console (runs panel)
  *   drawn        "seen" while a person can see the robot in the picture, else why not: a word of picture/seen.js; null: there is no
  *                picture, nothing can be seen in it ever (picture)
+ *   acted        {topic}: this page publishes on the topic: stop, pause, review, plan_request, ... (connection)
  *   looked       {what, hash}: the plan of this hash was "shown" (again and again), "played" to its end (playback panel); told once
  *   goal         {names, positions, reach} or null: the pose that is asked for, shown as a goal ghost; `reach` free, contact, out or
  *                unknown (plan panel)

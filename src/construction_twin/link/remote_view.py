@@ -8,6 +8,7 @@ SI: m, rad, s; times are numbers of seconds, because stamps in ns are larger tha
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Annotated, Generic, Literal, TypeVar
@@ -24,6 +25,8 @@ COMPATIBLE = 1
 #: Decimals of positions [rad], [m] and of times [s].
 _POSITION, _TIME = 9, 6
 _UNITS = {"angle": "rad", "length": "m", "time": "s"}
+#: A number as `status_values` writes it.
+_NUMBER = re.compile(r"-?\d{1,9}(?:\.\d{1,9})?")
 #: States of the executor in which the plan goes on.
 _MOVING = ("PLAYING", "STOPPING", "PAUSING")
 
@@ -83,6 +86,21 @@ class SyncView:
 
 
 @dataclass(frozen=True)
+class ControllerView:
+    """What the controller says of itself on its optional channels; null: it sends none of them.
+
+    Attributes:
+        mode: Operating mode (T1, T2, AUT, EXT); empty: not sent.
+        program: State of its program (ACTIVE, STOP, ...); empty: not sent.
+        override_percent: Program override; null: not sent.
+    """
+
+    mode: str
+    program: str
+    override_percent: float | None
+
+
+@dataclass(frozen=True)
 class LinkView:
     """The bridge's view of broker, gateway and controller; null after 3 s without a report.
 
@@ -101,6 +119,7 @@ class LinkView:
     responsible: str
     round_trip_ms: Annotated[float | None, {"since": 2}]
     late: Annotated[int | None, {"minimum": 0, "since": 2}]
+    controller: Annotated[ControllerView | None, {"since": 5}]
 
 
 @dataclass(frozen=True)
@@ -312,7 +331,7 @@ class ViewWriter:
             twin=seen.twin,
             arm=seen.arm,
             sync=_part(SyncView, seen.sync),
-            link=_part(LinkView, seen.link, round_trip_ms=_round_trip_ms(seen.sync)),
+            link=_part(LinkView, seen.link, round_trip_ms=_round_trip_ms(seen.sync), controller=_controller(seen.link)),
             execution=_part(ExecutionView, seen.execution, progress=progress, segment=segment),
             plan=seen.plan,
             closest=seen.closest,
@@ -342,6 +361,14 @@ def _speed(report: SpeedReport | None) -> SpeedView | None:
 def _round_trip_ms(sync: Shown[SyncReport] | None) -> float:
     # from a setpoint's passing of the gate to the arm's answer to it: the gate measures it, and it says how the link is
     return sync.report.round_trip * 1e3 if sync is not None else math.nan
+
+
+def _controller(shown: Shown[LinkReport] | None) -> ControllerView | None:
+    told = shown.report.gateway_counters if shown is not None else {}
+    mode, program, override = (told.get(f"controller_{name}", "") for name in ("mode", "program", "override_percent"))
+    # the gateway has sent a number, and the bridge has checked that it is a number or a text
+    percent = float(override) if _NUMBER.fullmatch(override) else None
+    return ControllerView(mode, program, percent) if mode or program or percent is not None else None
 
 
 def _segment(shown: Shown[ExecutionReport] | None) -> SegmentNow | None:

@@ -100,7 +100,7 @@ export function view(changes = {}) {
     sync: {state: "IN_SYNC", reason: "", age: 0.01, policy: "hold", agreed: true, error: [0, 0], threshold: [0.01, 0.01],
       servo_lag: 0.02, violations: 0},
     link: {state: "READY", reason: "", age: 0.5, gateway_state: "RSI", gateway_kind: "gateway", responsible: "", round_trip_ms: 8.1,
-      late: 0},
+      late: 0, controller: null},
     execution: {state: "IDLE", reason: "", age: 1, plan_id: "", outcome: "", duration: 0, progress: 0, rate: null, speed_limit: 1,
       segment: null},
     closest: null, plan: "", hold: null, approval_obstacle: "", speed: null,
