@@ -143,6 +143,7 @@ def test_what_version_5_adds_is_in_it():
         "since": 1_795_369_596.396012, "replaced": 0.5, "replaced_person": "bob",
     }  # fmt: skip
     assert read(writer().write(NOW, SEEN, MOMENT))["speed"] is None
+
     def controller(**counters: str) -> dict | None:
         told = {f"controller_{name}": value for name, value in counters.items()}
         link = Shown(LinkReport("ARMED", "", "following", told, gateway_kind="rsi"), 0.0)
