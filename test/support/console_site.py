@@ -93,6 +93,7 @@ class ConsoleSite:
     Args:
         listen, host: Address on which the console listens, and the name by which a browser reaches it.
         hosts: Further names in the certificates.
+        cameras: As the console's option `--camera` has them.
 
     Attributes:
         url: Of the page.
@@ -106,6 +107,7 @@ class ConsoleSite:
         listen: str = "127.0.0.1",
         host: str = "localhost",
         hosts: tuple[str, ...] = (),
+        cameras: tuple[str, ...] = (),
     ):
         self.folder = folder
         self.port = free_ports()
@@ -125,7 +127,7 @@ class ConsoleSite:
         )
         self.url = f"https://{host}:{self.port}/"
         self.log = folder / "console.log"
-        self._page, self._listen = page, listen
+        self._page, self._listen, self._cameras = page, listen, cameras
         self._process: subprocess.Popen | None = None
 
     def start(self) -> ConsoleSite:
@@ -139,6 +141,7 @@ class ConsoleSite:
             self.log, self._page, self._listen, self.port, "--private", self.private, "--results", self.results,
             "--rights", files / "rights.json", "--certificate", files / "console.crt", "--key", files / "console.key",
             "--broker-host", "localhost", "--broker-port", str(self.site.site.port), "--broker-ca", self.site.folder / "ca/ca.crt",
+            *(word for camera in self._cameras for word in ("--camera", camera)),
         )  # fmt: skip
 
     @property

@@ -4,6 +4,7 @@ import {makeConnection} from "./connection.js";
 import * as login from "./login.js";
 import {makePage} from "./page.js";
 import {panels} from "./panels.js";
+import {makeRights} from "./rights.js";
 import {makeStore} from "./store.js";
 import {languageOf, makeTexts, withoutLanguage} from "./texts.js";
 
@@ -50,6 +51,7 @@ socket.protocol = location.protocol === "https:" ? "wss:" : "ws:";
 socket.search = "";
 socket.hash = "";
 const connection = makeConnection(store, {url: socket.href, prefix: asked.get("prefix") ?? "twin"});
+store.rightsOf = makeRights(store, connection);
 makePage(document.body, store, connection, texts, panels, {onTheme, onLanguage});
 calls.make(document.querySelector(".header"), store.of("page"), connection, texts);
 login.make(document.body, store, connection, texts);

@@ -6,7 +6,7 @@ export const VIEW = {
   "additionalProperties": false,
   "required": [
     "version", "compatible", "robot", "online", "run", "seq", "stamp", "moment", "units", "joints", "twin", "arm", "sync", "link",
-    "execution", "plan", "closest", "hold", "approval_obstacle"
+    "execution", "plan", "closest", "hold", "approval_obstacle", "speed"
   ],
   "properties": {
     "version": {"const": 5},
@@ -136,7 +136,23 @@ export const VIEW = {
       "properties": {"cause": {"type": "string"}, "since": {"type": "number", "minimum": 0}},
       "since": 4
     },
-    "approval_obstacle": {"type": "string", "since": 4}
+    "approval_obstacle": {"type": "string", "since": 4},
+    "speed": {
+      "type": ["object", "null"],
+      "additionalProperties": false,
+      "required": ["limit", "by", "reason", "people", "person", "since", "replaced", "replaced_person"],
+      "properties": {
+        "limit": {"type": "number"},
+        "by": {"type": "string"},
+        "reason": {"type": "string"},
+        "people": {"type": "number"},
+        "person": {"type": "string"},
+        "since": {"type": "number", "minimum": 0},
+        "replaced": {"type": "number"},
+        "replaced_person": {"type": "string"}
+      },
+      "since": 5
+    }
   }
 };
 
@@ -418,6 +434,21 @@ export const ACKNOWLEDGE_ACK = {
     "message": {"type": "string"},
     "ok": {"type": "boolean"},
     "reason": {"type": "string"}
+  }
+};
+
+/** A message on <prefix>/<robot>/speed/ack. */
+export const SPEED_ACK = {
+  "type": "object",
+  "additionalProperties": false,
+  "required": [],
+  "properties": {
+    "id": {"type": "string"},
+    "account": {"type": "string"},
+    "limit": {"type": "number"},
+    "ok": {"type": "boolean"},
+    "reason": {"type": "string"},
+    "expired": {"type": "boolean"}
   }
 };
 

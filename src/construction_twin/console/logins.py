@@ -66,13 +66,14 @@ class ConnectionLogin:
         ticket: Of its browser.
 
     Attributes:
+        accounts: Those that the broker has accepted on it.
         is_wrong: The broker has refused its password, which has been told.
     """
 
     def __init__(self, logins: Logins, number: int, peer: str, ticket: str):
         self._logins = logins
         self._number, self._peer, self._ticket = number, peer, ticket
-        self._accounts: list[str] = []
+        self.accounts: list[str] = []
         self.is_wrong = False
 
     def wait_s(self, account: str) -> float:
@@ -94,7 +95,7 @@ class ConnectionLogin:
         if why := logins.connections.login(self._number, account):
             logins.lines.write(logging.WARNING, f"{self._peer} refused as {shown(account)}: {why}{after}")
             return why
-        self._accounts.append(account)
+        self.accounts.append(account)
         logins.tickets.login(self._ticket, account)
         logins.lines.write(logging.INFO, f"{self._peer} logged in as {shown(account)}{after}")
         return ""
@@ -115,7 +116,7 @@ class ConnectionLogin:
 
     def end(self) -> None:
         """Note that the connection has ended."""
-        for account in self._accounts:
+        for account in self.accounts:
             self._logins.tickets.logout(self._ticket, account)
 
 

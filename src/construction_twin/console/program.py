@@ -10,6 +10,7 @@ import ssl
 from collections.abc import Iterable
 
 from construction_twin.console.addresses import addresses, certificate_names, is_everywhere
+from construction_twin.console.camera_address import cameras_of
 from construction_twin.console.pipe import BrokerAddress
 from construction_twin.console.server import SOCKET, ConsoleServer, ServerSettings
 from construction_twin.console.static_files import read_folder
@@ -58,6 +59,8 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
         _names(arguments),
         arguments.hsts,
         rights=arguments.rights,
+        cameras=cameras_of(arguments.camera, arguments.camera_robot),
+        prefix=arguments.prefix,
     )
 
 

@@ -15,7 +15,7 @@ from typing import Annotated, Generic, Literal, TypeVar
 
 from construction_twin.core.freshness import Moment
 from construction_twin.core.records import decimals, dumped
-from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
+from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
 from construction_twin.core.units import NANOSECONDS, seconds
 from construction_twin.link.remote_trajectory import Joints
 
@@ -150,6 +150,31 @@ class HoldView:
 
 
 @dataclass(frozen=True)
+class SpeedView:
+    """The speed limit in force and whose it is; fractions of the planned speed. null: nobody has ever set one, or it is not known.
+
+    Attributes:
+        limit: The lowest of what a program and people have set; it may stand still at 0.
+        by: Whose that is: ``people``, ``program``; empty: nobody limits.
+        reason: One sentence.
+        people: The one limit of all people, which a request sets.
+        person: Who set it, by MQTT the account; empty: not known, or nobody has.
+        since: When, ROS time [s]; 0: nobody has.
+        replaced: What it was before that.
+        replaced_person: Whose that was; empty: nobody's.
+    """
+
+    limit: float
+    by: str
+    reason: str
+    people: float
+    person: str
+    since: _Seconds
+    replaced: float
+    replaced_person: str
+
+
+@dataclass(frozen=True)
 class ExecutionView:
     """The executor; null while it does not run.
 
@@ -177,7 +202,7 @@ class ExecutionView:
 
 @dataclass(frozen=True)
 class ClosestView:
-    """The two bodies that are closest at the twin's pose; null: not measured.
+    """The two bodies that are closest at the twin's pose, of those whose distance some joint changes; null: not measured.
 
     Attributes:
         distance: [m]; below 0: they overlap.
@@ -233,6 +258,7 @@ class View:
     closest: Annotated[ClosestView | None, {"since": 2}]
     hold: Annotated[HoldView | None, {"since": 4}]
     approval_obstacle: Annotated[str, {"since": 4}]
+    speed: Annotated[SpeedView | None, {"since": 5}]
 
 
 @dataclass(frozen=True)
@@ -259,6 +285,7 @@ class Seen:
     progress: float = 0.0
     hold: HoldReport = HoldReport()
     approval_obstacle: str = ""
+    speed: SpeedReport | None = None
 
 
 class ViewWriter:
@@ -310,6 +337,7 @@ class ViewWriter:
             closest=seen.closest,
             hold=HoldView(seen.hold.cause, round(seconds(seen.hold.since), _TIME)) if seen.hold.cause else None,
             approval_obstacle=seen.approval_obstacle if seen.plan else "",
+            speed=_speed(seen.speed),
         )
         return dumped(view, _POSITION)
 
@@ -321,6 +349,13 @@ def _part(kind: type[_Part], shown: Shown | None, **known: object) -> _Part | No
     report, given = shown.report, {"state": shown.report.text, "age": shown.age, **known}
     names = [each.name for each in fields(kind)]  # type: ignore[arg-type]  # a part is a record
     return kind(**{name: given[name] if name in given else getattr(report, name) for name in names})
+
+
+def _speed(report: SpeedReport | None) -> SpeedView | None:
+    if report is None:
+        return None
+    since, whose = round(seconds(report.since), _TIME), (report.replaced, report.replaced_person)
+    return SpeedView(report.limit, report.by, report.reason, report.people, report.person, since, *whose)
 
 
 def _round_trip_ms(sync: Shown[SyncReport] | None) -> float:

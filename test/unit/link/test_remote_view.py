@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from construction_twin.core.freshness import Moment
-from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
+from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
@@ -82,7 +82,8 @@ def properties(node: dict) -> dict:
 
 
 def test_the_message_has_the_keys_of_the_schema_at_every_level():
-    message = read(writer().write(NOW, replace(SEEN, hold=HoldReport("joint_a1 differs", NOW)), MOMENT))
+    held = replace(SEEN, hold=HoldReport("joint_a1 differs", NOW), speed=SpeedReport())
+    message = read(writer().write(NOW, held, MOMENT))
     assert set(message) == set(properties(SCHEMA))
     for key, node in properties(SCHEMA).items():
         inner = properties(node)
@@ -135,6 +136,14 @@ def test_what_version_4_adds_is_in_it():
 
 
 def test_what_version_5_adds_is_in_it():
+    said = SpeedReport(0.2, "people", "dora has it", 0.2, "dora", NOW - 10**9, 0.5, "bob", 1.0, "", 1)
+    message = read(writer().write(NOW, replace(SEEN, speed=said), MOMENT))
+    assert message["speed"] == {
+        "limit": 0.2, "by": "people", "reason": "dora has it", "people": 0.2, "person": "dora",
+        "since": 1_795_369_596.396012, "replaced": 0.5, "replaced_person": "bob",
+    }  # fmt: skip
+    assert read(writer().write(NOW, SEEN, MOMENT))["speed"] is None
+
     def controller(**counters: str) -> dict | None:
         told = {f"controller_{name}": value for name, value in counters.items()}
         link = Shown(LinkReport("ARMED", "", "following", told, gateway_kind="rsi"), 0.0)

@@ -15,6 +15,8 @@ export const REASONS = ["too_close", "wrong_place", "scene", "person", "too_fast
 /** Longest reason that mqtt_review reads, with the one that was picked. */
 const LONGEST_REASON = 300;
 const LONGEST_NAME = 64;
+/** Words of picture/seen.js for a picture that a person cannot see: nothing is approved without it. */
+const HIDDEN = ["away", "small", "lost"];
 const GOOD = ["accepted"];
 /** The broker's reason code for a message that nobody has subscribed to (MQTT 5.0, section 3.4.2.1). */
 const NOBODY = 16;
@@ -84,10 +86,12 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const nameLabel = add(area, "label", {className: "verdict-name", hidden: true});
   add(nameLabel, "span", {text: texts("verdict.name")});
   const name = add(nameLabel, "input", {type: "text", maxlength: LONGEST_NAME, autocomplete: "off"});
-  const approve = add(area, "button", {type: "button", className: "verdict-approve", "aria-describedby": "verdict-hint", disabled: true});
+  // stays in view however long the rest is
+  const act = add(area, "div", {className: "verdict-act"});
+  const approve = add(act, "button", {type: "button", className: "verdict-approve", "aria-describedby": "verdict-hint", disabled: true});
   add(approve, "span", {className: "verdict-fill", "aria-hidden": "true"});
   const approveText = add(approve, "span", {className: "verdict-approve-text", text: texts("verdict.approve")});
-  const hint = add(area, "p", {id: "verdict-hint", className: "verdict-hint"});
+  const hint = add(act, "p", {id: "verdict-hint", className: "verdict-hint"});
   const rejection = add(area, "fieldset", {className: "verdict-rejection"});
   add(rejection, "legend", {text: texts("verdict.reject_title")});
   const words = add(rejection, "input", {type: "text", maxlength: LONGEST_REASON, placeholder: texts("verdict.words"),
@@ -171,12 +175,14 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
       unfit.hidden = found.refused === "";
       setText(unfit, found.refused ? texts("verdict.unfit", {why: texts.has(`verdict.refused.${found.refused}`)
         ? texts(`verdict.refused.${found.refused}`) : found.refused}) : "");
-      checks.hidden = steps.hidden = approve.hidden = found.refused !== "";
+      checks.hidden = steps.hidden = act.hidden = found.refused !== "";
     } else {
       open = "";
     }
     const named = reviewer() !== "";
-    const why = verdict.blocked(machine) || (named ? "" : "name");
+    const may = store.rightsOf.may(robot, "review") !== false;
+    const why = may ? verdict.blocked(machine) || (named ? "" : "name") : "right";
+    const who = may ? [] : store.rightsOf.who(robot, "review");
     const pressing = machine.state === "pressing";
     nameLabel.hidden = connection.account !== "";
     approve.disabled = why !== "";
@@ -185,12 +191,13 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     approve.style.setProperty("--held", held.toFixed(3));
     setText(approveText, texts(pressing ? "verdict.keep" : "verdict.approve"));
     const drawn = store.robot(robot)?.drawn ?? "none";
-    const unseen = why === "look" && drawn !== "seen";
+    const unseen = (why === "look" || why === "unseen") && drawn !== "seen";
     setText(hint, why === "" ? texts("verdict.hint")
-      : texts(unseen ? `verdict.unseen.${drawn}` : `verdict.blocked.${why}`, {reason: texts.reason(machine.obstacle)}));
+      : texts(unseen ? `verdict.unseen.${drawn}` : why === "right" && !who.length ? "verdict.blocked.nobody" : `verdict.blocked.${why}`,
+        {reason: texts.reason(machine.obstacle), who: who.join(", ")}));
     step(stepLooked, machine.played || machine.checks, texts("verdict.step_looked"));
     step(stepShown, machine.shownFor >= verdict.SHOWN_FOR, texts("verdict.step_shown"));
-    const free = machine.state === "open" || machine.state === "unfit";
+    const free = may && (machine.state === "open" || machine.state === "unfit");
     reject.disabled = !free || !named || reason() === "";
     pick.disabled = words.disabled = !free;
     showNotice(machine);
@@ -218,7 +225,9 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
 
   // -- the person
 
-  const press = () => take(store.selected, {type: "press"});
+  const press = () => {
+    if (!approve.disabled) take(store.selected, {type: "press"});
+  };
   const release = () => {
     if (machineOf(store.selected).state === "pressing") take(store.selected, {type: "release"});
   };
@@ -255,8 +264,18 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const viewOf = ({plan, approval_obstacle: obstacle, execution}) => (
     {type: "view", plan, obstacle, ended: execution?.outcome ? execution.plan_id : ""}
   );
+  // no picture, or none of this robot, is no picture that is covered: then the checks are what a person looks at
+  const hides = (robot) => {
+    const {drawn = null, said = null} = store.robot(robot) ?? {};
+    return HIDDEN.includes(drawn) ? "unseen" : said !== "whole" ? "unread" : "";
+  };
+  const look = (robot) => {
+    // before `connect` there is no machine of it
+    if (machines.has(robot) && machineOf(robot).hides !== hides(robot)) take(robot, {type: "shows", what: hides(robot)});
+  };
   const connect = (robot) => {
     take(robot, {type: "connected"});
+    look(robot);
     const known = store.robot(robot);
     if (known.plan !== null) take(robot, {type: "plan", plan: planOf(known.plan)});
     if (known.view !== null && !known.old) take(robot, viewOf(known.view));
@@ -278,18 +297,27 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     selected = store.selected;
     show();
   });
-  store.on("plan", (robot, plan) => take(robot, {type: "plan", plan: planOf(plan)}));
+  store.on("plan", (robot, plan) => {
+    const before = machineOf(robot).plan?.id ?? "";
+    take(robot, {type: "plan", plan: planOf(plan)});
+    parent.tab?.mark(store.robots.some((each) => store.robot(each).plan !== null) ? "!" : "");
+    // play and approve come before the eye of whoever asked for it, and of everybody else
+    if (plan !== null && plan.id !== before && robot === store.selected) parent.tab?.open();
+  });
   store.on("view", (robot, view) => {
     if (view !== null) take(robot, view.online ? viewOf(view) : {type: "old"});
   });
   store.on("old", (robot, old) => {
     if (old) take(robot, {type: "old"});
   });
+  for (const kind of ["drawn", "said"]) store.on(kind, look);
+  store.on("rights", show);
   for (const kind of ["tasks", "drawn"]) {
     store.on(kind, (robot) => {
       if (robot === store.selected) show();
     });
   }
+  store.on("replay", (robot, replay) => take(robot, {type: "replay", on: replay !== null}));
   store.on("looked", (robot, {what, hash}) => take(robot, {type: "looked", what, hash}));
   store.on("failed", (_, {part}) => {
     // the area takes no presses any more, and so sees no release either

@@ -21,8 +21,9 @@ import rospy
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from construction_twin.console.camera_address import cameras_of
 from construction_twin.core.errors import PayloadError, PoseUnknownError
-from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
+from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import Joints, TrajectoryRequest, parse_trajectory
 from construction_twin.link.remote_view import PlanProgress, PoseView, Seen, Shown, ViewWriter
@@ -30,7 +31,17 @@ from construction_twin.mqtt.client import Broker, make_client, subscriptions, un
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.mqtt.requests import NAMELESS_TRAJECTORY, TRAJECTORY, RequestKind
-from construction_twin.msg import Execution, Hold, Link, Plan, Review, SessionRequest, Sync, WorkTasks
+from construction_twin.msg import (
+    Execution,
+    Hold,
+    Link,
+    Plan,
+    Review,
+    SessionRequest,
+    SpeedLimitInForce,
+    Sync,
+    WorkTasks,
+)
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES
@@ -66,8 +77,8 @@ from construction_twin.srv import PlanTrajectory, PlanTrajectoryResponse
 WAITING = 4
 #: For so long after its answer the same bytes are the same message, sent twice by QoS 1 or by a sender that was run again [s].
 REPEAT_WINDOW = 5.0
-#: What `sync` and `link` repeat by themselves counts as lost after so long [s].
-SYNC_AGE, LINK_AGE = 0.5, 3.0
+#: What `sync`, `link` and `speed_limit_in_force` repeat by themselves counts as lost after so long [s].
+SYNC_AGE, LINK_AGE, SPEED_AGE = 0.5, 3.0, 1.0
 
 _Message = TypeVar("_Message")
 #: A message and its age [s]; None: there is none, or it is too old.
@@ -81,11 +92,13 @@ class Settings(MqttSettings):
         trajectories: Whether motions, and requests for plans, are taken by MQTT.
         self_collision: YAML of the link pairs that are not checked; empty: no joint values are found for poses that are dragged.
         messages: Folder of the messages that outlast this node, relative to ROS_HOME; empty: they do not.
+        cameras: As the console has them (``front=http://10.0.0.7/stream``, separated by blanks); of this robot. Announced by name.
         private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
     """
 
     trajectories: bool = True
     self_collision: str = ""
+    cameras: str = ""
     private: str = ""
     messages: str = ""
     max_trajectory_bytes: int = pydantic.Field(ge=1024, le=1 << 24)
@@ -152,6 +165,7 @@ class MqttPlanner:
         self._sync: tuple[Sync, float] | None = None
         self._link: tuple[Link, float] | None = None
         self._execution: tuple[Execution, float] | None = None
+        self._speed: tuple[SpeedReport, float] | None = None
         self._progress = PlanProgress()
         self._executor_is_there: Callable[[], bool] = lambda: True
         self._poses = Poses(None, None)
@@ -315,6 +329,11 @@ class MqttPlanner:
             self._progress.on_report(report)
             self._execution = message, time.monotonic()
 
+    def on_speed(self, message: SpeedLimitInForce) -> None:
+        """Take which speed limit is in force."""
+        with self._lock:
+            self._speed = from_msg(SpeedReport, message), time.monotonic()
+
     def publish_view(self) -> bytes:
         """Return the present message for `view`, and publish it where there is a connection."""
         payload = self._present()
@@ -346,7 +365,7 @@ class MqttPlanner:
         """Return what is known now."""
         link, sync, execution = self._reports()
         with self._lock:
-            progress = self._progress.at(now_ns() / NANOSECONDS)
+            progress, speed = self._progress.at(now_ns() / NANOSECONDS), self._speed
         return Seen(
             _pose_view(self._poses.twin, self._settings),
             _pose_view(self._poses.arm, self._settings),
@@ -358,6 +377,7 @@ class MqttPlanner:
             progress,
             self._feed.hold if self._feed is not None and sync is not None else HoldReport(),
             self._feed.approval_obstacle if self._feed is not None and execution is not None else "",
+            speed[0] if speed is not None and time.monotonic() - speed[1] <= SPEED_AGE else None,
         )
 
     def publish_status_line(self) -> None:
@@ -365,7 +385,9 @@ class MqttPlanner:
         if self._feed is None:
             return
         link, sync, execution = (report[0] if report is not None else None for report in self._reports())
-        self._feed.publish_status_line(link, sync, execution, time.monotonic())
+        now = time.monotonic()
+        self._feed.publish_cameras(now)
+        self._feed.publish_status_line(link, sync, execution, now)
 
     def _run_view(self) -> None:
         """Show everything `view_rate` times a second."""
@@ -454,7 +476,8 @@ def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: P
             files.drop_building()
     deployment = deployment_of(ports.parameters["startup"], rospy.get_namespace().rstrip("/"))
     messages = MessageFile(ros_home() / settings.messages / f"{robot.name}.json") if settings.messages else None
-    feed = ConsoleFeed(topics, robot.base_link, node.publish_now, node.refuse, deployment, files, messages)
+    cameras = [each.name for each in cameras_of([settings.cameras], robot.name) if each.robot == robot.name]
+    feed = ConsoleFeed(topics, robot.base_link, node.publish_now, node.refuse, deployment, files, cameras, messages)
     services = {kind: rospy.ServiceProxy(service.name, service.kind) for kind, service in PLAN_SERVICES.items()}
     around = RobotContext(
         twin=lambda: _positions(poses.twin, settings.max_pose_age),
@@ -517,6 +540,7 @@ INTERFACE = Interface(
         Subscription("approval_obstacle", String, _fed(ConsoleFeed.on_approval_obstacle), queue_size=1),
         Subscription("link", Link, MqttPlanner.on_link, queue_size=1),
         Subscription("session_request", SessionRequest, _fed(ConsoleFeed.on_session_request), queue_size=10),
+        Subscription("speed_limit_in_force", SpeedLimitInForce, MqttPlanner.on_speed, queue_size=1),
     ),
 )
 FILE = ConfigFile(lambda _given: BROKER, has_link)
