@@ -16,6 +16,7 @@ from datetime import UTC
 from pathlib import Path
 
 from construction_twin.broker.access import (
+    DEVICE,
     RIGHTS,
     ROLES,
     Grant,
@@ -190,6 +191,9 @@ class SiteFolder:
     ) -> list[str]:
         lines = []
         for account in site.accounts():
+            # a console logs in to it with the password; a certificate could not be taken back
+            if account.role == DEVICE:
+                continue
             folder = self._account_folder(account)
             certificate, key = folder / "client.crt", folder / "client.key"
             if account.name in replace and certificate.exists():
@@ -259,7 +263,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
         metavar="NAME:RIGHTS[@ROBOTS]",
         help="one account for a person at several robots, e.g. ada:plan_request,review@kr120_1,kr120_2; without @ at all of "
         f"them; rights: {', '.join(RIGHTS)}; whoever may set an arm in motion may stop it; may be repeated, also for one name; "
-        "a name that there is gets these rights in place of those before",
+        "a name that there is gets these rights in place of those before. NAME-device is made beside it, for paired tablets",
     )
     add(
         "--console",

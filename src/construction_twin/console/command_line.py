@@ -22,6 +22,9 @@ def main(argv: list[str] | None = None) -> int:
     if importlib.util.find_spec("websockets") is None:
         print("console: the Python package websockets is not installed; run setup/setup.sh console")
         return 1
+    if arguments.pairings and importlib.util.find_spec("cryptography") is None:
+        print("console: --pairings needs the Python package cryptography, which is not installed; run setup/setup.sh console")
+        return 1
     # websockets is needed from here on only
     from construction_twin.console.program import run
 
@@ -37,6 +40,12 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     add("--page", type=Path, help="folder of the page; without it there is none, only the pipe")
     add("--private", type=Path, help="folder of files for who is logged in: robot, scene, building model")
     add("--results", type=Path, help="folder of recorded runs, whose reports are listed")
+    add(
+        "--pairings",
+        type=Path,
+        metavar="DIR",
+        help="folder of paired devices, which log in with a PIN; `twin pair` invites them; made if it is not there",
+    )
     add("--listen", default="127.0.0.1", metavar="ADDRESS", help="address on which it listens [%(default)s]")
     add("--port", type=int, default=DEFAULT_PORT, help="TCP port [%(default)s]")
     add("--certificate", type=Path, help="certificate (PEM); needs --key")
