@@ -250,9 +250,9 @@ def access_rules(site: Site, template: Callable[[str], str]) -> str:
         parts.append(head)
         head = f"# devices of {person.name} that are paired, while no PIN was given\nuser {person.device_account}\n"
         for robot in site.robots:
-            if rights := [right for right in person.rights(robot) if right in _DEVICE_RIGHTS]:
-                asked = _rules(site, robot, person.device_account, rights, template, _DEVICE_ASKS)
-                head += f"# {robot}: {', '.join(rights)}\n{asked}"
+            if seen := tuple(right for right in person.rights(robot) if right in _DEVICE_RIGHTS):
+                asked = _rules(site, robot, person.device_account, seen, template, _DEVICE_ASKS)
+                head += f"# {robot}: {', '.join(seen)}\n{asked}"
         parts.append(head)
     return "\n".join(parts)
 

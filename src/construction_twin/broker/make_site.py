@@ -70,6 +70,32 @@ class SiteFolder:
                 Sentence("view.site.unreadable", file=str(self._settings), problem=str(error))
             ) from error
 
+    def site(self) -> Site:
+        """Return the site of the last run.
+
+        Raises:
+            ConstructionTwinError: When there was none.
+        """
+        before = self.load()
+        if not before:
+            raise ConstructionTwinError(Sentence("view.site.none", file=str(self._settings)))
+        return _site(_arguments([str(self._folder)]), before)
+
+    def password(self, account: str) -> str:
+        """Return the password of an account.
+
+        Raises:
+            ConstructionTwinError: When its folder is not here.
+        """
+        path = self._folder / "accounts" / account / "password"
+        try:
+            return path.read_text(encoding="utf-8").strip()
+        except OSError as error:
+            problem = str(error.strerror)
+            raise ConstructionTwinError(
+                Sentence("view.site.no_password", account=account, file=str(path), problem=problem)
+            ) from error
+
     def make(
         self, site: Site, days: int = DAYS, renew: bool = False, replace: Iterable[str] = (), renew_ca: bool = False
     ) -> list[str]:

@@ -125,6 +125,9 @@ class ConnectionLogin:
         logins, account = self._logins, user_name(connect)
         if not self._is_asked(connect):
             wait_s = logins.pace.wait_s(self._peer, account, logins.clock())
+        elif password(connect) == DEVICE_MARK:
+            # nothing is guessed, and whoever wants to stop does not wait
+            wait_s = 0.0
         else:
             # of a browser that only says that it is this device: its wrong PINs do not count, and its login goes no further
             device = self._cookie.device if self._cookie is not None else self._peer

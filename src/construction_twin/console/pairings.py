@@ -125,12 +125,15 @@ class Pairings:
         now: Returns the time [s since 1970].
         cost: What one try of a PIN costs; the same for all that use the folder.
 
+    Attributes:
+        folder: As given.
+
     Raises:
         ConfigurationError: When others may read the folder, or it cannot be made.
     """
 
     def __init__(self, folder: Path, now: Callable[[], float] = time.time, cost: Cost | None = None):
-        self._folder, self._now, self._cost = folder, now, cost or Cost()
+        self.folder, self._now, self._cost = folder, now, cost or Cost()
         self._invitations, self._devices = folder / "invitations", folder / "devices"
         self._secret = folder / "secret"
         try:
@@ -167,6 +170,11 @@ class Pairings:
         """Return whether there is an invitation whose token has this hash, and it is not too old."""
         found = self._invitation(hashed)
         return found is not None and self._is_good(found)
+
+    def paired_with(self, hashed: str) -> Device | None:
+        """Return the device for which the invitation of that hash was used; one that is being made is waited for."""
+        with self._locked():
+            return next((each for each in self.devices() if each.invitation == hashed), None)
 
     def withdraw(self, hashed: str) -> None:
         """Take an invitation away; nothing happens where it was used."""
@@ -367,7 +375,7 @@ class Pairings:
         return bytes.fromhex(self._secret.read_text(encoding="ascii"))
 
     def _next_number(self) -> int:
-        path = self._folder / "numbers"
+        path = self.folder / "numbers"
         number = int(path.read_text(encoding="ascii")) + 1 if path.exists() else 1
         _write_durable(path, str(number))
         return number
@@ -397,7 +405,7 @@ class Pairings:
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:
         # the lock is of this open file: threads of one process wait for each other, too
-        with open(os.open(self._folder / "lock", os.O_RDWR | os.O_CREAT, 0o600), "rb") as file:
+        with open(os.open(self.folder / "lock", os.O_RDWR | os.O_CREAT, 0o600), "rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX)
             yield
 
