@@ -13,6 +13,8 @@ from processes import ROOT, BrokerProcess, listens, wait_until
 from scripted_robot import VIEW, XACRO, ScriptedRobot
 from site_broker import ROBOTS, SiteBroker, free_ports
 
+from construction_twin.broker.access import Person
+from construction_twin.console import pairings
 from construction_twin.mqtt.client import Broker
 from construction_twin.robot.urdf import expand_xacro
 
@@ -21,6 +23,8 @@ PAGE = ROOT / ".ws/console/page"
 _PACKAGE = "package://construction_twin/"
 #: Who may do what in the tests: role and names.
 PEOPLE = {"reviewers": ("ada", "bob"), "viewers": ("vic",), "stoppers": ("sam",), "planners": ("pia",)}
+#: And who has one account, with which devices are paired.
+PERSON = "pat"
 
 
 def write_robot_files(private: Path, robots: tuple[str, ...] = ROBOTS) -> None:
@@ -116,6 +120,7 @@ class ConsoleSite:
             certificates=False,
             consoles=names,
             console_port=self.port,
+            persons=(Person.parse(f"{PERSON}:review,pause,plan_request"),),
             **PEOPLE,
         )
         self.url = f"https://{host}:{self.port}/"
@@ -132,7 +137,7 @@ class ConsoleSite:
         files = self.site.folder / "console"
         self._process = run_console(
             self.log, self._page, self._listen, self.port, "--private", self.private, "--results", self.results,
-            "--certificate", files / "console.crt", "--key", files / "console.key",
+            "--certificate", files / "console.crt", "--key", files / "console.key", "--pairings", self.folder / "pairings",
             "--broker-host", "localhost", "--broker-port", str(self.site.site.port), "--broker-ca", self.site.folder / "ca/ca.crt",
         )  # fmt: skip
 
@@ -148,6 +153,16 @@ class ConsoleSite:
             self._process.kill()
             self._process.wait(5.0)
             self._process = None
+
+    @property
+    def pairings(self) -> pairings.Pairings:
+        """The console's paired devices."""
+        return pairings.Pairings(self.folder / "pairings")
+
+    def invite(self) -> str:
+        """Return what stands behind the page's address when `PERSON` scans a code of `twin pair`."""
+        person = pairings.Person(PERSON, f"{PERSON}-device")
+        return f"#pair={self.pairings.invite(person, self.password(PERSON), self.password(f'{PERSON}-device'))}"
 
     def stop(self) -> None:
         self.stop_console()

@@ -2,9 +2,13 @@
 import {makeConnection} from "./connection.js";
 import * as login from "./login.js";
 import {makePage} from "./page.js";
+import * as pairing from "./pairing.js";
 import {panels} from "./panels.js";
 import {makeStore} from "./store.js";
 import {languageOf, makeTexts, withoutLanguage} from "./texts.js";
+
+// at once: the address is no place for it
+const token = pairing.browser.takeToken();
 
 const remembered = (key) => {
   try {
@@ -49,9 +53,9 @@ socket.protocol = location.protocol === "https:" ? "wss:" : "ws:";
 socket.search = "";
 socket.hash = "";
 const connection = makeConnection(store, {url: socket.href, prefix: asked.get("prefix") ?? "twin"});
-makePage(document.body, store, connection, texts, panels, {onTheme, onLanguage});
-login.make(document.body, store, connection, texts);
+const areas = makePage(document.body, store, connection, texts, panels, {onTheme, onLanguage});
+const form = login.make(document.body, store, connection, texts);
 // it stood there for whom this script did not reach
 document.querySelector("#loading").remove();
 setInterval(store.tick, 200);
-connection.login();
+await pairing.make(store, connection, texts, form, areas.verdict, {...pairing.browser, token});

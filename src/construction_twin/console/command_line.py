@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from construction_twin.console.plain_http import HSTS_S
+from construction_twin.core.sentences import Sentence
 
 #: Not 8080: half of all programs with a page listen there.
 DEFAULT_PORT = 8480
@@ -23,7 +24,7 @@ def main(argv: list[str] | None = None) -> int:
         print("console: the Python package websockets is not installed; run setup/setup.sh console")
         return 1
     if arguments.pairings and importlib.util.find_spec("cryptography") is None:
-        print("console: --pairings needs the Python package cryptography, which is not installed; run setup/setup.sh console")
+        print(f"console: --pairings: {Sentence('view.pair.no_package', package='cryptography')}")
         return 1
     # websockets is needed from here on only
     from construction_twin.console.program import run
