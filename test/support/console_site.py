@@ -6,6 +6,7 @@ import hashlib
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -157,7 +158,7 @@ class ConsoleSite:
     @property
     def pairings(self) -> pairings.Pairings:
         """The console's paired devices."""
-        return pairings.Pairings(self.folder / "pairings")
+        return pairings.Pairings(self.folder / "pairings", time.time)
 
     def invite(self) -> str:
         """Return what stands behind the page's address when `PERSON` scans a code of `twin pair`."""

@@ -122,7 +122,10 @@ export function make(store, connection, texts, login, place, own = browser) {
     const busy = step === "trying" || step === "pairing";
     const none = step === "locked" && device.tries === 0;
     document.body.classList.toggle("is-locked", isLocked(state));
+    const was = section.hidden;
     section.hidden = step === "open" || step === "password";
+    // whoever had scrolled on shall see what is asked
+    if (was && !section.hidden) section.scrollIntoView?.({block: "nearest"});
     // who is connected with nothing yet sees no page: then the pad stands where the form would
     login.cover(section, pairing && device.account === "" && connection.state !== "connected");
     login.place(byPassword ? form : null, pairing || isLocked(state));

@@ -17,7 +17,6 @@ import hashlib
 import json
 import os
 import secrets
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -132,7 +131,7 @@ class Pairings:
         ConfigurationError: When others may read the folder, or it cannot be made.
     """
 
-    def __init__(self, folder: Path, now: Callable[[], float] = time.time, cost: Cost | None = None):
+    def __init__(self, folder: Path, now: Callable[[], float], cost: Cost | None = None):
         self.folder, self._now, self._cost = folder, now, cost or Cost()
         self._invitations, self._devices = folder / "invitations", folder / "devices"
         self._secret = folder / "secret"

@@ -7,6 +7,7 @@ import asyncio
 import logging
 import signal
 import ssl
+import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -72,7 +73,7 @@ def _pairings(folder: Path | None) -> Pairings | None:
     # it needs one more package
     from construction_twin.console.pairings import Pairings
 
-    return Pairings(folder)
+    return Pairings(folder, time.time)
 
 
 def _names(arguments: argparse.Namespace) -> list[str]:

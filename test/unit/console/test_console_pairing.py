@@ -41,7 +41,7 @@ def broker(tmp_path_factory) -> Iterator[None]:
 
 @pytest.fixture
 def pairings(tmp_path) -> Pairings:
-    return Pairings(tmp_path / "pairings", cost=Cost(n=16))
+    return Pairings(tmp_path / "pairings", time.time, Cost(n=16))
 
 
 def settings(pairings: Pairings | None, port: int = BROKER_PORT, pace: PaceLimits = NONE) -> ServerSettings:
@@ -314,7 +314,7 @@ def test_revoking_ends_the_open_sessions_of_those_devices_and_no_others(broker, 
                 await logs_in(bob, with_pin(user="bob"))
                 await logs_in(typed, login("ada"))
                 # as `twin pair` does it, which is another program
-                again = Pairings(pairings.folder, cost=Cost(n=16))
+                again = Pairings(pairings.folder, time.time, Cost(n=16))
                 began = time.monotonic()
                 assert len(again.revoke("ada", number)) == 1
                 assert (await closed(sees))[0] == (await closed(person))[0] == NOT_PAIRED
@@ -338,7 +338,7 @@ def test_a_restart_of_the_console_keeps_pairings_and_wrong_pins_and_no_session(b
             await logs_in(person, WITHOUT_PIN())
         with pytest.raises(ConnectionClosed):
             await asyncio.wait_for(person.recv(), 10)
-        async with running(settings(Pairings(pairings.folder, cost=Cost(n=16)))):
+        async with running(settings(Pairings(pairings.folder, time.time, Cost(n=16)))):
             assert (await asyncio.to_thread(state, cookie))["tries"] == 2
             for _ in range(2):
                 assert (await refused(cookie, with_pin(WRONG)))[0] == WRONG_PIN

@@ -227,13 +227,13 @@ def test_a_folder_that_others_may_read_is_refused(folder, mode):
     folder.mkdir()
     folder.chmod(mode)
     with pytest.raises(ConfigurationError, check=expects("expected.pairings.private", "--pairings")):
-        Pairings(folder)
+        Pairings(folder, Clock())
 
 
 def test_a_folder_that_cannot_be_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigurationError, check=expects("expected.pairings.folder", "--pairings")):
-        Pairings(tmp_path / "file" / "pairings")
+        Pairings(tmp_path / "file" / "pairings", Clock())
 
 
 # -- devices

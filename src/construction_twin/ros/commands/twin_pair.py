@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from construction_twin.broker.access import Site
 from construction_twin.broker.certificates import write_private
+from construction_twin.broker.console_files import in_characters, picture
 from construction_twin.broker.make_site import SiteFolder
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused
 from construction_twin.core.sentences import Sentence
@@ -53,7 +54,7 @@ class PairCommand:
                 raise ConstructionTwinError(Sentence("view.pair.no_package", package=package))
         from construction_twin.console.pairings import Pairings
 
-        pairings = Pairings(Path(options.pairings or Path(options.site, "console/pairings")))
+        pairings = Pairings(Path(options.pairings or Path(options.site, "console/pairings")), time.time)
         if options.list:
             return self._list(pairings)
         if options.revoke:
@@ -86,18 +87,24 @@ class PairCommand:
         account, device_account = _accounts(site, options.person)
         address = _address(site, options.console)
         passwords = folder.password(account), folder.password(device_account)
+        file = Path(options.picture) if options.picture else None
+        if file is not None and file.suffix.lower() not in (".svg", ".png"):
+            raise ConfigurationError("--picture", str(file), Sentence("expected.one_of", known=".svg, .png"))
         token = pairings.invite(Person(account, device_account), *passwords)
-        hashed = hash_of(token)
+        hashed, is_left = hash_of(token), False
         try:
-            with _shown(f"{address}#pair={token}", options.picture, not options.no_wait):
+            with _shown(f"{address}#pair={token}", file, not options.no_wait):
                 print(f"a tablet that scans this within {INVITED_S / 60:g} minutes, first and once, becomes {account}'s")
-                if options.no_wait:
-                    return Exit.DONE
-                while pairings.is_invited(hashed):
+                sys.stdout.flush()
+                is_left = options.no_wait
+                while not is_left and pairings.is_invited(hashed):
                     self._sleep(_LOOK_S)
-        except BaseException:
-            pairings.withdraw(hashed)
-            raise
+        finally:
+            # whoever does not wait for it any more does not want it used
+            if not is_left:
+                pairings.withdraw(hashed)
+        if is_left:
+            return Exit.DONE
         device = pairings.paired_with(hashed)
         if device is None:
             raise RequestRefused(Sentence("view.pair.unused", person=account))
@@ -122,29 +129,17 @@ def _address(site: Site, host: str) -> str:
 
 
 @contextmanager
-def _shown(address: str, picture: str | None, is_taken_away: bool) -> Iterator[None]:
+def _shown(address: str, file: Path | None, is_taken_away: bool) -> Iterator[None]:
     """Show a QR code in the terminal, and in a file, which is taken away with the code."""
-    import io
-
-    import segno
-
-    code = segno.make(address, micro=False)
-    code.terminal(compact=True)
-    print(address)
-    path = Path(picture) if picture else None
-    if path is not None:
-        kind = path.suffix.lower().removeprefix(".")
-        if kind not in ("svg", "png"):
-            raise ConfigurationError("--picture", picture, Sentence("expected.one_of", known=".svg, .png"))
-        buffer = io.BytesIO()
-        code.save(buffer, kind=kind, scale=8, light="white")
-        write_private(path, buffer.getvalue())
+    print(f"{in_characters(address)}{address}")
+    if file is not None:
+        write_private(file, picture(address, file.suffix.lower().removeprefix(".")))
     sys.stdout.flush()
     try:
         yield
     finally:
-        if path is not None and is_taken_away:
-            path.unlink(missing_ok=True)
+        if file is not None and is_taken_away:
+            file.unlink(missing_ok=True)
 
 
 def device_line(device: Device) -> str:
