@@ -208,7 +208,9 @@ class ConnectionLogin:
         self.is_wrong = True
         if self._is_filled:
             # nobody has guessed: the account has another password now
-            said = f"{self._peer}: the broker refuses what is kept for a paired device of {shown(account)}; pair it again"
+            said = (
+                f"{self._peer}: the broker refuses what is kept for a paired device of {shown(account)}; pair it again"
+            )
             self._logins.wrong_lines.write(logging.WARNING, said)
             return
         self._count(account, "wrong password for")

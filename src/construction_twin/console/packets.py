@@ -1,8 +1,8 @@
 """MQTT packets as far as the pipe has to know them: where each ends, of which kind it is, and who logs in.
 
 Only the fixed header is read, and of CONNECT and CONNACK the few fields that are logged or decide whether somebody is logged in.
-All else passes unchanged, but the password of a paired device (`paired.py`). MQTT 5.0, sections 2.1, 3.1 and 3.2; MQTT 3.1.1 has the
-same. Pure.
+All else passes unchanged, but the password of a paired device (`paired.py`). MQTT 5.0, sections 2.1, 3.1 and 3.2; MQTT 3.1.1 has
+the same. Pure.
 """
 
 from __future__ import annotations

@@ -32,7 +32,11 @@ def proposed(subprotocols: str) -> str:
 
 
 async def pair(
-    browser: ServerConnection, pairings: Pairings, cookie: DeviceCookie | None, former: DeviceCookie | None, address: str
+    browser: ServerConnection,
+    pairings: Pairings,
+    cookie: DeviceCookie | None,
+    former: DeviceCookie | None,
+    address: str,
 ) -> str:
     """Answer one browser; return in one sentence what became of it.
 

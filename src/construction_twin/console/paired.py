@@ -1,4 +1,4 @@
-"""What a paired device and its console say to each other: the cookie, what stands in place of a password, and what is refused. Pure.
+"""What a paired device and its console say to each other: the cookie, what stands in place of a password, what is refused. Pure.
 
 A browser gets the cookie when it is paired, and shows it with every request. Its page then logs in with a password that begins with
 a zero byte, which no password that `make_site` makes has, and none that a person can type: it asks the console to put in what it
@@ -26,8 +26,9 @@ class PairingError(ConstructionTwinError):
     """A device, an invitation or a PIN is refused.
 
     Args:
-        why: ``code`` (no such invitation: used, withdrawn or too old), ``pin`` (not one that may be chosen), ``device`` (the browser
-            is not paired, or not any more), ``wrong`` (a wrong PIN), ``erased`` (too many of them: pair again).
+        why: ``code`` (no such invitation: used, withdrawn or too old), ``pin`` (none that may be chosen), ``device`` (the
+            browser is not paired, or not any more), ``wrong`` (a wrong PIN), ``erased`` (too many: pair again), ``console`` (what is kept
+            cannot be read).
         number: Of the device, where it is known.
         left: Of a wrong PIN: how many more may be tried.
     """

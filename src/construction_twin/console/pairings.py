@@ -180,7 +180,9 @@ class Pairings:
         with self._locked():
             _remove(self._invitations / f"{hashed}.json")
 
-    def pair(self, token: str, pin: str, cookie: DeviceCookie, address: str, former: DeviceCookie | None = None) -> Device:
+    def pair(
+        self, token: str, pin: str, cookie: DeviceCookie, address: str, former: DeviceCookie | None = None
+    ) -> Device:
         """Use an invitation up: make the entry of a device.
 
         Args:
@@ -282,7 +284,10 @@ class Pairings:
                 if not tried.has_pin:
                     self._erase(tried)
                 raise PairingError(
-                    "wrong", Sentence("view.pair.wrong", number=device.number, left=tried.left), device.number, tried.left
+                    "wrong",
+                    Sentence("view.pair.wrong", number=device.number, left=tried.left),
+                    device.number,
+                    tried.left,
                 )
             self._write_device(replace(device, wrong=0, used=self._now()))
             return password
@@ -305,8 +310,12 @@ class Pairings:
         return sorted(found, key=lambda each: each.number)
 
     def unreadable(self) -> list[str]:
-        """Return in sentences which files of the folder are none of this version, or belong to another user: nobody can use them."""
-        return [str(each) for each in (*self._all(Device), *self._all(Invitation)) if isinstance(each, ConstructionTwinError)]
+        """Return in sentences which files of the folder are of another version, or of another user: nobody can use them."""
+        return [
+            str(each)
+            for each in (*self._all(Device), *self._all(Invitation))
+            if isinstance(each, ConstructionTwinError)
+        ]
 
     def revoke(self, account: str, number: int | None = None) -> list[Device]:
         """Take devices of an account away, all or one, with all the invitations for it; return which.

@@ -1,4 +1,6 @@
-"""Which PIN a person may choose for a paired device. Pure; `web/src/pin_state.js` has the same rule, and both pass `test/data/pins.json`.
+"""Which PIN a person may choose for a paired device. Pure.
+
+`web/src/pin_state.js` has the same rule; both pass `test/data/pins.json`.
 
 A PIN is tried five times at most (`pairings.py`), so what matters is that the first guesses of whoever finds a tablet are wrong.
 """

@@ -1,4 +1,4 @@
-"""How an invitation and a device's entry are encrypted: AES-256-GCM under keys from HKDF-SHA256 and scrypt, of `cryptography`. Pure.
+"""How invitations and entries of devices are encrypted: AES-256-GCM, keys from HKDF-SHA256 and scrypt, all of `cryptography`. Pure.
 
 Three secrets take part, in three places: the console's own (its folder), the cookie's (the device), and the PIN (a person's head).
 """
@@ -48,7 +48,9 @@ def key_of_pin(own: bytes, cookie: bytes, device: str, pin: str, salt: bytes, co
 
 
 def _key(own: bytes, purpose: str, secret: bytes) -> bytes:
-    return HKDF(algorithm=SHA256(), length=KEY, salt=own, info=f"construction_twin pairing 1: {purpose}".encode()).derive(secret)
+    return HKDF(
+        algorithm=SHA256(), length=KEY, salt=own, info=f"construction_twin pairing 1: {purpose}".encode()
+    ).derive(secret)
 
 
 def seal(key: bytes, nonce: bytes, text: str, about: str) -> bytes:

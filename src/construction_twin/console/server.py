@@ -235,7 +235,9 @@ class ConsoleServer:
             found = None
         state = {"account": "", "device_account": "", "number": 0, "tries": 0}
         if found:
-            state = {key: getattr(found, key) for key in ("account", "device_account", "number")} | {"tries": found.left}
+            state = {key: getattr(found, key) for key in ("account", "device_account", "number")} | {
+                "tries": found.left
+            }
         answer = _answer(http.HTTPStatus.OK, json.dumps(state).encode())
         answer.headers["Vary"] = "Cookie"
         del answer.headers["Content-Type"]
@@ -302,7 +304,11 @@ class ConsoleServer:
 
     async def _on_socket(self, connection: ServerConnection) -> None:
         assert isinstance(connection, HttpConnection)
-        number, peer, request = connection.transport.get_extra_info("socket").fileno(), _peer(connection), connection.request
+        number, peer, request = (
+            connection.transport.get_extra_info("socket").fileno(),
+            _peer(connection),
+            connection.request,
+        )
         assert request is not None
         if _path(request) == PAIR:
             await self._on_pairing(connection, peer)

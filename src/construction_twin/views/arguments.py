@@ -121,7 +121,10 @@ def parser(robot: str) -> argparse.ArgumentParser:
     _add_scene(command("scene", "list what the arm must not touch, or write it for another planner"))
     _add_work(command("work", "work from a building model: its tasks, what comes next, what people say"), common)
     _add_pair(
-        command("pair", "pair a tablet with a person's account, by a QR code for one use in five minutes; needs no ROS master")
+        command(
+            "pair",
+            "pair a tablet with a person's account, by a QR code for one use in five minutes; needs no ROS master",
+        )
     )
     _add_watch(command("watch", "show joint errors, rates, latency, counters and states until Ctrl-C"))
     return root
@@ -298,7 +301,9 @@ def _add_person(step: argparse.ArgumentParser) -> None:
 
 
 def _add_pair(pair: argparse.ArgumentParser) -> None:
-    pair.add_argument("person", nargs="?", default="", metavar="NAME", help="whose tablet it becomes: a person of make_site")
+    pair.add_argument(
+        "person", nargs="?", default="", metavar="NAME", help="whose tablet it becomes: a person of make_site"
+    )
     pair.add_argument("--list", action="store_true", help="list the paired devices, of NAME or of all")
     pair.add_argument(
         "--revoke", default="", metavar="NAME", help="take the devices of a person away, and end their open sessions"
@@ -306,13 +311,18 @@ def _add_pair(pair: argparse.ArgumentParser) -> None:
     pair.add_argument("--device", type=int, metavar="NUMBER", help="with --revoke: this one only")
     site = pair.add_argument("--site", default="", metavar="DIR", help="the site's folder, as make_site made it")
     folder = pair.add_argument(
-        "--pairings", default="", metavar="DIR", help="the console's folder of pairings [DIR/console/pairings of the site]"
+        "--pairings",
+        default="",
+        metavar="DIR",
+        help="the console's folder of pairings [DIR/console/pairings of the site]",
     )
     pair.add_argument(
         "--console", default="", metavar="HOST", help="name of the console in the code [the first one of the site]"
     )
     picture = pair.add_argument("--picture", metavar="FILE", help="also write the code as SVG or PNG, by its suffix")
-    pair.add_argument("--no-wait", action="store_true", help="do not wait until the code is used, and do not say by whom")
+    pair.add_argument(
+        "--no-wait", action="store_true", help="do not wait until the code is used, and do not say by whom"
+    )
     for option, kind in ((site, shtab.DIRECTORY), (folder, shtab.DIRECTORY), (picture, shtab.FILE)):
         option.complete = kind  # type: ignore[attr-defined]  # shtab reads it from the action
 

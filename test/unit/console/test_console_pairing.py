@@ -1,4 +1,4 @@
-"""Paired devices at the console, with real sockets and a real broker: paired once, logged in by PIN, revoked, forgotten by nobody."""
+"""Paired devices at the console, with real sockets and a real broker: paired once, logged in by PIN, revoked, kept."""
 
 from __future__ import annotations
 
@@ -157,7 +157,8 @@ def test_a_pin_that_is_guessed_first_is_not_taken_and_the_code_stays(broker, pai
 
 @pytest.mark.parametrize(
     "message",
-    ("", "[]", "{}", '{"token": 1, "pin": 2}', '{"token": "a", "pin": "b", "more": 1}', "x" * 5000, b"\0", '{"token": "\\ud800", "pin": "1"}', "[" * 500),
+    ("", "[]", "{}", '{"token": 1, "pin": 2}', '{"token": "a", "pin": "b", "more": 1}', "x" * 5000, b"\0",
+     '{"token": "\\ud800", "pin": "1"}', "[" * 500),
 )  # fmt: skip
 def test_a_message_of_another_form_pairs_nobody(broker, pairings, message):
     async def scene() -> None:
@@ -230,7 +231,12 @@ def test_wrong_pins_are_paced_by_device_and_slow_nobody_else(broker, pairings):
             _, mine = await pair(invited(pairings))
             _, other = await pair(invited(pairings))
             assert (await refused(mine, with_pin(WRONG)))[0] == WRONG_PIN
-            async with at_mqtt(mine) as waits, at_mqtt(mine) as stops, at_mqtt(other) as person, browser_at(PORT) as typed:
+            async with (
+                at_mqtt(mine) as waits,
+                at_mqtt(mine) as stops,
+                at_mqtt(other) as person,
+                browser_at(PORT) as typed,
+            ):
                 await waits.send(with_pin())
                 # another device, and a password, of the same account from the same address
                 await logs_in(person, with_pin())
@@ -251,7 +257,13 @@ def test_a_cookie_of_another_device_or_of_none_opens_nothing_and_counts_nothing(
             name, _, value = mine.partition("=")
             mixed = f"{name}={value.split('.')[0]}.{other.split('.')[1]}"
             for cookie in ("", mixed, f"{name}={'0' * 32}.{'a' * 43}", f"{name}=../../secret"):
-                for packets in (with_pin(), with_pin(WRONG), WITHOUT_PIN(), login("ada", "\0else"), login("bob", "\0pin:482139")):
+                for packets in (
+                    with_pin(),
+                    with_pin(WRONG),
+                    WITHOUT_PIN(),
+                    login("ada", "\0else"),
+                    login("bob", "\0pin:482139"),
+                ):
                     assert (await refused(cookie, packets))[0] == NOT_PAIRED
             assert (await refused(mine, with_pin(user="bob")))[0] == NOT_PAIRED
             assert [device.wrong for device in pairings.devices()] == [0, 0]
@@ -277,7 +289,10 @@ def test_a_login_reaches_the_broker_byte_for_byte_but_for_its_password(pairings,
         writer.close()
 
     async def scene() -> None:
-        async with await asyncio.start_server(take, "127.0.0.1", LISTENER_PORT), running(settings(pairings, LISTENER_PORT)):
+        async with (
+            await asyncio.start_server(take, "127.0.0.1", LISTENER_PORT),
+            running(settings(pairings, LISTENER_PORT)),
+        ):
             _, cookie = await pair(invited(pairings, password="a much longer password " * 8))
             for sent, expected in (
                 (made(f"\0pin:{PIN}"), made("a much longer password " * 8)),

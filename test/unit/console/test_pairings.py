@@ -101,7 +101,9 @@ def test_a_cookie_is_for_this_server_s_own_requests_only():
     assert cookie.secret not in repr(cookie)
 
 
-@pytest.mark.parametrize("value", ("", "x", "../../secret." + "a" * 43, "A" * 32 + "." + "a" * 43, "a" * 32 + "." + "/" * 43))
+@pytest.mark.parametrize(
+    "value", ("", "x", "../../secret." + "a" * 43, "A" * 32 + "." + "a" * 43, "a" * 32 + "." + "/" * 43)
+)
 def test_a_cookie_that_is_none_of_ours_is_nobody(value):
     assert DeviceCookie.shown(f"console_device_1={value}", 1, False) is None
     assert DeviceCookie.shown(None, 1, False) is None
@@ -242,7 +244,12 @@ def test_a_folder_that_cannot_be_is_refused(tmp_path):
 def test_an_entry_opens_with_its_own_cookie_only(pairings):
     mine, _ = paired(pairings)
     other, _ = paired(pairings)
-    for cookie in (None, new_cookie(), DeviceCookie(mine.device, other.secret), DeviceCookie(other.device, mine.secret)):
+    for cookie in (
+        None,
+        new_cookie(),
+        DeviceCookie(mine.device, other.secret),
+        DeviceCookie(other.device, mine.secret),
+    ):
         assert pairings.device_of(cookie) is None
         assert why(pairings.password, cookie, "ada", PIN) == "device"
         assert why(pairings.password_without_pin, cookie, "ada-device") == "device"

@@ -85,11 +85,17 @@ def test_the_code_pairs_the_first_tablet_that_shows_it_and_the_command_says_whic
 
 
 def test_what_it_gives_are_the_passwords_of_the_site(site, pairings, capsys):
-    assert call("ada", "--site", str(site), "--pairings", str(pairings.folder), "--no-wait", "--console", "192.168.7.20") is Exit.DONE
+    assert (
+        call("ada", "--site", str(site), "--pairings", str(pairings.folder), "--no-wait", "--console", "192.168.7.20")
+        is Exit.DONE
+    )
     found = re.search(r"https://192\.168\.7\.20:8480/\S+", said(capsys))
     cookie = new_cookie()
     pairings.pair(token_of(found[0]), PIN, cookie, "192.168.7.99")
-    for account, password in (("ada", pairings.password(cookie, "ada", PIN)), ("ada-device", pairings.password_without_pin(cookie, "ada-device"))):
+    for account, password in (
+        ("ada", pairings.password(cookie, "ada", PIN)),
+        ("ada-device", pairings.password_without_pin(cookie, "ada-device")),
+    ):
         assert password == (site / "accounts" / account / "password").read_text().strip()
 
 
@@ -115,7 +121,11 @@ def test_devices_are_listed_and_revoked_by_name_without_the_site(site, pairings,
         call(name, "--site", str(site), *folder, "--no-wait")
         pairings.pair(token_of(re.search(r"https://\S+", said(capsys))[0]), PIN, new_cookie(), "192.168.7.99")
     call("--list", *folder)
-    assert [line.split(",")[0] for line in said(capsys).splitlines()] == ["device 1 of ada", "device 2 of ada", "device 3 of bob"]
+    assert [line.split(",")[0] for line in said(capsys).splitlines()] == [
+        "device 1 of ada",
+        "device 2 of ada",
+        "device 3 of bob",
+    ]
     call("--revoke", "ada", "--device", "2", *folder)
     assert said(capsys).startswith("revoked: device 2 of ada")
     with pytest.raises(RequestRefused, check=says("view.pair.no_device", number=3)):
@@ -143,7 +153,9 @@ def test_who_has_no_account_or_no_address_is_told(site, pairings, tmp_path):
 def test_an_account_whose_folder_was_handed_out_is_named(tmp_path, pairings):
     folder = tmp_path / "site"
     persons = (SitePerson.parse("ada:review"),)
-    SiteFolder(folder).make(Site(("broker.cell",), ("kr120",), folder="/etc/site", persons=persons, consoles=("twin.cell",)))
+    SiteFolder(folder).make(
+        Site(("broker.cell",), ("kr120",), folder="/etc/site", persons=persons, consoles=("twin.cell",))
+    )
     (folder / "accounts/ada/password").unlink()
     with pytest.raises(ConstructionTwinError, check=says("view.site.no_password", account="ada")):
         call("ada", "--site", str(folder), "--pairings", str(pairings.folder))
@@ -153,7 +165,8 @@ def test_an_account_whose_folder_was_handed_out_is_named(tmp_path, pairings):
     "words",
     (
         [], ["ada"], ["--list"], ["--revoke", "ada"], ["ada", "--pairings", "/p"], ["--site", "/s"],
-        ["ada", "--site", "/s", "--device", "1"], ["--revoke", "ada", "--list", "--site", "/s"], ["bob", "--revoke", "ada", "--site", "/s"],
+        ["ada", "--site", "/s", "--device", "1"], ["--revoke", "ada", "--list", "--site", "/s"],
+        ["bob", "--revoke", "ada", "--site", "/s"],
     ),
 )  # fmt: skip
 def test_what_does_not_fit_together_is_said(words):

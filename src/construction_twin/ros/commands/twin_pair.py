@@ -94,7 +94,9 @@ class PairCommand:
         hashed, is_left = hash_of(token), False
         try:
             with _shown(f"{address}#pair={token}", file, not options.no_wait):
-                print(f"a tablet that scans this within {INVITED_S / 60:g} minutes, first and once, becomes {account}'s")
+                print(
+                    f"a tablet that scans this within {INVITED_S / 60:g} minutes, first and once, becomes {account}'s"
+                )
                 sys.stdout.flush()
                 is_left = options.no_wait
                 while not is_left and pairings.is_invited(hashed):
