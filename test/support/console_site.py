@@ -14,7 +14,7 @@ from processes import ROOT, BrokerProcess, listens, wait_until
 from scripted_robot import VIEW, XACRO, ScriptedRobot
 from site_broker import ROBOTS, SiteBroker, free_ports
 
-from construction_twin.broker.access import Person
+from construction_twin.broker.access import RIGHTS, Grant, Person
 from construction_twin.console import pairings
 from construction_twin.mqtt.client import Broker
 from construction_twin.robot.urdf import expand_xacro
@@ -22,10 +22,14 @@ from construction_twin.robot.urdf import expand_xacro
 #: The page as `setup/setup.sh console` builds it.
 PAGE = ROOT / ".ws/console/page"
 _PACKAGE = "package://construction_twin/"
-#: Who may do what in the tests: role and names.
-PEOPLE = {"reviewers": ("ada", "bob"), "viewers": ("vic",), "stoppers": ("sam",), "planners": ("pia",)}
-#: And who has one account, with which devices are paired.
+#: Person with whose account devices are paired.
 PERSON = "pat"
+#: Who may do what in the tests: role and names.
+PEOPLE = {
+    "reviewers": ("ada", "bob"), "viewers": ("vic",), "stoppers": ("sam",), "planners": ("pia",),
+    # who may do everything, at every robot
+    "persons": (Person("dora", (Grant(RIGHTS),)), Person(PERSON, (Grant(("review", "pause", "plan_request")),))),
+}  # fmt: skip
 
 
 def write_robot_files(private: Path, robots: tuple[str, ...] = ROBOTS) -> None:
@@ -93,6 +97,7 @@ class ConsoleSite:
     Args:
         listen, host: Address on which the console listens, and the name by which a browser reaches it.
         hosts: Further names in the certificates.
+        cameras: As the console's option `--camera` has them.
 
     Attributes:
         url: Of the page.
@@ -106,6 +111,7 @@ class ConsoleSite:
         listen: str = "127.0.0.1",
         host: str = "localhost",
         hosts: tuple[str, ...] = (),
+        cameras: tuple[str, ...] = (),
     ):
         self.folder = folder
         self.port = free_ports()
@@ -121,12 +127,11 @@ class ConsoleSite:
             certificates=False,
             consoles=names,
             console_port=self.port,
-            persons=(Person.parse(f"{PERSON}:review,pause,plan_request"),),
             **PEOPLE,
         )
         self.url = f"https://{host}:{self.port}/"
         self.log = folder / "console.log"
-        self._page, self._listen = page, listen
+        self._page, self._listen, self._cameras = page, listen, cameras
         self._process: subprocess.Popen | None = None
 
     def start(self) -> ConsoleSite:
@@ -138,8 +143,10 @@ class ConsoleSite:
         files = self.site.folder / "console"
         self._process = run_console(
             self.log, self._page, self._listen, self.port, "--private", self.private, "--results", self.results,
-            "--certificate", files / "console.crt", "--key", files / "console.key", "--pairings", self.folder / "pairings",
+            "--pairings", self.folder / "pairings",
+            "--rights", files / "rights.json", "--certificate", files / "console.crt", "--key", files / "console.key",
             "--broker-host", "localhost", "--broker-port", str(self.site.site.port), "--broker-ca", self.site.folder / "ca/ca.crt",
+            *(word for camera in self._cameras for word in ("--camera", camera)),
         )  # fmt: skip
 
     @property

@@ -4,6 +4,7 @@ import * as login from "./login.js";
 import {makePage} from "./page.js";
 import * as pairing from "./pairing.js";
 import {panels} from "./panels.js";
+import {makeRights} from "./rights.js";
 import {makeStore} from "./store.js";
 import {languageOf, makeTexts, withoutLanguage} from "./texts.js";
 
@@ -53,6 +54,7 @@ socket.protocol = location.protocol === "https:" ? "wss:" : "ws:";
 socket.search = "";
 socket.hash = "";
 const connection = makeConnection(store, {url: socket.href, prefix: asked.get("prefix") ?? "twin"});
+store.rightsOf = makeRights(store, connection);
 const areas = makePage(document.body, store, connection, texts, panels, {onTheme, onLanguage});
 const form = login.make(document.body, store, connection, texts);
 // it stood there for whom this script did not reach

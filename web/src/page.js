@@ -1,18 +1,18 @@
 /**
- * The frame of the page: header, the line about the connection, and an area per panel.
+ * The frame of the page: header, lines about the connection, and an area per panel. It is as high as the screen and does not scroll:
+ * sentence, picture and stop are always in view, and what stands in a tab scrolls in itself.
  *
  * A panel is a module with `make(parent, store, connection, texts)`. It makes its elements once below `parent` and changes them when
  * the store tells something. It shows the robot `store.selected`. An exception in one panel is told in a line, and the others go on.
  */
 import {add, button, clear, setText} from "./dom.js";
+import {makeTabs} from "./tabs.js";
 
-/** Areas in the order of the document: the one in which a keyboard or a screen reader goes through them. */
-export const AREAS = ["status", "picture", "stop", "verdict", "plan", "tasks", "plots", "runs"];
-/** Areas that stand beside the picture where there is room, one below the other: the stop stays in view above the others. */
-const BESIDE = ["stop", "verdict", "plan", "tasks"];
-/** Areas that can be folded: what must always be there cannot. */
-const FOLDING = ["plan", "tasks", "plots", "runs"];
-const OPEN_AT_FIRST = ["plan"];
+/** Areas that are always there, in the order in which a keyboard or a screen reader goes through them. */
+export const ALWAYS = ["status", "picture", "stop"];
+/** Areas that share one place beside the picture, a tab each; the first is open at first. */
+export const TABS = ["verdict", "plan", "tasks", "messages", "plots", "runs"];
+export const AREAS = [...ALWAYS, ...TABS];
 /** Areas whose panels are made and told before the others, whatever becomes of those. */
 const FIRST = ["stop", "status"];
 /** An area that takes no presses any more once it has failed: what it shows may be of another plan. */
@@ -31,31 +31,31 @@ const CLOSING = "verdict";
  */
 export function makePage(parent, store, connection, texts, panels, {onTheme, onLanguage} = {}) {
   const header = add(parent, "header", {className: "header"});
-  add(header, "h1", {text: texts("page.title")});
   const robots = add(header, "div", {className: "robots", role: "group", "aria-label": texts("page.robot")});
+  add(header, "h1", {text: texts("page.title")});
   const account = add(header, "span", {className: "account"});
-  button(header, texts("page.language"), () => onLanguage?.(), {className: "quiet", lang: texts.language === "en" ? "de" : "en"});
-  button(header, texts("page.theme"), () => onTheme?.(), {className: "quiet"});
-  const logout = button(header, texts("page.logout"), () => connection.logout(), {className: "quiet"});
-  const lost = add(parent, "p", {className: "lost", role: "alert", hidden: true});
-  const failed = add(parent, "p", {className: "failed", role: "alert", hidden: true});
-  const old = add(parent, "p", {className: "old", role: "status", hidden: true});
-  const waiting = add(parent, "p", {className: "waiting", text: texts("page.waiting")});
-  const refused = add(parent, "p", {className: "refused", role: "status", hidden: true});
+  const menu = add(header, "details", {className: "menu"});
+  add(menu, "summary", {"aria-label": texts("page.menu"), text: "\u2630"});
+  const items = add(menu, "div", {className: "menu-items"});
+  const item = (text, act, options) => button(items, text, () => {
+    menu.open = false;
+    act();
+  }, options);
+  const who = add(items, "p", {className: "menu-account"});
+  item(texts("page.language"), () => onLanguage?.(), {lang: texts.language === "en" ? "de" : "en"});
+  item(texts("page.theme"), () => onTheme?.());
+  const logout = item(texts("page.logout"), () => connection.logout());
+  // over the picture, not above it: nothing may move under a finger
+  const notices = add(parent, "div", {className: "notices"});
+  const lost = add(notices, "p", {className: "lost", role: "alert", hidden: true});
+  const failed = add(notices, "p", {className: "failed", role: "alert", hidden: true});
+  const old = add(notices, "p", {className: "old", role: "status", hidden: true});
+  const waiting = add(notices, "p", {className: "waiting", text: texts("page.waiting")});
+  const refused = add(notices, "p", {className: "refused", role: "status", hidden: true});
   const main = add(parent, "main", {className: "areas"});
-  const areas = {};
-  let side = null;
-  for (const name of AREAS) {
-    if (BESIDE.includes(name)) side ??= add(main, "div", {className: "side"});
-    const place = BESIDE.includes(name) ? side : main;
-    if (FOLDING.includes(name)) {
-      const details = add(place, "details", {id: name, className: "area", open: OPEN_AT_FIRST.includes(name)});
-      add(add(details, "summary"), "h2", {text: texts(`page.area.${name}`)});
-      areas[name] = add(details, "div", {className: "inside"});
-    } else {
-      areas[name] = add(place, "section", {id: name, className: "area", "aria-label": texts(`page.area.${name}`)});
-    }
-  }
+  const section = (name) => add(main, "section", {id: name, className: "area", "aria-label": texts(`page.area.${name}`)});
+  const areas = Object.fromEntries(ALWAYS.map((name) => [name, section(name)]));
+  Object.assign(areas, makeTabs(main, texts, TABS, section));
 
   const failures = new Set();
   store.on("failed", (_, {part}) => {
@@ -79,6 +79,8 @@ export function makePage(parent, store, connection, texts, panels, {onTheme, onL
     waiting.hidden = store.robots.length > 0;
     main.classList.toggle("empty", store.robots.length === 0);
     clear(robots);
+    // one robot is named by its picture
+    robots.hidden = store.robots.length < 2;
     for (const name of store.robots) {
       button(robots, name, () => store.select(name), {"aria-pressed": String(name === store.selected)});
     }
@@ -98,7 +100,7 @@ export function makePage(parent, store, connection, texts, panels, {onTheme, onL
       const why = `connection.why.${connection.reason}`;
       setText(lost, texts(`connection.${connection.state}`, {why: texts.has(why) ? texts(why) : ""}));
     }
-    setText(account, connection.account ? texts("page.account", {account: connection.account}) : texts("page.nobody"));
+    for (const each of [account, who]) setText(each, connection.account ? texts("page.account", {account: connection.account}) : texts("page.nobody"));
     logout.hidden = connection.account === "";
     showOld();
   };

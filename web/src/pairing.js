@@ -85,10 +85,11 @@ export function make(store, connection, texts, login, place, own = browser) {
   section.hidden = true;
   section.setAttribute("aria-label", texts("pin.area"));
   place.before(section);
-  const title = add(section, "h2");
+  const head = add(section, "div", {className: "pin-head"});
+  const title = add(head, "h2");
+  const dots = add(head, "p", {className: "pin-dots", role: "status"});
   const hint = add(section, "p", {className: "pin-hint"});
   const told = add(section, "p", {className: "pin-told", role: "alert"});
-  const dots = add(section, "p", {className: "pin-dots", role: "status"});
   const pad = add(section, "div", {className: "pin-pad", role: "group", "aria-label": texts("pin.pad")});
   const press = (key) => {
     pin = typed(pin, key);
@@ -131,6 +132,7 @@ export function make(store, connection, texts, login, place, own = browser) {
     login.place(byPassword ? form : null, pairing || isLocked(state));
     setText(title, texts(pairing ? "pin.title_pair" : "pin.title", {account: device.account}));
     setText(hint, texts(pairing ? `pin.hint.${step}` : none ? "pin.hint.none" : busy ? "pin.hint.trying" : "pin.hint.locked", {number: device.number}));
+    hint.classList.toggle("is-known", step === "locked" && !none || step === "trying");
     const why = state.told === "" ? "" : texts(`pin.told.${state.told}`, {tries: device.tries});
     setText(told, why);
     login.note(step === "password" ? why : "");

@@ -1,8 +1,12 @@
 /** Which panels stand in which area, in their order. */
+import * as actions from "./panels/actions.js";
+import * as messages from "./panels/messages.js";
+import * as camera from "./panels/camera.js";
 import * as picture from "./picture/picture.js";
 import * as plan from "./panels/plan.js";
 import * as playback from "./panels/playback.js";
 import * as plots from "./panels/plots.js";
+import * as replay from "./panels/replay.js";
 import * as runs from "./panels/runs.js";
 import * as status from "./panels/status.js";
 import * as stop from "./panels/stop.js";
@@ -11,12 +15,13 @@ import * as verdict from "./panels/verdict.js";
 
 /** By area of page.js: modules with `make(parent, store, connection, texts)`. */
 export const panels = {
-  picture: [picture],
-  status: [status],
+  picture: [picture, camera, replay],
+  status: [status, actions],
   stop: [stop],
   verdict: [playback, verdict],
   plan: [plan],
   tasks: [tasks],
+  messages: [messages],
   plots: [plots],
   runs: [runs],
 };

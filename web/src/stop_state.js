@@ -1,30 +1,31 @@
 /**
- * What became of a press on stop, pause or resume: pure, one record per press and robot.
+ * What became of a press on stop, pause, resume, reset or arm: pure, one record per press and robot.
  *
  * A press goes out at once or not at all. `outcome` says it in one word:
  *   none        nothing was pressed
  *   sending     given to the broker
- *   waiting     the broker has taken it; nobody has answered yet, for less than a second
+ *   waiting     the broker has taken it; nobody has answered yet, for less than a second (a reset or arm: 15 s)
  *   done        who carries it out has said so
  *   refused     everybody who answered says no, and the second is over
- *   expired     a resume that reached the robot too late after what the page had shown: it is void
- *   silent      nobody has answered for a second
+ *   expired     a resume, reset or arm that reached the robot too late after what the page had shown: it is void
+ *   silent      nobody has answered for so long
  *   not_sent    it did NOT go out: no connection
  *   no_right    it did NOT go out: the broker refuses it to this account
  *   unknown     the connection broke before the broker answered, or the broker refused it for another reason
  */
 
-/** Longest wait for an answer [ms]. */
+/** Longest wait for an answer [ms]; a session is answered when it is armed or is not, which takes the bridge's `reset_timeout`. */
 export const ANSWER_WITHIN = 1000;
+export const SESSION_WITHIN = 15000;
 /** Who carries it out, by what was pressed. For a stop one of them is enough, and the gateway works without the robot's PC. */
-export const BY = {stop: ["gateway", "executor"], pause: ["executor"], resume: ["executor"]};
+export const BY = {stop: ["gateway", "executor"], pause: ["executor"], resume: ["executor"], reset: ["bridge"], arm: ["bridge"]};
 
 /** Return the record before anything was pressed. */
 export function idle() {
   return {verb: "", id: "", at: 0, broker: "", answers: [], late: false};
 }
 
-/** Return the record of a press: `verb` stop, pause or resume, `id` of the message, `at` [ms]. */
+/** Return the record of a press: `verb` one of `BY`, `id` of the message, `at` [ms]. */
 export function pressed(verb, id, at) {
   return {verb, id, at, broker: "sending", answers: [], late: false};
 }
@@ -47,7 +48,8 @@ export function answered(press, answer, account) {
 
 /** Return the record at a time: after a second without an answer it is late. */
 export function waited(press, at) {
-  return !press.late && press.verb !== "" && at - press.at >= ANSWER_WITHIN ? {...press, late: true} : press;
+  const within = BY[press.verb]?.[0] === "bridge" ? SESSION_WITHIN : ANSWER_WITHIN;
+  return !press.late && press.verb !== "" && at - press.at >= within ? {...press, late: true} : press;
 }
 
 /** Return what became of a press, as one of the words above. */

@@ -10,6 +10,9 @@
  *                                              `obstacle`: why it could not be approved now, "" when it could; `ended`: id of the
  *                                              last plan that has ended
  *   old                                        no view for a second
+ *   shows {what}                               "" while the person can see the picture and read the sentence; else why approving is
+ *                                              blocked: "unseen" or "unread"
+ *   replay {on}                                the picture shows a recording, or the present again
  *   looked {what, hash}                        the page showed the plan of this hash: "shown" (again and again), "played" (to its
  *                                              end), "checks" (its checks were opened)
  *   press {reviewer}, release                  of the approve button
@@ -39,7 +42,8 @@ const NOT_LOOKED = {shownFor: 0, shownAt: null, played: false, checks: false};
 /** Return the machine of a robot of which nothing is known. */
 export function begin() {
   return {
-    state: "offline", plan: null, gone: false, viewPlan: undefined, obstacle: "", live: false, ...NOT_LOOKED, pressedAt: null, tickedAt: null, sent: null,
+    state: "offline", plan: null, gone: false, viewPlan: undefined, obstacle: "", hides: "", live: false, replay: false, ...NOT_LOOKED,
+    pressedAt: null, tickedAt: null, sent: null,
     notice: null,
   };
 }
@@ -52,15 +56,18 @@ export function lookedAt({shownFor, played, checks}) {
 /**
  * Return why approving is not possible now, as a short word; "" when it is.
  *
- * Words: offline, none, unfit, decided, sending, old (no view of the arm), view (the view names another plan, or none), obstacle (the
- * executor would refuse it), look, shown
+ * Words: offline, none, unfit, decided, sending, replay (the picture shows a recording), old (no view of the arm), view (the view names
+ * another plan, or none), obstacle (the executor would refuse it), unseen (the picture is not in view), unread (the sentence is cut off
+ * or old), look, shown
  */
 export function blocked(machine) {
   if (["offline", "none", "unfit", "decided"].includes(machine.state)) return machine.state;
   if (machine.state === "sending" || machine.state === "waiting") return "sending";
+  if (machine.replay) return "replay";
   if (!machine.live) return "old";
   if (machine.viewPlan !== undefined && machine.viewPlan !== machine.plan.id) return "view";
   if (machine.obstacle !== "") return "obstacle";
+  if (machine.hides !== "") return machine.hides;
   if (!machine.played && !machine.checks) return "look";
   return machine.shownFor >= SHOWN_FOR ? "" : "shown";
 }
@@ -118,6 +125,8 @@ const grow = (machine, {at, what, hash}) => {
   return {shownAt: at, shownFor: machine.shownFor + (gap <= LONGEST_GAP ? gap : 0)};
 };
 const blind = () => ({live: false});
+const hide = (machine, {what}) => ({hides: what});
+const setReplay = (machine, {on}) => ({replay: on});
 const press = (machine, {at}) => ({pressedAt: at, tickedAt: at, notice: null});
 const note = (machine, {at}) => ({tickedAt: at});
 const cancel = (why) => () => ({pressedAt: null, notice: {kind: "cancelled", why}});
@@ -186,6 +195,10 @@ export const TABLE = [
   {states: OPEN, event: "view", action: see},
   {states: ["pressing"], event: "old", action: cancelWith(blind, "old"), next: "open"},
   {states: OPEN, event: "old", action: blind},
+  {states: ["pressing"], event: "shows", guard: (machine, {what}) => what !== "", action: cancelWith(hide, "hidden"), next: "open"},
+  {states: ["offline", ...OPEN], event: "shows", action: hide},
+  {states: ["pressing"], event: "replay", guard: (machine, {on}) => on, action: cancelWith(setReplay, "replay"), next: "open"},
+  {states: ["offline", ...OPEN], event: "replay", action: setReplay},
   {states: ["open", "pressing"], event: "looked", action: grow},
 
   {states: ["open"], event: "press", guard: mayPress, action: press, next: "pressing"},

@@ -277,10 +277,10 @@ const work = (changes = {}) => ({
   ...changes,
 });
 
-async function tasksPanel(value = work(), account = "kr120-planner-ada", language = "en") {
+async function tasksPanel(value = work(), account = "kr120-planner-ada", language = "en", means = {}) {
   const page = fakePage({account, language});
   page.time = 0;
-  tasks.make(page.parent, page.store, page.connection, page.texts, {now: () => page.time});
+  tasks.make(page.parent, page.store, page.connection, page.texts, {now: () => page.time, ...means});
   await page.hear("kr120", "view", view());
   if (value !== null) await page.hear("kr120", "work/tasks", value, true);
   page.find = (selector) => page.parent.querySelector(selector);
@@ -382,7 +382,44 @@ test("deviations and questions are shown", async () => {
   page.click(page.items()[0]);
   assert.match(page.find(".tasks-detail").textContent, /0\.4 mm and 0\.05° off the model/);
   page.click(page.items()[3]);
-  assert.match(page.find(".tasks-detail").textContent, /Where is stud 4\? \(in_stock, placed\)/);
+  assert.match(page.find(".tasks-question").textContent, /Where is stud 4\?/);
+  const answers = [...page.parent.querySelectorAll(".tasks-answer")].map((each) => each.textContent);
+  assert.deepEqual(answers, ["it lies in its stock, and the grip is empty", "it stands at its place, and the grip is empty"]);
+});
+
+test("a question is answered by holding, in the name of the account, with the question as it was shown", async () => {
+  const clock = {at: 0, looks: [], now: () => clock.at, every: (_, look) => clock.looks.push(look)};
+  const pass = (ms) => {
+    for (let k = 0; k < ms / 50; k += 1) {
+      clock.at += 50;
+      for (const look of clock.looks) look();
+    }
+  };
+  const page = await tasksPanel(undefined, "ada", "en", {clock});
+  const held = page.parent.querySelectorAll(".tasks-answer")[1];
+  const press = (kind) => held.dispatchEvent(Object.assign(new page.window.Event(kind, {bubbles: true}), {button: 0}));
+  press("pointerdown");
+  pass(500);
+  press("pointerup");
+  pass(2000);
+  assert.deepEqual(page.connection.sent, [], "a touch alone says nothing");
+  press("pointerdown");
+  pass(1100);
+  await settle();
+  const {topic, payload} = page.connection.sent[0];
+  const {id, question, answers} = page.store.robot("kr120").tasks.tasks[3];
+  assert.equal(topic, "answer/ada");
+  assert.deepEqual(payload, {id: payload.id, task: id, question, answer: answers[1], moment: page.store.moment("kr120")});
+  await page.hear("kr120", "answer/ack", {id: payload.id, account: "ada", task: id, ok: false, reason: "look again", expired: true});
+  assert.match(page.find(".tasks-answered").textContent, /does not count: look again/);
+});
+
+test("who may not answer reads who can", async () => {
+  const page = await tasksPanel(undefined, "vic");
+  page.store.rightsOf = {may: (_, right) => right !== "answer", who: () => ["ada"]};
+  page.store.rights({});
+  assert.equal(page.find(".tasks-answer"), null);
+  assert.match(page.find(".tasks-answers").textContent, /Who can answer: ada/);
 });
 
 test("what a task waits for and what is asked of it is said in the page's language", async () => {
@@ -399,7 +436,7 @@ test("what a task waits for and what is asked of it is said in the page's langua
     page.click(page.items()[0]);
     assert.ok(page.find(".tasks-detail").textContent.includes(reason[language]));
     page.click(page.items()[1]);
-    assert.ok(page.find(".tasks-detail").textContent.includes(question[language]));
+    assert.ok(page.find(".tasks-question").textContent.includes(question[language]));
   }
 });
 

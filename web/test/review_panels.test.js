@@ -153,10 +153,16 @@ for (const word of ["away", "lost", "model"]) {
     assert.equal(it.text(".verdict-hint"), it.texts("verdict.blocked.look"));
     await it.pass(1300);
     assert.equal(it.find(".verdict-approve").disabled, false);
-    // what was reached stays: on a phone the button is where the picture is not
+    // nobody approves what is not to be seen; what was reached stays
     it.store.set("drawn", "kr120", "away");
-    await it.pass(1000);
+    assert.equal(it.find(".verdict-approve").disabled, true);
+    assert.equal(it.text(".verdict-hint"), it.texts("verdict.unseen.away"));
+    it.store.set("drawn", "kr120", "seen");
     assert.equal(it.find(".verdict-approve").disabled, false);
+    it.store.set("said", "kr120", "cut");
+    assert.equal(it.find(".verdict-approve").disabled, true);
+    assert.equal(it.text(".verdict-hint"), it.texts("verdict.blocked.unread"));
+    it.store.set("said", "kr120", "whole");
     it.fire(it.find(".verdict-approve"), "pointerdown", {button: 0});
     await it.pass(1200);
     assert.equal(it.connection.sent.length, 1);
@@ -169,9 +175,11 @@ test("why a playback does not count is said in both languages, and that there is
     assert.equal(it.text(".verdict-hint"), textsIn(language)("verdict.unseen.none"));
     it.store.set("drawn", "kr120", "away");
     assert.equal(it.text(".verdict-hint"), textsIn(language)("verdict.unseen.away"));
-    // the checks are another way, also with the picture out of view
+    // the checks are another way to look, but not one to approve without the picture
     await it.pass(1400);
     openChecks(it);
+    assert.equal(it.find(".verdict-approve").disabled, true);
+    it.store.set("drawn", "kr120", "seen");
     assert.equal(it.find(".verdict-approve").disabled, false);
   }
 });
@@ -462,10 +470,20 @@ test("the buttons are there before any robot is, and for each robot of two", asy
   assert.match(it.text(".stop-result"), /did NOT go out/);
   await it.hear("kr6", "view", view());
   const labels = [...it.document.querySelectorAll(".stop-stop")].map((each) => each.getAttribute("aria-label"));
-  assert.deepEqual(labels, ["Stop kr120", "Stop kr6"]);
-  it.fire(it.document.querySelectorAll(".stop-stop")[1], "pointerdown", {button: 0});
+  assert.deepEqual(labels, [null, "Stop kr120", "Stop kr6"]);
+  it.fire(it.document.querySelectorAll(".stop-stop")[2], "pointerdown", {button: 0});
   await it.settle();
   assert.equal(it.connection.sent[0].robot, "kr6");
+  // one for all: a stop for each, and an answer of each
+  it.fire(it.find(".stop-all"), "pointerdown", {button: 0});
+  await it.settle();
+  assert.deepEqual(it.connection.sent.slice(1).map(({robot, topic}) => [robot, topic]), [["kr120", "stop/ada"], ["kr6", "stop/ada"]]);
+  const [, second, third] = it.connection.sent.map(({payload}) => payload.id);
+  assert.notEqual(second, third);
+  await it.hear("kr6", "stop/ack", {id: third, account: "ada", ok: true, reason: "braked", by: "gateway", expired: false});
+  const lines = [...it.document.querySelectorAll(".stop-result")].map((each) => each.textContent);
+  assert.match(lines[0], /Stop kr120: sent, no answer yet/);
+  assert.match(lines[1], /Stop kr6: carried out/);
   assert.match(it.text(".stop-not-emergency"), /not an emergency stop/);
 });
 

@@ -5,7 +5,7 @@ config/mosquitto/.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from string import Template
 
@@ -103,6 +103,21 @@ class Person:
         return SiteAccount("", DEVICE, self.name).name
 
 
+def migrated(named: Mapping[str, Iterable[str]], known: Collection[str] = ()) -> tuple[Person, ...]:
+    """Return the people of the roles as people with one account each, with the same rights at every robot.
+
+    Args:
+        named: Names of people, by role.
+        known: Who has one account already, and is left out.
+    """
+    rights: dict[str, list[str]] = {}
+    for role, names in named.items():
+        for name in names:
+            if name not in known:
+                rights.setdefault(name, []).extend(ROLES[role])
+    return tuple(Person(name, (Grant(merged((), given)),)) for name, given in rights.items())
+
+
 @dataclass(frozen=True)
 class SiteAccount:
     """One account: a role at one robot, whose owner `person` names, if it has one; without a robot all robots of a `Person`.
@@ -129,7 +144,7 @@ class Site:
     Attributes:
         hosts: Names and addresses under which clients reach the broker.
         reviewers, stoppers, viewers, planners: People, who each get an account of their own at every robot, in that role. Without
-            reviewers every robot has one account for all who review.
+            anybody who may review, every robot has one account for all who do.
         persons: People who have one account for several robots, each with rights of their own.
         shared: Robots that have that account without a person beside those of people, from a run before there were any.
         plc: Also an account for a PLC that commands in place of the bridge.
@@ -207,12 +222,16 @@ class Site:
         """Return who has a role of `ROLES` by name."""
         return getattr(self, f"{role}s")
 
+    def are_reviewed(self, robot: str) -> bool:
+        """Return whether somebody with one account may approve plans of a robot."""
+        return any("review" in person.rights(robot) for person in self.persons)
+
     def accounts(self) -> list[SiteAccount]:
         """Return every account, in the order of the robots."""
         accounts = []
         for robot in self.robots:
             accounts += [SiteAccount(robot, role) for role in PROGRAMS + (PLC,) * self.plc]
-            if robot in self.shared or not self.reviewers:
+            if robot in self.shared or not (self.reviewers or self.are_reviewed(robot)):
                 accounts.append(SiteAccount(robot, "reviewer"))
             accounts.append(SiteAccount(robot, "viewer"))
             accounts += [SiteAccount(robot, role, person) for role in ROLES for person in self.named(role)]
@@ -223,6 +242,27 @@ class Site:
     def console_addresses(self) -> list[str]:
         """Return what a person's browser opens, per name of the console."""
         return [f"https://{_in_address(host)}:{self.console_port}/" for host in self.consoles]
+
+
+def people_of(site: Site) -> dict[str, dict[str, dict[str, str]]]:
+    """Return who has which right: by robot and right, each person's account and name.
+
+    For a page, which shows what an account can do and who else can; who really may do what stays the broker's to decide. Programs
+    are left out.
+    """
+    found: dict[str, dict[str, dict[str, str]]] = {robot: {right: {} for right in RIGHTS} for robot in site.robots}
+    for account in site.accounts():
+        if not account.robot:
+            continue
+        for right in ROLES.get(account.role, ()):
+            found[account.robot][right][account.name] = account.person or account.role
+    for person in site.persons:
+        for robot in site.robots:
+            for right in person.rights(robot):
+                found[robot][right][person.name] = person.name
+                if right in _DEVICE_RIGHTS:
+                    found[robot][right][person.device_account] = person.name
+    return found
 
 
 def access_rules(site: Site, template: Callable[[str], str]) -> str:

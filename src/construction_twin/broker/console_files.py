@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import importlib.util
 import io
+import json
 from collections.abc import Iterable
 from pathlib import Path
 
-from construction_twin.broker.access import Site
+from construction_twin.broker.access import Site, people_of
 from construction_twin.broker.certificates import Authority, make_folder, write_private
 
 _NAME = "construction_twin console"
@@ -21,7 +22,7 @@ _SCALE = 8
 
 
 class ConsoleFiles:
-    """The folder `console/` of a site: `console.crt`, `console.key`, `ca.crt`, `addresses.txt`, a QR code per address."""
+    """The folder `console/` of a site: `console.crt`, `console.key`, `ca.crt`, `rights.json`, `addresses.txt`, their QR codes."""
 
     def __init__(self, folder: Path):
         self._folder = folder
@@ -46,6 +47,7 @@ class ConsoleFiles:
             authority.issue(_NAME, self._folder / "console.key", self.certificate, days, site.consoles)
             lines.append(f"signed the console's certificate for {', '.join(site.consoles)}")
         write_private(self._folder / "ca.crt", authority.certificate.read_text(encoding="utf-8"))
+        write_private(self._folder / "rights.json", json.dumps({"robots": people_of(site)}, indent=1) + "\n")
         addresses = site.console_addresses()
         write_private(self._folder / "addresses.txt", "".join(f"{address}\n" for address in addresses))
         return lines + self._make_codes(site.consoles, addresses)

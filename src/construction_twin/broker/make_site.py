@@ -26,6 +26,7 @@ from construction_twin.broker.access import (
     access_rules,
     broker_configuration,
     merged,
+    migrated,
 )
 from construction_twin.broker.certificates import Authority, expiry, make_folder, run_tool, write_private
 from construction_twin.broker.console_files import ConsoleFiles
@@ -124,7 +125,7 @@ class SiteFolder:
             authority.issue(_SERVER, self._broker / "server.key", self._broker / "server.crt", days, site.hosts)
             lines.append(f"signed the broker's certificate for {', '.join(site.hosts)}")
         lines += self._make_passwords(site, authority, replace)
-        if not before.get("reviewers"):
+        if not _names_reviewers(before):
             kept = [SiteAccount(robot, "reviewer").name for robot in site.shared]
             lines += [
                 f"kept {name}, an account without a person; --replace shuts out everyone who has its password"
@@ -312,6 +313,17 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
         action="store_true",
         help="sign the CA's certificate anew, for the same key and the site's names of now; then every tablet and client needs it",
     )
+    add(
+        "--migrate",
+        action="store_true",
+        help="give everybody who has accounts of roles, one at each robot, one account with the same rights in their place; the "
+        "old ones stay until --drop-roles",
+    )
+    add(
+        "--drop-roles",
+        action="store_true",
+        help="take the accounts of roles away from everybody who has one account instead",
+    )
     add("--replace", action="append", default=[], metavar="ACCOUNT", help="give this account a new password and key")
     add("--templates", type=Path, default=_TEMPLATES, help="folder of the templates for mosquitto [%(default)s]")
     return parser.parse_args(argv)
@@ -326,14 +338,20 @@ def _site(arguments: argparse.Namespace, before: dict) -> Site:
         expected = Sentence("expected.site.no_tablet")
         raise ConfigurationError("people and shared_role of site.json", found, expected)
     named = {role: merged(before.get(field, ()), getattr(arguments, role)) for role, field in _FIELDS.items()}
+    persons = _persons(arguments.person, before.get("persons", ()))
+    if arguments.migrate:
+        persons = (*persons, *migrated(named, {person.name for person in persons}))
+    one_account = {person.name for person in persons} if arguments.drop_roles else set()
+    named = {role: tuple(name for name in names if name not in one_account) for role, names in named.items()}
     # without reviewers by name every robot has an account that they share, which may be in use
-    shared = before.get("shared", ()) if before.get("reviewers") else before.get("robots", ())
+    shared = before.get("shared", ()) if _names_reviewers(before) else before.get("robots", ())
+    reviewed = named["reviewer"] or any("review" in grant.rights for person in persons for grant in person.grants)
     given = {
         "hosts": merged(before.get("hosts", ()), arguments.host),
         "robots": merged(before.get("robots", ()), arguments.robot),
         **{field: named[role] for role, field in _FIELDS.items()},
-        "persons": _persons(arguments.person, before.get("persons", ())),
-        "shared": shared if named["reviewer"] else (),
+        "persons": persons,
+        "shared": shared if reviewed else (),
         "plc": arguments.plc or before.get("plc", False),
         "certificates": arguments.certificates or before.get("certificates", False),
         "consoles": merged(before.get("consoles", ()), arguments.console),
@@ -344,6 +362,12 @@ def _site(arguments: argparse.Namespace, before: dict) -> Site:
         "folder": arguments.broker_folder or before.get("folder") or str(arguments.folder.absolute() / "broker"),
     }
     return Site(**given)
+
+
+def _names_reviewers(settings: Mapping) -> bool:
+    """Return whether the settings of a run name somebody who may review."""
+    grants = (grant for person in settings.get("persons", ()) for grant in person["grants"])
+    return bool(settings.get("reviewers")) or any("review" in grant["rights"] for grant in grants)
 
 
 def _persons(given: Iterable[str], before: Iterable[Mapping]) -> tuple[Person, ...]:

@@ -47,6 +47,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
         metavar="DIR",
         help="folder of paired devices, which log in with a PIN; `twin pair` invites them; made if it is not there",
     )
+    add("--rights", type=Path, help="who has which right, for who is logged in: rights.json, which make_site writes")
     add("--listen", default="127.0.0.1", metavar="ADDRESS", help="address on which it listens [%(default)s]")
     add("--port", type=int, default=DEFAULT_PORT, help="TCP port [%(default)s]")
     add("--certificate", type=Path, help="certificate (PEM); needs --key")
@@ -62,5 +63,15 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     add("--broker-host", default="127.0.0.1", help="the broker's address [%(default)s]")
     add("--broker-port", type=int, default=18830, help="the broker's TCP port [%(default)s]")
     add("--broker-ca", type=Path, help="certificate of who signed the broker's; with it the broker's connection is TLS")
+    add(
+        "--camera",
+        action="append",
+        default=[],
+        metavar="NAME=http://ADDRESS[:PORT]/PATH[@ROBOT]",
+        help="a camera whose MJPEG is shown beside a robot's picture, to whom the broker lets read "
+        "<prefix>/ROBOT/camera/NAME; several separated by blanks; may be repeated",
+    )
+    add("--camera-robot", default="", metavar="ROBOT", help="the robot of cameras that name none")
+    add("--prefix", default="twin", help="first level of the MQTT topics [%(default)s]")
     # roslaunch adds __name:= and __log:= for nodes that speak ROS
     return parser.parse_args([word for word in (sys.argv[1:] if argv is None else argv) if ":=" not in word])

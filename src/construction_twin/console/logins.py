@@ -108,6 +108,7 @@ class ConnectionLogin:
         cookie: That it is a paired device, as it says.
 
     Attributes:
+        accounts: Those that the broker has accepted on it.
         is_wrong: Its password or PIN was refused, which has been told.
     """
 
@@ -115,9 +116,9 @@ class ConnectionLogin:
         self._logins = logins
         self._number, self._peer, self._ticket = number, peer, ticket
         self._cookie = cookie
-        self._accounts: list[str] = []
         self._revoked = asyncio.Event()
         self._is_filled = False
+        self.accounts: list[str] = []
         self.is_wrong = False
 
     def wait_s(self, connect: Packet) -> float:
@@ -198,7 +199,7 @@ class ConnectionLogin:
         if why := logins.connections.login(self._number, account):
             logins.lines.write(logging.WARNING, f"{self._peer} refused as {shown(account)}: {why}{after}")
             return why
-        self._accounts.append(account)
+        self.accounts.append(account)
         logins.tickets.login(self._ticket, account)
         logins.lines.write(logging.INFO, f"{self._peer} logged in as {shown(account)}{after}")
         return ""
@@ -228,7 +229,7 @@ class ConnectionLogin:
 
     def end(self) -> None:
         """Note that the connection has ended."""
-        for account in self._accounts:
+        for account in self.accounts:
             self._logins.tickets.logout(self._ticket, account)
         if self._is_filled and self._cookie is not None:
             connections = self._logins.devices[self._cookie.device]

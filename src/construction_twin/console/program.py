@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from construction_twin.console.addresses import addresses, certificate_names, is_everywhere
+from construction_twin.console.camera_address import cameras_of
 from construction_twin.console.pipe import BrokerAddress
 from construction_twin.console.server import SOCKET, ConsoleServer, ServerSettings
 from construction_twin.console.static_files import read_folder
@@ -64,6 +65,9 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
         _names(arguments),
         arguments.hsts,
         pairings=_pairings(arguments.pairings),
+        rights=arguments.rights,
+        cameras=cameras_of(arguments.camera, arguments.camera_robot),
+        prefix=arguments.prefix,
     )
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 #: Files of a run that may be looked at.
 SHOWN = (".html", ".png", ".csv", ".json")
+#: What the page can play of a run, as `evaluation/replay.py` makes it.
+REPLAY = "replay.json"
 #: Longest list.
 MOST = 200
 
@@ -37,10 +39,18 @@ def _is_second_name(run: Path, root: Path) -> bool:
 
 
 def listing(folder: Path) -> bytes:
-    """Return the list of runs as JSON, the newest first: name, time of the report [s since 1970], and path of the report."""
-    runs = [
-        {"name": path.parent.name, "stamp": path.stat().st_mtime, "report": name}
-        for name, path in recordings(folder).items()
-        if path.name == "report.html"
-    ]
+    """Return the list of runs as JSON, the newest first: name, time of the report [s since 1970], paths of report and replay.
+
+    `replay` is empty for a run whose report was written without one.
+    """
+    found = recordings(folder)
+    runs = []
+    for name, path in found.items():
+        if path.name != "report.html":
+            continue
+        replay = name.removesuffix(path.name) + REPLAY
+        stamp = path.stat().st_mtime
+        runs.append(
+            {"name": path.parent.name, "stamp": stamp, "report": name, "replay": replay if replay in found else ""}
+        )
     return json.dumps({"runs": runs}).encode()

@@ -1,7 +1,8 @@
 """How well twin and arm agreed: alignment, tables, figures and report of a recording.
 
 In: joint states, feedback, plans, executions and link reports, of a bag or another recording. Out: error tables beside those of
-the paper, timing, figures, ``summary.json`` and ``report.html``. May import ``core``, ``robot`` and ``kinematics``.
+the paper, timing, figures, ``summary.json``, ``report.html``, and ``replay.json``, which a browser plays. May import ``core``,
+``robot`` and ``kinematics``.
 """
 
 from typing import TYPE_CHECKING
@@ -27,9 +28,11 @@ if TYPE_CHECKING:
     from construction_twin.evaluation.recording import FeedbackStream as FeedbackStream
     from construction_twin.evaluation.recording import LinkSnapshot as LinkSnapshot
     from construction_twin.evaluation.recording import PlayedPlan as PlayedPlan
+    from construction_twin.evaluation.recording import RecordedVerdict as RecordedVerdict
     from construction_twin.evaluation.recording import Recording as Recording
     from construction_twin.evaluation.recording import StateChange as StateChange
     from construction_twin.evaluation.recording import Stream as Stream
+    from construction_twin.evaluation.replay import replay_of as replay_of
     from construction_twin.evaluation.report import Report as Report
     from construction_twin.evaluation.report import write_report as write_report
     from construction_twin.evaluation.summary import Evaluation as Evaluation

@@ -19,6 +19,7 @@ from construction_twin.evaluation.recording import (
     FeedbackStream,
     LinkSnapshot,
     PlayedPlan,
+    RecordedVerdict,
     Recording,
     StateChange,
     Stream,
@@ -32,9 +33,10 @@ EXECUTION = "execution"
 PLAN = "plan"
 LINK = "link"
 SYNC = "sync"
+REVIEW = "review"
 MOCK = "mock_rsi/status"
 #: Topics read, relative to the robot's namespace. Only twin and physical have to be there.
-TOPICS = (TWIN, PHYSICAL, FEEDBACK, COMMAND, EXECUTION, PLAN, LINK, SYNC, MOCK)
+TOPICS = (TWIN, PHYSICAL, FEEDBACK, COMMAND, EXECUTION, PLAN, LINK, SYNC, REVIEW, MOCK)
 #: Reports whose changes of state are told, and what they are called.
 REPORTS = {SYNC: "gate", EXECUTION: "execution", LINK: "link"}
 
@@ -48,6 +50,7 @@ TYPES = {
     PLAN: "construction_twin/Plan",
     LINK: "construction_twin/Link",
     SYNC: "construction_twin/Sync",
+    REVIEW: "construction_twin/Review",
     MOCK: "std_msgs/String",
 }
 
@@ -171,7 +174,17 @@ class _Run:
             links=tuple(_link(received, message) for received, message in messages[LINK]),
             mock=_mock(messages[MOCK]),
             changes=self._changes(),
+            verdicts=self._verdicts(),
         )
+
+    def _verdicts(self) -> tuple[RecordedVerdict, ...]:
+        messages = [message for _, message in self._messages[REVIEW]]
+        verdicts = [
+            RecordedVerdict(self._time(each.header.stamp), each.plan_id, each.approved, each.reviewer, each.reason)
+            for each in messages
+        ]
+        # a latched verdict is recorded once more by whoever listens again
+        return tuple(sorted(dict.fromkeys(verdicts), key=lambda verdict: verdict.stamp))
 
     def _changes(self) -> tuple[StateChange, ...]:
         """Return when the reported states became others; what a report says first counts too."""

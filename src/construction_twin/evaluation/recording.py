@@ -123,6 +123,22 @@ class StateChange:
 
 
 @dataclass(frozen=True)
+class RecordedVerdict:
+    """One verdict on a plan.
+
+    Attributes:
+        stamp: ROS time of the verdict [ns].
+        reason: The reviewer's words, or why the plan was withdrawn; may be empty.
+    """
+
+    stamp: int
+    plan_id: str
+    approved: bool
+    reviewer: str
+    reason: str
+
+
+@dataclass(frozen=True)
 class Recording:
     """One robot's run.
 
@@ -138,7 +154,7 @@ class Recording:
         links: In order of reception.
         mock: The mock controller's status (keys ``state``, ``counters``, ``config``); None when no mock reported, so that the arm
             may have been a real one.
-        changes: In order of time.
+        changes, verdicts: In order of time.
         linear: Those of `joint_names` that are prismatic: m in place of rad. A bag does not say so; `write_report` takes it from
             the robot.
 
@@ -159,6 +175,7 @@ class Recording:
     mock: Mapping | None = None
     linear: tuple[str, ...] = ()
     changes: tuple[StateChange, ...] = ()
+    verdicts: tuple[RecordedVerdict, ...] = ()
 
     def __post_init__(self):
         if not self.joint_names:

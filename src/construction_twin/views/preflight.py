@@ -58,6 +58,7 @@ OPTIONAL_FILES = (
     "console_certificate",
     "console_key",
     "console_broker_ca",
+    "console_rights",
 )
 
 #: Returns whether a path is a file that can be read, or has some other quality.

@@ -20,7 +20,7 @@ from PIL import Image
 from sentence_checks import expects, says
 
 from construction_twin.broker import certificates
-from construction_twin.broker.access import Person, Site
+from construction_twin.broker.access import RIGHTS, Person, Site
 from construction_twin.broker.certificates import Authority, expiry
 from construction_twin.broker.make_site import main
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
@@ -257,6 +257,69 @@ def test_a_person_s_devices_have_an_account_that_sees_stops_and_pauses_where_the
     make(folder, "--person", "ada:pause")
     of_device = (folder / "broker/access.acl").read_text().split("user ada-device\n")[1].split("user ")[0]
     assert "twin/kr122/pause/ada-device" in of_device and "/resume/" not in of_device
+
+
+def test_people_of_roles_become_people_with_one_account_and_the_old_ones_stay_until_they_are_dropped(folder, capsys):
+    make(
+        folder,
+        "--robot",
+        "two",
+        "--reviewer",
+        "ada",
+        "--planner",
+        "ada",
+        "--stopper",
+        "bob",
+        "--person",
+        "cora:view@two",
+    )
+    before = (folder / "broker/passwords").read_text()
+    make(folder, "--migrate")
+    persons = {person["name"]: person["grants"] for person in json.loads((folder / "site.json").read_text())["persons"]}
+    assert set(persons) == {"ada", "bob", "cora"} and persons["cora"] == [{"rights": ["view"], "robots": ["two"]}]
+    rights = ["view", "stop", "pause", "review", "plan_request", "trajectory"]
+    assert [sorted(grant["rights"]) for grant in persons["ada"]] == [sorted(rights)]
+    assert {"ada", "bob", "kr120-reviewer-ada", "two-planner-ada", "kr120-stopper-bob"} <= names_of(folder)
+    assert set(before.splitlines()) <= set((folder / "broker/passwords").read_text().splitlines()), "those in use stay"
+    rules = (folder / "broker/access.acl").read_text()
+    assert rules.count("user ada\n") == 1 and "topic write twin/two/review/ada" in rules
+    capsys.readouterr()
+    make(folder, "--drop-roles")
+    told = capsys.readouterr().out
+    assert "took the password of kr120-reviewer-ada away" in told
+    hashed = {line.partition(":")[0] for line in (folder / "broker/passwords").read_text().splitlines()}
+    assert {"ada", "bob", "cora"} <= hashed and not {name for name in hashed if name.endswith(("-ada", "-bob"))}
+    assert "two-reviewer" not in hashed, "ada and bob review by name: nobody shares an account"
+
+
+def test_the_page_gets_who_has_which_right_and_no_program(tmp_path):
+    folder = tmp_path / "site"
+    make(
+        folder,
+        *HOST,
+        *ROBOT,
+        "--console",
+        "site.local",
+        "--stopper",
+        "bob",
+        "--person",
+        "ada:review,reset@kr120",
+        "--plc",
+    )
+    robots = json.loads((folder / "console/rights.json").read_text())["robots"]
+    assert robots["kr120"]["reset"] == {"ada": "ada"} and robots["kr120"]["stop"] == {
+        "kr120-stopper-bob": "bob",
+        "ada": "ada",
+        "ada-device": "ada",
+    }
+    assert robots["kr120"]["view"] == {
+        "kr120-viewer": "viewer",
+        "kr120-stopper-bob": "bob",
+        "ada": "ada",
+        "ada-device": "ada",
+    }
+    assert robots["kr120"]["review"] == {"ada": "ada"}
+    assert set(robots["kr120"]) == set(RIGHTS) and "bridge" not in json.dumps(robots)
 
 
 def test_everybody_gets_an_account_of_the_role_asked_for(folder):

@@ -493,6 +493,26 @@ def test_the_runs_are_listed_for_who_is_logged_in(broker, tmp_path):
     asyncio.run(scene())
 
 
+def test_who_is_logged_in_learns_who_has_which_right_as_it_is_now(broker, tmp_path):
+    rights = tmp_path / "rights.json"
+    rights.write_text('{"robots": {}}')
+
+    async def scene() -> None:
+        async with running(settings(tmp_path, rights=rights)), browser() as client:
+            ticket = client.response.headers["Set-Cookie"].partition(";")[0]
+            assert (await asyncio.to_thread(get, "/private/rights.json"))[0].status == 403
+            await client.send(login())
+            assert await client.recv() == CONNACK_OK
+            for text in ('{"robots": {}}', '{"robots": {"one": {"stop": {"ada": "ada"}}}}'):
+                rights.write_text(text)
+                answer, body = await asyncio.to_thread(get, "/private/rights.json", Cookie=ticket)
+                assert (answer.status, body.decode()) == (200, text)
+            rights.unlink()
+            assert (await asyncio.to_thread(get, "/private/rights.json", Cookie=ticket))[0].status == 404
+
+    asyncio.run(scene())
+
+
 class Sources(HTMLParser):
     """What a page gets or runs, each with the directive of the policy that decides about it."""
 

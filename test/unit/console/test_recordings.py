@@ -28,6 +28,15 @@ def test_runs_are_listed_the_newest_first_and_once_each_whatever_link_leads_to_t
     ]
 
 
+def test_a_run_that_can_be_played_says_so(tmp_path):
+    make_run(tmp_path, "old", 1000)
+    make_run(tmp_path, "new", 2000)
+    (tmp_path / "new/replay.json").write_text("{}")
+    runs = json.loads(listing(tmp_path))["runs"]
+    assert [(run["name"], run["replay"]) for run in runs] == [("new", "new/replay.json"), ("old", "")]
+    assert "new/replay.json" in recordings(tmp_path)
+
+
 def test_a_link_out_of_the_folder_is_not_served(tmp_path):
     results = tmp_path / "results"
     make_run(results, "run", 1000)

@@ -76,6 +76,7 @@ DEPLOYMENT = {
         "realtime_priority",
         "trajectories",
         "self_collision",
+        "cameras",
         "private",
     },
     "pca_monitor": {"arm", "decimals", "realtime_priority", "transition_file"},
@@ -350,7 +351,8 @@ CLOCKS = {
 }
 #: Modules of the library that talk to a network, or name its addresses and errors.
 SOCKETS = (
-    "broker/start.py console/addresses.py console/delivery.py console/listener.py console/pipe.py console/program.py "
+    "broker/start.py console/addresses.py console/camera.py console/camera_delivery.py "
+    "console/delivery.py console/listener.py console/pipe.py console/program.py "
     "console/server.py console/http_connection.py core/network.py gateway/service.py mock/network.py mqtt/client.py "
     "mqtt/failures.py mqtt/fast_client.py mqtt/polled_client.py core/udp.py views/display.py console/logins.py "
     "console/pair_socket.py"

@@ -275,3 +275,16 @@ def test_a_pose_judge_that_knows_too_little_says_so():
     with pytest.raises(ConfigurationError, match="scene"):
         blind.judge((1.0, 0.0, 1.0), np.eye(3), kr120.home)
     assert blind.closest(kr120.home) is None
+
+
+def test_cameras_are_announced_retained_and_again_and_again_and_taken_away(broker):
+    made = ConsoleFeed(TOPICS, "base_link", broker.publish, broker.refuse, cameras=("front", "side"))
+    made.publish_retained()
+    front = "twin/kr120/camera/front"
+    assert (front, {"name": "front"}, 1, True) in broker.published
+    broker.published.clear()
+    for now in (100.0, 105.0, 109.9, 110.0):
+        made.publish_cameras(now)
+    assert [topic for topic, *_ in broker.published] == [front, "twin/kr120/camera/side"] * 2
+    made.publish_offline()
+    assert broker.newest(front) is None and broker.published[-1][3]

@@ -4,6 +4,7 @@
 export const browser = {
   now: () => performance.now(),
   time: () => new Date().toLocaleTimeString(),
-  every: (ms, call) => setInterval(call, ms),
+  // a program of tests does not wait for it
+  every: (ms, call) => setInterval(call, ms).unref?.(),
   frame: (call) => requestAnimationFrame(call),
 };

@@ -34,10 +34,9 @@ const TOLD = 20;
  * @param {object} [means] for tests: `now()` [s], `isSeen()`, `save(name, text)`
  */
 export function make(parent, store, connection, texts, means = {}) {
-  const fold = parent.closest("details");
   const {
     now = () => performance.now() / 1000,
-    isSeen = () => (fold === null || fold.open) && !parent.ownerDocument.hidden,
+    isSeen = () => (parent.tab?.isOpen() ?? true) && !parent.ownerDocument.hidden,
     save = saveFile,
   } = means;
   const histories = new Map();
@@ -309,6 +308,6 @@ export function make(parent, store, connection, texts, means = {}) {
     if (isSeen()) draw();
   };
   setInterval(look, DRAW_EVERY).unref?.();
-  fold?.addEventListener("toggle", look);
+  parent.tab?.onOpen(look);
   draw();
 }

@@ -1,4 +1,4 @@
-/** Recorded runs with their reports. A report opens in a tab of its own; the browser's ticket lets only who is logged in see it. */
+/** Recorded runs with their reports; what can be played goes to the replay panel (panels/replay.js). A report opens in a tab of its own; the browser's ticket lets only who is logged in see it. */
 import {add, button, clear, setText} from "../dom.js";
 import {readListing} from "../runs/listing.js";
 
@@ -22,6 +22,7 @@ export function make(parent, store, connection, texts, means = {}) {
   const head = add(add(table, "thead"), "tr");
   add(head, "th", {text: texts("runs.name"), scope: "col"});
   add(head, "th", {text: texts("runs.time"), scope: "col"});
+  add(head, "th", {text: texts("runs.replay"), scope: "col"});
   const body = add(table, "tbody");
 
   async function load() {
@@ -69,19 +70,28 @@ export function make(parent, store, connection, texts, means = {}) {
       const cell = add(row, "td");
       add(cell, "a", {href: run.href, target: "_blank", rel: "noopener", text: run.name});
       add(row, "td", {text: run.time.toLocaleString(texts.language)});
+      const last = add(row, "td");
+      if (run.replay === "") add(last, "span", {className: "runs-none", text: texts("runs.no_replay")});
+      else button(last, texts("runs.play"), () => play(run), {"aria-label": texts("runs.play_of", {run: run.name})});
     }
   }
 
-  const fold = parent.closest("details");
-  fold?.addEventListener("toggle", () => fold.open && load());
+  function play({name, href, replay}) {
+    // the picture has a place for a recording once a robot was heard
+    if (store.selected === "") setText(told, texts("runs.no_robot"));
+    else store.set("replay_run", store.selected, {run: name, href: replay, report: href});
+  }
+
+  const isOpen = () => parent.tab?.isOpen() ?? true;
+  parent.tab?.onOpen(load);
   store.on("connection", (_, state) => {
     if (state !== "connected") {
       turn += 1;
       fail(texts("runs.not_connected"));
-    } else if (fold === null || fold.open) {
+    } else if (isOpen()) {
       load();
     }
   });
   setText(told, texts("runs.not_connected"));
-  if (connection.state === "connected" && (fold === null || fold.open)) load();
+  if (connection.state === "connected" && (isOpen())) load();
 }

@@ -10,6 +10,8 @@ export const SCREEN_OLD_AFTER = 3000;
 /** A page of the docs, below docs/: nothing that leads elsewhere. */
 const PAGE = /^(?:[\w-]+\/)*[\w-]+\.md(?:#[\w-]+)?$/;
 
+/** Sizes of the sentence, the first that fits. */
+const SIZES = ["1.25rem", "1.1rem", "1rem", "0.9rem", "0.8rem"];
 /** Topics whose line, where a person is waited for, tells of a fault. */
 const FAULTS = ["cause", "link", "sync"];
 
@@ -63,12 +65,35 @@ export function wordsOf(line, texts) {
 
 /** Make the panel. */
 export function make(parent, store, connection, texts, {now, every} = browser) {
-  const own = add(parent, "p", {className: "status-own", hidden: true});
-  const worst = add(parent, "div", {className: "status-worst", role: "status"});
+  // a box of one height: whatever is said, nothing below it moves
+  const box = add(parent, "div", {className: "status-box"});
+  const own = add(box, "p", {className: "status-own", hidden: true});
+  const worst = add(box, "div", {className: "status-worst", role: "status"});
   const more = add(parent, "details", {className: "status-more"});
-  add(more, "summary", {text: texts("status.more")});
+  const summary = add(more, "summary", {"aria-label": texts("status.more")});
+  add(summary, "span", {className: "status-more-long", text: texts("status.more")});
+  add(summary, "span", {className: "status-more-short", text: "\u22ef"});
   const list = add(more, "ul", {className: "status-list"});
   let shown = "";
+  let said = "";
+
+  /** Write as large as fits, and tell whether the sentence can be read: approving needs it. */
+  const fit = () => {
+    const robot = store.selected;
+    if (robot === "") return;
+    let whole = false;
+    for (const size of SIZES) {
+      box.style?.setProperty?.("--said", size);
+      whole = !(box.scrollHeight > box.clientHeight + 1);
+      if (whole) break;
+    }
+    box.classList.toggle("is-cut", !whole);
+    const word = ownLine({connected: connection.state === "connected", robot: store.robot(robot), now: now()}) !== null ? "old" : whole ? "whole" : "cut";
+    const news = `${robot} ${word}`;
+    if (news === said && store.robot(robot)?.said === word) return;
+    said = news;
+    store.set("said", robot, word);
+  };
 
   const put = (into, line) => {
     const known = texts.has(`status.topic.${line.topic}`);
@@ -99,20 +124,29 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
       setText(own, texts(line.key, line.values));
     }
     parent.classList.toggle("is-past", line !== null);
+    // why nothing can be read comes in the place of what is past
+    worst.hidden = line !== null || (robot?.screen ?? []).length === 0;
     const lines = robot?.screen ?? [];
     // again and again the same: a screen reader speaks, and a focus is lost, only where something has changed
     const wanted = JSON.stringify([store.selected, lines]);
-    if (wanted === shown) return;
+    if (wanted === shown) {
+      fit();
+      return;
+    }
     shown = wanted;
     clear(worst);
     clear(list);
-    worst.hidden = lines.length === 0;
-    more.hidden = lines.length < 2;
-    if (lines.length === 0) return;
+    more.hidden = lines.length === 0;
+    if (lines.length === 0) {
+      fit();
+      return;
+    }
     worst.className = `status-worst ${level(lines[0])}`;
     put(worst, lines[0]);
-    for (const each of lines.slice(1)) put(add(list, "li", {className: level(each)}), each);
+    for (const each of lines) put(add(list, "li", {className: level(each)}), each);
+    fit();
   };
+  if (globalThis.ResizeObserver !== undefined) new ResizeObserver(fit).observe(box);
   for (const kind of ["screen", "old", "connection", "selected", "robots"]) store.on(kind, show);
   every(250, show);
   show();

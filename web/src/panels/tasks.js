@@ -2,12 +2,14 @@
  * The tasks of a building model: what is done, what comes next, what is waited for; a plan of a task can be asked for.
  *
  * A tap on an element in the picture selects its task, and a task that is selected here is told to the picture (`picked`). What
- * only a person beside the element knows (is it in the grip?) is shown as a question here and answered at the ROS PC.
+ * only a person beside the element knows (is it in the grip?) is asked here, and answered by who has the right, held to confirm.
  */
 import {add, button, clear, setText} from "../dom.js";
 import {Asking, taskRequest, topic, wayBackRequest} from "../planning/asking.js";
 import {counts, group, isAskable, nextTask, taskOfElement, waitsFor} from "../work/task_list.js";
+import {holdButton} from "../hold.js";
 import {showAsking} from "./asking_line.js";
+import {browser} from "./clock.js";
 
 const LOOK_EVERY = 500;
 
@@ -20,12 +22,15 @@ const LOOK_EVERY = 500;
  * @param {Function} texts see texts.js
  * @param {object} [means] for tests: `now()` [s]
  */
-export function make(parent, store, connection, texts, {now = () => performance.now() / 1000} = {}) {
+export function make(parent, store, connection, texts, {now = () => performance.now() / 1000, clock = browser} = {}) {
   const askings = new Map();
   const picks = new Map();
   let drawn = null;
 
-  const fold = parent.closest("details");
+  // the answer that was given here last, by robot: {id, task, text}
+  const answers = new Map();
+  let asked = "";
+
   const root = add(parent, "div", {className: "tasks", hidden: true});
   const progress = add(root, "p", {className: "tasks-progress"});
   const bar = add(root, "progress", {max: 1, value: 0, "aria-label": texts("tasks.title")});
@@ -37,6 +42,10 @@ export function make(parent, store, connection, texts, {now = () => performance.
   const answer = add(root, "p", {className: "plan-answer", role: "status"});
   const list = add(root, "ul", {className: "tasks-list"});
   const detail = add(root, "div", {className: "tasks-detail", role: "status", hidden: true});
+  const question = add(root, "div", {className: "tasks-asks", hidden: true});
+  const ask = add(question, "p", {className: "tasks-question"});
+  const choices = add(question, "div", {className: "tasks-answers"});
+  const answered = add(question, "p", {className: "tasks-answered", role: "alert"});
   const notes = add(root, "ul", {className: "tasks-notes"});
 
   function asking(robot) {
@@ -78,11 +87,7 @@ export function make(parent, store, connection, texts, {now = () => performance.
   function show() {
     const now_ = work();
     root.hidden = now_ === null;
-    if (fold !== null) {
-      // where there are tasks they are what the page is opened for
-      if (fold.hidden && now_ !== null) fold.open = true;
-      fold.hidden = now_ === null;
-    }
+    parent.tab?.offer(now_ !== null);
     if (now_ === null) {
       drawn = null;
       return;
@@ -141,6 +146,8 @@ export function make(parent, store, connection, texts, {now = () => performance.
 
   function showDetail(tasks) {
     const task = tasks.tasks.find((one) => one.id === picks.get(store.selected)) ?? null;
+    // what is asked is shown before somebody chooses its task
+    showQuestion(task ?? tasks.tasks.find((one) => one.question) ?? null);
     detail.hidden = task === null;
     clear(detail);
     if (task === null) return;
@@ -154,13 +161,56 @@ export function make(parent, store, connection, texts, {now = () => performance.
     if (typeof task.deviation_mm === "number") {
       lines.push(texts("tasks.deviation", {mm: task.deviation_mm.toFixed(1), deg: (task.deviation_deg ?? 0).toFixed(2)}));
     }
-    if (task.question) lines.push(texts("tasks.question", {question: texts.reason(task.question), answers: (task.answers ?? []).join(", ")}));
     for (const text of lines) add(detail, "p", {text});
     if (isAskable(tasks, task)) {
       button(detail, texts("tasks.ask"), () => onAsk(taskRequest(task.id)), {className: "plan-ask", disabled: !canAsk()});
     }
   }
 
+  /** Show what is asked, and its answers; the buttons stay what they are while the question does: a press must not lose them. */
+  function showQuestion(task) {
+    const robot = store.selected;
+    const text = task?.question ?? "";
+    const may = store.rightsOf.may(robot, "answer") !== false;
+    question.hidden = text === "";
+    const key = JSON.stringify([robot, task?.id, text, task?.answers, may]);
+    if (asked !== key) {
+      asked = key;
+      clear(choices);
+      setText(ask, text === "" ? "" : texts("tasks.question", {question: texts.reason(text)}));
+      const who = may ? [] : store.rightsOf.who(robot, "answer");
+      if (text !== "" && !may) add(choices, "p", {text: texts(who.length ? "tasks.who_answers" : "tasks.nobody_answers", {who: who.join(", ")})});
+      for (const answer of may && text !== "" ? task.answers ?? [] : []) {
+        const words = `work.answer.${answer}`;
+        holdButton(choices, {
+          text: texts.has(words) ? texts(words) : answer, className: "tasks-answer", onHeld: () => onAnswer(robot, task, answer),
+          key: () => work()?.tasks.find(({id}) => id === task.id)?.question ?? "",
+        }, clock);
+      }
+    }
+    for (const each of choices.querySelectorAll("button")) each.disabled = connection.state !== "connected";
+    const told = answers.get(robot);
+    setText(answered, told?.task === task?.id ? told?.text ?? "" : "");
+  }
+
+  function onAnswer(robot, task, answer) {
+    const id = crypto.randomUUID();
+    const tell = (text) => {
+      answers.set(robot, {id, task: task.id, text});
+      show();
+    };
+    tell(texts("tasks.answering"));
+    const message = {id, task: task.id, question: task.question, answer, moment: store.moment(robot)};
+    connection.publish(connection.own("answer"), robot, message).catch((error) => tell(texts(error.reason === "refused" ? "tasks.no_right" : "tasks.not_sent")));
+  }
+
+  store.on("answer_ack", (robot, {id, ok, reason: why}) => {
+    const given = answers.get(robot);
+    if (given?.id !== id) return;
+    answers.set(robot, {...given, text: texts(ok ? "tasks.answered" : "tasks.not_answered", {reason: texts.reason(why)})});
+    show();
+  });
+  store.on("rights", show);
   store.on("tasks", (robot) => robot === store.selected && show());
   store.on("selected", show);
   store.on("tap", onTap);

@@ -185,7 +185,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     approve.style.setProperty("--held", held.toFixed(3));
     setText(approveText, texts(pressing ? "verdict.keep" : "verdict.approve"));
     const drawn = store.robot(robot)?.drawn ?? "none";
-    const unseen = why === "look" && drawn !== "seen";
+    const unseen = (why === "look" || why === "unseen") && drawn !== "seen";
     setText(hint, why === "" ? texts("verdict.hint")
       : texts(unseen ? `verdict.unseen.${drawn}` : `verdict.blocked.${why}`, {reason: texts.reason(machine.obstacle)}));
     step(stepLooked, machine.played || machine.checks, texts("verdict.step_looked"));
@@ -255,8 +255,18 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const viewOf = ({plan, approval_obstacle: obstacle, execution}) => (
     {type: "view", plan, obstacle, ended: execution?.outcome ? execution.plan_id : ""}
   );
+  // no picture at all is no picture that is covered: then the checks are what a person looks at
+  const hides = (robot) => {
+    const {drawn = null, said = null} = store.robot(robot) ?? {};
+    return drawn !== null && drawn !== "seen" ? "unseen" : said !== "whole" ? "unread" : "";
+  };
+  const look = (robot) => {
+    // before `connect` there is no machine of it
+    if (machines.has(robot) && machineOf(robot).hides !== hides(robot)) take(robot, {type: "shows", what: hides(robot)});
+  };
   const connect = (robot) => {
     take(robot, {type: "connected"});
+    look(robot);
     const known = store.robot(robot);
     if (known.plan !== null) take(robot, {type: "plan", plan: planOf(known.plan)});
     if (known.view !== null && !known.old) take(robot, viewOf(known.view));
@@ -278,18 +288,26 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     selected = store.selected;
     show();
   });
-  store.on("plan", (robot, plan) => take(robot, {type: "plan", plan: planOf(plan)}));
+  store.on("plan", (robot, plan) => {
+    const before = machineOf(robot).plan?.id ?? "";
+    take(robot, {type: "plan", plan: planOf(plan)});
+    parent.tab?.mark(store.robots.some((each) => store.robot(each).plan !== null) ? "!" : "");
+    // play and approve come before the eye of whoever asked for it, and of everybody else
+    if (plan !== null && plan.id !== before && robot === store.selected) parent.tab?.open();
+  });
   store.on("view", (robot, view) => {
     if (view !== null) take(robot, view.online ? viewOf(view) : {type: "old"});
   });
   store.on("old", (robot, old) => {
     if (old) take(robot, {type: "old"});
   });
+  for (const kind of ["drawn", "said"]) store.on(kind, look);
   for (const kind of ["tasks", "drawn"]) {
     store.on(kind, (robot) => {
       if (robot === store.selected) show();
     });
   }
+  store.on("replay", (robot, replay) => take(robot, {type: "replay", on: replay !== null}));
   store.on("looked", (robot, {what, hash}) => take(robot, {type: "looked", what, hash}));
   store.on("failed", (_, {part}) => {
     // the area takes no presses any more, and so sees no release either

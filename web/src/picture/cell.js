@@ -92,7 +92,7 @@ export function makeCell(name, overlay, store, redraw) {
   }
 
   function showHandle(value) {
-    const there = value !== null;
+    const there = value !== null && replayed() === null;
     if (there && !gizmo.dragging) {
       handle.position.fromArray(value.position);
       handle.quaternion.fromArray(value.quaternion);
@@ -178,6 +178,9 @@ export function makeCell(name, overlay, store, redraw) {
 
   const robot = () => store.robot(name);
 
+  /** What is shown of a recording in place of the present. */
+  const replayed = () => robot()?.replay ?? null;
+
   function pose(body, names, positions) {
     if (bodies === null) return;
     state.missing = setJoints(bodies[body], names, positions);
@@ -185,6 +188,7 @@ export function makeCell(name, overlay, store, redraw) {
   }
 
   function showView(view) {
+    if (replayed() !== null) return;
     if (view !== null) {
       load();
       const {names} = view.joints;
@@ -193,9 +197,7 @@ export function makeCell(name, overlay, store, redraw) {
         if (view.twin !== null) pose("twin", names, view.twin.positions);
         if (view.arm !== null) pose("arm", names, view.arm.positions);
         bodies.arm.visible = view.arm !== null;
-        const [colour, opacity] = colours.BY_SYNC[view.sync?.state] ?? colours.UNKNOWN_SYNC;
-        ghosts.arm.color.set(colour);
-        ghosts.arm.opacity = opacity;
+        colourArm(view.sync?.state);
       }
     } else if (bodies !== null) {
       bodies.arm.visible = false;
@@ -216,7 +218,7 @@ export function makeCell(name, overlay, store, redraw) {
     if (path !== null) dispose(path);
     path = null;
     // nothing is shown of a plan that is not what its hash says
-    if (plan !== null && plan.refused === "") {
+    if (plan !== null && plan.refused === "" && replayed() === null) {
       path = pathLine(plan.tool_path, plan.segments ?? []);
       scene.add(path);
     }
@@ -226,13 +228,13 @@ export function makeCell(name, overlay, store, redraw) {
   function showGoal() {
     const {goal, plan} = robot() ?? {goal: null, plan: null};
     const planned = plan !== null && plan.refused === "";
-    const shown = goal ?? (planned ? {names: plan.joints, positions: plan.goal} : null);
+    const shown = replayed() !== null ? null : goal ?? (planned ? {names: plan.joints, positions: plan.goal} : null);
     if (bodies !== null) {
       bodies.goal.visible = shown !== null;
       ghosts.goal.color.set(goal?.reach ? colours.BY_REACH[goal.reach] ?? colours.GOAL : colours.GOAL);
       if (shown !== null) pose("goal", shown.names, shown.positions);
     }
-    reach.visible = Boolean(goal?.reach) && bodies !== null;
+    reach.visible = Boolean(goal?.reach) && bodies !== null && shown !== null;
     if (reach.visible) {
       reach.material.color.set(colours.BY_REACH[goal.reach] ?? colours.BY_REACH.unknown);
       const at = robot()?.handle;
@@ -247,7 +249,7 @@ export function makeCell(name, overlay, store, redraw) {
   }
 
   function showPlayback() {
-    const playback = robot()?.playback ?? null;
+    const playback = replayed() === null ? robot()?.playback ?? null : null;
     if (bodies !== null) {
       bodies.plan.visible = playback !== null;
       if (playback !== null) pose("plan", playback.names, playback.positions);
@@ -288,7 +290,34 @@ export function makeCell(name, overlay, store, redraw) {
     redraw();
   }
 
+  let replaying = false;
+  /** Show a recording's poses, and nothing of the present's plan and goal; or the present again. */
+  function showReplay(replay) {
+    if (replaying !== (replay !== null)) {
+      replaying = replay !== null;
+      drawnView = "";
+      showAll();
+    }
+    if (replay === null) return;
+    load();
+    closest.show(null);
+    if (bodies === null) return;
+    for (const body of ["twin", "arm"]) {
+      if (replay[body] !== null) pose(body, replay.names, replay[body]);
+      bodies[body].visible = replay[body] !== null;
+    }
+    colourArm(replay.sync);
+    redraw();
+  }
+
+  function colourArm(sync) {
+    const [colour, opacity] = colours.BY_SYNC[sync] ?? colours.UNKNOWN_SYNC;
+    ghosts.arm.color.set(colour);
+    ghosts.arm.opacity = opacity;
+  }
+
   function showAll() {
+    if (replayed() !== null) showReplay(replayed());
     showView(robot()?.view ?? null);
     showPlan();
     showPlayback();
@@ -303,7 +332,7 @@ export function makeCell(name, overlay, store, redraw) {
   const ends = [
     store.on("view", mine(showView)), store.on("plan", mine(showPlan)), store.on("goal", mine(showGoal)),
     store.on("playback", mine(showPlayback)), store.on("scene", mine(showScene)), store.on("tasks", mine(showTasks)),
-    store.on("picked", mine(showTasks)), store.on("handle", mine(showHandle)),
+    store.on("picked", mine(showTasks)), store.on("handle", mine(showHandle)), store.on("replay", mine(showReplay)),
   ];
 
   // -- taps
@@ -405,6 +434,7 @@ export function makeCell(name, overlay, store, redraw) {
       result.handle = gizmo.object === undefined ? null
         : {position: handle.position.toArray(), screen: onScreen(handle.position), axis: screenAxis(), mode: gizmo.mode};
       result.camera = {position: camera.position.toArray(), target: controls.target.toArray()};
+      result.replay = replayed()?.time ?? null;
       result.closest = closest.visible;
       result.reach = reach.visible ? reach.material.color.getHex() : null;
       return result;

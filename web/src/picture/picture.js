@@ -9,6 +9,7 @@
 import {WebGLRenderer} from "three";
 import {add, button, setText} from "../dom.js";
 import {makeCell} from "./cell.js";
+import {makeReplayNotice} from "./replay_notice.js";
 import {IN_VIEW, seenWord} from "./seen.js";
 
 const VIEWS = ["home", "front", "side", "top", "tool"];
@@ -146,6 +147,7 @@ export function make(parent, store, connection, texts) {
     for (const [name, each] of cells) {
       const word = seenWord({
         lost, ready: each.cell.ready, shown: visible.includes(each), inView, visible: document.visibilityState === "visible",
+        replay: store.robot(name).replay !== null,
       });
       const before = store.robot(name).drawn;
       if (word === before) continue;
@@ -173,6 +175,7 @@ export function make(parent, store, connection, texts) {
       if (cells.has(name) || cells.size >= MOST) continue;
       const overlay = add(stage, "div", {className: "overlay"});
       const label = add(overlay, "span", {className: "overlay-name", text: name});
+      makeReplayNotice(overlay, name, store, texts);
       cells.set(name, {overlay, label, cell: makeCell(name, overlay, store, redraw)});
     }
     theme();
@@ -196,9 +199,10 @@ export function make(parent, store, connection, texts) {
 
   function showLegend() {
     const robot = store.robot(store.selected);
+    const replay = robot?.replay ?? null;
     const closest = robot?.view?.closest ?? null;
     const plan = robot?.plan?.refused === "" ? robot.plan : null;
-    const there = {
+    const there = replay !== null ? {twin: replay.twin, arm: replay.arm} : {
       twin: robot?.view?.twin, arm: robot?.view?.arm, path: plan, goal: plan ?? robot?.goal, plan: robot?.playback,
       closest: closest && Number.isFinite(closest.distance), reach: robot?.goal?.reach,
     };
@@ -211,7 +215,7 @@ export function make(parent, store, connection, texts) {
       entries.reach.entry.dataset.reach = robot.goal.reach;
       setText(entries.reach.label, texts(`picture.reach.${["free", "contact", "out"].includes(robot.goal.reach) ? robot.goal.reach : "unknown"}`));
     }
-    entries.arm.entry.dataset.sync = robot?.view?.sync?.state ?? "";
+    entries.arm.entry.dataset.sync = (replay === null ? robot?.view?.sync?.state : replay.sync) ?? "";
   }
 
   // the browser waits for the drawing after `draw` has returned: a frame ends where the page gets its next turn
@@ -251,6 +255,10 @@ export function make(parent, store, connection, texts) {
   store.on("selected", arrange);
   store.on("handle", showBar);
   for (const kind of ["playback", "goal", "plan", "connection"]) store.on(kind, redraw);
+  store.on("replay", () => {
+    tellSeen();
+    redraw();
+  });
   canvas.addEventListener("webglcontextlost", () => {
     lost = true;
     tellSeen();

@@ -1,7 +1,8 @@
 /**
  * Whether a person can see what the picture draws of a robot. A plan counts as played only where its motion could be seen. Pure.
  *
- * Words: `seen`; why not: `model` (the robot's model is not there), `lost` (the browser has taken the graphics away), `away` (less
+ * Words: `seen`; why not: `model` (the robot's model is not there), `replay` (it
+ * shows a recording), `lost` (the browser has taken the graphics away), `away` (less
  * than half of the picture is in view, the page is in the background, or other robots are shown).
  */
 
@@ -9,8 +10,9 @@
 export const IN_VIEW = 0.5;
 
 /** Return the word for one robot. */
-export function seenWord({lost, ready, shown, inView, visible}) {
+export function seenWord({lost, ready, shown, inView, visible, replay = false}) {
   if (lost) return "lost";
   if (!ready) return "model";
+  if (replay) return "replay";
   return shown && visible && inView >= IN_VIEW ? "seen" : "away";
 }

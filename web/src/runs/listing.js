@@ -2,14 +2,15 @@
 
 const MOST = 200;
 
-// Return [{name, time: Date, href}], the newest first, of the parsed `runs.json`; an Error for anything else.
+// Return [{name, time: Date, href, replay}], the newest first, of the parsed `runs.json`; an Error for anything else. `replay` is the address of what
+// can be played of it, "" where there is none.
 export function readListing(document) {
   if (typeof document !== "object" || document === null || !Array.isArray(document.runs)) throw new Error("no list of runs");
   return document.runs
     .slice(0, MOST)
     .filter(isRun)
     .sort((one, other) => other.stamp - one.stamp)
-    .map(({name, stamp, report}) => ({name, time: new Date(stamp * 1000), href: address(report)}));
+    .map(({name, stamp, report, replay}) => ({name, time: new Date(stamp * 1000), href: address(report), replay: isPath(replay) ? address(replay) : ""}));
 }
 
 function isRun(run) {
@@ -19,9 +20,12 @@ function isRun(run) {
     typeof run.name === "string" &&
     typeof run.stamp === "number" &&
     Number.isFinite(new Date(run.stamp * 1000).getTime()) &&
-    typeof run.report === "string" &&
-    run.report.split("/").every((part) => part !== "" && part !== "." && part !== "..")
+    isPath(run.report)
   );
+}
+
+function isPath(value) {
+  return typeof value === "string" && value.split("/").every((part) => part !== "" && part !== "." && part !== "..");
 }
 
 // Where a report is opened. The browser's ticket for it is a cookie, which the console gave it with the connection.

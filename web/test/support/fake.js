@@ -27,6 +27,10 @@ export function fakePage({account = "", language = "en", check = async (plan) =>
   const clock = {now: 0};
   const store = makeStore({now: () => clock.now, check, report});
   const connection = fakeConnection(store, account);
+  // the state's sentence is on the screen, as the status panel would say
+  store.on("robots", () => {
+    for (const name of store.robots) if (store.robot(name).said === null) store.set("said", name, "whole");
+  });
   return {
     document, window, store, connection, clock,
     parent: document.querySelector("main"),

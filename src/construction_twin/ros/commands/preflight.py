@@ -20,6 +20,7 @@ import rosgraph
 import rospkg
 
 from construction_twin.broker.start import DEFAULT_PORT, listener_ports, trial
+from construction_twin.console.camera_address import cameras_of
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.controller.port import Make
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
@@ -196,8 +197,10 @@ def _check_trace(given: Given, robot: RobotModel) -> None:
         raise ConfigurationError(str(path.parent), found, expected)
 
 
-def _check_console(given: Given, _robot: RobotModel) -> None:
+def _check_console(given: Given, robot: RobotModel) -> None:
     """Find what the console needs before it is started again and again without it."""
+    # mqtt_planner announces them, where the console itself is another launch's, too
+    cameras_of([given.get("console_cameras", "")], robot.name)
     if not is_true(given, "console"):
         return
     if importlib.util.find_spec("websockets") is None:

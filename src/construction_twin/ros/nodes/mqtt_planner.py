@@ -21,6 +21,7 @@ import rospy
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from construction_twin.console.camera_address import cameras_of
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
 from construction_twin.core.units import NANOSECONDS
@@ -81,11 +82,13 @@ class Settings(MqttSettings):
         trajectories: Whether motions, and requests for plans, are taken by MQTT.
         self_collision: YAML of the link pairs that are not checked; empty: no joint values are found for poses that are dragged.
         messages: Folder of the messages that outlast this node, relative to ROS_HOME; empty: they do not.
+        cameras: As the console has them (``front=http://10.0.0.7/stream``, separated by blanks); of this robot. Announced by name.
         private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
     """
 
     trajectories: bool = True
     self_collision: str = ""
+    cameras: str = ""
     private: str = ""
     messages: str = ""
     max_trajectory_bytes: int = pydantic.Field(ge=1024, le=1 << 24)
@@ -365,7 +368,9 @@ class MqttPlanner:
         if self._feed is None:
             return
         link, sync, execution = (report[0] if report is not None else None for report in self._reports())
-        self._feed.publish_status_line(link, sync, execution, time.monotonic())
+        now = time.monotonic()
+        self._feed.publish_cameras(now)
+        self._feed.publish_status_line(link, sync, execution, now)
 
     def _run_view(self) -> None:
         """Show everything `view_rate` times a second."""
@@ -454,7 +459,8 @@ def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: P
             files.drop_building()
     deployment = deployment_of(ports.parameters["startup"], rospy.get_namespace().rstrip("/"))
     messages = MessageFile(ros_home() / settings.messages / f"{robot.name}.json") if settings.messages else None
-    feed = ConsoleFeed(topics, robot.base_link, node.publish_now, node.refuse, deployment, files, messages)
+    cameras = [each.name for each in cameras_of([settings.cameras], robot.name) if each.robot == robot.name]
+    feed = ConsoleFeed(topics, robot.base_link, node.publish_now, node.refuse, deployment, files, cameras, messages)
     services = {kind: rospy.ServiceProxy(service.name, service.kind) for kind, service in PLAN_SERVICES.items()}
     around = RobotContext(
         twin=lambda: _positions(poses.twin, settings.max_pose_age),

@@ -1,0 +1,75 @@
+/**
+ * What a person must not miss: each thing for which the arm stood still, and what people did, newest first, with who has read it. The
+ * robot keeps them, so they outlast this page. Who has the right may acknowledge one, in the name of the account.
+ */
+import {add, button, clear, setText} from "../dom.js";
+import {wordsOf} from "./status.js";
+
+/** Topic of what people did: there is nothing to acknowledge. */
+const PERSON = "person";
+
+/** Return the messages that wait for somebody who takes note of them. */
+export function unread(messages) {
+  return (messages ?? []).filter(({line, acknowledged_by: by}) => by === "" && line.topic !== PERSON);
+}
+
+/** Make the panel. */
+export function make(parent, store, connection, texts, {when = timeOf} = {}) {
+  const none = add(parent, "p", {className: "messages-none", text: texts("messages.none")});
+  const told = add(parent, "p", {className: "messages-told", role: "status"});
+  const list = add(parent, "ul", {className: "messages-list"});
+  const sent = new Map();
+
+  const show = () => {
+    const robot = store.robot(store.selected);
+    const messages = robot?.messages ?? [];
+    const count = unread(messages).length;
+    parent.tab?.mark(count ? String(count) : "");
+    none.hidden = messages.length > 0;
+    const may = store.rightsOf.may(store.selected, "acknowledge") !== false && connection.state === "connected";
+    clear(list);
+    for (const message of [...messages].reverse()) {
+      const {line, until} = message;
+      const item = add(list, "li", {className: `message ${line.topic === PERSON ? "is-act" : until === null ? "is-lasting" : ""}`});
+      const head = add(item, "p", {className: "message-when"});
+      add(head, "span", {text: texts(until === null ? "messages.since" : "messages.at", {at: when(message.at, texts), until: when(until, texts)})});
+      add(item, "p", {className: "message-what", text: wordsOf(line, texts).sentence});
+      if (message.acknowledged_by) {
+        add(item, "p", {className: "message-read", text: texts("messages.read", {account: message.acknowledged_by, at: when(message.acknowledged_at, texts)})});
+      } else if (line.topic !== PERSON && may) {
+        button(item, texts("messages.acknowledge"), () => acknowledge(message.id), {className: "message-acknowledge", disabled: sent.has(message.id)});
+      }
+    }
+  };
+
+  function acknowledge(message) {
+    const robot = store.selected;
+    const id = globalThis.crypto.randomUUID();
+    sent.set(message, id);
+    setText(told, "");
+    connection.publish(connection.own("acknowledge"), robot, {id, message}).catch((error) => {
+      sent.delete(message);
+      setText(told, texts(error.reason === "refused" ? "messages.no_right" : "messages.not_sent"));
+      show();
+    });
+    show();
+  }
+
+  store.on("acknowledge_ack", (robot, answer) => {
+    if (sent.get(answer.message) !== answer.id) return;
+    sent.delete(answer.message);
+    if (!answer.ok) setText(told, texts.reason(answer.reason));
+    show();
+  });
+  store.on("messages", (robot) => robot === store.selected && show());
+  for (const kind of ["connection", "selected", "robots", "rights"]) store.on(kind, show);
+  show();
+}
+
+/** Return a time of day, with the date where it is another day; "" for none. Times are of the robot's computer [s since 1970]. */
+function timeOf(at, texts) {
+  if (at === null) return "";
+  const date = new Date(1000 * at);
+  const today = new Date().toDateString() === date.toDateString();
+  return date.toLocaleString(texts.language, today ? {timeStyle: "medium"} : {dateStyle: "short", timeStyle: "medium"});
+}

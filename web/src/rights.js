@@ -1,0 +1,66 @@
+/**
+ * Who may do what, by the list that make_site writes (`private/rights.json`): for drawing what works, and saying who can. The broker
+ * decides; nothing is tried to find out. Where there is no list, nothing is known, and everything is drawn.
+ */
+
+const LISTING = "private/rights.json";
+
+/** Return the list, if it is one, else null: `robots` by name, rights by name, people's names by their accounts. */
+export function readRights(document) {
+  const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
+  if (!isObject(document) || !isObject(document.robots)) return null;
+  for (const rights of Object.values(document.robots)) {
+    if (!isObject(rights)) return null;
+    for (const people of Object.values(rights)) {
+      if (!isObject(people) || !Object.values(people).every((name) => typeof name === "string")) return null;
+    }
+  }
+  return document.robots;
+}
+
+/**
+ * Make what knows the rights of this page's account. It asks again with each login.
+ *
+ * @param {object} store tells `rights` when more or less is known
+ * @param {object} connection
+ * @param {(path: string) => Promise<Response>} [get]
+ */
+export function makeRights(store, connection, get = (path) => fetch(path)) {
+  let robots = null;
+  let turn = 0;
+
+  const put = (found) => {
+    robots = found;
+    store.rights(found);
+  };
+  store.on("connection", async (_, state) => {
+    const mine = (turn += 1);
+    if (state !== "connected") {
+      // what the account may stays known while its connection is away; another account has another page
+      if (connection.account === "") put(null);
+      return;
+    }
+    let found = null;
+    try {
+      const answer = connection.account === "" ? null : await get(LISTING);
+      found = answer?.ok ? readRights(await answer.json()) : null;
+    } catch {
+      // no network, or no list: nothing is known
+    }
+    if (mine === turn) put(found);
+  });
+
+  return {
+    /** Whether this account has a right at a robot: true, false, or null where that is not known. */
+    may(robot, right) {
+      const people = robots?.[robot]?.[right];
+      return people === undefined ? null : Object.hasOwn(people, connection.account);
+    },
+
+    /** The names of the others who have it, each once; empty where that is not known. */
+    who(robot, right) {
+      const people = Object.entries(robots?.[robot]?.[right] ?? {}).filter(([account]) => account !== connection.account);
+      return [...new Set(people.map(([, name]) => name))].sort();
+    },
+  };
+}
