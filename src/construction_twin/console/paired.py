@@ -26,9 +26,9 @@ class PairingError(ConstructionTwinError):
     """A device, an invitation or a PIN is refused.
 
     Args:
-        why: ``code`` (no such invitation: used, withdrawn or too old), ``pin`` (none that may be chosen), ``device`` (the
-            browser is not paired, or not any more), ``wrong`` (a wrong PIN), ``erased`` (too many: pair again), ``console`` (what is kept
-            cannot be read).
+        why: ``code`` (no such invitation: used, withdrawn or too old), ``pin`` (none that may be chosen), ``device`` (the browser
+            is not paired, or not any more), ``wrong`` (a wrong PIN), ``erased`` (too many of them: pair again), ``console`` (what
+            is kept cannot be read).
         number: Of the device, where it is known.
         left: Of a wrong PIN: how many more may be tried.
     """

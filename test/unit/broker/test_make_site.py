@@ -254,6 +254,7 @@ def test_a_person_s_devices_have_an_account_that_sees_stops_and_pauses_where_the
     assert "topic read twin/kr120/#" in of_device and "topic write" not in of_device
     # its password is the console's business; a certificate could not be taken back
     assert (folder / "accounts/ada/client.crt").exists() and not (folder / "accounts/ada-device/client.crt").exists()
+    assert "# kr120: view, stop\n" in rules.split("user ada-device\n")[1].split("user ")[0]
     make(folder, "--person", "ada:pause")
     of_device = (folder / "broker/access.acl").read_text().split("user ada-device\n")[1].split("user ")[0]
     assert "twin/kr122/pause/ada-device" in of_device and "/resume/" not in of_device

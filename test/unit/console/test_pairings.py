@@ -16,7 +16,7 @@ from sentence_checks import expects
 from construction_twin.console.paired import COOKIE_S, DeviceCookie, PairingError, is_marked
 from construction_twin.console.pairings import INVITED_S, MOST_WRONG, Device, Pairings, Person, hash_of
 from construction_twin.console.pin import DIFFERENT, LONGEST, SHORTEST, refusal
-from construction_twin.console.sealing import Cost, seal, unseal
+from construction_twin.console.sealing import Cost, key_of_device, key_of_pin, seal, unseal
 from construction_twin.core.errors import ConfigurationError
 
 PINS = json.loads((Path(__file__).resolve().parents[2] / "data/pins.json").read_text())
@@ -272,6 +272,24 @@ def test_an_entry_that_was_copied_beside_another_or_of_another_console_is_of_no_
     assert elsewhere.device_of(cookie) is None
 
 
+def test_what_the_pin_opens_needs_the_cookie_the_console_s_secret_and_the_pin():
+    """Each of them alone is somewhere else: on the tablet, in the folder, in a head."""
+    own, cookie, salt = (secrets.token_bytes(32) for _ in range(3))
+    key = key_of_pin(own, cookie, "device", PIN, salt, CHEAP)
+    assert key == key_of_pin(own, cookie, "device", PIN, salt, CHEAP)
+    others = [
+        key_of_pin(secrets.token_bytes(32), cookie, "device", PIN, salt, CHEAP),
+        key_of_pin(own, secrets.token_bytes(32), "device", PIN, salt, CHEAP),
+        key_of_pin(own, cookie, "another", PIN, salt, CHEAP),
+        key_of_pin(own, cookie, "device", WRONG, salt, CHEAP),
+        key_of_pin(own, cookie, "device", PIN, secrets.token_bytes(32), CHEAP),
+        key_of_device(own, cookie, "device"),
+    ]
+    assert key not in others and len(set(others)) == len(others)
+    # what a try costs is for real: 128 MB
+    assert Cost().n * Cost().r * 128 == 2**27
+
+
 def test_a_device_logs_in_to_its_own_accounts_only(pairings):
     cookie, _ = paired(pairings)
     assert why(pairings.password, cookie, "bob", PIN) == "device"
@@ -286,8 +304,8 @@ def test_five_wrong_pins_erase_what_the_pin_opens_and_nothing_else(pairings, fol
         with pytest.raises(PairingError) as caught:
             pairings.password(cookie, "ada", WRONG)
         assert (caught.value.why, caught.value.left) == ("wrong", left)
-    assert why(pairings.password, cookie, "ada", PIN) == "erased"
     assert json.loads((folder / "devices" / f"{device.device}.json").read_text())["pin_sealed"] == ""
+    assert why(pairings.password, cookie, "ada", PIN) == "erased"
     found = pairings.device_of(cookie)
     assert found is not None and (found.has_pin, found.left) == (False, 0)
     # whoever holds it still stops
