@@ -20,7 +20,17 @@ from construction_twin.core.reports import WorkReport
 from construction_twin.core.sentences import REASONS
 from construction_twin.link.remote_review import PlanView
 from construction_twin.link.remote_view import VERSION, View
-from construction_twin.mqtt.requests import ACKNOWLEDGE, ANSWER, IK, PLAN_REQUEST, REVIEW, STOP, Answer, RequestKind
+from construction_twin.mqtt.requests import (
+    ACKNOWLEDGE,
+    ANSWER,
+    IK,
+    PLAN_REQUEST,
+    REVIEW,
+    SPEED,
+    STOP,
+    Answer,
+    RequestKind,
+)
 from construction_twin.views.message_history import Message
 from construction_twin.views.scene_view import SceneView
 from construction_twin.views.status_line import Line
@@ -42,6 +52,7 @@ CHECKED: dict[str, Any] = {
     "IK_ACK": IK,
     "ANSWER_ACK": ANSWER,
     "ACKNOWLEDGE_ACK": ACKNOWLEDGE,
+    "SPEED_ACK": SPEED,
     "MESSAGES": Sequence[Message],
 }
 

@@ -44,6 +44,7 @@ for (const [file, about] of Object.entries(result.metafile.outputs)) {
 await writeFile(path.join(fresh, "index.html"), html);
 const [style] = Object.entries(result.metafile.outputs).filter(([, about]) => about.entryPoint?.endsWith("style.css")).map(([file]) => path.basename(file));
 await writePages(docs, path.join(fresh, "docs"), style);
-await cp(path.join(here, "src", "icon.svg"), path.join(fresh, "icon.svg"));
+const installed = ["manifest.webmanifest", "icon.svg", "icon_call.svg", "icon_180.png", "icon_192.png", "icon_512.png", "icon_maskable.png"];
+for (const name of installed) await cp(path.join(here, "src", name), path.join(fresh, name));
 await rm(target, {recursive: true, force: true});
 await rename(fresh, target);

@@ -1,4 +1,6 @@
-"""What is drawn, and that everybody can use it: the robot's pixels, the plan's geometry, two robots, a phone, accessibility."""
+"""What is drawn, and that everybody can use it: the robot's pixels, the plan's geometry, what is measured, two robots, a phone,
+accessibility.
+"""
 
 from __future__ import annotations
 
@@ -128,25 +130,26 @@ def test_a_plan_that_was_played_to_its_end_in_the_picture_may_be_approved(seen, 
     seen.wait_drawn("one", f"Math.abs(it.twin.joints.joint_a1 - {plan.goal[0]}) < 1e-6")
 
 
-def test_on_a_phone_a_playback_waits_until_the_picture_is_in_view_and_what_was_played_stays(page_of, robot):
+def test_nothing_is_played_or_approved_in_a_picture_that_is_too_small(page_of, robot):
     page = page_of("reviewer-ada", picture=True, size=PHONE)
     page.wait_drawn("one")
     robot.show_plan(duration=0.5)
     play, time = page.page.locator(".playback-play"), page.page.locator(".playback-time")
     hint, waits = page.page.locator(".verdict-hint"), page.page.locator(".playback-waits")
-    picture = page.page.locator("#picture")
     expect(hint).to_contain_text("Play the plan to its end")
-    page.page.evaluate("window.scrollTo(0, document.documentElement.scrollHeight)")
-    expect(picture).not_to_be_in_viewport()
-    expect(hint).to_contain_text("not in view: scroll to it")
-    # the button without the scrolling that a click does
-    play.dispatch_event("click")
+    page.page.set_viewport_size({"width": 290, "height": PHONE[1]})
+    expect(hint).to_contain_text("too small to judge a motion")
+    play.click()
     expect(waits).to_be_visible()
     page.wait_frame()
     expect(time).to_contain_text("0.0 s of 0.5 s")
-    picture.scroll_into_view_if_needed()
+    page.page.set_viewport_size({"width": PHONE[0], "height": PHONE[1]})
     expect(time).to_contain_text("0.5 s of 0.5 s")
     expect(page.approve_button).to_be_enabled()
+    # what was played stays played, and is approved only where it can be seen
+    page.page.set_viewport_size({"width": 290, "height": PHONE[1]})
+    expect(page.approve_button).to_be_disabled()
+    page.page.set_viewport_size({"width": PHONE[0], "height": PHONE[1]})
     page.hold_approve()
     expect(page.notice).to_contain_text("accepted")
 
@@ -224,10 +227,9 @@ def test_the_tool_is_dragged_to_a_goal_and_the_planner_is_asked_for_the_way(page
     """From the picture to the plan and back: handle, questions for joint values, ghost, request, path."""
     page = page_of("planner-pia", picture=True, size=SMALL)
     page.wait_drawn("one")
-    page.page.locator(".plan-begin").click()
+    page.tab("plan").locator(".plan-begin").click()
     begin = np.array(page.wait_drawn("one", "it.handle !== null")["handle"]["position"])
     assert np.allclose(begin, robot.tool(robot.twin), atol=_FINE)
-    page.page.locator("#picture").scroll_into_view_if_needed()
     # what has not been drawn yet cannot be taken
     page.wait_frame()
     page.drag_tool("one", 1.5)
@@ -249,6 +251,178 @@ def test_the_tool_is_dragged_to_a_goal_and_the_planner_is_asked_for_the_way(page
     assert np.allclose(drawn["path"][0], begin, atol=1e-3) and np.allclose(drawn["path"][-1], end, atol=1e-3)
 
 
+def box(name: str, size: list[float], position: list[float]) -> dict:
+    """Return an object of a scene."""
+    return {
+        "name": name, "shape": "box", "size": size, "mesh": "", "position": position, "orientation": [0, 0, 0, 1], "padding": 0,
+        "link": "", "touch": [],
+    }  # fmt: skip
+
+
+FLOOR = box("floor", [20.0, 20.0, 1.0], [0.0, 0.0, -0.5])
+TABLE = box("table", [0.8, 0.8, 0.8], [1.2, -1.2, 0.4])
+
+
+def test_the_floor_is_solid_and_has_its_metres_beside_it(seen, robot):
+    robot.show_scene([FLOOR, TABLE])
+    drawn = seen.wait_drawn("one", "it.objects.includes('table')")
+    assert drawn["floor"]["height"] == 0.0 and {"-1 m", "0 m", "1 m"} <= set(drawn["floor"]["numbers"])
+    seen.wait_frame()
+    # below the robot the picture has the floor's colour, and not the background's
+    colour = seen.page.evaluate("getComputedStyle(document.querySelector('.stage')).getPropertyValue('--floor')")
+    floor = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)])
+    lower = np.median(pixels(seen)[-25:-5, 350:-80].reshape(-1, 3), axis=0)
+    assert np.abs(lower - floor).max() < 12, (lower, floor)
+    robot.show_scene([])
+    seen.wait_drawn("one", "it.objects.length === 0")
+
+
+def test_the_legend_has_what_is_drawn_in_its_colours(seen, robot):
+    def legend() -> dict[str, str]:
+        return seen.page.evaluate("""() => {
+            const colour = (entry) => getComputedStyle(entry.querySelector(".swatch")).getPropertyValue("--drawn");
+            const entries = [...document.querySelectorAll(".legend li")];
+            return Object.fromEntries(entries.map((entry) => [entry.className, colour(entry)]));
+        }""")
+
+    seen.wait_frame()
+    assert legend()["legend-both"] == "#ff660d" and "legend-path" not in legend() and "legend-arm" not in legend()
+    robot.show_plan()
+    robot.arm_error = np.array([0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
+    drawn = seen.wait_drawn(
+        "one", "it.path !== null && Math.abs(it.arm.joints.joint_a1 - it.twin.joints.joint_a1) > 0.04"
+    )
+    expect(seen.page.locator(".legend-path")).to_have_count(1)
+    expect(seen.page.locator(".legend-arm")).to_have_count(1)
+    assert (
+        legend()["legend-arm"] == f"#{drawn['armColour']:06x}"
+        and legend()["legend-goal"] == f"#{drawn['goalColour']:06x}"
+    )
+    # the closest point is the plan's, with its distance in words and in the picture
+    expect(seen.page.locator(".legend-closest")).to_contain_text("213 mm after 1.0 s (link_4 - table)")
+    assert "213 mm" in seen.drawn("one")["words"]
+    robot.arm_error = np.zeros(6)
+
+
+def test_a_distance_is_measured_by_two_taps_and_escape_ends_it(seen, robot):
+    ruler = seen.page.get_by_role("button", name="Measure a distance")
+    note = seen.page.locator(".picture-note")
+    ruler.click()
+    expect(note).to_contain_text("tap the first point")
+    area = seen.page.locator("#picture canvas").bounding_box()
+    assert area is not None
+    for across, down in ((0.55, 0.9), (0.75, 0.8)):
+        seen.page.mouse.click(area["x"] + across * area["width"], area["y"] + down * area["height"])
+    one, other = np.array(seen.wait_drawn("one", "it.measured.length === 2")["measured"])
+    # both on the floor
+    assert abs(one[2]) < 1e-6 and abs(other[2]) < 1e-6
+    distance = f"{1000 * np.linalg.norm(other - one):.0f} mm"
+    expect(note).to_contain_text(distance)
+    seen.wait_frame()
+    assert distance in seen.drawn("one")["words"]
+    seen.page.keyboard.press("Escape")
+    seen.wait_drawn("one", "it.measured.length === 0")
+    expect(ruler).to_have_attribute("aria-pressed", "false")
+    expect(note).to_be_hidden()
+
+
+def test_a_distance_is_measured_with_a_keyboard(seen, robot):
+    ruler = seen.page.get_by_role("button", name="Measure a distance")
+    ruler.focus()
+    seen.page.keyboard.press("Enter")
+    expect(seen.page.locator(".overlay")).to_be_focused()
+    for _ in range(12):
+        seen.page.keyboard.press("ArrowDown")
+    seen.page.keyboard.press("Enter")
+    seen.wait_drawn("one", "it.measured.length === 1")
+    seen.page.keyboard.press("ArrowRight")
+    seen.page.keyboard.press("Enter")
+    one, other = np.array(seen.wait_drawn("one", "it.measured.length === 2")["measured"])
+    assert 0.001 < np.linalg.norm(other - one) < 3.0
+    seen.page.keyboard.press("Escape")
+    expect(ruler).to_be_focused()
+
+
+def test_the_camera_is_fitted_until_a_person_turns_it_and_again_by_the_button(seen, robot):
+    fit = seen.page.get_by_role("button", name="Fit: show the whole cell")
+    fit.click()
+    close = seen.wait_drawn("one", "it.camera.chosen === 'home'")["camera"]
+    robot.show_scene([FLOOR, box("wall", [0.1, 3.0, 2.0], [-3.0, 0.0, 1.0])])
+    seen.wait_drawn("one", "it.objects.includes('wall')")
+    far = seen.wait_drawn("one", f"Math.abs(it.camera.position[0] - {close['position'][0]}) > 0.2")["camera"]
+    area = seen.page.locator("#picture canvas").bounding_box()
+    assert area is not None
+    seen.page.mouse.move(area["x"] + 300, area["y"] + 150)
+    seen.page.mouse.down()
+    seen.page.mouse.move(area["x"] + 360, area["y"] + 160, steps=4)
+    seen.page.mouse.up()
+    turned = seen.wait_drawn("one", "it.camera.chosen === ''")["camera"]
+    assert turned["position"] != far["position"]
+    robot.show_scene([])
+    assert seen.wait_drawn("one", "it.objects.length === 0")["camera"] == turned
+    fit.click()
+    again = seen.wait_drawn("one", "it.camera.chosen === 'home'")["camera"]
+    assert np.allclose(again["position"], close["position"], atol=1e-6)
+
+
+def test_shadows_fall_on_the_floor_where_a_device_draws_them(page_of, robot):
+    page = page_of("reviewer-ada", picture=True, size=SMALL)
+    # software draws here: it does not begin by itself
+    assert page.wait_drawn("one")["shadows"] is False
+    page.wait_frame()
+    before = pixels(page).sum(axis=2)
+    page.page.evaluate("document.querySelector('canvas').shadows(true)")
+    page.wait_drawn("one", "it.shadows")
+    page.wait_frame()
+    after = pixels(page).sum(axis=2)
+    assert (after < before - 60).mean() > 0.005
+    # frames that take long end them: here all do
+    area = page.page.locator("#picture canvas").bounding_box()
+    assert area is not None
+    page.page.mouse.move(area["x"] + 200, area["y"] + 100)
+    for number in range(60):
+        if not page.drawn("one")["shadows"]:
+            break
+        page.page.mouse.wheel(0, 20 if number % 2 else -20)
+        page.wait_frame()
+    page.wait_drawn("one", "!it.shadows")
+
+
+@pytest.mark.parametrize("width, height", ((300, 180), (390, 300), (800, 260)))
+def test_in_a_small_picture_everything_has_its_place(page_of, robot, width, height):
+    page = page_of("reviewer-ada", picture=True, size=(1280, 800))
+    robot.show_plan()
+    page.wait_drawn("one", "it.path !== null")
+    page.page.evaluate(
+        """([width, height]) => {
+            const {style} = document.querySelector("#picture");
+            const sizes = {width, height, "min-height": 0};
+            for (const [name, value] of Object.entries(sizes)) style.setProperty(name, `${value}px`);
+        }""",
+        [width, height],
+    )
+    page.wait_for("(width) => Math.abs(document.querySelector('.stage').clientWidth - width) < 4", width)
+    page.wait_frame()
+    boxes = page.page.evaluate("""() => {
+        const of = (element) => {
+            const {left, top, right, bottom} = element.getBoundingClientRect();
+            return [left, top, right, bottom];
+        };
+        const all = [...document.querySelectorAll(".tool, .legend, .label, .overlay-name")];
+        const parts = all.filter((each) => each.checkVisibility()).map((each) => [each.className, ...of(each)]);
+        return {stage: of(document.querySelector(".stage")), parts};
+    }""")
+    left, top, right, bottom = boxes["stage"]
+    parts = [(name, np.array(place)) for name, *place in boxes["parts"]]
+    assert sum(name.startswith("tool ") for name, _ in parts) >= 3
+    for number, (name, one) in enumerate(parts):
+        assert one[0] >= left and one[1] >= top and one[2] <= right + 0.5 and one[3] <= bottom + 0.5, name
+        if name.startswith("tool "):
+            assert min(one[2:] - one[:2]) >= 44, name
+        for other_name, other in parts[number + 1 :]:
+            assert (one[2:] <= other[:2] + 1).any() or (other[2:] <= one[:2] + 1).any(), (name, other_name)
+
+
 @pytest.mark.parametrize("size", (TABLET, PHONE), ids=("tablet", "phone"))
 def test_axe_finds_nothing_serious_light_or_dark(page_of, robot, size):
     page = page_of("reviewer-ada", size=size, color_scheme="light")
@@ -257,15 +431,26 @@ def test_axe_finds_nothing_serious_light_or_dark(page_of, robot, size):
     try:
         expect(page.page.locator(".verdict")).to_be_visible()
         page.page.locator(".verdict-checks summary").click()
-        for area in ("plots", "runs"):
-            page.page.locator(f"#{area} > summary").click()
-        for area in ("tasks", "plots", "runs", "plan"):
-            expect(page.page.locator(f"#{area} > .inside")).to_be_visible()
-        assert not serious(page)
-        page.page.emulate_media(color_scheme="dark")
-        assert not serious(page)
+        for scheme in ("light", "dark"):
+            page.page.emulate_media(color_scheme=scheme)
+            for area in ("verdict", "tasks", "plots", "runs", "plan", "messages"):
+                page.tab(area)
+                assert not serious(page), area
     finally:
         robot.publish("work/tasks", b"", retain=True)
+
+
+def test_axe_finds_nothing_serious_in_the_picture_light_or_dark(seen, robot):
+    robot.show_scene([FLOOR, TABLE])
+    robot.show_plan()
+    seen.wait_drawn("one", "it.path !== null && it.words.includes('table')")
+    seen.page.get_by_role("button", name="Measure a distance").click()
+    for scheme in ("light", "dark"):
+        seen.page.emulate_media(color_scheme=scheme)
+        assert not serious(seen)
+    seen.page.keyboard.press("Escape")
+    seen.page.emulate_media(color_scheme="light")
+    robot.show_scene([])
 
 
 @pytest.mark.parametrize("scheme", ("light", "dark"))
@@ -275,24 +460,56 @@ def test_axe_finds_nothing_serious_in_the_login(page_of, scheme):
     assert not serious(page)
 
 
-@pytest.mark.parametrize("size", (TABLET, PHONE), ids=("tablet", "phone"))
-def test_stop_can_be_pressed_without_scrolling_and_nothing_is_wider_than_the_screen(page_of, robot, size):
-    page = page_of("reviewer-ada", size=size)
+#: A tablet, a desk, a phone on its side and upright.
+SCREENS = ((1280, 800), (1920, 1080), (844, 390), (390, 844))
+
+
+@pytest.mark.parametrize("language", ("en", "de"))
+@pytest.mark.parametrize("size", SCREENS, ids=lambda size: f"{size[0]}x{size[1]}")
+def test_sentence_picture_verdict_and_stop_are_in_view_together(page_of, robot, size, language):
+    page = page_of("reviewer-ada", f"?language={language}", size=size, picture=True)
+    page.wait_drawn("one")
     robot.show_plan()
     expect(page.page.locator(".verdict")).to_be_visible()
-    page.page.locator("#plots > summary").click()
-    stop = page.page.locator(".stop-stop").first
-    height = page.page.evaluate("document.documentElement.scrollHeight")
-    assert height > size[1]
-    for top in np.linspace(0, height - size[1], 5):
-        page.page.evaluate("(top) => window.scrollTo(0, top)", top)
-        expect(stop).to_be_in_viewport(ratio=1)
-        box = stop.bounding_box()
-        assert box is not None and min(box["width"], box["height"]) >= 44
-        # in view, and under nothing else
+    assert page.page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]") == list(
+        size
+    )
+    # the approve button says why it is not to be pressed yet: the picture is large enough, and the sentence is whole
+    expect(page.page.locator(".verdict-hint")).to_contain_text("Play the plan" if language == "en" else "Spielen Sie")
+    boxes = {}
+    for name, place in (
+        ("picture", ".stage"), ("sentence", ".status-worst"), ("approve", ".verdict-approve"), ("play", ".playback-play"),
+        ("stop", ".stop-stop"), ("pause", ".stop-pause"), ("bar", "#stop"),
+    ):  # fmt: skip
+        found = page.page.locator(place).first
+        expect(found).to_be_in_viewport(ratio=0.99)
+        box = boxes[name] = found.bounding_box()
         middle = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
-        assert page.page.evaluate("([x, y]) => document.elementFromPoint(x, y).className", middle) == "stop-stop"
-    assert page.page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        # in view, and under nothing else
+        inside = "([x, y, place]) => document.elementFromPoint(x, y).closest(place) !== null"
+        assert page.page.evaluate(inside, [*middle, place]), name
+    assert boxes["picture"]["width"] >= 300 and boxes["picture"]["height"] >= 180
+    assert all(min(boxes[name]["width"], boxes[name]["height"]) >= 64 for name in ("stop", "pause", "approve"))
+    assert boxes["bar"]["height"] <= 0.2 * size[1]
+    small = page.page.evaluate(
+        """() => [...document.querySelectorAll("button, summary, select, input, a")]
+          .filter((each) => each.getClientRects().length && getComputedStyle(each).visibility === "visible" && !each.closest(".legend"))
+          .map((each) => [each.className, each.getBoundingClientRect()])
+          .filter(([, {width, height}]) => Math.min(width, height) < 43.5).map(([name]) => name)"""
+    )
+    assert small == []
+
+
+def test_nothing_moves_when_the_sentence_grows(page_of, robot):
+    page = page_of("reviewer-ada", size=PHONE)
+    robot.show_plan()
+    expect(page.page.locator(".verdict")).to_be_visible()
+    places = "() => ['.stop-stop', '.verdict-approve', '#picture'].map((each) => document.querySelector(each).getBoundingClientRect().top)"
+    before = page.page.evaluate(places)
+    page.page.evaluate(
+        """() => { const box = document.querySelector('.status-sentence'); box.textContent = box.textContent.repeat(6); }"""
+    )
+    assert page.page.evaluate(places) == before
 
 
 def test_the_page_speaks_german(page_of, robot):

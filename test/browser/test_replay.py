@@ -59,9 +59,7 @@ def results(site, recording) -> Iterator[None]:
 
 def begin(page: ConsolePage, name: str = NAME) -> None:
     """Open the list of runs and press the button of one."""
-    runs = page.page.locator("#runs")
-    if not page.page.evaluate("document.querySelector('#runs').open"):
-        runs.locator("summary").click()
+    page.tab("runs")
     page.page.get_by_role("button", name=f"Show the run {name} in the picture").click()
 
 
@@ -152,7 +150,7 @@ def test_a_hold_ends_a_replay_and_stop_goes_out_from_one(page_of, robot, results
 def test_a_broken_file_is_refused_in_german_and_a_phone_says_that_it_is_a_recording(page_of, robot, results):
     page = page_of("viewer-vic", picture=True, size=PHONE, query="?language=de")
     page.wait_drawn("one", "it.twin.joints !== null")
-    page.page.locator("#runs summary").click()
+    page.tab("runs")
     page.page.get_by_role("button", name=f"Den Lauf {BROKEN} im Bild zeigen").click()
     expect(page.page.locator(".replay-told")).to_contain_text("beschädigt oder keine Aufzeichnung")
     assert page.drawn("one")["replay"] is None

@@ -118,7 +118,7 @@ def test_what_lay_on_its_way_starts_nothing_and_who_looks_again_can_ask_anew(pag
     page.intervene("stop")
     wait_until(lambda: robot.state == "IDLE", PATIENCE_S, "the stop")
     # a wish for a plan, by whom may ask for one
-    planner = page_of("planner-pia", f"?language={language}").page.locator("#plan")
+    planner = page_of("planner-pia", f"?language={language}").tab("plan")
     planner.locator(".plan-begin").click()
     planner.locator(".plan-ask").click()
     expect(planner.locator(".plan-answer")).to_contain_text(words("plan.answer.expired"))
@@ -141,15 +141,25 @@ def test_each_role_may_do_what_the_broker_lets_it_do_and_is_told_the_rest(
 ):
     page = page_of(person)
     robot.show_plan()
-    page.intervene("stop")
-    expect(page.stop_result).to_contain_text("carried out" if may_stop else "this account does not have the right")
-    page.look()
-    page.hold_approve()
+    if may_stop:
+        page.intervene("stop")
+        expect(page.stop_result).to_contain_text("carried out")
+    else:
+        expect(page.page.locator(".stop-stop")).to_be_hidden()
+        expect(page.page.locator(".stop-who")).to_contain_text(
+            "This account cannot stop. Who can: ada, bob, dora, pia, sam."
+        )
     if may_review:
+        page.look()
+        page.hold_approve()
         expect(page.notice).to_contain_text("accepted")
     else:
-        expect(page.notice).to_contain_text("this account does not have the right to review")
-    plan = page.page.locator("#plan")
+        page.page.locator(".verdict-checks summary").click()
+        expect(page.page.locator(".verdict-hint")).to_contain_text(
+            "This account may not approve. Who can: ada, bob, dora."
+        )
+        expect(page.approve_button).to_be_disabled()
+    plan = page.tab("plan")
     if may_plan:
         plan.locator(".plan-begin").click()
         plan.locator(".plan-ask").click()
@@ -214,4 +224,4 @@ def test_what_a_plan_says_is_shown_as_text_and_never_as_markup(page_of, robot):
     robot.show_plan(source='<img src=x onerror="document.title=1"><b id=evil>bold</b>')
     expect(page.page.locator(".verdict-title")).to_contain_text("<b id=evil>bold</b>")
     assert page.page.locator("#evil").count() == 0
-    assert page.page.title() == "construction_twin console"
+    expect(page.page).to_have_title("(1) Plan waits - construction_twin console")

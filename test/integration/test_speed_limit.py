@@ -1,6 +1,9 @@
 #!/usr/bin/env python3
-"""A separation distance slows the arm down on its path; silence, of the sensor and of the node, never speeds it up."""
+"""What limits the speed slows the arm down on its path, and nothing that falls silent or vanishes speeds it up: a separation distance
+by a program, and a person by MQTT.
+"""
 
+import json
 import os
 import signal
 import sys
@@ -15,10 +18,50 @@ from std_msgs.msg import Header
 from twin_client import HOME, LEFT, Stream, TwinClient, node_pid, wait
 
 from construction_twin.core.units import CYCLE
+from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
+from construction_twin.mqtt.messages import Topics
 from construction_twin.ros.messages.convert import plan_from_msg
 
 #: Rounding to 3 decimals of a degree, of target and answer [rad].
 ROUNDING = np.deg2rad(1e-3)
+BROKER_PORT = 18862
+TOPICS = Topics("twin", "kr120")
+
+
+class Tablet:
+    """A person's page on a broker without accounts: the newest `view`, and the answers."""
+
+    def __init__(self):
+        self.view: dict = {}
+        self._answers: dict[str, dict] = {}
+        self._asked = 0
+        self._client = make_client(Broker("127.0.0.1", BROKER_PORT), unique_id("kr120", "tablet"), "unused")
+        topics = [(TOPICS.view, 0), ("twin/kr120/speed/ack", 1)]
+        self._client.on_connect = lambda client, *_: client.subscribe(subscriptions(client, topics))
+        self._client.on_message = self._on_message
+        self._client.connect_async("127.0.0.1", BROKER_PORT, 10)
+        self._client.loop_start()
+        wait(lambda: self.view, "a view")
+
+    def _on_message(self, _client, _userdata, message) -> None:
+        content = json.loads(message.payload)
+        if message.topic == TOPICS.view:
+            self.view = content
+        else:
+            self._answers[content["id"]] = content
+
+    def limit(self, fraction: float, **more) -> dict:
+        """Ask for a limit; return the answer."""
+        self._asked += 1
+        id_ = f"limit {self._asked}"
+        self._client.publish("twin/kr120/speed/dora", json.dumps({"id": id_, "limit": fraction, **more}), qos=1)
+        wait(lambda: id_ in self._answers, "an answer on speed/ack")
+        return self._answers[id_]
+
+    def vanish(self) -> None:
+        """Be switched off."""
+        self._client.disconnect()
+        self._client.loop_stop()
 
 
 class Sensor:
@@ -84,7 +127,7 @@ class SpeedLimitTest(unittest.TestCase):
         missed = self.client.mock_counter("missed")
         self.client.go_to(HOME)
         with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin:
-            answer = self.client.start(LEFT, duration=8.0)
+            answer = self.client.start(LEFT, duration=16.0)
             plan = self.client.plans[-1]
             top = np.abs([point.velocities for point in plan.trajectory.points]).max(axis=0)
             wait(lambda: arm.moved(4.0), "the arm to move")
@@ -93,6 +136,7 @@ class SpeedLimitTest(unittest.TestCase):
             self.assertTrue((self.arm_speed(arm) <= 0.2 * top + ROUNDING / CYCLE / 10).all())
             self.stands_still_and_goes_on(arm, twin)
             self.slows_down_when_the_source_is_silent(arm, top)
+            self.goes_as_fast_as_a_person_lets_it(arm, top)
             self.client.wait_for_outcome(answer.plan_id, "finished", 60.0)
             self.client.assert_at(LEFT, twin, arm)
             self.assert_on_the_path(plan, arm)
@@ -129,6 +173,36 @@ class SpeedLimitTest(unittest.TestCase):
             os.kill(pid, signal.SIGCONT)
         self.sensor.say(1.0)
         self.wait_for_rate(1.0)
+
+    def goes_as_fast_as_a_person_lets_it(self, arm: Stream, top: np.ndarray) -> None:
+        """The sensor allows everything. The tablet vanishes and the node is killed: only a person with a fresh look raises it."""
+        tablet = Tablet()
+        self.assertIsNotNone(tablet.view["speed"], "the sensor's limit")
+        answer = tablet.limit(0.3)
+        self.assertTrue(answer["ok"], answer)
+        self.wait_for_rate(0.3)
+        self.assertTrue((self.arm_speed(arm) <= 0.3 * top + ROUNDING / CYCLE / 10).all())
+        self.assertIn("dora has limited the speed to 30%", self.client.execution.reason)
+        tablet.vanish()
+        seen = len(self.reports)
+        pid = node_pid("speed_limits")
+        os.kill(pid, signal.SIGKILL)
+        self.client.wait(lambda: node_pid("speed_limits") not in (0, pid), "speed_limits to come back")
+        self.wait_for_rate(0.3)
+        self.assertLessEqual(max(report.speed_limit for report in self.reports[seen:]), 0.3)
+        tablet = Tablet()
+        self.client.wait(lambda: (tablet.view["speed"] or {}).get("person") == "dora", "who set it")
+        self.assertFalse(tablet.limit(1.0)["ok"])
+        answer = tablet.limit(0.6, moment=tablet.view["moment"])
+        self.assertTrue(answer["ok"], answer)
+        self.wait_for_rate(0.6)
+        self.sensor.say(0.4)
+        self.wait_for_rate(0.4)
+        self.sensor.say(1.0)
+        answer = tablet.limit(1.0, moment=tablet.view["moment"])
+        self.assertTrue(answer["ok"], answer)
+        self.wait_for_rate(1.0)
+        tablet.vanish()
 
     def assert_on_the_path(self, plan: Plan, stream: Stream) -> None:
         """No pose is further from the plan's path than rounding, however fast it was passed."""

@@ -161,6 +161,14 @@ class ConsolePage:
         """Drop what was noted of the drawn geometry: it is this class's, not the page's."""
         self.page.evaluate("window.uploaded.length = 0")
 
+    def tab(self, name: str) -> Locator:
+        """Open the panel of a name (`plan`, `tasks`, ...) and return it; on a wide screen the verdict is always open."""
+        if name != "verdict" or self.page.locator(".tab-verdict").is_visible():
+            self.page.locator(f".tab-{name}").click()
+        panel = self.page.locator(f"#{name}")
+        expect(panel).to_be_visible()
+        return panel
+
     @property
     def lost(self) -> Locator:
         """The line that says that there is no connection."""

@@ -15,14 +15,16 @@ import numpy as np
 from plan_samples import make_report
 from processes import ROOT
 
-from construction_twin.core.errors import PayloadError
+from construction_twin.core.errors import ExpiredError, PayloadError
 from construction_twin.core.freshness import Moment, parse_moment, staleness
 from construction_twin.core.motion_errors import KinematicsError
 from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
+from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.link.goal_request import MAX_BYTES, parse_ik, parse_plan_request
 from construction_twin.link.remote_review import ClearanceView, PlanView, UseView, parse_review
+from construction_twin.link.remote_speed import parse_speed
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
     ClosestView,
@@ -31,6 +33,7 @@ from construction_twin.link.remote_view import (
     Shown,
     ViewWriter,
 )
+from construction_twin.link.speed_limits import PeopleLimit, SpeedLimits
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.interventions import parse_intervention
@@ -109,8 +112,13 @@ class ScriptedRobot:
         self.plan: PlanView | None = None
         self.trajectory: Trajectory | None = None
         self.state = "IDLE"
+        #: What the gateway counts and tells of its controller, as the bridge reports it.
+        self.counters = {"late_replies": "0"}
+        #: Lines of `screen` that stand before its own.
+        self.urgent: list[dict] = []
         #: How much older than it is what comes shall count [s]: as if it had lain on its way.
         self.delay = 0.0
+        self.speed_limits = SpeedLimits(SpeedLimit(0.5), PeopleLimit(), present())
         self._chain = Chain(self.robot)
         self._inverse = inverse_kinematics(self._chain, IkSettings(), np.random.default_rng(0), time.monotonic)
         self._names = tuple(self.robot.joint_names)
@@ -191,7 +199,7 @@ class ScriptedRobot:
                 twin=PoseView(stamp, 0.0, tuple(self.twin)),
                 arm=PoseView(self.arm_stamp or stamp, 0.0, tuple(self.twin + self.arm_error)),
                 sync=self._sync(),
-                link=Shown(LinkReport("ARMED", "", "ARMED", {"late_replies": "0"}, gateway_kind="rsi"), 0.0),
+                link=Shown(LinkReport("ARMED", "", "ARMED", self.counters, gateway_kind="rsi"), 0.0),
                 execution=Shown(
                     ExecutionReport(
                         self.state,
@@ -206,6 +214,7 @@ class ScriptedRobot:
                 plan="" if self.plan is None else self.plan.id,
                 closest=ClosestView(0.31, ("link_4", "table"), tuple(self.tool(self.twin)), 0.0),
                 progress=progress,
+                speed=self.speed_limits.report(time.monotonic_ns()),
             )
             payload = self._writer.write(now, seen, present())
         self._client.publish(self._topics.view, payload)
@@ -246,7 +255,7 @@ class ScriptedRobot:
             "who": "reviewer" if waits else "", "todo": "look at the plan, then approve or reject it" if waits else "",
             "page": "reference/states.md#execution", "level": 2 if waits else 0,
         }  # fmt: skip
-        return json.dumps([line]).encode()
+        return json.dumps([*self.urgent, line]).encode()
 
     def _view_of(self, trajectory: Trajectory, plan_id: str, source: str) -> PlanView:
         report = make_report(len(self._names))
@@ -296,7 +305,7 @@ class ScriptedRobot:
         assert not reason_code.is_failure, str(reason_code)
         topics = self._topics
         asked = [topics.review, topics.review_by("+"), topics.stop_by("+"), topics.pause_by("+"), topics.resume_by("+")]
-        asked += [self._root + "plan_request/+", self._root + "ik/+"]
+        asked += [self._root + "plan_request/+", self._root + "ik/+", self._root + "speed/+"]
         client.subscribe([(topic, 1) for topic in asked] + [(topic, 0) for topic in self._listened])
         with self._lock:
             self._publish(topics.plan, b"" if self.plan is None else self.plan.to_json(200), retain=True)
@@ -314,6 +323,7 @@ class ScriptedRobot:
         self.heard.append((below, payload))
         answer: dict[str, Callable[[str, bytes, bool], None]] = {
             "review": self._on_review, "plan_request": self._on_plan_request, "ik": self._on_ik,
+            "speed": self._on_speed,
         }  # fmt: skip
         with self._lock:
             if verb in ("stop", "pause", "resume"):
@@ -382,6 +392,17 @@ class ScriptedRobot:
         else:
             reason = f"this robot of a test plans no {asked.kind}"
             self._answer(requests.PLAN_REQUEST, account, False, reason, **known)
+
+    def _on_speed(self, account: str, payload: bytes, retained: bool) -> None:
+        id_, now = "", present()
+        try:
+            asked = parse_speed(read_document(payload, retained, "speed", MAX_BYTES))
+            id_, now = asked.id, Moment(now.origin, now.at + round(self.delay * 1e9))
+            reason, ok = self.speed_limits.set(asked.limit, account, asked.moment, now, time.time_ns()), True
+        except (PayloadError, ExpiredError) as error:
+            reason, ok = str(error), False
+        known = {"id": id_, "limit": self.speed_limits.people.limit, "expired": bool(self.delay) and not ok}
+        self._answer(requests.SPEED, account, ok, reason, **known)
 
     def _too_old(self, moment: str) -> str:
         """Return why what repeats a moment is void, as if it had lain on its way for `delay`."""

@@ -290,6 +290,7 @@ export function makeConnection(store, {url, prefix, connect = mqtt.connect, WebS
     publish(topic, robot, payload, {qos = 1} = {}) {
       if (state !== "connected" || client === null || !client.connected) return Promise.reject(new NotPublished("not_connected"));
       if (robot === "" || /[+#\0]/.test(topic + robot)) return Promise.reject(new NotPublished("format", `topic ${robot}/${topic}`));
+      store.set("acted", robot, {topic: topic.split("/")[0]});
       return new Promise((resolve, reject) => {
         const finish = (end, value) => {
           clearTimeout(late);

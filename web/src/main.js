@@ -1,4 +1,5 @@
 /** Begins the page: language, theme, store, connection, panels. */
+import * as calls from "./calls/calls.js";
 import {makeConnection} from "./connection.js";
 import * as login from "./login.js";
 import {makePage} from "./page.js";
@@ -56,6 +57,7 @@ socket.hash = "";
 const connection = makeConnection(store, {url: socket.href, prefix: asked.get("prefix") ?? "twin"});
 store.rightsOf = makeRights(store, connection);
 const areas = makePage(document.body, store, connection, texts, panels, {onTheme, onLanguage});
+calls.make(document.querySelector(".header"), store.of("page"), connection, texts);
 const form = login.make(document.body, store, connection, texts);
 // it stood there for whom this script did not reach
 document.querySelector("#loading").remove();

@@ -3,22 +3,27 @@ import * as actions from "./panels/actions.js";
 import * as messages from "./panels/messages.js";
 import * as camera from "./panels/camera.js";
 import * as picture from "./picture/picture.js";
+import * as motion from "./panels/motion.js";
 import * as plan from "./panels/plan.js";
 import * as playback from "./panels/playback.js";
 import * as plots from "./panels/plots.js";
 import * as replay from "./panels/replay.js";
+import * as progress from "./panels/progress.js";
 import * as runs from "./panels/runs.js";
+import * as speed from "./panels/speed.js";
 import * as status from "./panels/status.js";
 import * as stop from "./panels/stop.js";
 import * as tasks from "./panels/tasks.js";
 import * as verdict from "./panels/verdict.js";
+import * as waypoints from "./panels/waypoints.js";
 
 /** By area of page.js: modules with `make(parent, store, connection, texts)`. */
 export const panels = {
   picture: [picture, camera, replay],
   status: [status, actions],
   stop: [stop],
-  verdict: [playback, verdict],
+  verdict: [progress, playback, verdict, speed, waypoints],
+  motion: [motion],
   plan: [plan],
   tasks: [tasks],
   messages: [messages],

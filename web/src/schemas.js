@@ -6,10 +6,10 @@ export const VIEW = {
   "additionalProperties": false,
   "required": [
     "version", "compatible", "robot", "online", "run", "seq", "stamp", "moment", "units", "joints", "twin", "arm", "sync", "link",
-    "execution", "plan", "closest", "hold", "approval_obstacle"
+    "execution", "plan", "closest", "hold", "approval_obstacle", "speed"
   ],
   "properties": {
-    "version": {"const": 4},
+    "version": {"const": 5},
     "compatible": {"const": 1, "since": 2},
     "robot": {"type": "string"},
     "online": {"type": "boolean"},
@@ -66,7 +66,7 @@ export const VIEW = {
     "link": {
       "type": ["object", "null"],
       "additionalProperties": false,
-      "required": ["state", "reason", "age", "gateway_state", "gateway_kind", "responsible", "round_trip_ms", "late"],
+      "required": ["state", "reason", "age", "gateway_state", "gateway_kind", "responsible", "round_trip_ms", "late", "controller"],
       "properties": {
         "state": {"type": "string"},
         "reason": {"type": "string"},
@@ -75,7 +75,18 @@ export const VIEW = {
         "gateway_kind": {"type": "string"},
         "responsible": {"type": "string"},
         "round_trip_ms": {"type": ["number", "null"], "since": 2},
-        "late": {"type": ["integer", "null"], "minimum": 0, "since": 2}
+        "late": {"type": ["integer", "null"], "minimum": 0, "since": 2},
+        "controller": {
+          "type": ["object", "null"],
+          "additionalProperties": false,
+          "required": ["mode", "program", "override_percent"],
+          "properties": {
+            "mode": {"type": "string"},
+            "program": {"type": "string"},
+            "override_percent": {"type": ["number", "null"]}
+          },
+          "since": 5
+        }
       }
     },
     "execution": {
@@ -125,7 +136,23 @@ export const VIEW = {
       "properties": {"cause": {"type": "string"}, "since": {"type": "number", "minimum": 0}},
       "since": 4
     },
-    "approval_obstacle": {"type": "string", "since": 4}
+    "approval_obstacle": {"type": "string", "since": 4},
+    "speed": {
+      "type": ["object", "null"],
+      "additionalProperties": false,
+      "required": ["limit", "by", "reason", "people", "person", "since", "replaced", "replaced_person"],
+      "properties": {
+        "limit": {"type": "number"},
+        "by": {"type": "string"},
+        "reason": {"type": "string"},
+        "people": {"type": "number"},
+        "person": {"type": "string"},
+        "since": {"type": "number", "minimum": 0},
+        "replaced": {"type": "number"},
+        "replaced_person": {"type": "string"}
+      },
+      "since": 5
+    }
   }
 };
 
@@ -407,6 +434,21 @@ export const ACKNOWLEDGE_ACK = {
     "message": {"type": "string"},
     "ok": {"type": "boolean"},
     "reason": {"type": "string"}
+  }
+};
+
+/** A message on <prefix>/<robot>/speed/ack. */
+export const SPEED_ACK = {
+  "type": "object",
+  "additionalProperties": false,
+  "required": [],
+  "properties": {
+    "id": {"type": "string"},
+    "account": {"type": "string"},
+    "limit": {"type": "number"},
+    "ok": {"type": "boolean"},
+    "reason": {"type": "string"},
+    "expired": {"type": "boolean"}
   }
 };
 

@@ -5,7 +5,7 @@
  * value is of no robot. An exception of one listener ends nothing but that call: the others are told, and it is `failed`.
  *
  * Kinds from the broker: view, screen, scene, plan, tasks, messages, cameras, and answers: review_ack, stop_ack, pause_ack, reset_ack,
- * arm_ack, answer_ack, acknowledge_ack, plan_request_ack, ik_ack. A value of null means: not known (any more). `cameras` is the list of
+ * arm_ack, speed_ack, answer_ack, acknowledge_ack, plan_request_ack, ik_ack. A value of null means: not known (any more). `cameras` is the list of
  * names that are announced on `camera/<name>`. `plan` is told once its hash was checked (plan_hash.js); a plan whose hash does not fit
  * has `refused`, a word of plan_hash.js, and nothing of it may be shown or approved.
  *
@@ -26,6 +26,7 @@
  *   replay_run   {run, href, report}: the person wants to see the run of this name, from these files of the console (runs panel)
  *   drawn        "seen" while a person can see the robot in the picture, else why not: a word of picture/seen.js; null: there is no
  *                picture, nothing can be seen in it ever (picture)
+ *   acted        {topic}: this page publishes on the topic: stop, pause, review, plan_request, ... (connection)
  *   looked       {what, hash}: the plan of this hash was "shown" (again and again), "played" to its end (playback panel); told once
  *   goal         {names, positions, reach} or null: the pose that is asked for, shown as a goal ghost; `reach` free, contact, out or
  *                unknown (plan panel)
@@ -38,7 +39,7 @@
  */
 import {check} from "./check.js";
 import {checkPlan} from "./plan_hash.js";
-import {ACKNOWLEDGE_ACK, ANSWER_ACK, IK_ACK, MESSAGES, PLAN, PLAN_REQUEST_ACK, REVIEW_ACK, SCENE, SCREEN, STOP_ACK, VIEW, WORK} from "./schemas.js";
+import {ACKNOWLEDGE_ACK, ANSWER_ACK, IK_ACK, MESSAGES, PLAN, PLAN_REQUEST_ACK, REVIEW_ACK, SCENE, SCREEN, SPEED_ACK, STOP_ACK, VIEW, WORK} from "./schemas.js";
 
 /** A view is old after so long [ms]. */
 export const OLD_AFTER = 1000;
@@ -51,7 +52,7 @@ const MOST_ROBOTS = 32;
 const KINDS = {
   "view": "view", "screen": "screen", "scene": "scene", "plan": "plan", "work/tasks": "tasks", "review/ack": "review_ack",
   "stop/ack": "stop_ack", "pause/ack": "pause_ack", "plan_request/ack": "plan_request_ack", "messages": "messages",
-  "reset/ack": "reset_ack", "arm/ack": "arm_ack", "answer/ack": "answer_ack", "acknowledge/ack": "acknowledge_ack",
+  "reset/ack": "reset_ack", "arm/ack": "arm_ack", "answer/ack": "answer_ack", "acknowledge/ack": "acknowledge_ack", "speed/ack": "speed_ack",
 };
 /** Where a robot's cameras are announced, each by its name. */
 const CAMERA = "camera/";
@@ -68,7 +69,7 @@ const STORED = ["plan", "scene", "tasks", "messages", "cameras"];
 const SCHEMAS = {
   screen: SCREEN, scene: SCENE, plan: PLAN, tasks: WORK,
   review_ack: REVIEW_ACK, stop_ack: STOP_ACK, pause_ack: STOP_ACK, plan_request_ack: PLAN_REQUEST_ACK, ik_ack: IK_ACK,
-  messages: MESSAGES, reset_ack: STOP_ACK, arm_ack: STOP_ACK, answer_ack: ANSWER_ACK, acknowledge_ack: ACKNOWLEDGE_ACK,
+  messages: MESSAGES, reset_ack: STOP_ACK, arm_ack: STOP_ACK, answer_ack: ANSWER_ACK, acknowledge_ack: ACKNOWLEDGE_ACK, speed_ack: SPEED_ACK,
 };
 
 function expect(is, sentence) {

@@ -1,11 +1,12 @@
 import assert from "node:assert/strict";
 import {mock, test} from "node:test";
+import {Document, DOMParser, Element} from "linkedom";
 import {makeCell} from "../src/picture/cell.js";
-import {BY_TASK} from "../src/picture/colours.js";
-import {fakePage, view, work} from "./support/fake.js";
+import {BY_REACH, BY_TASK, GOAL} from "../src/picture/colours.js";
+import {fakePage, plan, view, work} from "./support/fake.js";
 
 /** A cell whose files the test answers: `answers` by the end of the path, a status or a text; `asked` holds the paths. */
-function cell(answers) {
+function cell({glides = false, ...answers}) {
   const asked = [];
   const page = fakePage();
   globalThis.location = new URL("http://127.0.0.1:8480/");
@@ -18,9 +19,9 @@ function cell(answers) {
   overlay.getRootNode = () => page.document;
   overlay.setPointerCapture = () => {};
   page.parent.append(overlay);
-  const made = makeCell("kr120", overlay, page.store, () => {});
+  const made = makeCell("kr120", overlay, page.store, () => {}, {glides});
   const settle = () => new Promise((resolve) => setImmediate(resolve));
-  return {...page, made, asked, answers, settle};
+  return {...page, overlay, made, asked, answers, settle};
 }
 
 test("a robot model that cannot be had is asked for every five seconds, and not with each of 25 views a second", async () => {
@@ -98,4 +99,174 @@ test("a model that is shown goes when the tasks are of another one, and no task 
   // while the robot's program reads its model again there are no tasks of it
   await it.hear("kr120", "work/tasks", work({model_hash: "", tasks: [], reason: "the model is being read"}), true);
   assert.deepEqual(it.made.inspect().elements, []);
+});
+
+// -- with a robot
+
+/** An arm of two joints without files: a post, 1 m high, and two beams of 1 m; the tool at the end of the second. */
+const ROBOT = `<robot name="two"><material name="orange"><color rgba="1 0.4 0.05 1"/></material>${
+  [["base", "0 0 0.5", "0.2 0.2 1"], ["upper", "0.5 0 0", "1 0.1 0.1"], ["lower", "0.5 0 0", "1 0.1 0.1"]].map(([name, at, size]) => `
+  <link name="${name}"><visual><origin xyz="${at}"/><geometry><box size="${size}"/></geometry><material name="orange"/></visual></link>`).join("")}
+  <link name="tool0"/>${
+  [["joint_a1", "revolute", "base", "upper", "0 0 1"], ["joint_a2", "revolute", "upper", "lower", "1 0 0"], ["flange", "fixed", "lower", "tool0", "1 0 0"]]
+    .map(([name, type, parent, child, at]) => `<joint name="${name}" type="${type}"><parent link="${parent}"/><child link="${child}"/>
+  <origin xyz="${at}"/><axis xyz="0 -1 0"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>`).join("")}</robot>`;
+
+async function robotCell(options = {}, before = async () => {}) {
+  Object.assign(globalThis, {DOMParser, Document, Element});
+  const it = cell({"robot.urdf": ROBOT, ...options});
+  await before(it);
+  await it.hear("kr120", "view", view({twin: {stamp: 1, age: 0, positions: [0, 0]}, arm: {stamp: 1, age: 0, positions: [0, 0]}}));
+  for (let k = 0; k < 200 && !it.made.ready; k += 1) await it.settle();
+  assert.equal(it.made.ready, true, it.made.state.failed);
+  it.made.resize(800, 500);
+  return it;
+}
+
+const NAMES = ["joint_a1", "joint_a2"];
+const TELLS = {
+  goal: (it, reach) => it.store.set("goal", "kr120", {names: NAMES, positions: [0.5, 0.5], reach}),
+  handle: (it) => it.store.set("handle", "kr120", {position: [1, 0.2, 1], quaternion: [0, 0, 0, 1]}),
+  plan: (it) => it.hear("kr120", "plan", plan({joints: NAMES, goal: [1, 0], start: [0, 0], tool_path: [[2, 0, 1], [2, 0.2, 1]],
+    trajectory: {times: [0, 1], positions: [[0, 0], [1, 0]], velocities: [[0, 0], [0, 0]], accelerations: [[0, 0], [0, 0]]}}), true),
+  view: (it) => it.hear("kr120", "view", view({twin: {stamp: 1, age: 0, positions: [0.1, 0]}, arm: null})),
+};
+const orders = (rest) => (rest.length < 2 ? [rest] : rest.flatMap((one) => orders(rest.filter((each) => each !== one)).map((more) => [one, ...more])));
+
+test("a goal has the colour of its reach, whatever is told first: goal, handle, plan or view, before the model or after it", async () => {
+  for (const order of orders(Object.keys(TELLS))) {
+    for (const [reach, colour] of Object.entries(BY_REACH)) {
+      const tell = async (cellOf, kinds) => {
+        for (const what of kinds) await TELLS[what](cellOf, reach);
+      };
+      // some before the model is there
+      const early = order.indexOf("view");
+      const it = await robotCell({}, async (cellOf) => {
+        await cellOf.hear("kr120", "work/tasks", null, true);
+        await tell(cellOf, order.slice(0, early));
+      });
+      await tell(it, order.slice(early));
+      const found = it.made.inspect();
+      assert.deepEqual([found.goalColour, found.reach, found.handle.position], [colour, colour, [1, 0.2, 1]], `${order} ${reach}`);
+      assert.deepEqual(it.made.drawn().goal, {colour, reach});
+      assert.deepEqual(found.reachAt, [1, 0.2, 1], `${order}: the ball is where the hand is`);
+      // without a goal of a person it is the plan's again
+      it.store.set("handle", "kr120", null);
+      it.store.set("goal", "kr120", null);
+      assert.deepEqual([it.made.inspect().goalColour, it.made.inspect().reach], [GOAL, null]);
+    }
+  }
+});
+
+test("the legend names the twin in its colour, and the arm beside it only where it is beside it", async () => {
+  const it = await robotCell();
+  assert.deepEqual([it.made.drawn().both, it.made.drawn().twin, it.made.drawn().arm], [0xff660d, null, null]);
+  const beside = (state, arm) => it.hear("kr120", "view", view({
+    sync: {...view().sync, state}, twin: {stamp: 1, age: 0, positions: [0, 0]}, arm: arm && {stamp: 1, age: 0, positions: arm}}));
+  await beside("IN_SYNC", [0.01, 0]);
+  assert.deepEqual([it.made.drawn().both, it.made.drawn().twin, it.made.drawn().arm], [null, 0xff660d, 0x1abf40]);
+  // a gate that holds is seen by its colour, also where both are in the same place
+  await beside("HOLDING", [0, 0]);
+  assert.deepEqual([it.made.drawn().both, it.made.drawn().twin, it.made.drawn().arm], [null, 0xff660d, 0xffcc00]);
+  await beside("IN_SYNC", null);
+  assert.deepEqual([it.made.drawn().both, it.made.drawn().twin, it.made.drawn().arm], [null, 0xff660d, null]);
+});
+
+test("the axes of the tool stand at the twin's tool and turn with it", async () => {
+  const it = await robotCell();
+  const {frame, twin} = it.made.inspect();
+  frame.position.forEach((value, k) => assert.ok(Math.abs(value - twin.tool[k]) < 1e-9));
+  assert.ok(frame.axes[0][0] > 0.99 && frame.axes[2][2] > 0.99);
+  await it.hear("kr120", "view", view({twin: {stamp: 1, age: 0, positions: [0, Math.PI / 2]}}));
+  // about minus y: x goes up
+  assert.ok(it.made.inspect().frame.axes[0][2] > 0.99);
+});
+
+/** Where a point is in the picture: inside is from -1 to 1. */
+async function projected(it, point) {
+  const {Vector3} = await import("three");
+  it.made.camera.updateMatrixWorld();
+  const {x, y} = new Vector3(...point).project(it.made.camera);
+  return Math.max(Math.abs(x), Math.abs(y));
+}
+const wall = (x) => ({hash: String(x), frame: "base_link", padding: 0, objects: [{
+  name: "wall", shape: "box", size: [0.1, 1, 1], position: [x, 0, 0.5], orientation: [0, 0, 0, 1], link: "", mesh: "", padding: 0, touch: []}]});
+
+test("the camera is fitted to arm, scene and plan, until a person moves it; a press on the button fits it again", async () => {
+  const it = await robotCell();
+  assert.ok(await projected(it, it.made.inspect().twin.tool) < 1);
+  const close = it.made.inspect().camera.position;
+  await it.hear("kr120", "scene", wall(-2.1), true);
+  assert.ok(await projected(it, [-2.1, 0.5, 1]) <= 1);
+  assert.notDeepEqual(it.made.inspect().camera.position, close);
+  // the tool leaves what was fitted to
+  await it.hear("kr120", "view", view({twin: {stamp: 1, age: 0, positions: [-1.5, 0]}}));
+  assert.ok(await projected(it, it.made.inspect().twin.tool) <= 1);
+  // a person takes hold of it
+  it.overlay.dispatchEvent(Object.assign(new it.window.Event("pointerdown"), {pointerId: 1, button: 0, clientX: 5, clientY: 5, pointerType: "mouse"}));
+  const {camera: held} = it.made.inspect();
+  assert.equal(held.chosen, "");
+  await it.hear("kr120", "scene", wall(2.1), true);
+  await TELLS.plan(it);
+  it.made.resize(400, 500);
+  assert.deepEqual(it.made.inspect().camera, held);
+  it.made.look("home");
+  assert.ok(await projected(it, [2.1, 0.5, 1]) <= 1);
+});
+
+test("while a goal is dragged the camera stays", async () => {
+  const it = await robotCell();
+  TELLS.handle(it);
+  const {camera} = it.made.inspect();
+  await it.hear("kr120", "scene", wall(-2.1), true);
+  await TELLS.plan(it);
+  assert.deepEqual(it.made.inspect().camera, camera);
+});
+
+test("a camera that glides arrives where one that does not is at once", async () => {
+  const it = await robotCell();
+  it.made.look("front");
+  const {camera: there} = it.made.inspect();
+  const gliding = await robotCell({glides: true});
+  gliding.made.look("front");
+  assert.notDeepEqual(gliding.made.inspect().camera.position, there.position);
+  gliding.made.advance(performance.now() + 100);
+  gliding.made.advance(performance.now() + 10000);
+  gliding.made.inspect().camera.position.forEach((value, k) => assert.ok(Math.abs(value - there.position[k]) < 1e-6));
+});
+
+test("the closest point is the plan's while a plan is under review, with its distance in the picture", async () => {
+  const it = await robotCell();
+  await it.hear("kr120", "view", view({closest: {distance: 0.4, between: ["lower", "wall"], point: [1, 0, 1], age: 0}}));
+  assert.equal(it.made.inspect().closest.distance, 0.4);
+  assert.ok(it.made.labels(800, 500).some(({text}) => text === "400 mm"));
+  await it.hear("kr120", "plan", plan({clearance: {distance: 0.2, time: 0.5, between: ["lower", "wall"], point: [1, 0, 1]}}), true);
+  assert.deepEqual([it.made.inspect().closest.distance, it.made.inspect().closest.time], [0.2, 0.5]);
+  assert.ok(it.made.labels(800, 500).some(({text}) => text === "200 mm"));
+  await it.hear("kr120", "plan", null, true);
+  assert.equal(it.made.inspect().closest.distance, 0.4);
+});
+
+test("a path has a dot at each waypoint and numbers that are those of the plan", async () => {
+  const it = await robotCell();
+  const points = Array.from({length: 12}, (_, k) => [1.5, k / 12 - 0.5, 1]);
+  await it.hear("kr120", "plan", plan({joints: NAMES, tool_path: points, waypoints: 12}), true);
+  const numbers = () => it.made.labels(800, 500).filter(({kind}) => kind === "waypoint").map(({text}) => text);
+  assert.equal(it.made.inspect().waypoints, 12);
+  assert.deepEqual(numbers(), ["1", "5", "10", "12"]);
+  // of a thinned path nobody knows which waypoint a point is, but for its ends
+  await it.hear("kr120", "plan", plan({id: "p2", joints: NAMES, tool_path: points, waypoints: 300}), true);
+  assert.deepEqual(numbers(), ["1", "300"]);
+});
+
+test("the scene's floor is the floor of the picture and is not drawn as a body", async () => {
+  const it = await robotCell();
+  const floor = {...wall(0).objects[0], name: "hall", size: [20, 20, 1], position: [0, 0, -0.8]};
+  await it.hear("kr120", "scene", {...wall(-1), objects: [floor, ...wall(-1).objects]}, true);
+  const found = it.made.inspect();
+  assert.ok(Math.abs(found.floor.height + 0.3) < 1e-9);
+  assert.deepEqual(found.objects, ["hall", "wall"]);
+  assert.notEqual(it.made.drawn().standing, null);
+  await it.hear("kr120", "scene", {...wall(-2), objects: [floor]}, true);
+  assert.equal(it.made.drawn().standing, null);
 });

@@ -60,14 +60,17 @@ test("what every object has from its prototype is no key of a message", () => {
   check({type: "object", properties: {}, additionalProperties: false}, JSON.parse('{"__proto__": 1, "constructor": 2}'), "it");
 });
 
+const SPEED = {limit: 1, by: "", reason: "", people: 1, person: "", since: 0, replaced: 1, replaced_person: ""};
+
 test("each key of a view is asked for and of its type: none is shown that the robot did not say so", () => {
   check(schemas.VIEW, view(), "view");
   const look = (schema, value, path) => {
     for (const name of schema.required) {
       const at = [...path, name];
       for (const bad of [undefined, Symbol.for("no JSON")]) {
-        const whole = structuredClone(view({closest: {distance: 1, between: ["a", "b"], point: [0, 0, 0], age: 0}, hold: {cause: "a", since: 1}}));
+        const whole = structuredClone(view({closest: {distance: 1, between: ["a", "b"], point: [0, 0, 0], age: 0}, hold: {cause: "a", since: 1}, speed: SPEED}));
         whole.execution.segment = {number: 0, name: "a", at_boundary: false};
+        whole.link.controller = {mode: "T1", program: "ACTIVE", override_percent: 100};
         const parent = path.reduce((found, key) => found[key], whole);
         if (bad === undefined) delete parent[name];
         else parent[name] = bad;

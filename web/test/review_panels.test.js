@@ -280,7 +280,7 @@ test("a plan that is not what its hash says is not shown, and can be rejected on
   const it = await planned(undefined, {check: async (plan) => ({...plan, refused: "trajectory"})});
   await it.pass(2000);
   assert.match(it.text(".verdict-unfit"), /not the one that its hash names/);
-  assert.equal(it.find(".verdict-approve").hidden, true);
+  assert.equal(it.find(".verdict-act").hidden, true);
   assert.equal(it.find(".playback").hidden, true);
 });
 

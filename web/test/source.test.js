@@ -19,7 +19,7 @@ test("nothing that came from elsewhere can become markup or a program", () => {
 
 test("the page names no other server", () => {
   const own = /https?:\/\/(www\.w3\.org)/g;
-  for (const name of [...files, "index.html", "style.css", "icon.svg"]) {
+  for (const name of [...files, "index.html", "style.css", "icon.svg", "icon_call.svg", "manifest.webmanifest"]) {
     assert.doesNotMatch(read(name).replace(own, ""), /(https?|wss?):\/\/\w/, name);
   }
 });

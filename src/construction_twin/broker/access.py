@@ -18,9 +18,9 @@ _OF_ACCOUNTS = [kind for kind in REQUESTS if kind.right]
 #: What a right lets an account do is its template, ``right_<right>.acl``, with the topics of its requests in it. Each right has
 #: topics of its own, so the broker alone decides.
 RIGHTS = ("view", *dict.fromkeys(kind.right for kind in _OF_ACCOUNTS))
-#: Whoever has one of these may set an arm in motion, or let it go on, and so may stop it. Nobody has `reset`, `arm`, `answer` and
-#: `acknowledge` but a `Person` for whom they are named.
-MOVING = ("review", "pause", "plan_request", "trajectory", "reset", "arm")
+#: Whoever has one of these may set an arm in motion, let it go on or go faster, and so may stop it. Nobody has `reset`, `arm`,
+#: `answer`, `acknowledge` and `speed` but a `Person` for whom they are named.
+MOVING = ("review", "pause", "plan_request", "trajectory", "reset", "arm", "speed")
 
 
 def _seeing(*rights: str) -> tuple[str, ...]:

@@ -69,6 +69,36 @@ class HoldReport:
 
 
 @dataclass(frozen=True)
+class SpeedReport:
+    """The speed limit in force: `SpeedLimitInForce.msg`. Fractions of the planned speed, 0 to 1.
+
+    Attributes:
+        limit: The lowest of what a program and people have set.
+        by: Whose it is: ``people``, ``program``; empty: nobody limits.
+        reason: One sentence.
+        people: The one limit of all people, above 0.
+        person: Who set it; empty: nobody has yet, or it is not known.
+        since: When [ns]; 0: nobody has.
+        replaced, replaced_person: What it was before that, and whose; empty: nobody's.
+        program: What a program allows, also by its silence.
+        program_name: The node that said so last; empty: none was heard.
+        stamp: Of the report [ns].
+    """
+
+    limit: float = 1.0
+    by: str = ""
+    reason: str = ""
+    people: float = 1.0
+    person: str = ""
+    since: int = 0
+    replaced: float = 1.0
+    replaced_person: str = ""
+    program: float = 1.0
+    program_name: str = ""
+    stamp: int = 0
+
+
+@dataclass(frozen=True)
 class LinkReport:
     """The bridge's report: `Link.msg`.
 

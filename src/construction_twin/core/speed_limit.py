@@ -39,6 +39,7 @@ class SpeedLimit:
     __slots__ = (
         "_heard_at",
         "_required",
+        "_sentence_given",
         "_silent",
         "_within",
         "_words",
@@ -53,7 +54,7 @@ class SpeedLimit:
         self._within = round(deadline * NANOSECONDS)
         self._silent, self._required = silent, required
         self._heard_at = 0
-        self._words = ""
+        self._words = self._sentence_given = ""
         self.name, self.fraction = "", 1.0
         self.state, self.limit, self.reason = LimitState.UNLIMITED, 1.0, ""
         self.update(0)
@@ -67,7 +68,7 @@ class SpeedLimit:
         """Take what a source says at `now` [ns]; it counts until the deadline. The caller has checked both."""
         self.fraction, self.name, self._heard_at = fraction, name, now
 
-    def accept(self, fraction: float, name: str, now: int, words: str = "") -> None:
+    def accept(self, fraction: float, name: str, now: int, words: str = "", sentence: str = "") -> None:
         """Take what a source says, unless another source is heard.
 
         Args:
@@ -76,6 +77,7 @@ class SpeedLimit:
                 time.
             now: Time of reception [ns].
             words: Why, as the source says it.
+            sentence: Said in place of the sentence with name and words, of a source that says whose limit it passes on.
 
         Raises:
             PayloadError: ``speed_limit`` or ``speed_limit_source``; nothing has changed then, and the deadline runs on.
@@ -92,7 +94,7 @@ class SpeedLimit:
                 "speed_limit_source", Sentence("executor.refused.limit_two", sender=name, other=self.name)
             )
         self.hear(fraction, name, now)
-        self._words, self.reason = words.strip() or Sentence("executor.speed.no_words"), ""
+        self._words, self._sentence_given, self.reason = words.strip(), sentence, ""
         self.update(now)
 
     def is_heard(self, now: int) -> bool:
@@ -127,7 +129,9 @@ class SpeedLimit:
         if self.state is LimitState.UNLIMITED:
             return Sentence("executor.speed.unlimited")
         if self.state is LimitState.HEARD:
-            return Sentence("executor.speed.limit", limit=self.limit, name=self.name, words=self._words)
+            words = self._words or Sentence("executor.speed.no_words")
+            said = Sentence("executor.speed.limit", limit=self.limit, name=self.name, words=words)
+            return self._sentence_given or said
         if self.state is LimitState.MISSING:
             return Sentence("executor.speed.missing", limit=self.limit)
         return Sentence("executor.speed.silent", limit=self.limit, name=self.name, deadline=self.deadline)

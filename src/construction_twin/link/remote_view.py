@@ -8,22 +8,25 @@ SI: m, rad, s; times are numbers of seconds, because stamps in ns are larger tha
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Annotated, Generic, Literal, TypeVar
 
 from construction_twin.core.freshness import Moment
 from construction_twin.core.records import decimals, dumped
-from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
+from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
 from construction_twin.core.units import NANOSECONDS, seconds
 from construction_twin.link.remote_trajectory import Joints
 
-VERSION = 4
+VERSION = 5
 #: The oldest version whose readers can read this one.
 COMPATIBLE = 1
 #: Decimals of positions [rad], [m] and of times [s].
 _POSITION, _TIME = 9, 6
 _UNITS = {"angle": "rad", "length": "m", "time": "s"}
+#: A number as `status_values` writes it.
+_NUMBER = re.compile(r"-?\d{1,9}(?:\.\d{1,9})?")
 #: States of the executor in which the plan goes on.
 _MOVING = ("PLAYING", "STOPPING", "PAUSING")
 
@@ -83,6 +86,21 @@ class SyncView:
 
 
 @dataclass(frozen=True)
+class ControllerView:
+    """What the controller says of itself on its optional channels; null: it sends none of them.
+
+    Attributes:
+        mode: Operating mode (T1, T2, AUT, EXT); empty: not sent.
+        program: State of its program (ACTIVE, STOP, ...); empty: not sent.
+        override_percent: Program override; null: not sent.
+    """
+
+    mode: str
+    program: str
+    override_percent: float | None
+
+
+@dataclass(frozen=True)
 class LinkView:
     """The bridge's view of broker, gateway and controller; null after 3 s without a report.
 
@@ -101,6 +119,7 @@ class LinkView:
     responsible: str
     round_trip_ms: Annotated[float | None, {"since": 2}]
     late: Annotated[int | None, {"minimum": 0, "since": 2}]
+    controller: Annotated[ControllerView | None, {"since": 5}]
 
 
 @dataclass(frozen=True)
@@ -131,6 +150,31 @@ class HoldView:
 
 
 @dataclass(frozen=True)
+class SpeedView:
+    """The speed limit in force and whose it is; fractions of the planned speed. null: nobody has ever set one, or it is not known.
+
+    Attributes:
+        limit: The lowest of what a program and people have set; it may stand still at 0.
+        by: Whose that is: ``people``, ``program``; empty: nobody limits.
+        reason: One sentence.
+        people: The one limit of all people, which a request sets.
+        person: Who set it, by MQTT the account; empty: not known, or nobody has.
+        since: When, ROS time [s]; 0: nobody has.
+        replaced: What it was before that.
+        replaced_person: Whose that was; empty: nobody's.
+    """
+
+    limit: float
+    by: str
+    reason: str
+    people: float
+    person: str
+    since: _Seconds
+    replaced: float
+    replaced_person: str
+
+
+@dataclass(frozen=True)
 class ExecutionView:
     """The executor; null while it does not run.
 
@@ -158,7 +202,7 @@ class ExecutionView:
 
 @dataclass(frozen=True)
 class ClosestView:
-    """The two bodies that are closest at the twin's pose; null: not measured.
+    """The two bodies that are closest at the twin's pose, of those whose distance some joint changes; null: not measured.
 
     Attributes:
         distance: [m]; below 0: they overlap.
@@ -176,7 +220,7 @@ class ClosestView:
 @dataclass(frozen=True)
 class View:
     """A message on <prefix>/<robot>/view: the state of one robot. SI units: m, rad, s. null: not known, or too old. Versions 2 to
-    4 add keys to version 1 and change none: a reader of version 1 that asks for `compatible` <= 1, in place of `version` = 1, and
+    5 add keys to version 1 and change none: a reader of version 1 that asks for `compatible` <= 1, in place of `version` = 1, and
     leaves alone the keys that it does not know, reads it. `since` is the version that has added a key.
 
     Attributes:
@@ -214,6 +258,7 @@ class View:
     closest: Annotated[ClosestView | None, {"since": 2}]
     hold: Annotated[HoldView | None, {"since": 4}]
     approval_obstacle: Annotated[str, {"since": 4}]
+    speed: Annotated[SpeedView | None, {"since": 5}]
 
 
 @dataclass(frozen=True)
@@ -240,6 +285,7 @@ class Seen:
     progress: float = 0.0
     hold: HoldReport = HoldReport()
     approval_obstacle: str = ""
+    speed: SpeedReport | None = None
 
 
 class ViewWriter:
@@ -285,12 +331,13 @@ class ViewWriter:
             twin=seen.twin,
             arm=seen.arm,
             sync=_part(SyncView, seen.sync),
-            link=_part(LinkView, seen.link, round_trip_ms=_round_trip_ms(seen.sync)),
+            link=_part(LinkView, seen.link, round_trip_ms=_round_trip_ms(seen.sync), controller=_controller(seen.link)),
             execution=_part(ExecutionView, seen.execution, progress=progress, segment=segment),
             plan=seen.plan,
             closest=seen.closest,
             hold=HoldView(seen.hold.cause, round(seconds(seen.hold.since), _TIME)) if seen.hold.cause else None,
             approval_obstacle=seen.approval_obstacle if seen.plan else "",
+            speed=_speed(seen.speed),
         )
         return dumped(view, _POSITION)
 
@@ -304,9 +351,24 @@ def _part(kind: type[_Part], shown: Shown | None, **known: object) -> _Part | No
     return kind(**{name: given[name] if name in given else getattr(report, name) for name in names})
 
 
+def _speed(report: SpeedReport | None) -> SpeedView | None:
+    if report is None:
+        return None
+    since, whose = round(seconds(report.since), _TIME), (report.replaced, report.replaced_person)
+    return SpeedView(report.limit, report.by, report.reason, report.people, report.person, since, *whose)
+
+
 def _round_trip_ms(sync: Shown[SyncReport] | None) -> float:
     # from a setpoint's passing of the gate to the arm's answer to it: the gate measures it, and it says how the link is
     return sync.report.round_trip * 1e3 if sync is not None else math.nan
+
+
+def _controller(shown: Shown[LinkReport] | None) -> ControllerView | None:
+    told = shown.report.gateway_counters if shown is not None else {}
+    mode, program, override = (told.get(f"controller_{name}", "") for name in ("mode", "program", "override_percent"))
+    # the gateway has sent a number, and the bridge has checked that it is a number or a text
+    percent = float(override) if _NUMBER.fullmatch(override) else None
+    return ControllerView(mode, program, percent) if mode or program or percent is not None else None
 
 
 def _segment(shown: Shown[ExecutionReport] | None) -> SegmentNow | None:

@@ -34,6 +34,7 @@ class Answer:
         between: What is in contact.
         task: Id of the task whose question was answered.
         message: Id of the message that was acknowledged.
+        limit: People's speed limit after the request, a fraction of the planned speed; 0: not known.
     """
 
     id: str = ""
@@ -56,6 +57,7 @@ class Answer:
     between: Sequence[str] = ()
     task: str = ""
     message: str = ""
+    limit: float = 0.0
 
 
 #: What each field holds while no more is known.
@@ -103,6 +105,7 @@ _PRESSED = ("id", "account", "ok", "reason", "by", "expired")
 _PLANNED = ("id", "account", "kind", "ok", "reason", "plan_id", "plan_hash", "duration", "expired")
 _ANSWERED = ("id", "account", "task", "ok", "reason", "expired")
 _ACKNOWLEDGED = ("id", "account", "message", "ok", "reason")
+_LIMITED = ("id", "account", "limit", "ok", "reason", "expired")
 _REACHED = ("id", "reach", "joints", "sentence", "between")
 #: Nobody alone holds up the others: a motion is checked in seconds.
 _PLANNING = Pace(1)
@@ -123,6 +126,8 @@ PRESSED = (STOP, PAUSE, RESUME, RESET, ARM)
 #: Answers a question of the work; takes note of a message.
 ANSWER = RequestKind("answer", "answer", "answer/{}", "answer/ack", _ANSWERED)
 ACKNOWLEDGE = RequestKind("acknowledge", "acknowledge", "acknowledge/{}", "acknowledge/ack", _ACKNOWLEDGED)
+#: Lowers people's speed limit, or raises it: then it needs its moment. A right of its own.
+SPEED = RequestKind("speed", "speed", "speed/{}", "speed/ack", _LIMITED)
 PLAN_REQUEST = RequestKind(
     "plan_request", "plan_request", "plan_request/{}", "plan_request/ack", _PLANNED, pace=_PLANNING
 )
@@ -132,7 +137,7 @@ NAMELESS_TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory", "tra
 TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory/from/{}", "trajectory/ack", _CHECKED, pace=_PLANNING)
 #: In the order of the broker's rules.
 REQUESTS = (
-    NAMELESS_REVIEW, REVIEW, *PRESSED, ANSWER, ACKNOWLEDGE, PLAN_REQUEST, IK, NAMELESS_TRAJECTORY, TRAJECTORY,
+    NAMELESS_REVIEW, REVIEW, *PRESSED, ANSWER, ACKNOWLEDGE, SPEED, PLAN_REQUEST, IK, NAMELESS_TRAJECTORY, TRAJECTORY,
 )  # fmt: skip
 
 #: Answers per second, and at once, to what an account sends that cannot be read, or that is a stop of what stands stopped. What can

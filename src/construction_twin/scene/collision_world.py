@@ -34,6 +34,8 @@ _NEAR = 0.1
 _KEPT = 8
 #: Poses that differ by no more than this in any joint follow each other as samples of one motion do [rad, m].
 _CLOSE = 0.03
+#: At so many poses a pair is measured before its distance counts as one that no joint changes, and what is a change [m].
+_POSES, _CHANGE = 64, 1e-3
 #: With another arm in the world most bodies stand still; this broad phase first compares one box around each group of bodies
 #: that move together.
 _WITH_NEIGHBOUR = pinocchio.TreeBroadPhaseManager_NaiveCollisionManager
@@ -311,16 +313,18 @@ class CollisionWorld:
         is_free = world._checks.is_free
         return next((row for row, q in enumerate(qs) if not is_free(q)), None)
 
-    def clearance(self, q: JointValues) -> Clearance:
+    def clearance(self, q: JointValues, changing: bool = False) -> Clearance:
         """Return the smallest distance of a checked pair; the padding is not subtracted.
 
         Args:
             q: Length n. [rad] or [m]
+            changing: Only of pairs whose distance some joint changes. A link that turns about an upright axis stays as far from the
+                floor as it is: that tells nothing of a pose or a plan.
 
         Returns:
             Negative for two bodies that penetrate each other; inf if no pair is checked.
         """
-        return self._checks.clearance(q)
+        return self._checks.clearance(q, changing)
 
     def first_contact(self, qs: np.ndarray) -> tuple[float, Contact] | None:
         """Return where a motion first touches something, None where nothing touches anywhere on it, also not between two rows.
@@ -349,7 +353,7 @@ class CollisionWorld:
             return float(row), found
         return before
 
-    def clearance_of(self, qs: np.ndarray) -> tuple[Clearance, float]:
+    def clearance_of(self, qs: np.ndarray, changing: bool = False) -> tuple[Clearance, float]:
         """Return the smallest distance over a motion, also between its rows, and where it is.
 
         Each joint goes evenly from one row to the next. Successive rows should be close to each other: then only few distances need
@@ -357,6 +361,7 @@ class CollisionWorld:
 
         Args:
             qs: Shape (m, n). m >= 1; [rad] or [m]
+            changing: As of `clearance`.
 
         Returns:
             clearance: As from `clearance`, within 1e-6 m in the rows, and between them within 1e-4 m or a hundredth of it,
@@ -366,7 +371,7 @@ class CollisionWorld:
         gap = _NEAR
         while True:
             world = self._beside(qs, gap)
-            clearance, place = world._checks.clearance_of(self._rows(qs))
+            clearance, place = world._checks.clearance_of(self._rows(qs), changing)
             # all that was left out is further away than this
             if world is self or clearance.distance <= gap:
                 return clearance, place
@@ -397,6 +402,7 @@ class _Checks:
         make_reliable(self._geometry_data, [margin for _, _, margin in pairs])
         self._q = np.zeros(robot.size)
         self._last: tuple[bytes, Motion] | None = None
+        self._steady: dict[int, bool] = {}
         # for the usual order a slice suffices; an index list would cost as much as the check of a few pairs
         self._order = slice(None) if np.array_equal(robot.order, np.arange(robot.size)) else robot.order
         self._follow = robot.follow if robot.followers else None
@@ -427,9 +433,18 @@ class _Checks:
         results = zip(self._names, self._geometry_data.collisionResults)
         return [Contact(names) for names in dict.fromkeys(names for names, result in results if result.isCollision())]
 
-    def clearance(self, q: JointValues) -> Clearance:
+    def clearance(self, q: JointValues, changing: bool) -> Clearance:
         """Return the smallest distance of a pair."""
-        return self._clearance(self._measure(q)) if self._pairs else Clearance(np.inf)
+        self._take(q)
+        row = self._q.copy()
+        for pair in np.argsort(self._distances(row), kind="stable").tolist():
+            if not changing:
+                return self._clearance(pair)
+            if not self._is_steady(pair):
+                # that question may have moved the bodies
+                self._measure_pair(row[None], 0.0, pair)
+                return self._clearance(pair)
+        return Clearance(np.inf)
 
     def first_contact(self, rows: np.ndarray) -> tuple[float, Contact] | None:
         """Return where two bodies first touch on a motion through rows in Pinocchio's order, and which."""
@@ -440,13 +455,30 @@ class _Checks:
         )
         return None if found is None else (found[0], Contact(self._names[found[1]]))
 
-    def clearance_of(self, rows: np.ndarray) -> tuple[Clearance, float]:
+    def clearance_of(self, rows: np.ndarray, changing: bool) -> tuple[Clearance, float]:
         """Return the smallest distance of a pair on a motion through rows in Pinocchio's order, and its place."""
-        if not self._pairs:
-            return Clearance(np.inf), 0.0
-        place, pair = self._motion(rows).smallest()
-        self._measure_pair(rows, place, pair)
-        return self._clearance(pair), place
+        steady: list[int] = []
+        while len(steady) < len(self._pairs):
+            place, pair = self._motion(rows).smallest(steady)
+            if changing and self._is_steady(pair):
+                steady.append(pair)
+                continue
+            self._measure_pair(rows, place, pair)
+            return self._clearance(pair), place
+        return Clearance(np.inf), 0.0
+
+    def _is_steady(self, pair: int) -> bool:
+        """Return whether a pair is as far from each other at all joint values; kept, because it costs many measurements."""
+        if pair not in self._steady:
+            robot = self._robot.robot
+            # the same poses each time; joints without an end have turned once
+            samples = np.random.default_rng(0).uniform(robot.lower, robot.upper, (_POSES, len(robot.lower)))
+            rows = self._robot.rows(samples)
+            first = self._measure_pair(rows, 0.0, pair)
+            self._steady[pair] = all(
+                abs(self._measure_pair(rows, float(row), pair) - first) <= _CHANGE for row in range(1, _POSES)
+            )
+        return self._steady[pair]
 
     def _motion(self, rows: np.ndarray) -> Motion:
         """Return a motion's bounds; the last one is kept, because it is asked for its contacts, then for its clearance."""
@@ -488,11 +520,6 @@ class _Checks:
         self._q[self._order] = q
         if self._follow is not None:
             self._follow(self._q)
-
-    def _measure(self, q: JointValues) -> int:
-        """Measure every pair; return the closest one."""
-        self._take(q)
-        return int(np.argmin(self._distances(self._q)))
 
     def _distances(self, row: np.ndarray) -> np.ndarray:
         pinocchio.computeDistances(self._model, self._data, self._geometry, self._geometry_data, row)

@@ -123,17 +123,24 @@ class Motion:
         self._rows = np.unique(np.linspace(0, len(travel) - 1, 1 + -(-len(travel) // _STRIDE)).astype(int))
         self._known = np.array([measure_row(int(row)) for row in self._rows])
 
-    def smallest(self) -> tuple[float, int]:
+    def smallest(self, without: Sequence[int] = ()) -> tuple[float, int]:
         """Find the smallest distance of all pairs anywhere on the motion.
+
+        Args:
+            without: Pairs that are left out; not all of them.
 
         Returns:
             place
             pair: Where the smallest distance is. No other in a row is smaller by more than `TOLERANCE`, and none between two rows
                 by more than `BETWEEN` or `BETWEEN_PART` of it.
         """
-        at, closest = np.unravel_index(np.argmin(self._known), self._known.shape)
-        best, best_place, best_pair = float(self._known[at, closest]), float(self._rows[at]), int(closest)
-        heap = self._gaps(best - TOLERANCE)
+        known = self._known
+        if len(without):
+            known = known.copy()
+            known[:, list(without)] = math.inf
+        at, closest = np.unravel_index(np.argmin(known), known.shape)
+        best, best_place, best_pair = float(known[at, closest]), float(self._rows[at]), int(closest)
+        heap = self._gaps(known, best - TOLERANCE)
         while heap and heap[0].bound < best - TOLERANCE:
             gap = heapq.heappop(heap)
             if gap.high - gap.low <= 1 and gap.bound >= best - max(BETWEEN, BETWEEN_PART * best):
@@ -160,7 +167,7 @@ class Motion:
                 come closer than the margin by no more than half of that.
         """
         first: tuple[float, int] | None = None
-        heap = self._gaps(margins + TOLERANCE)
+        heap = self._gaps(self._known, margins + TOLERANCE)
         for row, known in zip(self._rows.tolist(), self._known):
             for pair in np.flatnonzero(known <= margins + TOLERANCE).tolist():
                 if (first is None or row < first[0]) and touches(float(row), pair):
@@ -181,9 +188,9 @@ class Motion:
                     heapq.heappush(order, (half.low, half))
         return first
 
-    def _gaps(self, below: np.ndarray | float) -> list[_Gap]:
+    def _gaps(self, known: np.ndarray, below: np.ndarray | float) -> list[_Gap]:
         """Return the stretches between measured rows on which a pair may be closer than a distance, as a heap."""
-        rows, known = self._rows, self._known
+        rows = self._rows
         bounds = (known[:-1] + known[1:] - np.diff(self._travel[rows], axis=0)) / 2
         heap = [
             _Gap(

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from construction_twin.core.freshness import Moment
-from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
+from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
@@ -35,7 +35,10 @@ SEEN = Seen(
         SyncReport("IN_SYNC", "agree", "resume", "", (0.0, 0.0001), (0.001, 0.01), 0.03125, violations=3, agreed=True),
         0.01,
     ),
-    Shown(LinkReport("ARMED", "well", "following", {"late_replies": "4"}, gateway_kind="rsi"), 0.7),
+    Shown(
+        LinkReport("ARMED", "well", "following", {"late_replies": "4", "controller_mode": "T1"}, gateway_kind="rsi"),
+        0.7,
+    ),
     Shown(
         ExecutionReport(
             "PLAYING", "plays p1", "p1", duration=8.0, rate=1.0, speed_limit=1.0, segment=1, segment_name="carry"
@@ -79,7 +82,8 @@ def properties(node: dict) -> dict:
 
 
 def test_the_message_has_the_keys_of_the_schema_at_every_level():
-    message = read(writer().write(NOW, replace(SEEN, hold=HoldReport("joint_a1 differs", NOW)), MOMENT))
+    held = replace(SEEN, hold=HoldReport("joint_a1 differs", NOW), speed=SpeedReport())
+    message = read(writer().write(NOW, held, MOMENT))
     assert set(message) == set(properties(SCHEMA))
     for key, node in properties(SCHEMA).items():
         inner = properties(node)
@@ -129,6 +133,33 @@ def test_what_version_4_adds_is_in_it():
     assert (well["hold"], well["approval_obstacle"]) == (None, "")
     without = read(writer().write(NOW, replace(held, plan=""), MOMENT))
     assert without["approval_obstacle"] == "", "there is no plan that it could stand against"
+
+
+def test_what_version_5_adds_is_in_it():
+    said = SpeedReport(0.2, "people", "dora has it", 0.2, "dora", NOW - 10**9, 0.5, "bob", 1.0, "", 1)
+    message = read(writer().write(NOW, replace(SEEN, speed=said), MOMENT))
+    assert message["speed"] == {
+        "limit": 0.2, "by": "people", "reason": "dora has it", "people": 0.2, "person": "dora",
+        "since": 1_795_369_596.396012, "replaced": 0.5, "replaced_person": "bob",
+    }  # fmt: skip
+    assert read(writer().write(NOW, SEEN, MOMENT))["speed"] is None
+
+    def controller(**counters: str) -> dict | None:
+        told = {f"controller_{name}": value for name, value in counters.items()}
+        link = Shown(LinkReport("ARMED", "", "following", told, gateway_kind="rsi"), 0.0)
+        return read(writer().write(NOW, replace(SEEN, link=link), MOMENT))["link"]["controller"]
+
+    assert controller(mode="T1", program="ACTIVE", override_percent="12.5", sentence="x") == {
+        "mode": "T1",
+        "program": "ACTIVE",
+        "override_percent": 12.5,
+    }
+    # the controller's XML has one of them
+    assert controller(mode="AUT") == {"mode": "AUT", "program": "", "override_percent": None}
+    assert controller(override_percent="0") == {"mode": "", "program": "", "override_percent": 0.0}
+    for told in ({}, {"sentence": ""}, {"mode": "", "program": "", "override_percent": ""}, {"override_percent": "?"}):
+        assert controller(**told) is None
+    assert read(writer().write(NOW, replace(SEEN, link=None), MOMENT))["link"] is None
 
 
 def test_what_was_seen_is_in_it():

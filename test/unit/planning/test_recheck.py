@@ -41,7 +41,9 @@ class WallWorld:
         before = row - 1 + (self.angle - qs[row - 1, 0]) / (qs[row, 0] - qs[row - 1, 0]) if row else 0.0
         return before, SimpleNamespace(between=("link_1", "wall"))
 
-    def clearance_of(self, qs):
+    def clearance_of(self, qs, changing):
+        # what no joint changes is none of the plan's
+        assert changing
         row = int(np.argmax(qs[:, 0]))
         return Clearance(self.angle - float(qs[row, 0]), ("link_1", "wall"), (1.0, 2.0, 3.0)), row
 

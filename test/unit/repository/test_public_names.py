@@ -58,6 +58,7 @@ EXEMPT: dict[str, dict[str, str]] = {
     },
     "test/unit/ros/test_goal_server.py": {"_connection_header": GENPY},
     "test/unit/ros/test_marker_server.py": {"_connection_header": GENPY},
+    "test/unit/ros/test_speed_limits.py": {"_connection_header": GENPY},
     "test/unit/ros/test_safety_acts.py": {"_connection_header": GENPY},
     "test/unit/ros/test_joint_goals.py": {"_full_text": GENPY, "_md5sum": GENPY, "_type": GENPY},
     "test/unit/ros/test_persistent_service.py": {

@@ -77,8 +77,9 @@ class TestFiles:
         assert len(before) >= 10 and {path: path.read_bytes() for path in kept} == before
         # the robot's messages and cameras, and what people may be given the right to, are new
         made = (site / "broker/access.acl").read_text().splitlines()
-        asked = [f"topic read twin/kr120/{verb}/+" for verb in ("reset", "arm", "answer", "acknowledge")]
-        answered = [f"topic write twin/kr120/{verb}/ack" for verb in ("reset", "arm", "answer", "acknowledge")]
+        given = ("reset", "arm", "answer", "acknowledge", "speed")
+        asked = [f"topic read twin/kr120/{verb}/+" for verb in given]
+        answered = [f"topic write twin/kr120/{verb}/ack" for verb in given]
         new = ["topic readwrite twin/kr120/messages", "topic readwrite twin/kr120/camera/+", *asked, *answered]
         assert [line for line in made if line not in new] == rules.splitlines() and set(new) <= set(made)
         assert "connection_messages false" in (site / "broker/mosquitto.conf").read_text()

@@ -35,7 +35,7 @@ def bench(clocks):
 
 
 def limit(value, source="/separation"):
-    """A message on `speed_limit`."""
+    """A message on `speed_limit_in_force`."""
     return SimpleNamespace(limit=value, _connection_header={"callerid": source})
 
 

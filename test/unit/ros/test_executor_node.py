@@ -8,7 +8,7 @@ import numpy as np
 import pydantic
 import pytest
 import rospy
-from construction_twin.msg import Conflict, Execution, Link, Scene, SpeedLimit, ToolCommand, ToolState
+from construction_twin.msg import Conflict, Execution, Link, Scene, SpeedLimitInForce, ToolCommand, ToolState
 from construction_twin.srv import (
     ReleaseEngagementRequest,
     ResumeFromScreenRequest,
@@ -36,9 +36,9 @@ def world(monkeypatch, tmp_path):
     return World(monkeypatch, tmp_path)
 
 
-def limit(fraction: float) -> SpeedLimit:
-    message = SpeedLimit(limit=fraction, reason="somebody is near")
-    message._connection_header = {"callerid": "/sensor"}
+def limit(fraction: float) -> SpeedLimitInForce:
+    message = SpeedLimitInForce(limit=fraction, reason=f"speed limit {fraction:g} by /sensor: somebody is near")
+    message._connection_header = {"callerid": "/kr120/speed_limits"}
     return message
 
 

@@ -10,7 +10,12 @@ import pytest
 import rospy
 from bridge_bench import Client, Refusals
 from construction_twin.msg import Plan, PlanCaller, Review
-from construction_twin.srv import ResumeFromScreenResponse, ReviewFromScreenResponse, WorkDecideResponse
+from construction_twin.srv import (
+    LimitSpeedResponse,
+    ResumeFromScreenResponse,
+    ReviewFromScreenResponse,
+    WorkDecideResponse,
+)
 from paho.mqtt.client import topic_matches_sub
 from processes import wait_until
 from rospy.exceptions import TransportTerminated
@@ -52,6 +57,16 @@ class Trigger:
         return ResumeFromScreenResponse(self.success, "as the executor says", self.expired)
 
 
+class Later:
+    """In place of a service of another node; `do` answers, once a test has put it there."""
+
+    def __init__(self, name):
+        self.resolved_name, self.do = f"/kr120/{name}", None
+
+    def __call__(self, **asked):
+        return self.do(**asked)
+
+
 class Bench:
     """The node, a client that remembers, and an executor that says yes."""
 
@@ -61,7 +76,11 @@ class Bench:
         settings = Settings(host="127.0.0.1", port=1, path_points=10, account=account)
         self.pressed = []
         self.services = {verb: Trigger(verb, self.pressed) for verb in (STOP, PAUSE, *STARTING)}
-        self.node = MqttReview(settings, "kr120", Broker("127.0.0.1", 1), self.client, self, self.services, self.made)
+        self.decide, self.limit_speed = Later("work/decide"), Later("limit_speed")
+        self.node = MqttReview(
+            settings, "kr120", Broker("127.0.0.1", 1), self.client, self, self.services, self.made,
+            decide=self.decide, limit_speed=self.limit_speed,
+        )  # fmt: skip
 
     resolved_name = "/kr120/review_plan"
 
@@ -503,8 +522,7 @@ def answering(bench, monkeypatch, now=5.0):
         asked.append(fields)
         return WorkDecideResponse(True, "T1: it stands at its place")
 
-    decide.resolved_name = "/kr120/work/decide"
-    bench.node._decide = decide
+    bench.decide.do = decide
     monkeypatch.setattr(mqtt_review, "present", lambda: Moment("c0ffee00", round(now * 1e9)))
     return asked
 
@@ -545,3 +563,65 @@ def test_an_answer_names_everything(pressing, monkeypatch, missing):
     pressing.deliver("answer/ada", json.dumps({key: ANSWER[key] for key in ANSWER if key != missing}).encode())
     wait_until(lambda: acks(pressing, "answer"), what="an answer")
     assert not acks(pressing, "answer")[0]["ok"] and asked == []
+
+
+def limiting(bench, expired=False):
+    """Let the bench's node have somebody who holds the speed limit."""
+    asked, free = [], threading.Event()
+    free.set()
+
+    def limit_speed(**fields):
+        if fields["moment"]:
+            assert free.wait(10.0)
+        asked.append(fields)
+        return LimitSpeedResponse(not expired, "as speed_limits says", expired, fields["limit"])
+
+    bench.limit_speed.do = limit_speed
+    return asked, free
+
+
+def test_a_speed_limit_goes_on_in_the_name_of_the_account_and_is_answered(pressing):
+    asked, _ = limiting(pressing)
+    pressing.deliver("speed/dora", b'{"id": "7", "limit": 0.3}')
+    wait_until(lambda: acks(pressing, "speed"), what="an answer")
+    answer = {
+        "id": "7",
+        "account": "dora",
+        "limit": 0.3,
+        "ok": True,
+        "reason": "as speed_limits says",
+        "expired": False,
+    }
+    assert acks(pressing, "speed") == [answer]
+    assert asked == [{"limit": 0.3, "person": "dora", "moment": ""}]
+    assert pressing.node.report().values["speed limits taken"] == 1
+
+
+def test_that_a_raise_was_too_old_comes_back(pressing):
+    asked, _ = limiting(pressing, expired=True)
+    pressing.deliver("speed/dora", json.dumps({"id": "7", "limit": 0.9, "moment": MOMENT}).encode())
+    wait_until(lambda: acks(pressing, "speed"), what="an answer")
+    assert [(answer["ok"], answer["expired"]) for answer in acks(pressing, "speed")] == [(False, True)]
+    assert asked[0]["moment"] == MOMENT
+
+
+def test_a_lower_limit_waits_for_no_raise(pressing):
+    asked, free = limiting(pressing)
+    free.clear()
+    pressing.deliver("speed/dora", json.dumps({"id": "1", "limit": 0.9, "moment": MOMENT}).encode())
+    pressing.deliver("speed/dora", b'{"id": "2", "limit": 0.2}')
+    wait_until(lambda: acks(pressing, "speed"), what="an answer")
+    assert [fields["limit"] for fields in asked] == [0.2]
+    free.set()
+
+
+@pytest.mark.parametrize(
+    "payload, retain, reason",
+    [(b'{"id": "1", "limit": 0.3}', True, "retained"), (b'{"id": "1", "limit": 0}', False, "values"),
+     (b'{"id": "1"}', False, "format"), (b"{", False, "format"), (b" " * 300, False, "size")],
+)  # fmt: skip
+def test_a_speed_limit_that_is_not_as_described_is_refused_counted_and_answered(pressing, payload, retain, reason):
+    asked, _ = limiting(pressing)
+    pressing.deliver("speed/dora", payload, retain)
+    assert [(answer["ok"], answer["limit"]) for answer in acks(pressing, "speed")] == [(False, 0.0)]
+    assert asked == [] and pressing.made.refused == {reason: 1}

@@ -237,6 +237,40 @@ def test_one_row_and_rows_at_rest_have_a_clearance_too():
     assert checked.clearance_of(np.tile(HOME, (300, 1)))[0].distance == pytest.approx(alone.distance, abs=1e-9)
 
 
+def test_a_distance_that_no_joint_changes_is_none_of_a_pose_or_a_motion():
+    rows = np.linspace(HOME, HOME + np.array([1.2, 0.3, -0.2, 0.0, 0.4, 0.0]), 40)
+    checked = world(FLOOR)
+    # link_1 turns above the floor about an upright axis
+    assert checked.clearance(HOME).between == checked.clearance_of(rows)[0].between == ("link_1", "floor")
+    for found, q in ((checked.clearance(HOME, changing=True), HOME), checked.clearance_of(rows, changing=True)):
+        at = q if isinstance(q, np.ndarray) else rows[int(q)]
+        assert found.between != ("link_1", "floor")
+        others = [pair.distance for pair in checked.distances(at) if pair.between != ("link_1", "floor")]
+        # others may be steady, too: none that moves is closer
+        assert found.distance in [pytest.approx(each, abs=1e-4) for each in others]
+    # what comes near to it does so because it turns
+    post = SceneObject("post", "box", (0.1, 0.1, 2.0), (0.75, 0.0, 1.0))
+    assert world(FLOOR, post).clearance(HOME, changing=True).between[1] == "post"
+    # and nothing of it is left out of what may touch
+    shallow = replace(FLOOR, position=tuple(np.array(FLOOR.position) + [0.0, 0.0, 0.32]))
+    assert world(shallow).contact(HOME).between == ("link_1", "floor")
+
+
+@pytest.mark.parametrize("robot, pairs", [(kr120, kr120_pairs), (track7, track7_pairs)])
+def test_of_the_pairs_whose_distance_changes_the_smallest_is_found(robot, pairs):
+    checked = CollisionWorld(robot(), Scene((FLOOR,)), pairs())
+    poses = random_poses(robot(), 60)
+    table = np.array([[pair.distance for pair in checked.distances(q)] for q in poses])
+    names = [pair.between for pair in checked.distances(poses[0])]
+    steady = np.ptp(table, axis=0) < 1e-3
+    assert steady.any() and not steady.all()
+    for q, row in zip(poses, table):
+        found = checked.clearance(q, changing=True)
+        assert found.distance == pytest.approx(row[~steady].min(), abs=2e-6)
+        assert found.between in [name for name, out in zip(names, steady) if not out]
+    assert checked.clearance_of(poses[:2], changing=True)[0].distance <= table[:2][:, ~steady].min() + 2e-6
+
+
 def test_every_contact_is_listed_once():
     tool = Chain(kr120()).forward(HOME).position
     wall = SceneObject("wall", "box", (0.1, 1.0, 1.0), tuple(tool))

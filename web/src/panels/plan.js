@@ -12,6 +12,7 @@ import {IkFollower} from "../planning/ik_follower.js";
 import {ends, fromShown, limits, shown, typed, unit} from "../planning/joints.js";
 import {LONGEST, ownStorage, Poses} from "../planning/poses.js";
 import {showAsking} from "./asking_line.js";
+import {makeToolFields} from "./tool_fields.js";
 
 /** Fractions of the limits that can be chosen; 0: what the planner has set. */
 const SPEEDS = [0, 0.1, 0.25, 0.5, 1];
@@ -66,6 +67,7 @@ export function make(parent, store, connection, texts, means = {}) {
   const work = add(parent, "div", {className: "plan-work", hidden: true});
   add(work, "p", {className: "plan-hint", text: texts("plan.hint")});
   const sliders = add(work, "div", {className: "plan-sliders"});
+  const toolFields = makeToolFields(work, texts, onToolTyped);
   const reach = add(work, "p", {className: "plan-reach", role: "status"});
   const row = add(work, "div", {className: "plan-row"});
   button(row, texts("plan.here"), onBegin);
@@ -205,6 +207,12 @@ export function make(parent, store, connection, texts, means = {}) {
     show();
   }
 
+  /** Take a pose of the tool that was typed: as if it had been dragged there. */
+  function onToolTyped(pose) {
+    store.set("handle", store.selected, pose);
+    onDrag(store.selected, pose);
+  }
+
   /** Send the question that is due, and come back for the next. */
   function follow(robot) {
     const mine = desk(robot);
@@ -303,6 +311,7 @@ export function make(parent, store, connection, texts, means = {}) {
     told.hidden = told.textContent === "";
     if (!hasGoal) return;
     showSliders(mine);
+    toolFields.show(mine.dragged ?? mine.model.pose(mine.goal.values));
     showReach(mine);
     showPoses(mine);
     const old = store.robot(robot)?.old ?? true;
@@ -368,7 +377,7 @@ export function make(parent, store, connection, texts, means = {}) {
     if (follower.isLost(now())) setText(reach, texts("plan.reach.lost"));
     else if (mine.dragged === null) setText(reach, texts("plan.reach.joints"));
     else if (!follower.settled && goal.pose === null) setText(reach, texts("plan.reach.waiting"));
-    else setText(reach, `${texts(`plan.reach.${goal.reach}`)} ${goal.sentence}`.trim());
+    else setText(reach, `${texts(`plan.reach.${goal.reach}`)} ${texts.reason(goal.sentence)}`.trim());
   }
 
   function showPoses(mine) {

@@ -11,7 +11,7 @@ export const SCREEN_OLD_AFTER = 3000;
 const PAGE = /^(?:[\w-]+\/)*[\w-]+\.md(?:#[\w-]+)?$/;
 
 /** Sizes of the sentence, the first that fits. */
-const SIZES = ["1.25rem", "1.1rem", "1rem", "0.9rem", "0.8rem"];
+const SIZES = ["1.25rem", "1.1rem", "1rem", "0.9rem", "0.8rem", "0.72rem"];
 /** Topics whose line, where a person is waited for, tells of a fault. */
 const FAULTS = ["cause", "link", "sync"];
 

@@ -15,6 +15,8 @@ export const REASONS = ["too_close", "wrong_place", "scene", "person", "too_fast
 /** Longest reason that mqtt_review reads, with the one that was picked. */
 const LONGEST_REASON = 300;
 const LONGEST_NAME = 64;
+/** Words of picture/seen.js for a picture that a person cannot see: nothing is approved without it. */
+const HIDDEN = ["away", "small", "lost"];
 const GOOD = ["accepted"];
 /** The broker's reason code for a message that nobody has subscribed to (MQTT 5.0, section 3.4.2.1). */
 const NOBODY = 16;
@@ -84,10 +86,12 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const nameLabel = add(area, "label", {className: "verdict-name", hidden: true});
   add(nameLabel, "span", {text: texts("verdict.name")});
   const name = add(nameLabel, "input", {type: "text", maxlength: LONGEST_NAME, autocomplete: "off"});
-  const approve = add(area, "button", {type: "button", className: "verdict-approve", "aria-describedby": "verdict-hint", disabled: true});
+  // stays in view however long the rest is
+  const act = add(area, "div", {className: "verdict-act"});
+  const approve = add(act, "button", {type: "button", className: "verdict-approve", "aria-describedby": "verdict-hint", disabled: true});
   add(approve, "span", {className: "verdict-fill", "aria-hidden": "true"});
   const approveText = add(approve, "span", {className: "verdict-approve-text", text: texts("verdict.approve")});
-  const hint = add(area, "p", {id: "verdict-hint", className: "verdict-hint"});
+  const hint = add(act, "p", {id: "verdict-hint", className: "verdict-hint"});
   const rejection = add(area, "fieldset", {className: "verdict-rejection"});
   add(rejection, "legend", {text: texts("verdict.reject_title")});
   const words = add(rejection, "input", {type: "text", maxlength: LONGEST_REASON, placeholder: texts("verdict.words"),
@@ -171,12 +175,14 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
       unfit.hidden = found.refused === "";
       setText(unfit, found.refused ? texts("verdict.unfit", {why: texts.has(`verdict.refused.${found.refused}`)
         ? texts(`verdict.refused.${found.refused}`) : found.refused}) : "");
-      checks.hidden = steps.hidden = approve.hidden = found.refused !== "";
+      checks.hidden = steps.hidden = act.hidden = found.refused !== "";
     } else {
       open = "";
     }
     const named = reviewer() !== "";
-    const why = verdict.blocked(machine) || (named ? "" : "name");
+    const may = store.rightsOf.may(robot, "review") !== false;
+    const why = may ? verdict.blocked(machine) || (named ? "" : "name") : "right";
+    const who = may ? [] : store.rightsOf.who(robot, "review");
     const pressing = machine.state === "pressing";
     nameLabel.hidden = connection.account !== "";
     approve.disabled = why !== "";
@@ -187,10 +193,11 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     const drawn = store.robot(robot)?.drawn ?? "none";
     const unseen = (why === "look" || why === "unseen") && drawn !== "seen";
     setText(hint, why === "" ? texts("verdict.hint")
-      : texts(unseen ? `verdict.unseen.${drawn}` : `verdict.blocked.${why}`, {reason: texts.reason(machine.obstacle)}));
+      : texts(unseen ? `verdict.unseen.${drawn}` : why === "right" && !who.length ? "verdict.blocked.nobody" : `verdict.blocked.${why}`,
+        {reason: texts.reason(machine.obstacle), who: who.join(", ")}));
     step(stepLooked, machine.played || machine.checks, texts("verdict.step_looked"));
     step(stepShown, machine.shownFor >= verdict.SHOWN_FOR, texts("verdict.step_shown"));
-    const free = machine.state === "open" || machine.state === "unfit";
+    const free = may && (machine.state === "open" || machine.state === "unfit");
     reject.disabled = !free || !named || reason() === "";
     pick.disabled = words.disabled = !free;
     showNotice(machine);
@@ -218,7 +225,9 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
 
   // -- the person
 
-  const press = () => take(store.selected, {type: "press"});
+  const press = () => {
+    if (!approve.disabled) take(store.selected, {type: "press"});
+  };
   const release = () => {
     if (machineOf(store.selected).state === "pressing") take(store.selected, {type: "release"});
   };
@@ -255,10 +264,10 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const viewOf = ({plan, approval_obstacle: obstacle, execution}) => (
     {type: "view", plan, obstacle, ended: execution?.outcome ? execution.plan_id : ""}
   );
-  // no picture at all is no picture that is covered: then the checks are what a person looks at
+  // no picture, or none of this robot, is no picture that is covered: then the checks are what a person looks at
   const hides = (robot) => {
     const {drawn = null, said = null} = store.robot(robot) ?? {};
-    return drawn !== null && drawn !== "seen" ? "unseen" : said !== "whole" ? "unread" : "";
+    return HIDDEN.includes(drawn) ? "unseen" : said !== "whole" ? "unread" : "";
   };
   const look = (robot) => {
     // before `connect` there is no machine of it
@@ -302,6 +311,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     if (old) take(robot, {type: "old"});
   });
   for (const kind of ["drawn", "said"]) store.on(kind, look);
+  store.on("rights", show);
   for (const kind of ["tasks", "drawn"]) {
     store.on(kind, (robot) => {
       if (robot === store.selected) show();

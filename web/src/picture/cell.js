@@ -1,17 +1,40 @@
 /**
- * What is drawn of one robot: twin, measured arm, plan, goal, scene, building model, markers; with a camera of its own.
+ * What is drawn of one robot: twin, measured arm, plan, goal, scene, building model, markers, floor; with a camera of its own.
  *
- * Joint values are applied at once when a message comes; drawing waits for the next frame.
+ * Joint values are applied at once when a message comes; drawing waits for the next frame. The camera is fitted to all that is there
+ * until the person moves it.
  */
-import {AmbientLight, DirectionalLight, HemisphereLight, Object3D, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3} from "three";
+import {Box3, DirectionalLight, HemisphereLight, Object3D, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3} from "three";
 import {OrbitControls} from "three/addons/controls/OrbitControls.js";
 import {TransformControls} from "three/addons/controls/TransformControls.js";
+import {closestOf, millimetres, otherPoint} from "./closest.js";
 import * as colours from "./colours.js";
-import {ghostOf, loadRobot, ModelError, setJoints, toolOf} from "./robot_model.js";
-import {closestMarker, colourBuilding, dispose, floor, ghostMaterial, loadBuilding, pathLine, reachMarker, sceneBody} from "./shapes.js";
+import {around, clipped, corners, fit} from "./fit.js";
+import {makeFloor} from "./floor.js";
+import {floorOf} from "./grid.js";
+import {measured, onFloor} from "./measuring.js";
+import {ghostOf, loadRobot, mainColour, ModelError, reachOf, setJoints, toolOf} from "./robot_model.js";
+import {
+  axes, closestMarker, colourBuilding, dispose, ghostMaterial, isEngaged, loadBuilding, pathLine, reachMarker, sceneBody, span,
+} from "./shapes.js";
 
-/** Directions from which the cell is looked at: unit vectors towards the camera. */
-const VIEWS = {home: [0.72, -0.6, 0.42], front: [1, 0, 0.12], side: [0, -1, 0.12], top: [0.001, 0, 1]};
+/** Directions from which the cell is looked at: towards the camera. */
+const VIEWS = {home: [0.72, -0.62, 0.4], front: [1, 0, 0.14], side: [0, -1, 0.14], top: [0.001, 0, 1]};
+/** Height of the picture as the camera sees it [deg]. */
+const FOV = 38;
+/** What is farther away than so many times the arm's reach does not move the camera away. */
+const FAR = 2.2;
+/** Reach of an arm whose model has not come yet [m]. */
+const REACH = 2.5;
+/** Length of the tool frame's axes, as a part of the arm's reach. */
+const AXES = 0.1;
+/** A body has its name beside it where it is at least so large on the screen [px]; so many have at most. */
+const NEAR = 60;
+const MOST_NAMES = 12;
+/** Joint values that differ by less show the same picture [rad], [m]. */
+const SAME = 1e-3;
+/** The camera has arrived after so long [ms]. */
+const GLIDE = 260;
 /** A finger that moved less than this [px] has tapped. */
 const TAP = 8;
 /** Wait before a model that could not be loaded is asked for again [ms]. */
@@ -29,24 +52,41 @@ const rounded = (key, value) => (typeof value === "number" ? Math.round(1e5 * va
  * @param {Element} overlay transparent, above its part of the picture: takes the gestures
  * @param {object} store
  * @param {() => void} redraw
+ * @param {object} [options] `glides`: the camera takes a moment to get somewhere; `ratio`: pixels of the screen by pixel of the page;
+ *   `onTap(point)`: takes taps in place of the others while it returns true, with where a surface was tapped, null for none
  */
-export function makeCell(name, overlay, store, redraw) {
+export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 1, onTap = () => false} = {}) {
   const scene = new Scene();
-  const camera = new PerspectiveCamera(42, 1, 0.05, 100);
+  const camera = new PerspectiveCamera(FOV, 1, 0.05, 120);
   camera.up.set(0, 0, 1);
   const controls = new OrbitControls(camera, overlay);
-  controls.maxDistance = 30;
+  controls.maxDistance = 60;
   controls.minDistance = 0.3;
-  controls.maxPolarAngle = Math.PI * 0.55;
-  controls.addEventListener("change", redraw);
+  // the floor is solid: from below nothing is seen
+  controls.maxPolarAngle = Math.PI * 0.495;
+  const ground = makeFloor(overlay.ownerDocument);
+  scene.add(ground);
+  let high = 1;
+  let inset = undefined;
+  controls.addEventListener("change", () => {
+    controls.target.z = Math.max(controls.target.z, ground.position.z);
+    lookAtFloor();
+    redraw();
+  });
   // the view that was chosen; "" once the person has turned or moved it by hand
   let chosen = "home";
+  let gliding = null;
   controls.addEventListener("start", () => {
     chosen = "";
+    gliding = null;
   });
-  const sun = new DirectionalLight(0xffffff, 1.6);
-  sun.position.set(3, -4, 6);
-  scene.add(new HemisphereLight(0xffffff, 0x777780, 1.4), new AmbientLight(0xffffff, 0.35), sun);
+  const sun = new DirectionalLight(0xffffff, 2.1);
+  const fill = new DirectionalLight(0xdfe9ff, 0.5);
+  fill.position.set(-4, 3, 2.5);
+  sun.shadow.mapSize.set(1024, 1024);
+  sun.shadow.bias = -4e-4;
+  sun.shadow.normalBias = 0.02;
+  scene.add(new HemisphereLight(0xffffff, 0x8a8f99, 1.5), fill, sun, sun.target);
 
   const state = {loading: null, progress: null, failed: "", lacks: "", stale: false, missing: []};
   // views come 25 times a second: a model that could not be loaded is not asked for with each of them
@@ -57,17 +97,28 @@ export function makeCell(name, overlay, store, redraw) {
   };
   let bodies = null;
   let template = null;
-  let grid = null;
   let path = null;
+  let reachable = REACH;
+  let twinColour = null;
+  let tapped = null;
+  let near = null;
+  // whether the arm as measured is known; where it stands in the twin, it is hidden by it
+  const there = {arm: false};
+  let covered = false;
+  let nearKey = "";
+  let other = null;
   let building = null;
   let buildingOf = "";
   let sceneKey = "";
   let drawnView = "";
   let drawnAt = -AT_LEAST_EVERY;
+  let height = 0;
   const objects = [];
   const closest = closestMarker();
   const reach = reachMarker();
-  scene.add(closest, reach);
+  const rule = span(colours.MEASURE, 3);
+  scene.add(closest, reach, rule);
+  let measuring = [];
   let ended = false;
 
   // -- the handle by which the goal is dragged
@@ -101,7 +152,8 @@ export function makeCell(name, overlay, store, redraw) {
     if (!there && gizmo.object !== undefined) gizmo.detach();
     gizmo.enabled = there;
     gizmo.getHelper().visible = there;
-    redraw();
+    // handle and goal are told one after the other, in any order
+    showGoal();
   }
 
   // -- model
@@ -114,7 +166,13 @@ export function makeCell(name, overlay, store, redraw) {
         state.progress = {done: loaded, all};
         redraw();
       });
+      twinColour = mainColour(template);
       bodies = {twin: template, arm: ghostOf(template, ghosts.arm), plan: ghostOf(template, ghosts.plan), goal: ghostOf(template, ghosts.goal)};
+      reachable = reachOf(template) || REACH;
+      template.traverse((child) => {
+        if (child.isMesh) child.castShadow = child.receiveShadow = true;
+      });
+      toolOf(template).add(axes(AXES * reachable));
       for (const body of Object.values(bodies)) {
         body.visible = false;
         scene.add(body);
@@ -124,6 +182,7 @@ export function makeCell(name, overlay, store, redraw) {
     try {
       await done;
       showAll();
+      refit();
     } catch (error) {
       template = null;
       // a file that is there and cannot be read throws what its reader likes
@@ -153,6 +212,7 @@ export function makeCell(name, overlay, store, redraw) {
         building = loaded;
         scene.add(building.group);
         showTasks();
+        refit();
         return;
       }
     } catch (error) {
@@ -196,13 +256,17 @@ export function makeCell(name, overlay, store, redraw) {
         // the last pose stays, drawn as old
         if (view.twin !== null) pose("twin", names, view.twin.positions);
         if (view.arm !== null) pose("arm", names, view.arm.positions);
-        bodies.arm.visible = view.arm !== null;
-        colourArm(view.sync?.state);
+        const agree = colourArm(view.sync?.state);
+        there.arm = view.arm !== null;
+        covered = agree && view.twin !== null && view.arm !== null
+          && view.arm.positions.every((value, k) => Math.abs(value - view.twin.positions[k]) < SAME);
+        bodies.arm.visible = there.arm && !covered;
       }
     } else if (bodies !== null) {
-      bodies.arm.visible = false;
+      there.arm = bodies.arm.visible = false;
     }
-    closest.show(view?.closest ?? null);
+    showClosest();
+    if (chosen !== "" && isOutside()) refit();
     // views come 25 times a second; while the robot stands still they all show the same picture
     const shown = view === null ? "" : JSON.stringify(
       [view.twin?.positions, view.arm?.positions, view.sync?.state, view.closest, bodies !== null], rounded);
@@ -213,16 +277,28 @@ export function makeCell(name, overlay, store, redraw) {
     redraw();
   }
 
+  function showClosest() {
+    const found = closestOf(robot());
+    const key = JSON.stringify([found, sceneKey], rounded);
+    if (key === nearKey) return;
+    nearKey = key;
+    near = found;
+    other = near === null ? null : otherPoint(near, robot().scene?.objects ?? []);
+    closest.show(near, other);
+  }
+
   function showPlan() {
     const plan = robot()?.plan ?? null;
     if (path !== null) dispose(path);
     path = null;
     // nothing is shown of a plan that is not what its hash says
     if (plan !== null && plan.refused === "" && replayed() === null) {
-      path = pathLine(plan.tool_path, plan.segments ?? []);
+      path = pathLine(plan.tool_path, plan.segments ?? [], ratio);
       scene.add(path);
     }
+    showClosest();
     showGoal();
+    if (path !== null) refit();
   }
 
   function showGoal() {
@@ -231,12 +307,12 @@ export function makeCell(name, overlay, store, redraw) {
     const shown = replayed() !== null ? null : goal ?? (planned ? {names: plan.joints, positions: plan.goal} : null);
     if (bodies !== null) {
       bodies.goal.visible = shown !== null;
-      ghosts.goal.color.set(goal?.reach ? colours.BY_REACH[goal.reach] ?? colours.GOAL : colours.GOAL);
+      ghosts.goal.color.set(colours.goalColour(goal?.reach));
       if (shown !== null) pose("goal", shown.names, shown.positions);
     }
     reach.visible = Boolean(goal?.reach) && bodies !== null && shown !== null;
     if (reach.visible) {
-      reach.material.color.set(colours.BY_REACH[goal.reach] ?? colours.BY_REACH.unknown);
+      reach.material.color.set(colours.goalColour(goal.reach));
       const at = robot()?.handle;
       if (at) {
         reach.position.fromArray(at.position);
@@ -264,6 +340,9 @@ export function makeCell(name, overlay, store, redraw) {
     if (key !== "" && key === sceneKey) return;
     sceneKey = key;
     while (objects.length) dispose(objects.pop());
+    tapped = null;
+    const standing = floorOf(message?.objects ?? []);
+    height = standing?.height ?? 0;
     for (const object of message?.objects ?? []) {
       const body = sceneBody(object, (error) => {
         if (error) state.lacks = error.message;
@@ -272,8 +351,13 @@ export function makeCell(name, overlay, store, redraw) {
       const carrier = object.link && bodies?.twin.links[object.link];
       if (object.link && !carrier) continue;
       (carrier || scene).add(body);
+      // the floor of the scene is the floor of the picture
+      body.visible = object.name !== standing?.name;
+      body.userData.carried = Boolean(object.link);
       objects.push(body);
     }
+    showClosest();
+    refit();
     redraw();
   }
 
@@ -301,11 +385,14 @@ export function makeCell(name, overlay, store, redraw) {
     if (replay === null) return;
     load();
     closest.show(null);
+    nearKey = "";
     if (bodies === null) return;
+    covered = false;
     for (const body of ["twin", "arm"]) {
       if (replay[body] !== null) pose(body, replay.names, replay[body]);
       bodies[body].visible = replay[body] !== null;
     }
+    there.arm = replay.arm !== null;
     colourArm(replay.sync);
     redraw();
   }
@@ -314,6 +401,10 @@ export function makeCell(name, overlay, store, redraw) {
     const [colour, opacity] = colours.BY_SYNC[sync] ?? colours.UNKNOWN_SYNC;
     ghosts.arm.color.set(colour);
     ghosts.arm.opacity = opacity;
+    // while both agree the twin has its own colours, and what is seen of the arm is where it is beside it
+    const agree = sync === "IN_SYNC";
+    ghosts.arm.polygonOffsetFactor = ghosts.arm.polygonOffsetUnits = agree ? 1 : -1;
+    return agree;
   }
 
   function showAll() {
@@ -345,33 +436,180 @@ export function makeCell(name, overlay, store, redraw) {
     if (pressed === null || Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > TAP || gizmo.dragging) return;
     store.select(name);
     const box = overlay.getBoundingClientRect();
+    tap(event.clientX - box.left, event.clientY - box.top, box.width, box.height);
+  });
+
+  /** Take a tap on this part of the picture [px]. */
+  function tap(x, y, width, tall) {
     const ray = new Raycaster();
-    ray.setFromCamera(new Vector2((event.clientX - box.left) / box.width * 2 - 1, 1 - (event.clientY - box.top) / box.height * 2), camera);
+    ray.setFromCamera(new Vector2(x / width * 2 - 1, 1 - y / tall * 2), camera);
     const targets = [...objects, ...building === null ? [] : [building.group]];
-    const hit = ray.intersectObjects(targets, true)[0];
+    if (onTap(() => surfaceAt(ray, targets))) return;
+    const hit = ray.intersectObjects(targets, true).find(({object}) => object.isMesh);
+    tapped = null;
+    redraw();
     if (!hit) return;
     let object = "";
     for (let each = hit.object; each !== null; each = each.parent) object ||= each.userData.object ?? "";
-    store.set("tap", name, {element: hit.object.userData.tapped ?? "", object});
-  });
+    tapped = {object, element: hit.object.userData.tapped ?? ""};
+    store.set("tap", name, {element: tapped.element, object});
+  }
+
+  /** Return the nearest point of a surface that is drawn, on a ray; null: none. */
+  function surfaceAt(ray, targets) {
+    const solid = [...targets.filter(({visible}) => visible)];
+    if (bodies !== null) solid.push(...[bodies.twin, bodies.plan].filter(({visible}) => visible));
+    const hit = ray.intersectObjects(solid, true).find(({object}) => object.isMesh && object.name !== "axes");
+    const {origin, direction} = ray.ray;
+    const floor = onFloor(origin.toArray(), direction.toArray(), ground.position.z, hit?.distance ?? camera.far);
+    return floor ?? hit?.point.toArray() ?? null;
+  }
 
   // -- cameras
 
-  function look(view) {
+  /** Return the corners of what a body draws now, its frame's axes left out. */
+  function cornersOf(object) {
+    const found = [];
+    object.updateWorldMatrix(true, true);
+    object.traverse((child) => {
+      if (!child.isMesh || child.name === "axes") return;
+      child.geometry.boundingBox ?? child.geometry.computeBoundingBox();
+      const {min, max} = child.geometry.boundingBox;
+      found.push(...corners(min.toArray(), max.toArray()).map((corner) => new Vector3(...corner).applyMatrix4(child.matrixWorld).toArray()));
+    });
+    return found;
+  }
+
+  /** Return points around all that is drawn: arm, what it reaches, plan, scene and building model; not what is far away from it. */
+  function content() {
+    const points = around(reachable).map(([x, y]) => [x, y, ground.position.z]);
+    if (bodies === null) points.push([0, 0, 0.9 * reachable]);
+    else for (const body of Object.values(bodies)) if (body.visible) points.push(...cornersOf(body));
+    if (path !== null) points.push(...robot().plan.tool_path);
+    for (const body of objects) if (body.visible) points.push(...cornersOf(body));
+    if (building !== null) points.push(...cornersOf(building.group));
+    return clipped(points, FAR * reachable);
+  }
+
+  /** Whether the twin's tool is where the camera was not fitted to. */
+  function isOutside() {
+    if (bodies === null || fitted.isEmpty()) return false;
+    bodies.twin.updateWorldMatrix(true, true);
+    return !fitted.containsPoint(toolOf(bodies.twin).getWorldPosition(new Vector3()));
+  }
+
+  const fitted = new Box3();
+
+  /** Fit floor and camera to what is there now; the camera only while no person has moved it, nor drags a goal. */
+  function refit() {
+    const points = content();
+    fitted.setFromPoints(points.map((point) => new Vector3(...point))).expandByScalar(0.1 * reachable);
+    ground.cover(points, height);
+    light();
+    if (chosen !== "" && chosen !== "tool" && gizmo.object === undefined) look(chosen, points);
+    else lookAtFloor();
+    redraw();
+  }
+
+  /** Let the sun shine on all that is there. */
+  function light() {
+    const centre = fitted.getCenter(new Vector3());
+    const radius = fitted.getSize(new Vector3()).length() / 2;
+    sun.target.position.copy(centre);
+    sun.position.set(0.45, -0.5, 1).normalize().multiplyScalar(2 * radius).add(centre);
+    Object.assign(sun.shadow.camera, {left: -radius, right: radius, top: radius, bottom: -radius, near: 0.1, far: 4 * radius});
+    sun.shadow.camera.updateProjectionMatrix();
+  }
+
+  function lookAtFloor() {
+    ground.look(camera.position, controls.target, FOV, high);
+  }
+
+  function look(view, points = content()) {
     chosen = view;
-    const centre = new Vector3(0.3, 0, 1.0);
-    let distance = 5.4 / Math.min(1, Math.max(0.45, camera.aspect));
-    let direction = VIEWS[view];
+    let direction = VIEWS[view] ?? VIEWS.home;
+    let place;
     if (view === "tool" && bodies !== null) {
       bodies.twin.updateWorldMatrix(true, true);
-      toolOf(bodies.twin).getWorldPosition(centre);
-      distance = 1.8;
-      direction = VIEWS.home;
+      const tool = toolOf(bodies.twin).getWorldPosition(new Vector3());
+      const size = 0.22 * reachable;
+      place = fit(corners(tool.clone().subScalar(size).toArray(), tool.clone().addScalar(size).toArray()), direction, FOV, camera.aspect, inset);
+    } else {
+      place = fit(points, direction, FOV, camera.aspect, inset);
     }
-    controls.target.copy(centre);
-    camera.position.set(...direction ?? VIEWS.home).normalize().multiplyScalar(distance).add(centre);
-    controls.update();
+    const [position, target] = [new Vector3(...place.position), new Vector3(...place.target)];
+    gliding = null;
+    if (glides && camera.position.lengthSq() > 0) {
+      gliding = {from: camera.position.clone(), to: position, begin: performance.now(), fromTarget: controls.target.clone(), target};
+    } else {
+      stand(position, target);
+    }
     redraw();
+  }
+
+  function stand(position, target) {
+    controls.target.copy(target);
+    camera.position.copy(position);
+    controls.update();
+    lookAtFloor();
+  }
+
+  /** Move the camera on its way; called before each frame. */
+  function advance(now) {
+    if (gliding === null) return;
+    const {from, to, begin, fromTarget, target} = gliding;
+    const part = Math.min(1, (now - begin) / GLIDE);
+    const eased = part * part * (3 - 2 * part);
+    if (part === 1) gliding = null;
+    stand(from.clone().lerp(to, eased), fromTarget.clone().lerp(target, eased));
+    redraw();
+  }
+
+  // -- words in the picture
+
+  /** Return the words that belong to a place in the picture [px], the more important with a higher rank. */
+  function labels(width, tall) {
+    const found = [];
+    const at = (point, text, kind, rank) => {
+      const projected = point.clone().project(camera);
+      if (projected.z < -1 || projected.z > 1) return;
+      found.push({text, kind, rank, x: (projected.x + 1) / 2 * width, y: (1 - projected.y) / 2 * tall});
+    };
+    const sum = measured({points: measuring});
+    if (sum !== null) at(new Vector3(...measuring[0]).add(new Vector3(...measuring[1])).divideScalar(2), `${millimetres(sum.distance)} mm`, "measure", 100);
+    if (near !== null) {
+      const point = new Vector3(...near.point);
+      at(other === null ? point : point.add(new Vector3(...other)).divideScalar(2), `${millimetres(near.distance)} mm`, "closest", 90);
+    }
+    const names = [];
+    const name = (object, text, isTapped) => {
+      const box = new Box3().setFromObject(object);
+      if (box.isEmpty()) return;
+      const centre = box.getCenter(new Vector3());
+      const size = box.getSize(new Vector3()).length() / camera.position.distanceTo(centre) * high / (2 * Math.tan(FOV * Math.PI / 360));
+      if (isTapped || size >= NEAR) names.push({point: centre.setZ(isTapped ? box.max.z : centre.z), text, rank: isTapped ? 80 : Math.min(40, size / 20)});
+    };
+    for (const body of objects) if (body.visible) name(body, body.name, tapped?.object === body.name);
+    if (building !== null) {
+      const chosenElement = robot()?.picked?.element || tapped?.element;
+      for (const [element, {label, node}] of building.elements) {
+        const isChosen = element === chosenElement;
+        if (isChosen || camera.position.distanceTo(controls.target) < reachable) name(node, label, isChosen);
+      }
+    }
+    for (const {point, text, rank} of names.sort((one, other) => other.rank - one.rank).slice(0, MOST_NAMES)) at(point, text, "name", rank);
+    const plan = path === null ? null : robot()?.plan;
+    if (plan) {
+      const {tool_path: points, waypoints} = plan;
+      const last = points.length - 1;
+      // a thinned path has not all of them: then only its ends have a number
+      const all = waypoints === points.length;
+      points.forEach((point, k) => {
+        const isEnd = k === 0 || k === last;
+        if (isEnd || all && k % 5 === 4) at(new Vector3(...point), String(k === last ? waypoints : k + 1), "waypoint", isEnd ? 60 : 10);
+      });
+    }
+    return found;
   }
 
   /** Where a point is in this robot's part of the picture: fractions from its upper left corner. */
@@ -387,17 +625,25 @@ export function makeCell(name, overlay, store, redraw) {
     return [u - x, v - y];
   }
 
+  /** Where the axes at the tool are drawn, and which way each of them points; null: they are not. */
+  function toolFrame() {
+    if (bodies === null || !bodies.twin.visible) return null;
+    bodies.twin.updateWorldMatrix(true, true);
+    const {elements} = toolOf(bodies.twin).getObjectByName("axes").matrixWorld;
+    return {position: elements.slice(12, 15), axes: [0, 4, 8].map((k) => elements.slice(k, k + 3))};
+  }
+
   const toolPosition = (body) => {
-    if (bodies === null || !bodies[body].visible) return null;
+    if (bodies === null || !(body === "arm" ? there.arm : bodies[body].visible)) return null;
     bodies[body].updateWorldMatrix(true, true);
     return toolOf(bodies[body]).getWorldPosition(new Vector3()).toArray();
   };
 
-  look("home");
   showAll();
+  refit();
 
   return {
-    name, scene, camera, state, look,
+    name, scene, camera, state, look, labels, advance, tap,
     /** Whether the handle moves the tool or turns it. */
     get turns() {
       return gizmo.mode === "rotate";
@@ -408,35 +654,85 @@ export function makeCell(name, overlay, store, redraw) {
     get ready() {
       return bodies !== null;
     },
-    /** Fit the camera to its part of the picture. */
-    resize(width, height) {
-      camera.aspect = width / height;
+    /** Have another part of the picture, so many pixels large, of which `inset` (fit.js) is covered. */
+    resize(width, tall, covered) {
+      high = tall;
+      inset = covered;
+      camera.aspect = width / tall;
       camera.updateProjectionMatrix();
+      // what a person has chosen stays, at another size too
+      const moving = glides;
+      glides = false;
       if (chosen !== "") look(chosen);
+      else lookAtFloor();
+      glides = moving;
     },
-    /** Take the colours of the theme. */
-    theme(gridColour) {
-      if (grid !== null) dispose(grid);
-      grid = floor(gridColour);
-      scene.add(grid);
+    /** Take the colours of the theme: of the floor, of its lines and of its numbers. */
+    theme(plain, line, text) {
+      ground.theme({plain, line, text});
+      lookAtFloor();
+    },
+    /** Draw shadows, or none. */
+    shadows(on) {
+      sun.castShadow = on;
+      ground.shadows(on);
+      redraw();
+    },
+    /** Show what is measured: no points, one or two. */
+    measure(points) {
+      measuring = points;
+      rule.show(points);
+      redraw();
+    },
+    /** What is drawn now, in which colours, for the legend. */
+    drawn() {
+      const is = (body) => bodies !== null && bodies[body].visible;
+      const {plan, goal} = robot() ?? {plan: null, goal: null};
+      const segments = path === null ? [] : plan.segments ?? [];
+      const engaged = path === null ? [] : plan.tool_path.map((_, k) => isEngaged(segments, k));
+      const some = (carried) => objects.some((each) => each.visible && each.userData.carried === carried);
+      return {
+        twin: is("twin") && !covered ? twinColour : null,
+        // one body is seen where both agree to the width of a line
+        both: covered && is("twin") ? twinColour : null,
+        arm: is("arm") ? ghosts.arm.color.getHex() : null,
+        plan: is("plan") ? colours.PLAN : null,
+        goal: is("goal") ? {colour: ghosts.goal.color.getHex(), reach: goal?.reach || null} : null,
+        path: path !== null && engaged.includes(false) ? colours.PATH : null,
+        engaged: engaged.includes(true) ? colours.PATH_ENGAGED : null,
+        closest: closest.visible ? {...near, colour: colours.CLOSEST} : null,
+        tool: is("twin") ? colours.AXES[0] : null,
+        carried: some(true) ? colours.CARRIED : null,
+        standing: some(false) ? colours.STANDING : null,
+        elements: building === null ? [] : [...building.elements.values()].map(({material}) => material.color.getHex()),
+        measure: rule.visible ? colours.MEASURE : null,
+      };
     },
     /** What is drawn now, for tests: joint values and positions of the tool by body, and the path's points. */
     inspect() {
-      const values = (body) => (bodies === null || !bodies[body].visible ? null
+      const isShown = (body) => bodies !== null && (body === "arm" ? there.arm : bodies[body].visible);
+      const values = (body) => (!isShown(body) ? null
         : Object.fromEntries(Object.values(bodies[body].joints).filter((joint) => joint.jointType !== "fixed")
           .map((joint) => [joint.name ?? joint.urdfName, joint.angle])));
       const result = {ready: bodies !== null, failed: state.failed, lacks: state.lacks, stale: state.stale, seq: robot()?.view?.seq ?? null};
       for (const body of ["twin", "arm", "plan", "goal"]) result[body] = {joints: values(body), tool: toolPosition(body)};
       result.path = path === null ? null : robot()?.plan?.tool_path ?? null;
+      result.waypoints = path === null ? 0 : path.userData.waypoints;
       result.armColour = ghosts.arm.color.getHex();
+      result.goalColour = ghosts.goal.color.getHex();
       result.objects = objects.map((each) => each.name);
       result.elements = building === null ? [] : [...building.elements].map(([element, {material}]) => [element, material.color.getHex()]);
       result.handle = gizmo.object === undefined ? null
         : {position: handle.position.toArray(), screen: onScreen(handle.position), axis: screenAxis(), mode: gizmo.mode};
-      result.camera = {position: camera.position.toArray(), target: controls.target.toArray()};
+      result.camera = {position: camera.position.toArray(), target: controls.target.toArray(), chosen};
       result.replay = replayed()?.time ?? null;
-      result.closest = closest.visible;
+      result.closest = closest.visible ? near : null;
+      result.floor = ground.userData;
+      result.frame = toolFrame();
+      result.measured = measuring;
+      result.shadows = sun.castShadow;
       result.reach = reach.visible ? reach.material.color.getHex() : null;
+      result.reachAt = reach.position.toArray();
       return result;
     },
     end() {
@@ -444,6 +740,7 @@ export function makeCell(name, overlay, store, redraw) {
       for (const stop of ends) stop();
       controls.dispose();
       gizmo.dispose();
+      ground.end();
       dispose(scene);
     },
   };

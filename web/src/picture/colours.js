@@ -31,10 +31,17 @@ export const PICKED = [0xff4fd8, 0.8];
 /** Of a goal by what the planner says of it. */
 export const BY_REACH = {__proto__: null, free: 0x1f9e4a, contact: 0xd97706, out: 0xd91f1a, unknown: 0x6b7280};
 
+/** Return the colour of a goal: of one that a person sets by `reach`, of a plan's ("") the goal's own. */
+export const goalColour = (reach) => (reach ? BY_REACH[reach] ?? BY_REACH.unknown : GOAL);
+
 export const PLAN = 0x2f7df6;
 export const GOAL = 0x0e9aa7;
 export const PATH = 0x2f7df6;
 export const PATH_ENGAGED = 0xf29a1a;
 export const CLOSEST = 0xd946ef;
-export const STANDING = 0x8d9299;
+export const STANDING = 0xaab2be;
+export const EDGE = 0x2b3440;
 export const CARRIED = 0xc9a227;
+export const MEASURE = 0xeab308;
+/** Of a frame: x, y, z. */
+export const AXES = [0xe5383b, 0x2fa84f, 0x3b82f6];

@@ -4,15 +4,25 @@
  * It draws only when something has changed, at most 30 times a second and at most half of the time: where a processor draws in place
  * of a graphics chip, a frame may hold the page up for a tenth of a second, and a message or a tapped stop waits for its end. For
  * tests the canvas has `inspect(robot)`, which tells what is drawn, and `frames`, `frameTime` (how many, and for how long the last
- * held the page up [ms]).
+ * held the page up [ms]), and `shadows(on)`.
  */
-import {WebGLRenderer} from "three";
-import {add, button, setText} from "../dom.js";
+import {PCFShadowMap, WebGLRenderer} from "three";
+import {add, button, clear, setText} from "../dom.js";
 import {makeCell} from "./cell.js";
 import {makeReplayNotice} from "./replay_notice.js";
+import {millimetres} from "./closest.js";
+import {drawIcon} from "./icons.js";
+import {makeLabels} from "./labels.js";
+import {entriesOf} from "./legend.js";
+import {measured, moved, NOTHING, tapped} from "./measuring.js";
+import {makePace} from "./pace.js";
 import {IN_VIEW, seenWord} from "./seen.js";
 
 const VIEWS = ["home", "front", "side", "top", "tool"];
+/** Smaller parts of the picture begin with the legend folded [px]. */
+const ROOMY = {width: 620, height: 340};
+/** So much of the picture's width is left to an open legend: less than it takes, because little is drawn in that corner. */
+const LEGEND = 0.14;
 /** Shortest time between two frames [ms]. */
 const FRAME = 32;
 /** Most robots that are drawn at once. */
@@ -37,16 +47,22 @@ function processorDraws() {
 export function make(parent, store, connection, texts) {
   const stage = add(parent, "div", {className: "stage"});
   const canvas = add(stage, "canvas", {className: "canvas", role: "img", "aria-label": texts("picture.label")});
-  const note = add(stage, "p", {className: "picture-note", role: "status", hidden: true});
-  const bar = add(parent, "div", {className: "views", role: "group", "aria-label": texts("picture.views")});
-  const legend = add(parent, "ul", {className: "legend"});
+  // above the robots' parts, which come as they are heard
+  const above = add(stage, "div", {className: "above"});
+  const note = add(above, "p", {className: "picture-note", role: "status", hidden: true});
+  const bar = add(above, "div", {className: "views", role: "group", "aria-label": texts("picture.views")});
+  const legend = add(above, "details", {className: "legend"});
+  add(legend, "summary", {text: texts("picture.legend")});
+  const list = add(legend, "ul");
+  const software = processorDraws();
   let renderer;
   try {
     // smooth edges more than double the time of a frame that a processor draws
-    const antialias = !processorDraws();
+    const antialias = !software;
     renderer = new WebGLRenderer({canvas, antialias, alpha: true, powerPreference: "low-power"});
   } catch (error) {
     // three throws a plain Error where there is no WebGL
+    bar.hidden = legend.hidden = true;
     note.hidden = false;
     setText(note, texts("picture.no_webgl"));
     console.warn(error.message);
@@ -54,6 +70,9 @@ export function make(parent, store, connection, texts) {
   }
   renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
   renderer.setScissorTest(true);
+  renderer.shadowMap.enabled = true;
+  renderer.shadowMap.type = PCFShadowMap;
+  const still = matchMedia("(prefers-reduced-motion: reduce)");
 
   const cells = new Map();
   let alone = false;
@@ -66,35 +85,111 @@ export function make(parent, store, connection, texts) {
   let inView = 0;
   let observer = null;
   let covered = "";
+  let measuring = false;
+  let taken = NOTHING;
+  // where the cross is by which a keyboard measures [px]; null: none is shown
+  let cross = null;
+  let folded = null;
+  let listed = "";
+  let covers = null;
+  let shadows = !software;
+  let painted = 0;
+  let waited = 0;
+  const pace = makePace();
   canvas.frames = 0;
   canvas.frameTime = 0;
-  canvas.inspect = (name) => cells.get(name)?.cell.inspect() ?? null;
+  canvas.inspect = (name) => {
+    const each = cells.get(name);
+    return each === undefined ? null : {...each.cell.inspect(), words: each.words};
+  };
+  canvas.shadows = (on) => setShadows(on);
   const redraw = () => {
     dirty = true;
   };
 
+  /** Make a button with a drawing in place of words, which are said and shown beside the pointer. */
+  function tool(what, words, onClick) {
+    const made = button(bar, undefined, onClick, {className: `tool tool-${what}`, "aria-label": words, title: words});
+    drawIcon(made, what);
+    return made;
+  }
+
   for (const view of VIEWS) {
-    button(bar, texts(`picture.view.${view}`), () => {
+    tool(view, texts(`picture.view.${view}`), () => {
       for (const {cell} of shown()) if (shown().length === 1 || cell.name === store.selected) cell.look(view);
     });
   }
-  const all = button(bar, texts("picture.all"), () => {
-    alone = !alone;
-    arrange();
+  const ruler = tool("measure", texts("picture.measure"), (event) => {
+    measure(!measuring);
+    // from the keyboard: a cross is moved in place of a finger
+    if (measuring && event.detail === 0) cells.get(store.selected)?.overlay.focus();
   });
-  const turn = button(bar, texts("picture.turn"), () => {
+  ruler.setAttribute("aria-pressed", "false");
+  const turn = tool("turn", texts("picture.turn"), () => {
     const cell = cells.get(store.selected)?.cell;
     if (cell) cell.turns = !cell.turns;
     showBar();
     redraw();
   });
-  const entries = {};
-  for (const what of ["twin", "arm", "path", "goal", "plan", "closest", "reach"]) {
-    const entry = add(legend, "li", {className: `legend-${what}`});
-    add(entry, "span", {className: "swatch", "aria-hidden": "true"});
-    entries[what] = {entry, label: add(entry, "span")};
-    if (what !== "closest") setText(entries[what].label, texts(`picture.legend.${what}`));
+  const all = tool("all", texts("picture.all"), () => {
+    alone = !alone;
+    arrange();
+  });
+  legend.addEventListener("toggle", () => {
+    // a person has folded or opened it: it stays
+    if (legend.open !== folded) folded = undefined;
+    arrange();
+  });
+
+  // -- measuring
+
+  function measure(on) {
+    measuring = on;
+    ruler.setAttribute("aria-pressed", String(on));
+    stage.classList.toggle("is-measuring", on);
+    for (const {overlay} of cells.values()) {
+      if (on) overlay.setAttribute("tabindex", "0");
+      else overlay.removeAttribute("tabindex");
+    }
+    setCross(null);
+    take(NOTHING);
   }
+
+  function take(now) {
+    taken = now;
+    for (const {cell} of cells.values()) cell.measure(cell.name === taken.robot ? taken.points : []);
+    redraw();
+  }
+
+  function setCross(at, each = null) {
+    cross = at;
+    for (const one of cells.values()) one.cross.hidden = at === null || one !== each;
+    each?.cross.style.setProperty("transform", at === null ? "none" : `translate(${at[0]}px, ${at[1]}px)`);
+  }
+
+  function onKey(event, each) {
+    if (!measuring) return;
+    const {width: wide, height: tall} = each.overlay.getBoundingClientRect();
+    const at = cross ?? [wide / 2, tall / 2];
+    if (event.key === "Enter" || event.key === " ") {
+      setCross(at, each);
+      each.cell.tap(...at, wide, tall);
+    } else {
+      const next = moved(at, event.key, event.shiftKey, wide, tall);
+      if (next === null) return;
+      setCross(next, each);
+    }
+    event.preventDefault();
+  }
+
+  stage.addEventListener("keydown", (event) => {
+    if (event.key !== "Escape" || !measuring) return;
+    measure(false);
+    ruler.focus();
+  });
+  document.addEventListener("keydown", (event) => {
+    if (event.key === "Escape" && measuring) measure(false);
+  });
 
   function shown() {
     const one = alone || width < NARROW;
@@ -113,8 +208,19 @@ export function make(parent, store, connection, texts) {
   }
 
   function theme() {
-    for (const {cell} of cells.values()) cell.theme(colour("--grid"));
+    for (const {cell} of cells.values()) cell.theme(colour("--floor"), colour("--grid"), colour("--soft"));
     redraw();
+  }
+
+  /** Return where the picture is covered by words and buttons, in its pixels; asked for only after these have changed. */
+  function places() {
+    if (covers !== null) return covers;
+    const from = stage.getBoundingClientRect();
+    covers = [note, bar, legend].filter(({hidden}) => !hidden).map((element) => {
+      const box = element.getBoundingClientRect();
+      return {x: box.left - from.left, y: box.top - from.top, width: box.width, height: box.height};
+    });
+    return covers;
   }
 
   function arrange() {
@@ -124,15 +230,24 @@ export function make(parent, store, connection, texts) {
     height = box.height;
     renderer.setSize(width, height, false);
     const visible = shown();
+    if (folded !== undefined) {
+      folded = width / visible.length >= ROOMY.width && height >= ROOMY.height;
+      legend.open = folded;
+    }
+    showBar();
+    covers = null;
+    const buttons = bar.getBoundingClientRect();
     for (const each of cells.values()) each.overlay.hidden = !visible.includes(each);
     visible.forEach(({cell, overlay}, k) => {
       const part = width / visible.length;
       overlay.style.setProperty("left", `${k * part}px`);
       overlay.style.setProperty("width", `${part}px`);
-      cell.resize(part, height);
+      // what is drawn keeps clear of the buttons, of the name and of the legend's line
+      const right = k === visible.length - 1 ? Math.min(0.2, (buttons.width + 12) / part) : 0.03;
+      const left = k === 0 && legend.open ? LEGEND : 0.04;
+      cell.resize(part, height, {left, right, top: Math.min(0.12, 40 / height), bottom: Math.min(0.06, 20 / height)});
       overlay.classList.toggle("selected", visible.length > 1 && cell.name === store.selected);
     });
-    showBar();
     watch();
     tellSeen();
     // another size has emptied the picture: nobody is to see it empty
@@ -147,7 +262,7 @@ export function make(parent, store, connection, texts) {
     for (const [name, each] of cells) {
       const word = seenWord({
         lost, ready: each.cell.ready, shown: visible.includes(each), inView, visible: document.visibilityState === "visible",
-        replay: store.robot(name).replay !== null,
+        replay: store.robot(name).replay !== null, size: {width: width / Math.max(1, visible.length), height},
       });
       const before = store.robot(name).drawn;
       if (word === before) continue;
@@ -173,10 +288,24 @@ export function make(parent, store, connection, texts) {
   function addRobots() {
     for (const name of store.robots) {
       if (cells.has(name) || cells.size >= MOST) continue;
-      const overlay = add(stage, "div", {className: "overlay"});
-      const label = add(overlay, "span", {className: "overlay-name", text: name});
+      const overlay = add(stage, "div", {className: "overlay", role: "group", "aria-label": texts("picture.part", {robot: name})});
+      add(overlay, "span", {className: "overlay-name", text: name});
       makeReplayNotice(overlay, name, store, texts);
-      cells.set(name, {overlay, label, cell: makeCell(name, overlay, store, redraw)});
+      const mark = add(overlay, "span", {className: "cross", "aria-hidden": "true", hidden: true});
+      const cell = makeCell(name, overlay, store, redraw, {
+        glides: !software && !still.matches, ratio: renderer.getPixelRatio(),
+        onTap: (surface) => {
+          if (!measuring) return false;
+          const point = surface();
+          if (point !== null) take(tapped(taken, name, point));
+          return true;
+        },
+      });
+      cell.shadows(shadows);
+      const each = {overlay, cell, cross: mark, show: makeLabels(overlay), words: []};
+      overlay.addEventListener("keydown", (event) => onKey(event, each));
+      stage.append(above);
+      cells.set(name, each);
     }
     theme();
     arrange();
@@ -190,32 +319,44 @@ export function make(parent, store, connection, texts) {
     else if (state?.progress) text = texts("picture.loading", state.progress);
     else if (state?.failed) text = texts("picture.no_model", {why: state.failed});
     else if (state?.missing.length) text = texts("picture.no_model", {why: state.missing.join(", ")});
+    else if (measuring) text = measureText();
     else if (robot?.playback) text = texts("picture.playback", {time: robot.playback.time.toFixed(1)});
     else if (state?.stale) text = texts("picture.stale");
     else if (state?.lacks) text = texts("picture.lacks", {why: state.lacks});
+    if (note.textContent === text && note.hidden === (text === "")) return;
     note.hidden = text === "";
     setText(note, text);
+    covers = null;
   }
 
+  function measureText() {
+    const found = measured(taken);
+    if (found === null) return texts(taken.points.length ? "picture.measure.second" : "picture.measure.first");
+    const [x, y, z] = found.along.map(millimetres);
+    return texts("picture.measure.found", {distance: millimetres(found.distance), x, y, z});
+  }
+
+  /** Show an entry for each kind of thing that is drawn of the selected robot, in its colour. */
   function showLegend() {
-    const robot = store.robot(store.selected);
-    const replay = robot?.replay ?? null;
-    const closest = robot?.view?.closest ?? null;
-    const plan = robot?.plan?.refused === "" ? robot.plan : null;
-    const there = replay !== null ? {twin: replay.twin, arm: replay.arm} : {
-      twin: robot?.view?.twin, arm: robot?.view?.arm, path: plan, goal: plan ?? robot?.goal, plan: robot?.playback,
-      closest: closest && Number.isFinite(closest.distance), reach: robot?.goal?.reach,
-    };
-    for (const [what, {entry}] of Object.entries(entries)) entry.hidden = !there[what];
-    if (there.closest) {
-      setText(entries.closest.label,
-        texts("picture.legend.closest", {distance: (1000 * closest.distance).toFixed(0), between: (closest.between ?? []).join(" - ")}));
+    const drawn = cells.get(store.selected)?.cell.drawn() ?? null;
+    const entries = drawn === null ? [] : entriesOf(drawn);
+    const values = drawn?.closest ? {
+      distance: millimetres(drawn.closest.distance), between: drawn.closest.between.join(" - "), time: (drawn.closest.time ?? 0).toFixed(1),
+    } : {};
+    const lines = entries.map(({id, key, colour: value, form}) => ({
+      id, form, text: texts(key, id === "closest" ? values : {}), colour: `#${value.toString(16).padStart(6, "0")}`,
+    }));
+    const wanted = JSON.stringify(lines);
+    if (wanted === listed) return;
+    listed = wanted;
+    covers = null;
+    legend.hidden = lines.length === 0;
+    clear(list);
+    for (const {id, form, text, colour: value} of lines) {
+      const entry = add(list, "li", {className: `legend-${id}`});
+      add(entry, "span", {className: `swatch swatch-${form}`, "aria-hidden": "true"}).style.setProperty("--drawn", value);
+      add(entry, "span", {text});
     }
-    if (there.reach) {
-      entries.reach.entry.dataset.reach = robot.goal.reach;
-      setText(entries.reach.label, texts(`picture.reach.${["free", "contact", "out"].includes(robot.goal.reach) ? robot.goal.reach : "unknown"}`));
-    }
-    entries.arm.entry.dataset.sync = (replay === null ? robot?.view?.sync?.state : replay.sync) ?? "";
   }
 
   // the browser waits for the drawing after `draw` has returned: a frame ends where the page gets its next turn
@@ -223,17 +364,28 @@ export function make(parent, store, connection, texts) {
   turns.port1.onmessage = () => {
     const ended = performance.now();
     canvas.frameTime = ended - began;
+    if (shadows && !pace(canvas.frameTime, painted)) setShadows(false);
     nextFrame = Math.max(began + FRAME, ended + canvas.frameTime);
   };
 
+  function setShadows(on) {
+    shadows = on;
+    for (const {cell} of cells.values()) cell.shadows(on);
+    redraw();
+  }
+
   function draw() {
     requestAnimationFrame(draw);
+    waited = dirty ? waited + 1 : 0;
     if (dirty && width > 0 && performance.now() >= nextFrame) paint();
   }
 
   function paint() {
+    // frames that are asked for one after the other tell how long the graphics take with one
+    const now = performance.now();
+    painted = waited > 0 && waited < 6 ? now - began : 0;
     dirty = false;
-    began = performance.now();
+    began = now;
     nextFrame = Infinity;
     turns.port2.postMessage(null);
     showNote();
@@ -243,16 +395,25 @@ export function make(parent, store, connection, texts) {
     const visible = shown();
     visible.forEach(({cell}, k) => {
       const part = width / visible.length;
+      cell.advance(now);
       renderer.setViewport(k * part, 0, part, height);
       renderer.setScissor(k * part, 0, part, height);
       renderer.render(cell.scene, cell.camera);
+    });
+    visible.forEach((each, k) => {
+      const part = width / visible.length;
+      const boxes = places().map((box) => ({...box, x: box.x - k * part}));
+      each.words = each.show(each.cell.labels(part, height), part, height, [...boxes, {x: 0, y: 0, width: 120, height: 36}]);
     });
     canvas.frames += 1;
     tellSeen(true);
   }
 
   store.on("robots", addRobots);
-  store.on("selected", arrange);
+  store.on("selected", () => {
+    arrange();
+    redraw();
+  });
   store.on("handle", showBar);
   for (const kind of ["playback", "goal", "plan", "connection"]) store.on(kind, redraw);
   store.on("replay", () => {

@@ -3,7 +3,7 @@
  *
  * Copies share their geometries; each has materials of its own.
  */
-import {Group, Mesh, MeshLambertMaterial} from "three";
+import {Group, Mesh, MeshLambertMaterial, Triangle, Vector3} from "three";
 import {ColladaLoader} from "three/addons/loaders/ColladaLoader.js";
 import {STLLoader} from "three/addons/loaders/STLLoader.js";
 import {mergeVertices} from "three/addons/utils/BufferGeometryUtils.js";
@@ -96,6 +96,12 @@ export async function loadRobot(url, onProgress) {
     throw new ModelError(`a mesh of the package ${name}: expected an address on this server`);
   };
   const robot = loader.parse(text);
+  // the colours of a URDF are meant as they are on a screen, in rviz as well; its reader takes them for amounts of light
+  const own = new Set(wanted.map(({material}) => material));
+  robot.traverse((child) => {
+    if (child.isMesh) own.add(child.material);
+  });
+  for (const material of own) material.color.convertSRGBToLinear();
   let done = 0;
   onProgress(0, wanted.length);
   // the same file may be drawn several times
@@ -155,4 +161,39 @@ export function toolOf(robot) {
     if (depth > deepest) [last, deepest] = [link, depth];
   }
   return last;
+}
+
+/**
+ * Return how far the tool gets from the base at most [m], by the lengths of the chain to it: what comes before the second joint that
+ * moves stands upright, and is not counted.
+ */
+export function reachOf(robot) {
+  let reach = 0;
+  let moving = 0;
+  const chain = [];
+  for (let each = toolOf(robot); each && each !== robot; each = each.parent) if (each.isURDFJoint) chain.unshift(each);
+  for (const joint of chain) {
+    if (moving >= 2) reach += (joint.origPosition ?? joint.position).length();
+    if (joint.jointType === "revolute" || joint.jointType === "continuous") moving += 1;
+  }
+  return reach;
+}
+
+/** Every so many triangles of a mesh are measured: what a person sees of a robot does not hang on a screw. */
+const EVERY = 7;
+
+/** Return the colour of the largest part of a robot's surface: the one that a person knows it by. */
+export function mainColour(robot) {
+  const areas = new Map();
+  const [a, b, c] = [new Vector3(), new Vector3(), new Vector3()];
+  robot.traverse((child) => {
+    if (!child.isMesh) return;
+    const {index, attributes: {position}} = child.geometry;
+    const corner = (k, to) => to.fromBufferAttribute(position, index ? index.getX(k) : k);
+    let area = 0;
+    for (let k = 0; k + 2 < (index ?? position).count; k += 3 * EVERY) area += new Triangle(corner(k, a), corner(k + 1, b), corner(k + 2, c)).getArea();
+    const colour = child.material.color.getHex();
+    areas.set(colour, (areas.get(colour) ?? 0) + area);
+  });
+  return [...areas].sort(([, one], [, other]) => other - one)[0]?.[0] ?? null;
 }

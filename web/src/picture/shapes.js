@@ -1,12 +1,13 @@
 /** Objects of the scene, the building model, lines and markers. Metres, in base_link. */
 import {
-  BoxGeometry, BufferGeometry, Color, CylinderGeometry, DoubleSide, Float32BufferAttribute, Group, LineSegments, Mesh, MeshBasicMaterial,
-  MeshLambertMaterial, SphereGeometry, LineBasicMaterial,
+  BoxGeometry, BufferGeometry, Color, CylinderGeometry, DoubleSide, EdgesGeometry, Float32BufferAttribute, Group, LineBasicMaterial, LineSegments,
+  Mesh, MeshBasicMaterial, MeshLambertMaterial, Points, ShaderMaterial, SphereGeometry,
 } from "three";
 import {GLTFLoader} from "three/addons/loaders/GLTFLoader.js";
 import {Line2} from "three/addons/lines/Line2.js";
 import {LineGeometry} from "three/addons/lines/LineGeometry.js";
 import {LineMaterial} from "three/addons/lines/LineMaterial.js";
+import {mergeGeometries} from "three/addons/utils/BufferGeometryUtils.js";
 import * as colours from "./colours.js";
 import {fetchOwn, loadMesh} from "./robot_model.js";
 import {stateOfElement} from "../work/task_list.js";
@@ -41,6 +42,11 @@ function geometryOf({shape, size}) {
   return null;
 }
 
+/** Larger boxes may hide the arm: it is seen through them [m]. */
+const LARGE = 2;
+/** Edges between faces that meet at more than this are drawn [deg]. */
+const SHARP = 30;
+
 const isVector = (value, length) => Array.isArray(value) && value.length === length && value.every(Number.isFinite);
 
 /**
@@ -51,9 +57,9 @@ const isVector = (value, length) => Array.isArray(value) && value.length === len
  */
 export function sceneBody(object, onChange) {
   const carried = Boolean(object.link);
+  const small = carried || isVector(object.size, 3) && object.shape === "box" && Math.hypot(...object.size) < LARGE || object.shape === "sphere";
   const material = new MeshLambertMaterial({
-    color: carried ? colours.CARRIED : colours.STANDING, transparent: !carried, opacity: carried ? 1 : 0.55, side: DoubleSide,
-    depthWrite: carried,
+    color: carried ? colours.CARRIED : colours.STANDING, transparent: !small, opacity: small ? 1 : 0.5, side: DoubleSide, depthWrite: small,
   });
   const group = new Group();
   group.name = object.name;
@@ -61,12 +67,17 @@ export function sceneBody(object, onChange) {
   if (isVector(object.orientation, 4)) group.quaternion.fromArray(object.orientation);
   group.userData.object = object.name;
   const geometry = isVector(object.size, object.size?.length ?? -1) ? geometryOf(object) : null;
+  const take = (mesh) => {
+    mesh.castShadow = mesh.receiveShadow = true;
+    mesh.add(new LineSegments(new EdgesGeometry(mesh.geometry, SHARP), new LineBasicMaterial({color: colours.EDGE, transparent: true, opacity: 0.45})));
+    group.add(mesh);
+  };
   if (geometry !== null) {
-    group.add(new Mesh(geometry, material));
+    take(new Mesh(geometry, material));
   } else if (object.shape === "mesh" && /^[0-9a-f]{64}$/.test(object.mesh)) {
     loadMesh(`/private/mesh/${object.mesh}.stl`, material).then((mesh) => {
       if (isVector(object.size, 3)) mesh.scale.fromArray(object.size);
-      group.add(mesh);
+      take(mesh);
       onChange();
     }, (error) => onChange(error));
   }
@@ -92,6 +103,7 @@ export async function loadBuilding(url) {
     child.traverse((mesh) => {
       if (!mesh.isMesh) return;
       mesh.material = material;
+      mesh.castShadow = mesh.receiveShadow = true;
       mesh.userData.tapped = element;
     });
   });
@@ -111,72 +123,135 @@ export function colourBuilding(building, tasks, picked) {
   }
 }
 
+const DOT_VERTEX = `
+uniform float size;
+attribute vec3 color;
+varying vec3 tint;
+void main() {
+  tint = color;
+  gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+  // nearer than the line that goes through them
+  gl_Position.z -= 2e-4 * gl_Position.w;
+  gl_PointSize = size;
+}`;
+const DOT_FRAGMENT = `
+varying vec3 tint;
+void main() {
+  float far = 2.0 * length(gl_PointCoord - 0.5);
+  if (far > 1.0) discard;
+  gl_FragColor = vec4(mix(vec3(1.0), tint, smoothstep(0.5, 0.65, far)), 1.0);
+}`;
+
+/** Return points as white dots with a rim of the colour of each, so many pixels wide. */
+function dots(points, rims, size) {
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new Float32BufferAttribute(points.flat(), 3));
+  geometry.setAttribute("color", new Float32BufferAttribute(rims.flatMap((rim) => [rim >> 16, rim >> 8 & 255, rim & 255].map((value) => value / 255)), 3));
+  const found = new Points(geometry, new ShaderMaterial({uniforms: {size: {value: size}}, vertexShader: DOT_VERTEX, fragmentShader: DOT_FRAGMENT}));
+  found.renderOrder = 1;
+  return found;
+}
+
+/** So large are the dots at the waypoints, and at the ends of a path and of its segments [px]. */
+const DOT = 6;
+const END = 12;
+
 /**
- * Return the planned path of the tool as a line, with a marker at each end.
+ * Return the planned path of the tool as a line with a dot at each waypoint, larger ones at its ends and at those of its segments.
  *
  * @param {number[][]} points [m]
  * @param {{tool_path_end: number, engaged: boolean}[]} segments of a work plan: where the tool is engaged has another colour
+ * @param {number} ratio pixels of the screen by pixel of the page
  */
-export function pathLine(points, segments = []) {
+export function pathLine(points, segments = [], ratio = 1) {
   const group = new Group();
   const usable = points.filter((point) => isVector(point, 3));
   if (usable.length < 2) return group;
+  const rims = usable.map((point, k) => (isEngaged(segments, k) ? colours.PATH_ENGAGED : colours.PATH));
   const geometry = new LineGeometry();
   geometry.setPositions(usable.flat());
-  geometry.setColors(usable.flatMap((point, k) => {
-    const segment = segments.find((each) => k <= each.tool_path_end);
-    const colour = segment?.engaged ? colours.PATH_ENGAGED : colours.PATH;
-    return new Color(colour).toArray();
-  }));
+  geometry.setColors(rims.flatMap((rim) => new Color(rim).toArray()));
   group.add(new Line2(geometry, new LineMaterial({linewidth: 4, vertexColors: true})));
-  const ends = [usable[0], ...segments.map((each) => usable[each.tool_path_end]).filter(Boolean), usable.at(-1)];
-  for (const end of ends) {
-    const marker = new Mesh(new SphereGeometry(0.018, 12, 8), new MeshBasicMaterial({color: colours.PATH}));
-    marker.position.fromArray(end);
-    group.add(marker);
-  }
+  const ends = [...new Set([0, ...segments.map((each) => each.tool_path_end), usable.length - 1])].filter((k) => k >= 0 && k < usable.length);
+  const marked = (which, size) => dots(which.map((k) => usable[k]), which.map((k) => rims[k]), size * ratio);
+  group.add(marked([...usable.keys()], DOT), marked(ends, END));
+  group.userData.waypoints = usable.length;
   return group;
 }
 
-/**
- * Return the marker of the closest point: a dot, and a sphere of the distance as radius around it, which touches what is near; with
- * a second point a line between both.
- */
-export function closestMarker() {
+/** Whether the tool is engaged at a point of a path. */
+export function isEngaged(segments, k) {
+  return Boolean(segments.find((each) => k <= each.tool_path_end)?.engaged);
+}
+
+/** Return a line between two points with a dot at each end, seen through everything; `show(points)` sets them, [] hides it. */
+export function span(colour, width) {
   const group = new Group();
-  const dot = new Mesh(new SphereGeometry(0.015, 12, 8), new MeshBasicMaterial({color: colours.CLOSEST, depthTest: false}));
-  const ball = new Mesh(new SphereGeometry(1, 24, 16),
-    new MeshBasicMaterial({color: colours.CLOSEST, transparent: true, opacity: 0.18, depthWrite: false}));
   const geometry = new LineGeometry();
   geometry.setPositions([0, 0, 0, 0, 0, 0]);
-  const line = new Line2(geometry, new LineMaterial({color: colours.CLOSEST, linewidth: 3, depthTest: false}));
-  dot.renderOrder = 2;
-  line.renderOrder = 2;
+  const line = new Line2(geometry, new LineMaterial({color: colour, linewidth: width, depthTest: false, transparent: true}));
   line.frustumCulled = false;
-  group.add(dot, ball, line);
+  line.renderOrder = 4;
+  const ball = () => {
+    const found = new Mesh(new SphereGeometry(0.014, 12, 8), new MeshBasicMaterial({color: colour, depthTest: false, transparent: true}));
+    found.renderOrder = 4;
+    return found;
+  };
+  const ends = [ball(), ball()];
+  group.add(line, ...ends);
   group.visible = false;
-  /** Show what the view says; null: nothing. */
-  group.show = (closest) => {
-    group.visible = isVector(closest?.point, 3) && Number.isFinite(closest.distance);
-    if (!group.visible) return;
-    dot.position.fromArray(closest.point);
-    ball.position.copy(dot.position);
-    // far bodies are no news, and their sphere would fill the picture
-    ball.visible = closest.distance > 0 && closest.distance < 0.5;
-    ball.scale.setScalar(Math.max(closest.distance, 1e-3));
-    line.visible = isVector(closest.other, 3);
-    if (line.visible) geometry.setPositions([...closest.point, ...closest.other]);
+  group.show = (points) => {
+    group.visible = points.length > 0;
+    line.visible = points.length > 1;
+    ends.forEach((end, k) => {
+      end.visible = k < points.length;
+      if (end.visible) end.position.fromArray(points[k]);
+    });
+    if (line.visible) geometry.setPositions(points.flat());
   };
   return group;
 }
 
-/** Return a grid on the floor: squares of one metre. */
-export function floor(colour, half = 5) {
-  const points = [];
-  for (let k = -half; k <= half; k += 1) points.push(k, -half, 0, k, half, 0, -half, k, 0, half, k, 0);
-  const geometry = new BufferGeometry();
-  geometry.setAttribute("position", new Float32BufferAttribute(points, 3));
-  return new LineSegments(geometry, new LineBasicMaterial({color: colour, transparent: true, opacity: 0.5}));
+/**
+ * Return the marker of the closest point: where it is, a line to the other body where its place is known, else a sphere of the distance
+ * as radius, which touches what is near.
+ */
+export function closestMarker() {
+  const group = new Group();
+  const line = span(colours.CLOSEST, 3);
+  const ball = new Mesh(new SphereGeometry(1, 24, 16),
+    new MeshBasicMaterial({color: colours.CLOSEST, transparent: true, opacity: 0.1, depthWrite: false}));
+  group.add(line, ball);
+  group.visible = false;
+  /** Show a closest point (closest.js) and the other one, null where that is not known; null: nothing. */
+  group.show = (closest, other) => {
+    group.visible = closest !== null;
+    if (!group.visible) return;
+    line.show(other === null ? [closest.point] : [closest.point, other]);
+    ball.position.fromArray(closest.point);
+    // far bodies are no news, and their sphere would fill the picture
+    ball.visible = other === null && closest.distance > 0 && closest.distance < 0.35;
+    ball.scale.setScalar(Math.max(closest.distance, 1e-3));
+  };
+  return group;
+}
+
+/** Return the axes of a frame as arrows, x red, y green, z blue, so long [m]. */
+export function axes(length) {
+  const arrow = (axis) => {
+    const shaft = new CylinderGeometry(0.035, 0.035, 0.78, 10).translate(0, 0.39, 0);
+    const head = new CylinderGeometry(0, 0.095, 0.24, 14).translate(0, 0.88, 0);
+    const both = mergeGeometries([shaft, head]);
+    if (axis === 0) both.rotateZ(-Math.PI / 2);
+    if (axis === 2) both.rotateX(Math.PI / 2);
+    const colour = new Color(colours.AXES[axis]);
+    both.setAttribute("color", new Float32BufferAttribute(Array.from({length: both.attributes.position.count}, () => colour.toArray()).flat(), 3));
+    return both;
+  };
+  const geometry = mergeGeometries([0, 1, 2].map(arrow)).scale(length, length, length);
+  const found = new Mesh(geometry, new MeshBasicMaterial({vertexColors: true}));
+  found.name = "axes";
+  return found;
 }
 
 /** Return a ball that marks whether a goal can be reached. */

@@ -50,12 +50,12 @@ from construction_twin.msg import (
     Plan,
     Review,
     Scene,
+    SpeedLimitInForce,
     Sync,
     ToolCommand,
     ToolState,
 )
 from construction_twin.msg import SessionRequest as SessionRequestMessage
-from construction_twin.msg import SpeedLimit as SpeedLimitMessage
 from construction_twin.review.plan_under_review import EXECUTOR, REJECTED, Verdict
 from construction_twin.review.record import Release, Responsibility, ReviewLog
 from construction_twin.robot.description import RobotModel
@@ -284,12 +284,12 @@ class ExecutorNode:
             self._executor.on_sync(state, message.agreed, message.policy, from_time(message.held_stamp))
             self._executor.lag = sum(filter(math.isfinite, (message.round_trip, message.servo_lag)))
 
-    def on_limit(self, message: SpeedLimitMessage) -> None:
-        """Take a speed limit."""
+    def on_limit(self, message: SpeedLimitInForce) -> None:
+        """Take the speed limit in force."""
         source = caller_of(message)
         try:
             with self._lock:
-                self._limit.accept(message.limit, source, time.monotonic_ns(), message.reason)
+                self._limit.accept(message.limit, source, time.monotonic_ns(), sentence=message.reason)
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
 
@@ -791,7 +791,9 @@ INTERFACE = Interface(
         Subscription("sync", Sync, ExecutorNode.on_sync, queue_size=50, tcp_nodelay=True),
         Subscription("scene", Scene, ExecutorNode.on_scene, queue_size=5),
         Subscription("plan", Plan, ExecutorNode.on_plan, queue_size=5),
-        Subscription("speed_limit", SpeedLimitMessage, ExecutorNode.on_limit, queue_size=5, tcp_nodelay=True),
+        Subscription(
+            "speed_limit_in_force", SpeedLimitInForce, ExecutorNode.on_limit, queue_size=5, tcp_nodelay=True
+        ),
         Subscription(
             "conflict", Conflict, ExecutorNode.on_conflict, queue_size=20, tcp_nodelay=True,
             when=lambda settings: bool(settings.neighbour),

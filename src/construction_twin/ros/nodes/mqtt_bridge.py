@@ -47,7 +47,7 @@ from construction_twin.mqtt.messages import (
     read_state_properties,
 )
 from construction_twin.mqtt.plain_client import PlainClient
-from construction_twin.msg import Execution, Feedback, Link, SpeedLimit, Sync, ToolCommand, ToolState
+from construction_twin.msg import Execution, Feedback, Link, SpeedLimitInForce, Sync, ToolCommand, ToolState
 from construction_twin.msg import SessionRequest as SessionRequestMessage
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
@@ -265,8 +265,8 @@ class MqttBridge:
         self._publish_control(control)
         self._log_queue.add(rospy.loginfo, "%s, session %s", control.verb, control.session)
 
-    def on_speed_limit(self, message: SpeedLimit) -> None:
-        """Take a speed limit; it is sent with the next poll."""
+    def on_speed_limit(self, message: SpeedLimitInForce) -> None:
+        """Take the speed limit in force; it is sent with the next poll."""
         source = caller_of(message)
         try:
             with self._lock:
@@ -755,7 +755,7 @@ INTERFACE = Interface(
     ),
     hears=(
         PoseSubscription("command/joint_states", MqttBridge.on_command),
-        Subscription("speed_limit", SpeedLimit, MqttBridge.on_speed_limit, queue_size=5),
+        Subscription("speed_limit_in_force", SpeedLimitInForce, MqttBridge.on_speed_limit, queue_size=5),
         Subscription("tool_command", ToolCommand, MqttBridge.on_tool_command, queue_size=50, tcp_nodelay=True),
         # what makes a switch void must not wait behind others
         Subscription("sync", Sync, MqttBridge.on_sync, queue_size=50, tcp_nodelay=True),

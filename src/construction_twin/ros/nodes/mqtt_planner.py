@@ -23,7 +23,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.console.camera_address import cameras_of
 from construction_twin.core.errors import PayloadError, PoseUnknownError
-from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
+from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import Joints, TrajectoryRequest, parse_trajectory
 from construction_twin.link.remote_view import PlanProgress, PoseView, Seen, Shown, ViewWriter
@@ -31,7 +31,17 @@ from construction_twin.mqtt.client import Broker, make_client, subscriptions, un
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.mqtt.requests import NAMELESS_TRAJECTORY, TRAJECTORY, RequestKind
-from construction_twin.msg import Execution, Hold, Link, Plan, Review, SessionRequest, Sync, WorkTasks
+from construction_twin.msg import (
+    Execution,
+    Hold,
+    Link,
+    Plan,
+    Review,
+    SessionRequest,
+    SpeedLimitInForce,
+    Sync,
+    WorkTasks,
+)
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES
@@ -67,8 +77,8 @@ from construction_twin.srv import PlanTrajectory, PlanTrajectoryResponse
 WAITING = 4
 #: For so long after its answer the same bytes are the same message, sent twice by QoS 1 or by a sender that was run again [s].
 REPEAT_WINDOW = 5.0
-#: What `sync` and `link` repeat by themselves counts as lost after so long [s].
-SYNC_AGE, LINK_AGE = 0.5, 3.0
+#: What `sync`, `link` and `speed_limit_in_force` repeat by themselves counts as lost after so long [s].
+SYNC_AGE, LINK_AGE, SPEED_AGE = 0.5, 3.0, 1.0
 
 _Message = TypeVar("_Message")
 #: A message and its age [s]; None: there is none, or it is too old.
@@ -155,6 +165,7 @@ class MqttPlanner:
         self._sync: tuple[Sync, float] | None = None
         self._link: tuple[Link, float] | None = None
         self._execution: tuple[Execution, float] | None = None
+        self._speed: tuple[SpeedReport, float] | None = None
         self._progress = PlanProgress()
         self._executor_is_there: Callable[[], bool] = lambda: True
         self._poses = Poses(None, None)
@@ -318,6 +329,11 @@ class MqttPlanner:
             self._progress.on_report(report)
             self._execution = message, time.monotonic()
 
+    def on_speed(self, message: SpeedLimitInForce) -> None:
+        """Take which speed limit is in force."""
+        with self._lock:
+            self._speed = from_msg(SpeedReport, message), time.monotonic()
+
     def publish_view(self) -> bytes:
         """Return the present message for `view`, and publish it where there is a connection."""
         payload = self._present()
@@ -349,7 +365,7 @@ class MqttPlanner:
         """Return what is known now."""
         link, sync, execution = self._reports()
         with self._lock:
-            progress = self._progress.at(now_ns() / NANOSECONDS)
+            progress, speed = self._progress.at(now_ns() / NANOSECONDS), self._speed
         return Seen(
             _pose_view(self._poses.twin, self._settings),
             _pose_view(self._poses.arm, self._settings),
@@ -361,6 +377,7 @@ class MqttPlanner:
             progress,
             self._feed.hold if self._feed is not None and sync is not None else HoldReport(),
             self._feed.approval_obstacle if self._feed is not None and execution is not None else "",
+            speed[0] if speed is not None and time.monotonic() - speed[1] <= SPEED_AGE else None,
         )
 
     def publish_status_line(self) -> None:
@@ -523,6 +540,7 @@ INTERFACE = Interface(
         Subscription("approval_obstacle", String, _fed(ConsoleFeed.on_approval_obstacle), queue_size=1),
         Subscription("link", Link, MqttPlanner.on_link, queue_size=1),
         Subscription("session_request", SessionRequest, _fed(ConsoleFeed.on_session_request), queue_size=10),
+        Subscription("speed_limit_in_force", SpeedLimitInForce, MqttPlanner.on_speed, queue_size=1),
     ),
 )
 FILE = ConfigFile(lambda _given: BROKER, has_link)

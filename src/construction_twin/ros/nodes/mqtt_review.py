@@ -1,5 +1,5 @@
-"""mqtt_review: the plan under review on MQTT, what people do: verdicts, `stop`, `pause`, `resume`, `reset`, `arm`, and answers to
-the work's questions.
+"""mqtt_review: the plan under review on MQTT, what people do: verdicts, `stop`, `pause`, `resume`, `reset`, `arm`, answers to the
+work's questions, and speed limits.
 
 A node of its own: the bridge has 4 ms.
 """
@@ -21,6 +21,7 @@ from construction_twin.core.freshness import staleness
 from construction_twin.core.motion_errors import PlanningError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
+from construction_twin.link import remote_speed
 from construction_twin.link.remote_answer import MAX_BYTES, AnswerRequest, parse_answer
 from construction_twin.link.remote_review import (
     ClearanceView,
@@ -33,10 +34,11 @@ from construction_twin.link.remote_review import (
     parse_review,
     recorded_reason,
 )
+from construction_twin.link.remote_speed import SpeedRequest, parse_speed
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
-from construction_twin.mqtt.requests import ANSWER, BRIDGE, NAMELESS_REVIEW, PRESSED, REVIEW, RequestKind
+from construction_twin.mqtt.requests import ANSWER, BRIDGE, NAMELESS_REVIEW, PRESSED, REVIEW, SPEED, RequestKind
 from construction_twin.msg import Link, Plan, PlanCaller, Review
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.segments import segments_content
@@ -54,7 +56,7 @@ from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.ros.shared.request_queue import RequestQueue
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.persistent_service import PersistentService, call, call_twice
-from construction_twin.srv import ResumeFromScreen, ReviewFromScreen, SessionFromScreen, WorkDecide
+from construction_twin.srv import LimitSpeed, ResumeFromScreen, ReviewFromScreen, SessionFromScreen, WorkDecide
 
 #: Verdicts that may wait while one is carried out; a tablet sends one at a time.
 WAITING = 8
@@ -84,9 +86,10 @@ class MqttReview:
         give_rejection: The same as `give_approval`, for rejections, which may come twice and ask no master.
         connections: What is to be connected before it is called.
         decide: The service of the work that takes what a person decides; None: there is none.
+        limit_speed: The service that takes a person's speed limit, which may come twice; None: there is none.
 
     Attributes:
-        endpoints: What takes verdicts, what is pressed, and answers.
+        endpoints: What takes verdicts, what is pressed, answers, and speed limits.
         approvals, rejections: Where verdicts wait: a rejection not behind an approval, whose record may wait for a disk.
     """
 
@@ -102,6 +105,7 @@ class MqttReview:
         give_rejection: rospy.ServiceProxy | None = None,
         connections: Sequence[PersistentService] = (),
         decide: rospy.ServiceProxy | None = None,
+        limit_speed: rospy.ServiceProxy | None = None,
     ):
         self._settings = settings
         self._board = PlanBoard()
@@ -113,15 +117,18 @@ class MqttReview:
         self._checked_at = 0.0
         self._topics = topics = Topics(settings.prefix, robot)
         self._give_approval, self._give_rejection = give_approval, give_rejection or give_approval
-        self._connections, self._decide = connections, decide
+        self._connections, self._decide, self._limit_speed = connections, decide, limit_speed
         self._broker = broker
         self._client = client
         self._verdicts, self._pressed = RequestCounts("verdicts"), RequestCounts("interventions")
+        self._speeds = RequestCounts("speed limits")
         self.outlets = Outlets(
             self._publish_answer, lambda reason, sentence: self.refuse(reason, sentence), safety=True
         )
         self._connection = report_of(broker, self.outlets.log)
         self.approvals, self.rejections, self._answers = (RequestQueue(WAITING) for _ in range(3))
+        # what may raise the limit never holds up what lowers it
+        self._raises, self._limits = RequestQueue(WAITING), RequestQueue(WAITING)
         self.interventions = remote_interventions(topics, interventions, self._pressed, self.outlets)
         self.endpoints: tuple[Endpoint, ...] = (
             self._verdict_endpoint(NAMELESS_REVIEW),
@@ -130,6 +137,11 @@ class MqttReview:
             Endpoint(
                 ANSWER, topics, _read_answer, self._give_answer, RequestCounts("answers"), self.outlets,
                 lambda asked: f"answer to a question of the work by MQTT account {asked[1]}", lambda _: self._answers,
+            ),
+            Endpoint(
+                SPEED, topics, _read_speed, self._set_speed, self._speeds, self.outlets,
+                lambda asked: f"speed limit {asked[0].limit:g} by MQTT account {asked[1]}",
+                lambda asked: self._raises if asked[0].moment else self._limits,
             ),
         )  # fmt: skip
         self._diagnostics = diagnostics
@@ -155,6 +167,7 @@ class MqttReview:
     def start_queues(self) -> None:
         """Begin to carry out what waits for no approval, each kind in a thread of its own."""
         queues = {"reject": self.rejections, "answer": self._answers, **self.interventions.queues}
+        queues |= {"raise": self._raises, "limit": self._limits}
         for name, queue in queues.items():
             threading.Thread(target=_run_queue, args=(queue,), name=name, daemon=True).start()
 
@@ -287,6 +300,13 @@ class MqttReview:
         fields = {"task": answer.task, "question": answer.question, "answer": answer.answer, "person": account}
         return Outcome.of(call(self._decide, "the work", decision="answer", reason="by MQTT", **fields))
 
+    def _set_speed(self, asked: tuple[SpeedRequest, str]) -> Outcome:
+        """Have a person's speed limit set, in the name of its account."""
+        request, account = asked
+        assert self._limit_speed is not None  # the node runs
+        fields = {"limit": request.limit, "person": account, "moment": request.moment}
+        return Outcome.of(call_twice(self._limit_speed, "speed_limits", **fields))
+
     def _publish_answer(self, topic: str, payload: bytes, qos: int) -> None:
         self._client.publish(topic, payload, qos=qos)
 
@@ -295,7 +315,10 @@ class MqttReview:
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
         values: dict[str, object] = dict(
-            self._verdicts.report() | self._pressed.report() | self.outlets.side_effects.report()
+            self._verdicts.report()
+            | self._pressed.report()
+            | self._speeds.report()
+            | self.outlets.side_effects.report()
         )
         if failed := self.outlets.side_effects.sentence:
             return Report(WARN, failed, values)
@@ -323,6 +346,10 @@ def _read_answer(incoming: Incoming) -> tuple[AnswerRequest, str]:
     answer = parse_answer(incoming.read_document("answer", MAX_BYTES))
     incoming.echo["task"] = answer.task
     return answer, incoming.account
+
+
+def _read_speed(incoming: Incoming) -> tuple[SpeedRequest, str]:
+    return parse_speed(incoming.read_document("speed", remote_speed.MAX_BYTES)), incoming.account
 
 
 def _describe(review: ReviewRequest) -> str:
@@ -432,10 +459,11 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttReview:
     }
     # a plan is rejected once, and a second time it is said to be
     reject = PersistentService("review_from_screen", ReviewFromScreen)
-    connections = (*twice.values(), reject)
+    limit_speed = PersistentService("limit_speed", LimitSpeed)
+    connections = (*twice.values(), reject, limit_speed)
     node = MqttReview(
         settings, robot.name, broker, client, give_approval, twice | once, ports.diagnostics, reject, connections,
-        rospy.ServiceProxy("work/decide", WorkDecide),
+        rospy.ServiceProxy("work/decide", WorkDecide), limit_speed,
     )  # fmt: skip
     node.connect()
     return node

@@ -63,10 +63,12 @@ class PoseJudge:
         return judge_pose(Pose(np.array(position, dtype=float), rotation), near.tolist(), self._solver, world)
 
     def closest(self, q: Sequence[float]) -> Clearance | None:
-        """Return the two bodies that are closest at a pose; None where nothing is checked or no scene known; raises as `judge`."""
+        """Return the two bodies that are closest at a pose, of those whose distance some joint changes; None where nothing is
+        checked or no scene known; raises as `judge`.
+        """
         if not self._path or self._scene() is None:
             return None
-        clearance = self._present_world().clearance(list(q))
+        clearance = self._present_world().clearance(list(q), changing=True)
         return clearance if clearance.between else None
 
     def _present_world(self) -> CollisionWorld:

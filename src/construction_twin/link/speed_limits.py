@@ -1,0 +1,184 @@
+"""The speed limit in force: the lowest of what a program and people have set. Pure: times are arguments. Not safety rated.
+
+A program is one source of `speed_limit`, with the deadline that it had when executor and bridge heard it themselves: its silence
+never speeds up. People have one limit in common, whoever of them set it: it stands until a person sets another one, whatever
+becomes of tablet, broker and node. Lowering it acts at once. Raising it is void when what the screen had shown is too old, or of
+before somebody lowered it: nobody raises a limit unseen.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
+from construction_twin.core.freshness import Moment, is_newer, parse_moment, staleness
+from construction_twin.core.reports import SpeedReport
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.speed_limit import LimitState, SpeedLimit
+from construction_twin.link.seen_stops import SHOWN_AFTER
+
+#: The least that people may set, a fraction of the planned speed: 0 would be a pause, which has a name and an end of its own.
+LEAST = 0.05
+#: Whose limit is in force; "": nobody limits.
+PEOPLE, PROGRAM, NOBODY = "people", "program", ""
+
+
+@dataclass(frozen=True)
+class PeopleLimit:
+    """The limit of all people.
+
+    Attributes:
+        limit: Fraction of the planned speed, `LEAST` to 1.
+        person: Who set it; "": nobody has yet, or it is not known.
+        since: ROS time at which it was set [ns].
+        replaced, replaced_person: What it was before, and whose that was.
+        problem: Why it is not what people had set, as a clause; "": it is.
+    """
+
+    limit: float = 1.0
+    person: str = ""
+    since: int = 0
+    replaced: float = 1.0
+    replaced_person: str = ""
+    problem: str = ""
+
+    def to_text(self) -> str:
+        """Return what `kept` reads."""
+        return json.dumps({key: value for key, value in asdict(self).items() if key != "problem"}) + "\n"
+
+    @property
+    def reason(self) -> str:
+        """Who limits, as one sentence."""
+        if self.problem:
+            return Sentence("link.speed.unreadable", percent=100 * self.limit, problem=self.problem)
+        return Sentence("link.speed.people", percent=100 * self.limit, person=self.person)
+
+
+def kept(path: str, text: str) -> PeopleLimit:
+    """Return what people had set, from the text of a file.
+
+    Raises:
+        ConfigurationError: It is none of ours.
+    """
+    try:
+        found: Any = json.loads(text)
+        made = PeopleLimit(**found)
+        numbers = (made.limit, made.replaced)
+        wrong = made.problem or any(type(each) not in (int, float) or not LEAST <= each <= 1.0 for each in numbers)
+        names = (made.person, made.replaced_person)
+        if wrong or type(made.since) is not int or not all(isinstance(each, str) for each in names):
+            raise ValueError(found)
+    except (ValueError, TypeError) as error:
+        raise ConfigurationError(path, str(error)[:200], Sentence("expected.speed_file", least=LEAST)) from error
+    return made
+
+
+def unreadable(problem: str) -> PeopleLimit:
+    """Return what counts in place of a limit that was kept and cannot be read: the least, because a restart raises nothing."""
+    return PeopleLimit(LEAST, problem=problem)
+
+
+def program_text(program: SpeedLimit) -> str:
+    """Return what a node that is started again must know of the program that was heard; "" without one.
+
+    It changes seldom, however often the limit does: of a program that is silent only that counts which is below the fraction for
+    silence.
+    """
+    if not program.name:
+        return ""
+    return f"{int(100 * program.fraction_when_silent) / 100:g} {program.name}"
+
+
+def remembered(program: SpeedLimit, text: str, now: int) -> None:
+    """Let a program count as silent that a node before this one had heard; `text` is of `program_text`, `now` in ns."""
+    fraction, _, name = text.partition(" ")
+    if name:
+        # longer ago than its deadline
+        program.hear(float(fraction), name, now - round(2e9 * program.deadline) - 1)
+        program.update(now)
+
+
+class SpeedLimits:
+    """Merges one program's limit and that of people; the lowest is in force. Not for use from several threads.
+
+    Args:
+        program: What a program says; `remembered` may have told it who was heard before.
+        people: What people had set.
+        started: Of this process: what a screen had shown before raises nothing.
+    """
+
+    def __init__(self, program: SpeedLimit, people: PeopleLimit, started: Moment):
+        self._program = program
+        self._people = people
+        self._lowered = started
+
+    @property
+    def people(self) -> PeopleLimit:
+        """The limit of people."""
+        return self._people
+
+    @property
+    def program(self) -> SpeedLimit:
+        """What a program says, as of the last `report`."""
+        return self._program
+
+    def set(self, limit: float, person: str, moment: str, now: Moment, at: int) -> str:
+        """Take the limit that a person sets; return the sentence of the answer.
+
+        Args:
+            limit: Fraction of the planned speed.
+            moment: The newest that the person's screen had received; needed only to raise the limit.
+            at: ROS time [ns].
+
+        Raises:
+            PayloadError: ``values``, ``person``, or ``moment``: none to raise it.
+            ExpiredError: What the screen had shown is too old to raise it, or was lowered since.
+        """
+        # written so that a nan does not pass
+        if not LEAST <= limit <= 1.0:
+            raise PayloadError("values", Sentence("link.payload.speed", found=limit, least=LEAST))
+        if not person.strip():
+            raise PayloadError("person", Sentence("link.speed.nameless"))
+        before = self._people
+        if limit == before.limit and not before.problem:
+            return Sentence("link.speed.same", percent=100 * limit)
+        if limit > before.limit:
+            self._check_raise(parse_moment(moment), now)
+        else:
+            self._lowered = replace(now, at=now.at + SHOWN_AFTER)
+        self._people = PeopleLimit(limit, person, at, before.limit, before.person)
+        whose = before.person or Sentence("link.speed.nobody")
+        key = "link.speed.raised" if limit > before.limit else "link.speed.lowered"
+        return Sentence(key, percent=100 * limit, before=100 * before.limit, whose=whose)
+
+    def _check_raise(self, seen: Moment, now: Moment) -> None:
+        if problem := staleness(seen, now):
+            raise ExpiredError(Sentence("executor.void.speed", problem=problem))
+        if not is_newer(seen, self._lowered):
+            raise ExpiredError(Sentence("executor.void.speed_since"))
+
+    def report(self, now: int) -> SpeedReport | None:
+        """Return what is in force at `now` [ns, monotonic]; None before anybody has set a limit: nothing is to be repeated then."""
+        program, people = self._program, self._people
+        allowed = program.update(now)
+        if not program.name and people == PeopleLimit():
+            return None
+        # nobody was heard, and one is required: what the executor does of itself then holds beside a person's limit, too
+        asks = program.state is not LimitState.UNLIMITED
+        limit = min(allowed, people.limit)
+        by = NOBODY if limit == 1.0 else PEOPLE if people.limit <= allowed else PROGRAM
+        reason = people.reason if by == PEOPLE else program.reason if asks else Sentence("link.speed.free")
+        return SpeedReport(
+            limit=limit,
+            by=by,
+            reason=reason,
+            people=people.limit,
+            person=people.person,
+            since=people.since,
+            replaced=people.replaced,
+            replaced_person=people.replaced_person,
+            program=allowed,
+            program_name=program.name,
+        )

@@ -1,0 +1,268 @@
+"""speed_limits: merges what limits the speed; executor and bridge hear it alone. The lowest wins, and is repeated.
+
+Sources: one program on `speed_limit`, and people by the service `limit_speed`, which `mqtt_review` calls. What people set is kept
+in a file, so that a restart raises nothing. Not safety rated.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import pydantic
+import rospy
+
+from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
+from construction_twin.core.files import read_file, write_whole
+from construction_twin.core.reports import SpeedReport
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.speed_limit import LimitState, SpeedLimit
+from construction_twin.link.speed_limits import PeopleLimit, SpeedLimits, kept, program_text, remembered, unreadable
+from construction_twin.msg import SpeedLimit as SpeedLimitMessage
+from construction_twin.msg import SpeedLimitInForce
+from construction_twin.robot.description import RobotModel
+from construction_twin.ros.messages.records import to_msg
+from construction_twin.ros.shared.deferred_log import DeferredLog
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.endpoint import TOO_OLD
+from construction_twin.ros.shared.launch_arguments import arm_of
+from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
+from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.shared.params import ros_home, settings_of
+from construction_twin.ros.shared.ports import (
+    Every,
+    Interface,
+    Ports,
+    Publication,
+    Served,
+    SharedParameter,
+    Subscription,
+    has_arm,
+)
+from construction_twin.ros.shared.robot_clock import present
+from construction_twin.ros.shared.stop_memory import StopMemory
+from construction_twin.ros.transport.joint_stream import now_ns
+from construction_twin.ros.transport.publisher import Sink
+from construction_twin.ros.transport.subscriber import caller_of
+from construction_twin.srv import LimitSpeed, LimitSpeedRequest
+
+#: The program that was heard, for the node after this one; in the robot's namespace, cleared by the launch file.
+PROGRAM = "speed_limit_program"
+#: A file that could not be written is tried again, and lines are written to the log, after this time [s].
+_AGAIN = 0.5
+#: Largest file that is read [bytes].
+MOST = 1 << 16
+
+
+class Settings(pydantic.BaseModel):
+    """Private parameters; see config/speed_limits.yaml."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    arm: Literal["mock", "real", "none"]
+    folder: str
+    rate: float = pydantic.Field(ge=1, le=100)
+
+
+class SourceRules(pydantic.BaseModel):
+    """What executor and gateway are told of a source's silence: parameters of theirs, which hold where it is heard, too."""
+
+    speed_limit_deadline: float = pydantic.Field(gt=0)
+    speed_limit_silent: float = pydantic.Field(ge=0, le=1)
+    speed_limit_required: bool = False
+
+
+class LimitFile:
+    """The file in which the limit of people outlasts the node.
+
+    Args:
+        path: None: it ends with the node.
+    """
+
+    def __init__(self, path: Path | None):
+        self._path = path
+
+    def read(self) -> PeopleLimit:
+        """Return what people had set; the least where that is not known."""
+        if self._path is None:
+            return PeopleLimit()
+        try:
+            return kept(str(self._path), read_file(self._path, MOST).decode("utf-8"))
+        except FileNotFoundError:
+            return PeopleLimit()
+        except (OSError, UnicodeDecodeError, ConfigurationError) as error:
+            return unreadable(str(error))
+
+    def write(self, people: PeopleLimit) -> str:
+        """Write it; return why that was not possible, "" when it was."""
+        if self._path is None:
+            return ""
+        try:
+            write_whole(self._path, people.to_text())
+        except OSError as error:
+            path, problem = str(self._path), error.strerror or str(error)
+            return Sentence("link.speed.not_written", path=path, problem=problem)
+        return ""
+
+
+class SpeedLimitsNode:
+    """ROS around a SpeedLimits; `start` gives it parameters, topics and service.
+
+    Args:
+        file: Keeps what people set.
+        memory: Keeps which program was heard.
+        diagnostics: Counts what is refused.
+    """
+
+    def __init__(
+        self, limits: SpeedLimits, file: LimitFile, memory: StopMemory, in_force: Sink, diagnostics: NodeDiagnostics
+    ):
+        self._limits = limits
+        self._file, self._kept, self._problem = file, limits.people, ""
+        self._memory = memory
+        self._publisher = in_force
+        self._diagnostics = diagnostics
+        # also orders what is published: the last message is what was decided last
+        self._lock = threading.Lock()
+        self._news = threading.Event()
+        self._log = DeferredLog()
+        self._state: LimitState | None = None
+        self._told: SpeedReport | None = None
+
+    def run(self) -> None:
+        """Keep what people set, and write the log, until shutdown; nothing else here waits for a disk or a terminal."""
+        while not rospy.is_shutdown():
+            self._news.wait(_AGAIN)
+            self._news.clear()
+            self.write()
+        self.write()
+
+    def write(self) -> None:
+        """Write what has changed."""
+        people = self._limits.people
+        # an unreadable file stays as it is until a person has set a limit
+        if people != self._kept:
+            self._problem = self._file.write(people)
+            if self._problem:
+                rospy.logerr_throttle(5.0, "%s", self._problem)
+            else:
+                self._kept = people
+        self._log.flush()
+
+    def on_program(self, message: SpeedLimitMessage) -> None:
+        """Take what a program allows; it is in force at once."""
+        source = caller_of(message)
+        try:
+            with self._lock:
+                self._limits.program.accept(message.limit, source, time.monotonic_ns(), message.reason)
+                self._publish()
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
+
+    def on_limit_speed(self, request: LimitSpeedRequest) -> Outcome:
+        """Take what a person sets: it is in force before the answer, and before anything is written."""
+        try:
+            with self._lock:
+                sentence = self._limits.set(request.limit, request.person, request.moment, present(), now_ns())
+                self._publish()
+        except (PayloadError, ExpiredError) as error:
+            expired = isinstance(error, ExpiredError)
+            self._diagnostics.refuse(error.reason if isinstance(error, PayloadError) else TOO_OLD, str(error))
+            return Outcome(False, str(error), expired, {"limit": self._limits.people.limit})
+        self._log.add(rospy.loginfo, "%s: %s", request.person, sentence)
+        self._news.set()
+        return Outcome(True, sentence, fields={"limit": self._limits.people.limit})
+
+    def repeat(self) -> None:
+        """Publish what is in force again, and notice a program's silence; to be called at `rate`."""
+        now = time.monotonic_ns()
+        with self._lock:
+            self._publish()
+            program = self._limits.program
+            state, reason, text = program.state, program.reason, program_text(program)
+        self._memory.keep(text, now)
+        if state is not self._state:
+            self._state = state
+            self._log.add(rospy.logwarn if _is_slow(state) else rospy.loginfo, "%s", reason)
+
+    def _publish(self) -> None:
+        self._told = report = self._limits.report(time.monotonic_ns())
+        if report is not None:
+            self._publisher.publish(to_msg(replace(report, stamp=now_ns()), SpeedLimitInForce))
+
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
+        told = self._told or SpeedReport(reason=self._limits.program.reason)
+        values = {
+            "speed limit": f"{told.limit:.3f}",
+            "speed limit of people": f"{told.people:.3f}",
+            "set by": told.person,
+            "replaced": f"{told.replaced:.3f}",
+            "replaced was set by": told.replaced_person,
+            "speed limit of a program": f"{told.program:.3f}",
+            "program": told.program_name,
+        }
+        sentence = f"speed limit {told.limit:g}: {told.reason}"
+        if problem := self._problem or self._memory.problem:
+            return Report(ERROR, problem, values)
+        if self._limits.people.problem:
+            return Report(ERROR, sentence, values)
+        return Report(WARN if _is_slow(self._limits.program.state) else OK, sentence, values)
+
+
+def _is_slow(state: LimitState) -> bool:
+    return state in (LimitState.SILENT, LimitState.MISSING)
+
+
+def source_of_program(executor: Mapping[str, object], gateway: Mapping[str, object] | None) -> SpeedLimit:
+    """Return what hears a program: with the shorter deadline, and the lower fraction for silence, of executor and gateway.
+
+    Each of them still has its own for the silence of this node.
+
+    Args:
+        executor, gateway: Their parameters; no gateway without an arm.
+    """
+    rules = [settings_of(SourceRules, executor, "executor")]
+    if gateway is not None:
+        rules.append(settings_of(SourceRules, gateway, "gateway"))
+    deadline = min(each.speed_limit_deadline for each in rules)
+    silent = min(each.speed_limit_silent for each in rules)
+    return SpeedLimit(deadline, silent, rules[0].speed_limit_required)
+
+
+def start(settings: Settings, robot: RobotModel, ports: Ports) -> SpeedLimitsNode:
+    """Return the node with its parameters, topics and service."""
+    program = source_of_program(ports.parameters["executor"], ports.parameters["gateway"])
+    before = str(ports.parameters[PROGRAM])
+    remembered(program, before, time.monotonic_ns())
+    outlasts = bool(settings.folder) and has_arm(settings)
+    file = LimitFile(ros_home() / settings.folder / f"{robot.name}.json" if outlasts else None)
+    limits = SpeedLimits(program, file.read(), present())
+    if limits.people != PeopleLimit():
+        rospy.loginfo("%s", limits.people.reason)
+    memory = StopMemory(before, ports.keeper(PROGRAM), PROGRAM)
+    return SpeedLimitsNode(limits, file, memory, ports.publishers["speed_limit_in_force"], ports.diagnostics)
+
+
+INTERFACE = Interface(
+    report=SpeedLimitsNode.report,
+    parameters=(
+        SharedParameter("executor", {}),
+        SharedParameter("gateway"),
+        SharedParameter(PROGRAM, "", kept=True),
+    ),
+    publishes=(Publication("speed_limit_in_force", SpeedLimitInForce, queue_size=5, latch=True, tcp_nodelay=True),),
+    hears=(Subscription("speed_limit", SpeedLimitMessage, SpeedLimitsNode.on_program, queue_size=5, tcp_nodelay=True),),
+    serves=(Served("limit_speed", LimitSpeed, SpeedLimitsNode.on_limit_speed),),
+    every=(Every(lambda settings: 1.0 / settings.rate, lambda node, _ports: node.repeat()),),
+)
+NODE = NodeShell("speed_limits", Settings, start, INTERFACE, file=ConfigFile(lambda given: {"arm": arm_of(given)}))
+
+
+def main() -> None:
+    """Run the node."""
+    NODE.run()

@@ -1,0 +1,141 @@
+"""Where the arm is and how far the plan has come, with real views: progress, joints, tool, mode; goals and waypoints as numbers."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import expect
+from processes import wait_until
+
+#: Longest wait for what a robot shall have done [s].
+PATIENCE_S = 60.0
+TABLET, PHONE = (1280, 800), (390, 844)
+
+
+def test_while_a_plan_is_played_its_name_progress_rest_and_speed_are_shown(page_of, robot):
+    page = page_of("reviewer-ada")
+    progress = page.page.locator(".progress")
+    expect(progress).to_be_hidden()
+    robot.show_plan(duration=40.0, source="Pia's wall")
+    page.look()
+    page.hold_approve()
+    expect(progress.locator(".progress-name")).to_have_text("Plan by Pia's wall")
+    expect(progress.locator(".progress-left")).to_have_text(re.compile(r"0:[0-3]\d left"))
+    expect(progress.locator(".progress-speed")).to_have_text("speed 100 %, limit 100 %")
+    bar = page.page.get_by_role("progressbar", name="Plan by Pia's wall")
+    first = int(bar.get_attribute("aria-valuenow") or 0)
+    page.wait_for("(first) => document.querySelector('.progress-bar').getAttribute('aria-valuenow') > first", first)
+    page.intervene("pause")
+    expect(progress.locator(".progress-left")).to_have_text(re.compile("stands, 0:.. of the plan left"))
+    page.intervene("stop")
+    expect(progress).to_be_hidden()
+
+
+def test_joints_and_tool_are_where_the_robot_has_them_and_a_difference_is_told(page_of, robot):
+    page = page_of("viewer-vic")
+    robot.twin = np.array([0.4, -1.2, 1.1, 0.5, 0.9, -0.7])
+    rows = page.page.locator(".motion-row:not(.motion-head)")
+    expect(rows).to_have_count(6)
+    for k, value in enumerate(robot.twin):
+        expect(rows.nth(k).locator(".motion-twin")).to_have_text(f"{math.degrees(value):.2f}°")
+        # the limits of the URDF
+        expect(rows.nth(k).locator(".motion-end").first).to_have_text(f"{math.degrees(robot.robot.lower[k]):.0f}")
+    for name, value in zip("XYZ", robot.tool(robot.twin)):
+        field = page.page.locator(".motion-tool dl > div").filter(has=page.page.get_by_text(name, exact=True))
+        expect(field.locator("dd")).to_have_text(f"{1000 * value:.1f} mm")
+    # the mark stands in the limits where the value does
+    low, high = robot.robot.lower[0], robot.robot.upper[0]
+    part = 100 * (robot.twin[0] - low) / (high - low)
+    at = rows.first.locator(".motion-at-twin").evaluate("(it) => Number(it.style.getPropertyValue('--at'))")
+    assert abs(at - part) < 0.1
+    expect(rows.nth(1)).not_to_have_class(re.compile("is-over"))
+    robot.arm_error = np.array([0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
+    expect(rows.nth(1)).to_have_class(re.compile("is-over"))
+    expect(rows.nth(1).locator(".motion-difference")).to_have_text("2.86° over 1.15°")
+    expect(rows.nth(0)).not_to_have_class(re.compile("is-over"))
+
+
+@pytest.mark.parametrize(("language", "not_sent"), [("en", "not sent"), ("de", "nicht gesendet")])
+def test_mode_and_override_are_what_the_controller_sends_or_not_sent(page_of, robot, language, not_sent):
+    page = page_of("viewer-vic", f"?language={language}")
+    facts = page.page.locator(".motion-facts dd")
+    expect(facts.nth(0)).to_have_text(not_sent)
+    expect(facts.nth(1)).to_have_text(not_sent)
+    robot.counters = {"late_replies": "0", "controller_mode": "T1", "controller_override_percent": "30"}
+    expect(facts.nth(0)).to_have_text("T1")
+    expect(facts.nth(1)).to_have_text("30 %")
+
+
+def test_a_goal_of_the_tool_is_typed_and_asked_for(page_of, robot):
+    page = page_of("planner-pia")
+    page.page.locator(".plan-begin").click()
+    page.page.locator(".plan-tool summary").click()
+    fields = page.page.locator(".plan-tool-fields input")
+    begin = [f"{1000 * value:.1f}" for value in robot.tool(robot.twin)]
+    assert [field.input_value() for field in fields.all()][:3] == begin
+    height = float(begin[2]) - 150.0
+    page.page.get_by_label("Z [mm]").fill(f"{height:.1f}".replace(".", ","))
+    page.page.get_by_role("button", name="Take as goal").click()
+    expect(page.page.locator(".plan-reach")).to_contain_text("The arm gets there and touches nothing.")
+    page.page.locator("#plan .plan-ask").click()
+    expect(page.page.locator("#plan .plan-answer")).to_contain_text("There is a plan")
+    (request,) = robot.payloads("plan_request/one-planner-pia")
+    found = robot.tool(list(request["joints"].values()))
+    assert np.allclose(found, [*robot.tool(robot.twin)[:2], height / 1000], atol=1e-3)
+    assert robot.state == "IDLE"
+    # what no arm reaches is said, and cannot be asked for
+    fields.first.fill("90000")
+    fields.first.press("Enter")
+    expect(page.page.locator(".plan-reach")).to_contain_text("The arm does not get there.")
+    expect(page.page.locator("#plan .plan-ask")).to_be_disabled()
+
+
+def test_the_waypoints_are_those_of_the_plan(page_of, robot):
+    page = page_of("reviewer-ada")
+    plan = robot.show_plan()
+    page.page.locator(".waypoints summary").click()
+    rows = page.page.locator(".waypoints tbody tr")
+    first, last = rows.first.locator("td"), rows.last.locator("td")
+    expect(first).to_have_text([f"{math.degrees(value) + 0.0:.2f}" for value in plan.start])
+    expect(last).to_have_text([f"{math.degrees(value) + 0.0:.2f}" for value in plan.goal])
+    assert 10 < rows.count() <= 17
+    robot.take_plan_away()
+    expect(page.page.locator(".waypoints")).to_be_hidden()
+
+
+@pytest.mark.parametrize("size", (TABLET, PHONE), ids=("tablet", "phone"))
+def test_everybody_can_use_them_and_nothing_is_wider_than_the_screen(page_of, robot, size):
+    page = page_of("planner-pia", size=size, color_scheme="light")
+    robot.arm_error = np.array([0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
+    page.page.locator(".plan-begin").click()
+    page.page.locator(".plan-tool summary").click()
+    robot.show_plan()
+    page.page.locator(".waypoints summary").click()
+    expect(page.page.locator(".motion-row.is-over")).to_be_visible()
+    for scheme in ("light", "dark"):
+        page.page.emulate_media(color_scheme=scheme)
+        found = Axe().run(page.page, context="#motion, .waypoints, .plan-tool").response["violations"]
+        assert not found, [(each["id"], [node["target"] for node in each["nodes"]]) for each in found]
+    for each in page.page.locator(".plan-tool :is(summary, input, button), .waypoints summary").all():
+        box = each.bounding_box()
+        assert box is not None and box["height"] >= 44
+    assert page.page.evaluate("document.documentElement.scrollWidth") <= size[0]
+
+
+def test_progress_is_told_to_everybody(page_of, robot):
+    page = page_of("reviewer-ada", size=PHONE)
+    robot.show_plan(duration=60.0)
+    page.look()
+    page.hold_approve()
+    wait_until(lambda: robot.state == "PLAYING", PATIENCE_S, "the motion")
+    expect(page.page.locator(".progress")).to_be_visible()
+    for scheme in ("light", "dark"):
+        page.page.emulate_media(color_scheme=scheme)
+        assert not Axe().run(page.page, context=".progress").response["violations"]
+    # numbers that change ten times a second are spoken by nobody
+    assert page.page.locator("#motion [role=status], #motion [aria-live], .progress [aria-live]").count() == 0
+    page.intervene("stop")

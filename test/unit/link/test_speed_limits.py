@@ -1,0 +1,272 @@
+"""The speed limit in force: the lowest wins, raising needs a fresh look, nothing that vanishes raises it."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
+from construction_twin.core.freshness import LIFETIME, Moment
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.speed_limit import SpeedLimit
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.seen_stops import SHOWN_AFTER
+from construction_twin.link.speed_limits import (
+    LEAST,
+    PeopleLimit,
+    SpeedLimits,
+    kept,
+    program_text,
+    remembered,
+    unreadable,
+)
+
+BOOT = "c0ffee00"
+START = 100 * NANOSECONDS
+#: A program's deadline, and what holds beyond it.
+DEADLINE, SILENT = 0.5, 0.1
+
+
+def made(people: PeopleLimit = PeopleLimit(), required: bool = False) -> SpeedLimits:
+    return SpeedLimits(SpeedLimit(DEADLINE, SILENT, required), people, Moment(BOOT, START))
+
+
+def at(seconds: float) -> Moment:
+    """Return a moment so long after the start [s]."""
+    return Moment(BOOT, START + round(seconds * NANOSECONDS))
+
+
+def set_(limits: SpeedLimits, limit: float, seconds: float, person: str = "dora", seen: float | None = None) -> str:
+    """Set a limit so long after the start; `seen` is the moment that was shown then, None: none is told."""
+    moment = "" if seen is None else str(at(seen))
+    return limits.set(limit, person, moment, at(seconds), round(seconds * NANOSECONDS))
+
+
+def in_force(limits: SpeedLimits, seconds: float = 0.0) -> float:
+    report = limits.report(START + round(seconds * NANOSECONDS))
+    return 1.0 if report is None else report.limit
+
+
+def say(limits: SpeedLimits, fraction: float, seconds: float, name: str = "/separation") -> None:
+    limits.program.accept(fraction, name, START + round(seconds * NANOSECONDS), "somebody is near")
+
+
+def test_before_anybody_limits_there_is_nothing_to_repeat():
+    assert made().report(START) is None
+    assert made(required=True).report(START) is None, "what is required then the executor does by itself"
+
+
+def test_the_lowest_wins_whoever_came_last():
+    limits = made()
+    say(limits, 0.5, 1.0)
+    set_(limits, 0.3, 1.1)
+    assert (in_force(limits, 1.2), limits.report(at(1.2).at).by) == (0.3, "people")
+    say(limits, 0.2, 1.2)
+    report = limits.report(at(1.2).at)
+    assert (report.limit, report.by, report.people, report.program) == (0.2, "program", 0.3, 0.2)
+    assert "/separation" in report.reason and "somebody is near" in report.reason
+    say(limits, 1.0, 1.3)
+    assert (in_force(limits, 1.3), limits.report(at(1.3).at).reason) == (0.3, "dora has limited the speed to 30%")
+
+
+def test_a_program_that_falls_silent_counts_as_before_and_never_as_more_than_it_had_said():
+    limits = made()
+    for said, silent in ((0.5, SILENT), (0.05, 0.05)):
+        say(limits, said, 0.0)
+        assert in_force(limits, DEADLINE) == said
+        report = limits.report(at(DEADLINE + 0.01).at)
+        assert report.limit == silent and "silent" in report.reason
+    set_(limits, 0.3, 1.0)
+    assert in_force(limits, 1.0) == 0.05, "people do not lift what a program has said"
+
+
+def test_people_limit_beside_a_program_that_is_required_and_was_never_heard():
+    limits = made(required=True)
+    set_(limits, 0.5, 0.0)
+    assert (in_force(limits), limits.report(START).by) == (SILENT, "program")
+
+
+def test_lowering_acts_whatever_its_moment_is():
+    limits = made()
+    for limit, moment in ((0.8, ""), (0.6, "nonsense"), (0.4, str(at(-50.0))), (0.2, "deadbeef-1")):
+        limits.set(limit, "dora", moment, at(1.0), 1)
+        assert limits.people.limit == limit == in_force(limits, 1.0)
+
+
+def test_raising_needs_a_moment():
+    limits = made()
+    set_(limits, 0.3, 1.0)
+    for moment in ("", "now"):
+        with pytest.raises(PayloadError) as caught:
+            limits.set(0.5, "dora", moment, at(3.0), 1)
+        assert caught.value.reason == "moment"
+    assert limits.people.limit == 0.3
+    assert set_(limits, 0.5, 3.0, seen=2.9).key == "link.speed.raised"
+    assert limits.people.limit == 0.5
+
+
+@pytest.mark.parametrize("seen, moment", [(3.0, None), (12.0, None), (0.0, "deadbeef-100000")])
+def test_raising_is_void_by_what_was_shown_too_long_ago_ahead_or_elsewhere(seen, moment):
+    limits = made()
+    set_(limits, 0.3, 1.0)
+    with pytest.raises(ExpiredError):
+        limits.set(0.5, "dora", moment or str(at(seen)), at(seen + 3.01 if seen == 3.0 else 10.0), 1)
+    assert limits.people.limit == 0.3
+
+
+def test_nobody_raises_a_limit_that_was_lowered_since_the_screen_had_looked():
+    limits = made()
+    set_(limits, 0.3, 1.0)
+    set_(limits, 0.2, 5.0, person="bob")
+    shown = SHOWN_AFTER / NANOSECONDS
+    for seen in (4.9, 5.0, 5.0 + shown):
+        with pytest.raises(ExpiredError) as caught:
+            set_(limits, 0.8, 5.5, seen=seen)
+        assert caught.value.sentence.key == "executor.void.speed_since"
+    set_(limits, 0.8, 5.5, seen=5.0 + shown + 0.001)
+    assert (limits.people.limit, limits.people.person) == (0.8, "dora")
+
+
+def test_a_screen_that_has_not_looked_since_the_start_raises_nothing():
+    limits = made(PeopleLimit(0.3, "dora", 1))
+    with pytest.raises(ExpiredError):
+        set_(limits, 0.5, 1.0, seen=-0.5)
+    set_(limits, 0.5, 1.0, seen=0.5)
+
+
+def test_who_set_it_and_whose_was_replaced_is_known():
+    limits = made()
+    set_(limits, 0.3, 1.0)
+    assert limits.people == PeopleLimit(0.3, "dora", NANOSECONDS, 1.0, "")
+    sentence = set_(limits, 0.6, 3.0, person="bob", seen=2.9)
+    assert limits.people == PeopleLimit(0.6, "bob", 3 * NANOSECONDS, 0.3, "dora")
+    assert isinstance(sentence, Sentence) and sentence.values["whose"] == "dora"
+    report = limits.report(START)
+    assert (report.person, report.since, report.replaced, report.replaced_person) == ("bob", 3 * 10**9, 0.3, "dora")
+
+
+def test_the_same_limit_again_changes_nothing_and_needs_nothing():
+    limits = made()
+    set_(limits, 0.3, 1.0)
+    before = limits.people
+    assert set_(limits, 0.3, 2.0, person="bob").key == "link.speed.same" and limits.people == before
+
+
+@pytest.mark.parametrize("limit", [0.0, 0.049, 1.01, float("nan"), float("inf"), -1.0])
+def test_what_is_no_limit_is_refused(limit):
+    limits = made()
+    with pytest.raises(PayloadError) as caught:
+        limits.set(limit, "dora", str(at(1.0)), at(1.0), 1)
+    assert caught.value.reason == "values" and limits.people == PeopleLimit()
+
+
+@pytest.mark.parametrize("person", ["", "  "])
+def test_nobody_limits_without_a_name(person):
+    with pytest.raises(PayloadError) as caught:
+        made().set(0.5, person, "", at(1.0), 1)
+    assert caught.value.reason == "person"
+
+
+def test_what_people_set_outlasts_the_node():
+    limits = made()
+    set_(limits, 0.3, 1.0)
+    again = kept("file", limits.people.to_text())
+    assert again == limits.people and in_force(made(again)) == 0.3
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "[]", "{", '{"limit": 2}', '{"limit": 0}', '{"limit": "1"}', '{"limit": true}', '{"limit": NaN}',
+     '{"limt": 0.5}', '{"limit": 0.5, "problem": "x"}', '{"limit": 0.5, "since": "x"}', '{"limit": 0.5, "person": 1}'],
+)  # fmt: skip
+def test_a_file_of_something_else_is_none(text):
+    with pytest.raises(ConfigurationError, match="file"):
+        kept("file", text)
+
+
+def test_what_cannot_be_read_counts_as_the_least_until_somebody_sets_it():
+    limits = made(unreadable("it is damaged"))
+    report = limits.report(START)
+    assert (report.limit, report.by) == (LEAST, "people") and "it is damaged" in report.reason
+    # the same number by a person is one that a person has set
+    assert set_(limits, LEAST, 1.0) and limits.people.problem == "" and limits.people.person == "dora"
+
+
+def test_a_program_that_was_heard_before_counts_as_silent_after_a_restart():
+    before = SpeedLimit(DEADLINE, SILENT)
+    assert program_text(before) == ""
+    for said, holds in ((0.7, 0.1), (0.05, 0.05), (0.0, 0.0)):
+        before.accept(said, "/separation", START)
+        after = SpeedLimit(DEADLINE, SILENT)
+        remembered(after, program_text(before), START)
+        limits = SpeedLimits(after, PeopleLimit(), Moment(BOOT, START))
+        report = limits.report(START)
+        assert (report.limit, report.program_name) == (holds, "/separation")
+        # it is not taken for one that is heard: another one may come
+        say(limits, 1.0, 0.1, "/other")
+        assert in_force(limits, 0.1) == 1.0
+
+
+def test_what_is_remembered_of_a_program_does_not_change_with_a_sensor():
+    source = SpeedLimit(DEADLINE, SILENT)
+    texts = set()
+    for number in range(10, 101):
+        source.accept(number / 100, "/separation", START)
+        texts.add(program_text(source))
+    assert texts == {"0.1 /separation"}
+
+
+_limit = st.integers(1, 20).map(lambda number: number / 20)
+_step = st.one_of(
+    st.tuples(st.just("people"), _limit, st.sampled_from(["dora", "bob"]), st.floats(0.0, 6.0), st.booleans()),
+    st.tuples(st.just("program"), st.floats(0.0, 1.0)),
+    st.tuples(st.just("wait"), st.floats(0.0, 1.0)),
+    st.tuples(st.just("restart")),
+)
+
+
+@given(st.lists(_step, max_size=40))
+def test_whatever_happens_only_a_fresh_look_raises_people_s_limit_and_the_lowest_is_in_force(steps):
+    limits, now, told, spoken = made(), 1.0, None, 0.0
+    for step in steps:
+        before = limits.people
+        if step[0] == "people":
+            _, limit, person, age, has_moment = step
+            try:
+                set_(limits, limit, now, person, now - age if has_moment else None)
+            except (PayloadError, ExpiredError):
+                assert limits.people == before and limit > before.limit
+            else:
+                assert limits.people.limit == limit
+                if limit > before.limit:
+                    assert has_moment and age * NANOSECONDS <= LIFETIME + 10**6
+        elif step[0] == "program":
+            say(limits, step[1], now)
+            told, spoken = step[1], now
+        elif step[0] == "wait":
+            now += step[1]
+        else:
+            program = SpeedLimit(DEADLINE, SILENT)
+            remembered(program, program_text(limits.program), at(now).at)
+            limits = SpeedLimits(program, kept("file", before.to_text()), at(now))
+            spoken = -100.0
+            assert limits.people == before
+        if step[0] != "people":
+            assert limits.people == before, "nothing but a person changes it"
+        report = limits.report(at(now).at)
+        assert report is None or report.limit == min(report.people, report.program)
+        assert report is not None or (told is None and limits.people == PeopleLimit())
+        if told is not None:
+            heard = now - spoken <= DEADLINE
+            assert report.program <= (told if heard else min(told, SILENT))
+            assert report.limit <= limits.people.limit
+
+
+def test_the_file_is_plain_json():
+    text = PeopleLimit(0.35, "dora", 12, 1.0, "").to_text()
+    assert json.loads(text) == {
+        "limit": 0.35, "person": "dora", "since": 12, "replaced": 1.0, "replaced_person": "",
+    }  # fmt: skip

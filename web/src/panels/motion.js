@@ -1,0 +1,159 @@
+/**
+ * Where the arm is, always: each joint within its limits, twin and arm, and by how much they differ; the twin's tool; operating mode and
+ * override of the controller. Limits and tool come from the robot's model. Shown ten times a second at most, and while it is open.
+ */
+import {add, clear, setText} from "../dom.js";
+import {toAngles} from "../planning/angles.js";
+import {axesOf} from "../planning/axes.js";
+import {shown} from "../planning/joints.js";
+import {MEANS, readModel, shortNames} from "../planning/model.js";
+import {browser} from "./clock.js";
+
+const EVERY = 100;
+const UNKNOWN = "–";
+const COLUMNS = ["joint", "range", "twin", "arm", "difference"];
+const TOOL = ["x", "y", "z", "a", "b", "c"];
+
+/** Make the panel. */
+export function make(parent, store, connection, texts, {every, ...means} = {...browser, ...MEANS}) {
+  const models = new Map();
+  const area = add(parent, "div", {className: "motion"});
+  const facts = add(area, "dl", {className: "motion-facts"});
+  const factOf = (name) => {
+    const group = add(facts, "div");
+    add(group, "dt", {text: texts(`axes.${name}`)});
+    return add(group, "dd", {text: UNKNOWN});
+  };
+  const [mode, override, apart] = [factOf("mode"), factOf("override"), factOf("apart")];
+  const table = add(area, "div", {className: "motion-axes", role: "table", "aria-label": texts("axes.title")});
+  const key = add(area, "p", {className: "motion-key"});
+  for (const name of ["twin", "arm"]) {
+    add(key, "span", {className: `motion-mark motion-${name}`, "aria-hidden": "true"});
+    add(key, "span", {text: texts(`axes.${name}`)});
+  }
+  const note = add(key, "span", {className: "motion-note"});
+  const tool = add(area, "div", {className: "motion-tool"});
+  const toolName = add(tool, "p", {className: "motion-tool-name"});
+  const toolList = add(tool, "dl");
+  const toolFields = Object.fromEntries(TOOL.map((name) => {
+    const group = add(toolList, "div");
+    add(group, "dt", {text: texts(`axes.tool.${name}`)});
+    return [name, add(group, "dd", {text: UNKNOWN})];
+  }));
+  let rows = [];
+  let shownNames = "";
+  let dirty = true;
+
+  // -- the robot's model
+
+  const load = async (name) => {
+    const view = store.robot(name)?.view;
+    const known = models.get(name);
+    const names = view?.joints.names.join("\n");
+    if (!view || connection.state !== "connected" || known?.loading || known?.names === names) return;
+    const mine = {names, loading: true, model: null, trouble: ""};
+    models.set(name, mine);
+    try {
+      mine.model = await readModel(name, view.joints.names, means);
+    } catch (error) {
+      // no such file, a model that is none, a network that ended: values are shown without limits, until the next connection
+      mine.trouble = error.message;
+    }
+    mine.loading = false;
+    dirty = true;
+  };
+
+  // -- what is shown
+
+  const build = (view) => {
+    clear(table);
+    rows = [];
+    const head = add(table, "div", {className: "motion-row motion-head", role: "row"});
+    for (const column of COLUMNS) add(head, "span", {role: "columnheader", className: `motion-${column}`, text: texts(`axes.${column}`)});
+    const short = shortNames(view.joints.names);
+    view.joints.names.forEach((name, k) => {
+      const row = add(table, "div", {className: "motion-row", role: "row"});
+      add(row, "span", {role: "rowheader", className: "motion-joint", text: short[k], title: name});
+      const range = add(row, "span", {role: "cell", className: "motion-range"});
+      const lower = add(range, "span", {className: "motion-end"});
+      const bar = add(range, "span", {className: "motion-bar", "aria-hidden": "true"});
+      const marks = ["arm", "twin"].map((what) => add(bar, "span", {className: `motion-at motion-at-${what}`, hidden: true}));
+      const upper = add(range, "span", {className: "motion-end"});
+      const cells = ["twin", "arm", "difference"].map((column) => add(row, "span", {role: "cell", className: `motion-${column}`}));
+      rows.push({row, lower, upper, marks, cells, at: [null, null]});
+    });
+  };
+
+  const showRow = ({row, lower, upper, marks, cells, at}, axis) => {
+    const {joint, unit, twin, arm, difference, allowed, isOver} = axis;
+    const hasLimits = joint.lower < joint.upper;
+    setText(lower, hasLimits ? shown(joint, joint.lower).toFixed(0) : "");
+    setText(upper, hasLimits ? shown(joint, joint.upper).toFixed(0) : "");
+    const withUnit = (text) => (text === "" ? UNKNOWN : unit === "°" ? `${text}°` : `${text} ${unit}`);
+    const compared = difference === "" || allowed === "" ? withUnit(difference)
+      : texts(isOver ? "axes.over" : "axes.within", {difference: withUnit(difference), allowed: withUnit(allowed)});
+    [withUnit(twin), withUnit(arm), compared].forEach((text, k) => setText(cells[k], text));
+    row.classList.toggle("is-over", isOver);
+    [axis.at.arm, axis.at.twin].forEach((value, k) => {
+      marks[k].hidden = value === null;
+      const percent = value === null ? null : (100 * value).toFixed(1);
+      if (percent !== at[k] && percent !== null) marks[k].style.setProperty("--at", percent);
+      at[k] = percent;
+    });
+  };
+
+  const showTool = (view, mine) => {
+    const model = mine?.model ?? null;
+    tool.hidden = model === null;
+    const of = (pose) => (model === null || !pose ? null : model.pose(Object.fromEntries(view.joints.names.map((name, k) => [name, pose.positions[k]]))));
+    const [twin, arm] = [of(view.twin), of(view.arm)];
+    if (model !== null) setText(toolName, texts("axes.tool", {tip: model.tip, base: model.base}));
+    const values = twin === null ? null : {...Object.fromEntries(["x", "y", "z"].map((name, k) => [name, 1000 * twin.position[k]])), ...toAngles(twin.quaternion)};
+    for (const name of TOOL) {
+      const text = values === null ? "" : values[name].toFixed("xyz".includes(name) ? 1 : 2);
+      setText(toolFields[name], text === "" ? UNKNOWN : `${Number(text) === 0 ? text.replace("-", "") : text}${"xyz".includes(name) ? " mm" : "°"}`);
+    }
+    const distance = twin === null || arm === null ? null : Math.hypot(...twin.position.map((value, k) => value - arm.position[k]));
+    setText(apart, distance === null ? UNKNOWN : `${(1000 * distance).toFixed(1)} mm`);
+  };
+
+  const show = () => {
+    dirty = false;
+    const robot = store.robot(store.selected);
+    const view = robot?.view ?? null;
+    area.hidden = view === null;
+    if (view === null) return;
+    const names = `${robot.name}\n${view.joints.names.join("\n")}`;
+    if (names !== shownNames) build(view);
+    shownNames = names;
+    const mine = models.get(robot.name);
+    axesOf(view, mine?.model?.joints ?? null).forEach((axis, k) => showRow(rows[k], axis));
+    showTool(view, mine);
+    setText(note, mine?.trouble ? texts("axes.no_limits", {why: mine.trouble}) : "");
+    const told = (value, unit = "") => {
+      if (view.link === null) return texts("axes.unknown");
+      return value === "" || value === null || value === undefined ? texts("axes.not_sent") : `${value}${unit}`;
+    };
+    setText(mode, told(view.link?.controller?.mode));
+    setText(override, told(view.link?.controller?.override_percent, " %"));
+  };
+
+  const isOpen = () => {
+    const details = parent.closest?.("details") ?? null;
+    return (details === null || details.hasAttribute("open")) && parent.ownerDocument.visibilityState !== "hidden";
+  };
+  parent.closest?.("details")?.addEventListener("toggle", show);
+  store.on("view", (robot) => {
+    if (robot === store.selected) dirty = true;
+    load(robot);
+  });
+  store.on("connection", () => {
+    for (const [name, {trouble}] of models) if (trouble !== "") models.delete(name);
+    show();
+  });
+  store.on("selected", show);
+  every(EVERY, () => {
+    if (dirty && isOpen()) show();
+  });
+  show();
+}

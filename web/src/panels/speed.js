@@ -1,0 +1,180 @@
+/**
+ * The speed limit of the robot: what is in force as the robot says it, who set it, and a slider for who may. Lowering goes out at once,
+ * raising is held. What may go out when is speed_state.js; whether an account may at all is the broker's to decide.
+ */
+import {add, button, setText} from "../dom.js";
+import * as speed from "../speed_state.js";
+import {browser} from "./clock.js";
+
+const TICK_EVERY = 50;
+const BAD = ["refused", "expired", "silent", "not_sent", "no_right", "unknown"];
+
+/** Return what the robot says of the limit in force, as sentences. */
+export function saying(view, texts, clockOf = (seconds) => new Date(1000 * seconds).toLocaleString()) {
+  const said = view.speed ?? null;
+  const limit = said?.limit ?? view.execution?.speed_limit ?? null;
+  if (limit === null) return [texts("speed.unknown")];
+  const percent = speed.percentOf(limit).toString();
+  const lines = [texts(said === null ? "speed.in_force" : `speed.in_force_by.${said.by || "nobody"}`, {percent, reason: texts.reason(said?.reason ?? ""), person: said?.person ?? ""})];
+  if (said !== null && said.person) {
+    const values = {
+      person: said.person, time: clockOf(said.since), people: speed.percentOf(said.people).toString(),
+      replaced: speed.percentOf(said.replaced).toString(), before: said.replaced_person || texts("speed.nobody"),
+    };
+    lines.push(texts("speed.set_by", values));
+  }
+  return lines;
+}
+
+/** Make the panel. */
+export function make(parent, store, connection, texts, {now, every, time = browser.time} = browser) {
+  const records = new Map();
+  const times = new Map();
+  const area = add(parent, "div", {className: "speed", role: "group", "aria-label": texts("speed.title")});
+  const title = add(area, "p", {className: "speed-now"});
+  const who = add(area, "p", {className: "speed-who", hidden: true});
+  const row = add(area, "div", {className: "speed-row"});
+  const less = button(row, "\u2212", () => move(speed.below(place())), {className: "speed-step", "aria-label": texts("speed.less")});
+  const slider = add(row, "input", {type: "range", min: speed.LEAST, max: speed.MOST, step: speed.STEP, className: "speed-slider", "aria-label": texts("speed.title")});
+  const more = button(row, "+", () => move(speed.above(place())), {className: "speed-step", "aria-label": texts("speed.more")});
+  const shown = add(row, "span", {className: "speed-percent", "aria-hidden": "true"});
+  const confirm = add(area, "button", {type: "button", className: "speed-raise", hidden: true});
+  add(confirm, "span", {className: "speed-fill", "aria-hidden": "true"});
+  const confirmText = add(confirm, "span", {className: "speed-raise-text"});
+  const hint = add(area, "p", {className: "speed-hint", hidden: true});
+  const result = add(area, "p", {className: "speed-result", role: "alert"});
+
+  const recordOf = (robot) => records.get(robot) ?? speed.idle();
+  const peopleOf = (robot) => speed.percentOf(store.robot(robot)?.view?.speed?.people ?? 1);
+  const place = () => speed.handle(recordOf(store.selected), peopleOf(store.selected));
+  const why = (robot) => {
+    const found = store.robot(robot);
+    return speed.blocked(recordOf(robot), {connected: connection.state === "connected", view: found?.view ?? null, old: found?.old ?? true});
+  };
+  const take = (robot, record) => {
+    if (robot === "") return;
+    records.set(robot, record);
+    if (robot === store.selected) show();
+  };
+
+  const send = (robot, kind, limit) => {
+    const id = globalThis.crypto.randomUUID();
+    const moment = store.moment(robot);
+    times.set(robot, time());
+    take(robot, speed.sent(recordOf(robot), kind, limit, id, now()));
+    const message = {id, limit: limit / 100, ...(kind === "raise" ? {moment} : {})};
+    // to raise makes the arm faster: who sees nothing of it must look first
+    const publish = kind === "raise" && moment === "" ? Promise.reject(Object.assign(new Error("nothing of the robot is shown"), {reason: "not_shown"}))
+      : connection.publish(connection.own("speed"), robot, message);
+    publish.then(() => "taken", (error) => error.reason ?? "not_connected").then((word) => take(robot, speed.heardBroker(recordOf(robot), id, word)));
+  };
+  const look = (robot) => {
+    const at = now();
+    const people = peopleOf(robot);
+    const before = recordOf(robot);
+    const record = speed.passed(before, people, at);
+    if (record !== before) take(robot, record);
+    if (why(robot) !== "") return;
+    const lower = speed.due(record, people, at);
+    const higher = speed.confirmed(record, people, at);
+    if (lower !== null) send(robot, "lower", lower);
+    else if (higher !== null) send(robot, "raise", higher);
+    else if (robot === store.selected && record.heldAt !== null) show();
+  };
+  const move = (limit) => {
+    const robot = store.selected;
+    if (robot === "" || why(robot) !== "") return;
+    take(robot, speed.moved(recordOf(robot), limit, peopleOf(robot), now()));
+    look(robot);
+  };
+
+  const show = () => {
+    const robot = store.selected;
+    const view = store.robot(robot)?.view ?? null;
+    const record = recordOf(robot);
+    const people = peopleOf(robot);
+    const reason = why(robot);
+    area.hidden = view === null || reason === "none";
+    if (area.hidden) return;
+    const [first, second = ""] = view.online ? saying(view, texts) : [texts("speed.unknown")];
+    setText(title, first);
+    who.hidden = second === "";
+    setText(who, second);
+    const at = speed.handle(record, people);
+    if (Number(slider.value) !== at) slider.value = String(at);
+    slider.setAttribute("aria-valuetext", texts("speed.percent", {percent: String(at)}));
+    setText(shown, texts("speed.percent", {percent: String(at)}));
+    slider.disabled = less.disabled = more.disabled = reason !== "";
+    const higher = speed.raise(record, people);
+    confirm.hidden = higher === null || reason !== "";
+    confirm.style.setProperty("--held", speed.progress(record, now()).toFixed(3));
+    if (higher !== null) setText(confirmText, texts(record.heldAt === null ? "speed.raise" : "speed.keep", {percent: String(higher)}));
+    hint.hidden = reason === "" && higher === null;
+    if (!hint.hidden) setText(hint, texts(reason === "" ? "speed.hint" : `speed.blocked.${reason}`));
+    showResult(robot, record);
+  };
+  const showResult = (robot, record) => {
+    const found = speed.outcome(record);
+    result.className = `speed-result ${BAD.includes(found) ? "is-bad" : found === "done" ? "is-done" : ""}`;
+    const {message} = record;
+    const what = found === "none" ? "" : texts(`speed.pressed.${message.kind}`, {percent: String(message.limit)});
+    const values = {what, reason: texts.reason(message.answer?.reason ?? "")};
+    setText(result, found === "none" ? "" : texts("speed.at", {time: times.get(robot) ?? "", what: texts(`speed.result.${found}`, values)}));
+  };
+
+  // -- the person
+
+  for (const kind of ["input", "change"]) {
+    slider.addEventListener(kind, () => {
+      if (Number(slider.value) !== place()) move(Number(slider.value));
+    });
+  }
+  const press = () => {
+    const robot = store.selected;
+    if (robot !== "" && why(robot) === "") take(robot, speed.held(recordOf(robot), peopleOf(robot), now()));
+  };
+  const release = (robot = store.selected) => {
+    const record = recordOf(robot);
+    if (record.heldAt !== null) take(robot, speed.released(record));
+  };
+  confirm.addEventListener("pointerdown", (event) => {
+    if (event.button === 0 || event.button === undefined) press();
+  });
+  for (const kind of ["pointerup", "pointercancel", "pointerleave", "blur"]) confirm.addEventListener(kind, () => release());
+  // a long press opens a menu on a tablet, which would take the finger away from the button
+  confirm.addEventListener("contextmenu", (event) => event.preventDefault());
+  confirm.addEventListener("keydown", (event) => {
+    if (event.key === "Escape") release();
+    if (event.key !== "Enter" && event.key !== " ") return;
+    event.preventDefault();
+    if (!event.repeat) press();
+  });
+  confirm.addEventListener("keyup", (event) => {
+    if (event.key === "Enter" || event.key === " ") release();
+  });
+  parent.ownerDocument.addEventListener("visibilitychange", () => release());
+
+  // -- what is heard
+
+  store.on("connection", () => {
+    for (const [robot, record] of records) records.set(robot, speed.connectionChanged(record));
+    show();
+  });
+  let selected = store.selected;
+  store.on("selected", () => {
+    release(selected);
+    selected = store.selected;
+    show();
+  });
+  store.on("robots", show);
+  store.on("old", show);
+  store.on("view", (robot, view) => {
+    if (view !== null) look(robot);
+    if (robot === store.selected) show();
+  });
+  store.on("speed_ack", (robot, answer) => take(robot, speed.answered(recordOf(robot), answer, connection.own("speed").split("/")[1] ?? "")));
+  every(TICK_EVERY, () => {
+    for (const robot of records.keys()) look(robot);
+  });
+  show();
+}

@@ -1,0 +1,86 @@
+/** The tool's pose as numbers: x y z in mm and A B C in degrees, beside the handle in the picture. What is typed is taken all at once. */
+import {add, button, setText} from "../dom.js";
+import {fromAngles, toAngles} from "../planning/angles.js";
+
+const FIELDS = ["x", "y", "z", "a", "b", "c"];
+/** Farthest that is sent [mm]: what is typed wrongly is told here, and what an arm does not reach the planner says. */
+const FARTHEST = 100000;
+
+/** Return the number that a person typed; null when it is none, or beyond `most`. A comma may stand for the point. */
+export function numberOf(text, most) {
+  const plain = text.trim().replace(",", ".").replace("−", "-");
+  if (!/^[+-]?(\d+\.?\d*|\.\d+)$/.test(plain)) return null;
+  return Math.abs(Number(plain)) <= most ? Number(plain) : null;
+}
+
+/** Return the six texts of a pose {position [m], quaternion}. */
+export function textsOf({position, quaternion}) {
+  const {a, b, c} = toAngles(quaternion);
+  return [...position.map((value) => (1000 * value).toFixed(1)), ...[a, b, c].map((angle) => angle.toFixed(2))]
+    .map((text) => (Number(text) === 0 ? text.replace("-", "") : text));
+}
+
+/**
+ * Make the fields.
+ *
+ * @param {Element} parent
+ * @param {Function} texts
+ * @param {(pose: {position: number[], quaternion: number[]}) => void} onPose a person wants the tool there
+ * @returns {{show: (pose: object) => void}} shows a pose, but in a field that is being typed in
+ */
+export function makeToolFields(parent, texts, onPose) {
+  const details = add(parent, "details", {className: "plan-tool"});
+  add(details, "summary", {text: texts("plan.tool")});
+  const form = add(details, "div", {className: "plan-tool-fields", role: "group", "aria-label": texts("plan.tool")});
+  const fields = FIELDS.map((name) => {
+    const label = add(form, "label");
+    add(label, "span", {text: texts(`axes.tool.${name}`)});
+    const unit = "xyz".includes(name) ? "mm" : "°";
+    const field = add(label, "input", {type: "text", inputmode: "text", size: 7, autocomplete: "off",
+      "aria-label": `${texts(`axes.tool.${name}`)} [${unit}]`});
+    add(label, "span", {text: unit});
+    field.addEventListener("input", () => {
+      field.removeAttribute("aria-invalid");
+      setText(wrong, "");
+    });
+    return field;
+  });
+  button(form, texts("plan.tool.go"), onGo, {className: "plan-tool-go"});
+  const wrong = add(form, "p", {className: "plan-tool-note", role: "status"});
+  let last = "";
+
+  form.addEventListener("keydown", (event) => {
+    if (event.key !== "Enter" || event.target.tagName !== "INPUT") return;
+    event.preventDefault();
+    onGo();
+  });
+
+  function onGo() {
+    const values = fields.map((field, k) => numberOf(field.value, k < 3 ? FARTHEST : 360));
+    fields.forEach((field, k) => {
+      if (values[k] === null) field.setAttribute("aria-invalid", "true");
+    });
+    if (values.includes(null)) {
+      setText(wrong, texts("plan.tool.wrong"));
+      return;
+    }
+    last = "";
+    const [x, y, z, a, b, c] = values;
+    onPose({position: [x / 1000, y / 1000, z / 1000], quaternion: fromAngles({a, b, c})});
+  }
+
+  return {
+    show(pose) {
+      const found = textsOf(pose);
+      const key = found.join(" ");
+      // what is being typed stays until it is taken, or the goal becomes another one
+      if (key === last) return;
+      last = key;
+      fields.forEach((field, k) => {
+        field.value = found[k];
+        field.removeAttribute("aria-invalid");
+      });
+      setText(wrong, "");
+    },
+  };
+}

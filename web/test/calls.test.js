@@ -1,0 +1,310 @@
+/** Calls: for what, when they ring, what stops them, and what a device does. */
+import assert from "node:assert/strict";
+import {test} from "node:test";
+import {makeAwake} from "../src/calls/awake.js";
+import * as calls from "../src/calls/calls.js";
+import {DEFAULT, load, read, save} from "../src/calls/settings.js";
+import {makeSound, TONES} from "../src/calls/sound.js";
+import * as state from "../src/calls/state.js";
+import {fakePage, plan, view, work} from "./support/fake.js";
+
+const CAUSE = {topic: "cause", words: "cause.held", level: 2, sentence: "The arm holds."};
+const message = (id, changes = {}) => ({id, at: 1, line: {topic: "link", level: 2, sentence: "x", ...changes}, acknowledged_by: ""});
+
+/** A record of the store. */
+function record(changes = {}) {
+  return {name: "one", old: false, plan: null, screen: [], tasks: null, heard: {screen: 0}, ...changes};
+}
+
+/** Look again and again, every 250 ms from `from` on; return what has rung, as [ms, kind]. */
+function follow(begin, robot, from, until) {
+  let now = begin;
+  const rings = [];
+  for (let at = from; at <= until; at += 250) {
+    now = state.renewed(now, [{...robot, heard: {screen: at}}], at);
+    const found = state.rung(now, at);
+    now = found.state;
+    if (found.kind) rings.push([at, found.kind]);
+  }
+  return {now, rings};
+}
+
+test("it calls for a plan, a cause, a question and a new message, the most urgent first", () => {
+  const tasks = {tasks: [{id: "7", state: "asks", question: "Is it in the grip?"}, {id: "8", state: "held"}]};
+  const quiet = state.renewed(state.begin(), [record({messages: [message("old")]})], 0);
+  assert.deepEqual(quiet.calls, []);
+  const messages = [message("old"), message("new"), message("read", {}), message("of course", {level: 0}), message("cause", {topic: "cause"})];
+  messages[2].acknowledged_by = "ada";
+  const {calls: found} = state.renewed(quiet, [record({plan: plan(), screen: [CAUSE], tasks, messages})], 0);
+  assert.deepEqual(state.present({calls: found}).map(({kind, robot}) => [kind, robot]), state.KINDS.map((kind) => [kind, "one"]));
+});
+
+test("what is not the present calls for nothing", () => {
+  for (const robot of [record({plan: plan(), old: true}), record({screen: [CAUSE], heard: {screen: -4000}})]) {
+    assert.deepEqual(state.present(state.renewed(state.begin(), [robot], 0)), []);
+  }
+});
+
+test("it rings at once, then ever more rarely, and after seven times no more", () => {
+  const {rings} = follow(state.begin(), record({plan: plan()}), 0, 1200000);
+  assert.deepEqual(rings, state.RINGS.map((at) => [at, "plan"]));
+  assert.equal(rings.length, 7);
+  for (let k = 2; k < rings.length; k += 1) assert.ok(rings[k][0] - rings[k - 1][0] > rings[k - 1][0] - rings[k - 2][0]);
+});
+
+test("of several calls at once the most urgent one rings, and a page that stood still makes up for nothing", () => {
+  const robot = record({plan: plan(), screen: [CAUSE]});
+  assert.deepEqual(follow(state.begin(), robot, 0, 14000).rings, [[0, "hold"]]);
+  const first = state.rung(state.renewed(state.begin(), [robot], 0), 0).state;
+  const later = state.rung(first, 300000);
+  assert.equal(later.kind, "hold");
+  assert.equal(state.rung(later.state, 300250).kind, "");
+});
+
+test("who has looked is called no more for it, and for the next thing again", () => {
+  let {now} = follow(state.begin(), record({plan: plan()}), 0, 1000);
+  now = state.looked(now);
+  const quiet = follow(now, record({plan: plan()}), 1250, 600000);
+  assert.deepEqual(quiet.rings, []);
+  // it waits still
+  assert.equal(state.present(quiet.now).length, 1);
+  assert.deepEqual(follow(quiet.now, record({plan: plan({id: "p2"})}), 600250, 600500).rings, [[600250, "plan"]]);
+});
+
+test("a connection that was lost for a moment does not call again for what was looked at, and a cause that comes back does", () => {
+  const robot = record({plan: plan(), screen: [CAUSE]});
+  let now = state.looked(follow(state.begin(), robot, 0, 1000).now);
+  const lost = follow(now, {...robot, old: true, plan: null, screen: null}, 1250, 60000);
+  assert.deepEqual(state.present(lost.now), []);
+  now = follow(lost.now, record({plan: plan(), screen: [CAUSE]}), 60250, 70000);
+  assert.deepEqual(now.rings, []);
+  assert.equal(state.present(now.now).length, 2);
+  const over = follow(now.now, record({plan: plan()}), 70250, 80000);
+  assert.deepEqual(follow(over.now, record({plan: plan(), screen: [CAUSE]}), 80250, 81000).rings, [[80250, "hold"]]);
+});
+
+test("what the person has just done here is no call, but waits; later it is one, and another robot's is one", () => {
+  const asked = state.acted(state.begin(), "one", "plan_request", 0);
+  const own = follow(asked, record({plan: plan()}), 2000, 100000);
+  assert.deepEqual(own.rings, []);
+  assert.equal(state.present(own.now).length, 1);
+  assert.equal(follow(asked, record({plan: plan()}), 20000, 21000).rings.length, 1);
+  assert.equal(follow(asked, record({name: "two", plan: plan()}), 2000, 3000).rings.length, 1);
+  const stopped = state.acted(state.begin(), "one", "stop", 0);
+  assert.deepEqual(follow(stopped, record({screen: [CAUSE], plan: plan()}), 500, 1000).rings, [[500, "plan"]]);
+  // a pose that is dragged has no consequence
+  assert.deepEqual(state.acted(stopped, "one", "ik", 1), stopped);
+});
+
+test("each kind has a sound of its own that is neither shrill nor long", () => {
+  assert.deepEqual(Object.keys(TONES).sort(), [...state.KINDS].sort());
+  assert.equal(new Set(Object.values(TONES).map((tones) => JSON.stringify(tones.map(([pitch]) => pitch)))).size, 4);
+  for (const tones of Object.values(TONES)) {
+    for (const [pitch, begin, length] of tones) assert.ok(pitch >= 400 && pitch <= 900 && begin + length < 1.5);
+  }
+});
+
+test("settings are kept per device, and what is broken or of another version is as by default", () => {
+  const kept = new Map();
+  const storage = {getItem: (key) => kept.get(key) ?? null, setItem: (key, value) => kept.set(key, value)};
+  assert.deepEqual(load(storage), DEFAULT);
+  assert.equal(save(storage, {on: false, volume: 0.2, awake: false}), true);
+  assert.deepEqual(load(storage), {on: false, volume: 0.2, awake: false});
+  for (const text of ["", "[", "null", '"on"', '{"on": 1, "volume": 7, "awake": "yes"}', null]) assert.deepEqual(read(text), DEFAULT);
+  assert.deepEqual(load(null), DEFAULT);
+  assert.equal(save(null, DEFAULT), false);
+});
+
+/** An AudioContext that waits for a touch, and notes the pitches that it was given. */
+function fakeAudio({running = false} = {}) {
+  const pitches = [];
+  const parameter = () => ({setValueAtTime() {}, linearRampToValueAtTime() {}, exponentialRampToValueAtTime() {}});
+  class Audio {
+    state = running ? "running" : "suspended";
+    currentTime = 0;
+    destination = {};
+    async resume() {
+      this.state = "running";
+    }
+    createOscillator() {
+      return {frequency: {set value(pitch) { pitches.push(pitch); }}, connect: (next) => next, start() {}, stop() {}};
+    }
+    createGain() {
+      return {gain: parameter(), connect: (next) => next};
+    }
+  }
+  return {Audio, pitches};
+}
+
+test("a sound waits for the first touch, and is silent at volume 0", async () => {
+  const {Audio, pitches} = fakeAudio();
+  let changes = 0;
+  const sound = makeSound(Audio, () => { changes += 1; });
+  sound.open();
+  assert.equal(sound.state, "locked");
+  assert.equal(sound.play("plan", 1), false);
+  sound.unlock();
+  await Promise.resolve();
+  assert.equal(sound.state, "ready");
+  assert.ok(changes > 0);
+  assert.equal(sound.play("plan", 0), false);
+  assert.equal(sound.play("plan", 0.5), true);
+  assert.deepEqual(pitches, TONES.plan.map(([pitch]) => pitch));
+  assert.equal(makeSound(undefined, () => {}).state, "none");
+});
+
+test("the screen is kept on while it is wanted, and anew after the page was hidden", async () => {
+  const locks = [];
+  let visible = true;
+  const wakeLock = {request: async () => {
+    const lock = {released: false, addEventListener: (_, listener) => { lock.listener = listener; }, release: async () => { lock.released = true; }};
+    locks.push(lock);
+    return lock;
+  }};
+  const awake = makeAwake(wakeLock, () => visible);
+  awake.want(true);
+  awake.want(true);
+  await null;
+  await null;
+  assert.deepEqual([locks.length, awake.held], [1, true]);
+  // the browser takes it back
+  visible = false;
+  locks[0].listener();
+  await awake.shown();
+  assert.equal(locks.length, 1);
+  visible = true;
+  await awake.shown();
+  assert.equal(locks.length, 2);
+  awake.want(false);
+  assert.equal(locks[1].released, true);
+  // one that comes after it is no longer wanted
+  const asked = awake.shown();
+  awake.want(true);
+  awake.want(false);
+  await asked;
+  await null;
+  await null;
+  assert.ok(locks.every(({released}, k) => released || k === 0));
+  assert.equal(makeAwake(undefined, () => true).can, false);
+});
+
+test("a wake lock that is refused fails nothing", async () => {
+  const awake = makeAwake({request: async () => { throw new Error("battery"); }}, () => true);
+  awake.want(true);
+  await awake.shown();
+  assert.equal(awake.held, false);
+});
+
+/** The page's calls, on a device that vibrates and has a badge; `held.at` [ms] is its clock, `pass` lets time go by. */
+function calling({language = "en", stored = null, audio = fakeAudio({running: true})} = {}) {
+  const page = fakePage({account: "ada", language});
+  const {document} = page;
+  const header = document.createElement("header");
+  document.querySelector("main").before(header);
+  header.className = "header";
+  const icon = document.createElement("link");
+  icon.setAttribute("rel", "icon");
+  icon.setAttribute("href", "icon.svg");
+  document.head.append(icon);
+  const did = {badges: [], beats: []};
+  const navigator = {
+    vibrate: (beats) => did.beats.push(beats) > 0, setAppBadge: async (count) => did.badges.push(count), clearAppBadge: async () => did.badges.push(0),
+  };
+  const kept = new Map(stored ? [["construction_twin.calls", JSON.stringify(stored)]] : []);
+  const storage = {getItem: (key) => kept.get(key) ?? null, setItem: (key, value) => kept.set(key, value)};
+  const timers = [];
+  calls.make(header, page.store, page.connection, page.texts, {
+    now: () => page.clock.now, every: (_, call) => timers.push(call), Audio: audio.Audio, navigator, storage,
+  });
+  const find = (selector) => document.querySelector(selector);
+  const touch = () => document.body.dispatchEvent(new page.window.Event("pointerdown", {bubbles: true}));
+  const pass = async (ms) => {
+    for (const end = page.clock.now + ms; page.clock.now < end;) {
+      page.clock.now += 250;
+      await page.hear("kr120", "view", view());
+      for (const call of timers) call();
+    }
+  };
+  return {...page, did, kept, find, touch, pass, pitches: audio.pitches, icon};
+}
+
+test("a plan that comes is told by title, badge, icon, sound and vibration, until it is decided", async () => {
+  const it = calling();
+  await it.hear("kr120", "view", view());
+  assert.equal(it.document.title, "construction_twin console");
+  await it.hear("kr120", "plan", plan(), true);
+  assert.equal(it.document.title, "(1) Plan waits - construction_twin console");
+  assert.equal(it.icon.getAttribute("href"), "icon_call.svg");
+  assert.deepEqual(it.did.badges, [1]);
+  assert.deepEqual(it.pitches, TONES.plan.map(([pitch]) => pitch));
+  assert.equal(it.did.beats.length, 1);
+  await it.pass(16000);
+  assert.equal(it.did.beats.length, 2);
+  it.touch();
+  await it.pass(60000);
+  assert.equal(it.did.beats.length, 2);
+  await it.hear("kr120", "screen", [CAUSE]);
+  assert.equal(it.document.title, "(2) Arm holds - construction_twin console");
+  await it.hear("kr120", "plan", null, true);
+  await it.hear("kr120", "screen", []);
+  assert.equal(it.document.title, "construction_twin console");
+  assert.equal(it.icon.getAttribute("href"), "icon.svg");
+  assert.deepEqual(it.did.badges, [1, 2, 1, 0]);
+});
+
+test("a question of the work calls in the page's language", async () => {
+  const it = calling({language: "de"});
+  await it.hear("kr120", "view", view());
+  const {tasks: [task]} = work();
+  await it.hear("kr120", "work/tasks", work({tasks: [{...task, state: "asks", question: "Is it in the grip?"}]}), true);
+  assert.equal(it.document.title, "(1) Frage offen - construction_twin-Konsole");
+  it.connection.change("lost", "closed");
+  assert.equal(it.document.title, "Nicht verbunden - construction_twin-Konsole");
+});
+
+test("off: title and icon alone; the choice and the volume outlast the page", async () => {
+  const it = calling({stored: {on: false, volume: 0.25, awake: true}});
+  await it.hear("kr120", "view", view());
+  await it.hear("kr120", "plan", plan(), true);
+  assert.match(it.document.title, /Plan waits/);
+  assert.deepEqual([it.pitches, it.did.beats], [[], []]);
+  assert.equal(it.find(".calls-open").textContent, "Calls off");
+  it.click(it.find(".calls-open"));
+  assert.equal(it.find(".calls-panel").hidden, false);
+  assert.equal(it.find(".calls-percent").textContent, "25 %");
+  const box = it.find(".calls-check input");
+  box.checked = true;
+  box.dispatchEvent(new it.window.Event("change", {bubbles: true}));
+  it.enter(it.find(".calls-volume input"), "50");
+  assert.deepEqual(JSON.parse(it.kept.get("construction_twin.calls")), {on: true, volume: 0.5, awake: true});
+  assert.equal(it.find(".calls-open").textContent, "Calls on");
+});
+
+test("a sound that waits for a touch is said, and the touch unlocks it", async () => {
+  const it = calling({audio: fakeAudio()});
+  assert.match(it.find(".calls-line").textContent, /touch the page once/);
+  await it.hear("kr120", "view", view());
+  await it.hear("kr120", "plan", plan(), true);
+  assert.deepEqual(it.pitches, []);
+  it.touch();
+  await it.pass(2000);
+  assert.equal(it.find(".calls-line").textContent, "");
+  await it.hear("kr120", "screen", [CAUSE]);
+  assert.deepEqual(it.pitches, TONES.hold.map(([pitch]) => pitch));
+});
+
+test("the plan that this page has asked for does not ring", async () => {
+  const it = calling();
+  await it.hear("kr120", "view", view());
+  it.store.set("acted", "kr120", {topic: "plan_request"});
+  await it.hear("kr120", "plan", plan(), true);
+  assert.match(it.document.title, /Plan waits/);
+  assert.deepEqual([it.pitches, it.did.beats], [[], []]);
+});
+
+test("each sound can be tried", async () => {
+  const it = calling();
+  it.click(it.find(".calls-tests button"));
+  assert.deepEqual(it.pitches, TONES.hold.map(([pitch]) => pitch));
+  assert.match(it.find(".calls-panel [role=status]").textContent, /It sounds/);
+});

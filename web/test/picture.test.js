@@ -1,0 +1,222 @@
+import assert from "node:assert/strict";
+import {test} from "node:test";
+import {PerspectiveCamera, Vector3} from "three";
+import {closestOf, otherPoint} from "../src/picture/closest.js";
+import * as colours from "../src/picture/colours.js";
+import {around, clipped, corners, fit} from "../src/picture/fit.js";
+import {extentOf, floorOf, gridOf, numbersOf} from "../src/picture/grid.js";
+import {placed, sizeOf} from "../src/picture/labels.js";
+import {elementKey, entriesOf, goalKey} from "../src/picture/legend.js";
+import {measured, moved, NOTHING, onFloor, tapped} from "../src/picture/measuring.js";
+import {makePace} from "../src/picture/pace.js";
+import {textsIn} from "./support/sentences.js";
+
+/** Numbers that look like chance, the same ones every time. */
+function chance(seed) {
+  let state = seed;
+  return (low, high) => {
+    state = (1103515245 * state + 12345) % 2147483648;
+    return low + (high - low) * state / 2147483648;
+  };
+}
+const near = (one, other, most = 1e-9) => assert.ok(Math.abs(one - other) <= most, `${one} is not ${other}`);
+
+// -- camera
+
+/** Where points are in the picture of a camera, as three's own projection has it: fractions from the upper left. */
+function seen(points, {position, target}, fov, aspect) {
+  const camera = new PerspectiveCamera(fov, aspect, 0.01, 1000);
+  camera.up.set(0, 0, 1);
+  camera.position.fromArray(position);
+  camera.lookAt(new Vector3(...target));
+  camera.updateMatrixWorld();
+  return points.map((point) => new Vector3(...point).project(camera)).map(({x, y}) => [(x + 1) / 2, (1 - y) / 2]);
+}
+
+test("the camera sees all that it is fitted to, and is no farther away than that takes", () => {
+  const next = chance(1);
+  for (let k = 0; k < 200; k += 1) {
+    const low = [next(-9, 0), next(-9, 0), next(-1, 0)];
+    const points = corners(low, [next(0.1, 9), next(0.1, 9), next(0.1, 4)]);
+    const aspect = next(0.4, 3);
+    const inset = {left: next(0, 0.3), right: next(0, 0.2), top: next(0, 0.2), bottom: next(0, 0.2)};
+    const direction = [next(-1, 1), next(-1, 1), next(0.05, 1)];
+    const at = seen(points, fit(points, direction, 38, aspect, inset), 38, aspect);
+    const [left, right] = [Math.min(...at.map(([x]) => x)), Math.max(...at.map(([x]) => x))];
+    const [top, bottom] = [Math.min(...at.map(([, y]) => y)), Math.max(...at.map(([, y]) => y))];
+    const slack = 1e-6;
+    assert.ok(left >= inset.left - slack && right <= 1 - inset.right + slack && top >= inset.top - slack && bottom <= 1 - inset.bottom + slack);
+    // it touches both edges of one of the two directions
+    const wide = Math.abs(left - inset.left) + Math.abs(right - 1 + inset.right);
+    const high = Math.abs(top - inset.top) + Math.abs(bottom - 1 + inset.bottom);
+    assert.ok(Math.min(wide, high) < 1e-6, `${wide} ${high}`);
+  }
+});
+
+test("an arm twice as large is seen from twice as far away, and what is far away moves the camera only so far", () => {
+  const [small, large] = [1, 2].map((size) => fit(corners([-size, -size, 0], [size, size, 2 * size]), [1, -1, 0.5], 38, 1.5));
+  small.position.forEach((value, k) => near(2 * value, large.position[k]));
+  assert.deepEqual(clipped([[90, -1, -90]], 5), [[5, -1, -5]]);
+  for (const [x, y, z] of around(2, 0.5)) near(Math.hypot(x, y, z), 1);
+});
+
+test("a single point is not looked at from within", () => {
+  const {position, target} = fit([[1, 2, 3]], [1, 0, 0], 38, 1, undefined, 0.3);
+  near(Math.hypot(...position.map((value, k) => value - target[k])), 0.3);
+});
+
+// -- floor
+
+test("there are lines between the metres where one is near, and numbers that do not run into each other", () => {
+  assert.deepEqual(gridOf(0.05), {fine: 0, step: 5});
+  assert.deepEqual(gridOf(0.002), {fine: 1, step: 1});
+  assert.deepEqual(gridOf(1000), {fine: 0, step: 50});
+  for (let pixel = 0.001; pixel < 1; pixel *= 1.3) assert.ok(gridOf(pixel).step / pixel >= 44, String(pixel));
+});
+
+test("the numbered part of the floor is as large as what stands on it, in whole metres", () => {
+  assert.deepEqual(extentOf([]), [-2, -2, 2, 2]);
+  assert.deepEqual(extentOf([[3.2, 0, 1], [-4, -2.5, 0]]), [-4, -3, 4, 2]);
+  assert.deepEqual(extentOf([[1e6, 0, 0]]), [-2, -2, 30, 2]);
+});
+
+test("the numbers stand at the far edges, wherever one looks from", () => {
+  const extent = [-4, -3, 4, 2];
+  for (const [eye, x, y] of [[[5, -5, 2], -4, 2], [[-5, 5, 2], 4, -3], [[5, 5, 2], -4, -3]]) {
+    const numbers = numbersOf(extent, 1, eye);
+    assert.ok(numbers.every((each) => each.x === x || each.y === y));
+    assert.deepEqual(new Set(numbers.filter((each) => each.y === y).map(({text}) => text)).has("0 m"), true);
+  }
+  assert.deepEqual(numbersOf(extent, 2, [5, -5, 2]).map(({text}) => text), ["-2 m", "0 m", "2 m", "4 m", "-2 m", "0 m"]);
+});
+
+const body = (name, changes) => ({
+  name, shape: "box", size: [20, 20, 1], position: [0, 0, -0.5], orientation: [0, 0, 0, 1], link: "", mesh: "", padding: 0, touch: [], ...changes,
+});
+
+test("the floor is the scene's: a flat, wide box below the base", () => {
+  assert.equal(floorOf([]), null);
+  assert.deepEqual(floorOf([body("floor", {})]), {name: "floor", height: 0});
+  assert.deepEqual(floorOf([body("pit", {position: [0, 0, -2]}), body("hall", {position: [0, 0, -1.1]})]), {name: "hall", height: -0.6000000000000001});
+  for (const other of [{position: [0, 0, 0]}, {size: [1, 20, 1]}, {shape: "sphere", size: [3]}, {link: "tool0"}, {orientation: [0.1, 0, 0, 0.99]}]) {
+    assert.equal(floorOf([body("x", other)]), null, JSON.stringify(other));
+  }
+});
+
+// -- legend
+
+const NOTHING_DRAWN = {
+  both: null, twin: null, arm: null, plan: null, goal: null, path: null, engaged: null, closest: null, tool: null, carried: null, standing: null,
+  elements: [], measure: null,
+};
+
+test("the legend has what is drawn, in the colours that it is drawn in, and nothing else", () => {
+  assert.deepEqual(entriesOf(NOTHING_DRAWN), []);
+  const drawn = {
+    ...NOTHING_DRAWN, twin: 0xff660d, arm: colours.BY_SYNC.HOLDING[0], goal: {colour: colours.BY_REACH.contact, reach: "contact"},
+    closest: {colour: colours.CLOSEST, ofPlan: true}, elements: [colours.BY_TASK.done[0], colours.BY_TASK.done[0], colours.BY_TASK.carried[0]],
+  };
+  assert.deepEqual(entriesOf(drawn).map(({key, colour}) => [key, colour]), [
+    ["picture.legend.twin", 0xff660d], ["picture.legend.arm", 0xffcc00], ["picture.reach.contact", colours.BY_REACH.contact],
+    ["picture.legend.closest_of_plan", colours.CLOSEST], ["tasks.state.done", colours.BY_TASK.done[0]], ["tasks.state.moves", colours.BY_TASK.carried[0]],
+  ]);
+});
+
+test("every entry has words in both languages, and every state of a task has an entry", () => {
+  const all = Object.fromEntries(Object.keys(NOTHING_DRAWN).map((key) => [key, 1]));
+  const elements = [...Object.values(colours.BY_TASK).map(([colour]) => colour), colours.NO_TASK[0], colours.PICKED[0]];
+  for (const colour of elements) assert.notEqual(elementKey(colour), null);
+  const keys = [null, ...Object.keys(colours.BY_REACH), "constructor"].map(goalKey);
+  for (const ofPlan of [true, false]) keys.push(...entriesOf({...all, goal: {colour: 1, reach: null}, closest: {colour: 1, ofPlan}, elements}).map(({key}) => key));
+  for (const language of ["en", "de"]) for (const key of keys) assert.ok(textsIn(language).has(key), key);
+});
+
+// -- closest point
+
+const clearance = {distance: 0.2, time: 1.5, between: ["link_4", "table"], point: [1, 0, 1]};
+const present = {distance: 0.4, between: ["link_2", "link_4"], point: [0, 0, 1], age: 0};
+
+test("a plan under review has its own closest point, and only without one the present has", () => {
+  const view = {closest: present};
+  assert.deepEqual(closestOf({plan: null, view}), {distance: 0.4, between: ["link_2", "link_4"], point: [0, 0, 1], time: null, ofPlan: false});
+  assert.deepEqual(closestOf({plan: {refused: "", clearance}, view}), {...clearance, ofPlan: true});
+  assert.equal(closestOf({plan: {refused: "", clearance: null}, view}), null, "the present beside a plan would be taken for the plan's");
+  assert.equal(closestOf({plan: {refused: "", clearance: {...clearance, distance: null, between: []}}, view}), null);
+  assert.equal(closestOf({plan: {refused: "trajectory", clearance}, view}).ofPlan, false, "nothing of a plan that is not what its hash says");
+  for (const robot of [null, {plan: null, view: null}, {plan: null, view: {closest: null}}]) assert.equal(closestOf(robot), null);
+});
+
+test("the other body's nearest place is computed from its shape, and is shown only at the distance that was measured", () => {
+  const found = (shape, size, point, distance, changes = {}) => otherPoint(
+    {...clearance, point, distance}, [body("table", {shape, size, position: [1, 0, 0], ...changes})]);
+  const is = (one, other) => one.forEach((value, k) => near(value, other[k]));
+  is(found("box", [1, 1, 1], [1.2, 0, 0.7], 0.2), [1.2, 0, 0.5]);
+  is(found("sphere", [0.5], [2, 0, 0], 0.5), [1.5, 0, 0]);
+  is(found("cylinder", [0.5, 2], [1, 0.8, 0.3], 0.3), [1, 0.5, 0.3]);
+  // turned by 90 degrees about z: what was long in x is long in y
+  const turned = {orientation: [0, 0, Math.SQRT1_2, Math.SQRT1_2]};
+  is(found("box", [4, 1, 1], [1, 2.5, 0], 0.5, turned), [1, 2, 0]);
+  assert.equal(found("box", [1, 1, 1], [1.2, 0, 0.7], 0.25), null);
+  assert.equal(found("mesh", [1, 1, 1], [1.2, 0, 0.7], 0.2), null);
+  assert.equal(found("box", [1, 1, 1], [1.2, 0, 0.7], 0.2, {link: "tool0"}), null, "what is carried moves");
+  assert.equal(otherPoint({...clearance, between: ["link_2", "link_4"]}, []), null);
+});
+
+// -- measuring
+
+test("two taps measure, a third begins again, and another robot's part begins anew", () => {
+  const first = tapped(NOTHING, "one", [0, 0, 0]);
+  assert.equal(measured(first), null);
+  const both = tapped(first, "one", [3, 0, 4]);
+  assert.deepEqual(measured(both), {distance: 5, along: [3, 0, 4]});
+  assert.deepEqual(tapped(both, "one", [1, 1, 1]), {robot: "one", points: [[1, 1, 1]]});
+  assert.deepEqual(tapped(first, "two", [1, 1, 1]), {robot: "two", points: [[1, 1, 1]]});
+});
+
+test("a ray meets the floor in front of it, and only up to what hides it", () => {
+  assert.deepEqual(onFloor([0, 0, 2], [0.6, 0, -0.8], 0, 10), [1.5, 0, 0]);
+  assert.equal(onFloor([0, 0, 2], [0.6, 0, -0.8], 0, 2), null);
+  for (const upwards of [[0, 0, 1], [1, 0, 0]]) assert.equal(onFloor([0, 0, 2], upwards, 0, 10), null);
+});
+
+test("arrows move the cross within the picture, with Shift by a pixel", () => {
+  assert.deepEqual(moved([100, 100], "ArrowLeft", false, 300, 180), [88, 100]);
+  assert.deepEqual(moved([100, 100], "ArrowDown", true, 300, 180), [100, 101]);
+  assert.deepEqual(moved([295, 100], "ArrowRight", false, 300, 180), [300, 100]);
+  for (const key of ["a", "Tab", "constructor"]) assert.equal(moved([1, 1], key, false, 300, 180), null);
+});
+
+// -- words
+
+test("words have room or are not there: the more important first, none on another, on a button or outside", () => {
+  const next = chance(7);
+  const overlap = (a, b) => a.left < b.left + b.width && b.left < a.left + a.width && a.top < b.top + b.height && b.top < a.top + a.height;
+  for (const [width, height] of [[300, 180], [848, 528]]) {
+    const labels = Array.from({length: 60}, (_, k) => ({x: next(-50, width + 50), y: next(-50, height + 50), rank: k, ...sizeOf("213 mm")}));
+    const taken = {x: width - 60, y: 0, width: 60, height};
+    const shown = placed(labels, width, height, [taken]);
+    assert.ok(shown.length > 3 && shown.length < 60);
+    const rest = {left: taken.x, top: taken.y, width: taken.width, height: taken.height};
+    shown.forEach((each, k) => {
+      assert.ok(each.left >= 0 && each.top >= 0 && each.left + each.width <= width && each.top + each.height <= height);
+      for (const other of [rest, ...shown.slice(k + 1)]) assert.ok(!overlap(each, other));
+    });
+  }
+  const [first] = placed([1, 2].map((rank) => ({x: 150, y: 100, width: 290, height: 160, rank})), 300, 180);
+  assert.equal(first, undefined);
+  assert.deepEqual(placed([1, 2].map((rank) => ({x: 150, y: 100, width: 290, height: 60, rank})), 300, 180).map(({rank}) => rank), [2, 1]);
+  assert.equal(placed([{x: NaN, y: 1, width: 1, height: 1, rank: 1}], 300, 180).length, 0);
+});
+
+// -- shadows
+
+test("a device draws shadows until most of its frames are slow, and then never again", () => {
+  const fast = makePace();
+  for (let k = 0; k < 200; k += 1) assert.ok(fast(k % 3 ? 3 : 80, k % 4 ? 33 : 0));
+  for (const [held, gap] of [[40, 0], [2, 120]]) {
+    const slow = makePace();
+    const answers = Array.from({length: 20}, () => slow(held, gap));
+    assert.deepEqual([answers.slice(0, 19).every(Boolean), answers[19]], [true, false]);
+    for (let k = 0; k < 60; k += 1) assert.equal(slow(1, 33), false);
+  }
+});
