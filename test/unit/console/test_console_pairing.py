@@ -334,7 +334,10 @@ def test_revoking_ends_the_open_sessions_of_those_devices_and_no_others(broker, 
                 again = Pairings(pairings.folder, time.time, Cost(n=16))
                 began = time.monotonic()
                 assert len(again.revoke("ada", number)) == 1
-                assert (await closed(sees))[0] == (await closed(person))[0] == NOT_PAIRED
+                ends = [asyncio.ensure_future(closed(each)) for each in (sees, person)]
+                await asyncio.wait(ends, timeout=5)
+                assert all(each.done() for each in ends), "still open"
+                assert [each.result()[0] for each in ends] == [NOT_PAIRED] * 2
                 assert time.monotonic() - began < 5
                 for stays in (bob, typed):
                     await stays.send(PING)
