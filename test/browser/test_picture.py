@@ -493,7 +493,7 @@ def test_sentence_picture_verdict_and_stop_are_in_view_together(page_of, robot, 
     assert boxes["bar"]["height"] <= 0.2 * size[1]
     small = page.page.evaluate(
         """() => [...document.querySelectorAll("button, summary, select, input, a")]
-          .filter((each) => each.getClientRects().length && getComputedStyle(each).visibility === "visible" && !each.closest(".legend"))
+          .filter((each) => each.getClientRects().length && !each.closest(".legend"))
           .map((each) => [each.className, each.getBoundingClientRect()])
           .filter(([, {width, height}]) => Math.min(width, height) < 43.5).map(([name]) => name)"""
     )
@@ -504,7 +504,8 @@ def test_nothing_moves_when_the_sentence_grows(page_of, robot):
     page = page_of("reviewer-ada", size=PHONE)
     robot.show_plan()
     expect(page.page.locator(".verdict")).to_be_visible()
-    places = "() => ['.stop-stop', '.verdict-approve', '#picture'].map((each) => document.querySelector(each).getBoundingClientRect().top)"
+    places = """() => ['.stop-stop', '.verdict-approve', '#picture']
+      .map((each) => document.querySelector(each).getBoundingClientRect().top)"""
     before = page.page.evaluate(places)
     page.page.evaluate(
         """() => { const box = document.querySelector('.status-sentence'); box.textContent = box.textContent.repeat(6); }"""

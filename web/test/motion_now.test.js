@@ -7,7 +7,7 @@ import * as motion from "../src/panels/motion.js";
 import * as progress from "../src/panels/progress.js";
 import {makeToolFields, numberOf, textsOf} from "../src/panels/tool_fields.js";
 import * as waypoints from "../src/panels/waypoints.js";
-import {fromAngles, toAngles} from "../src/planning/angles.js";
+import {fromAngles, shownAngle, toAngles} from "../src/planning/angles.js";
 import {axesOf, valueOf} from "../src/planning/axes.js";
 import {shortNames} from "../src/planning/model.js";
 import {MOST, waypointsOf} from "../src/planning/waypoints.js";
@@ -57,6 +57,7 @@ test("angles there and back are the same orientation, upright too", () => {
     }
   }
   assert.deepEqual(toAngles(fromAngles({a: 10, b: 90, c: 0})).c, 0);
+  assert.deepEqual([-0.001, -179.999, 180, -12.345].map(shownAngle), ["0.00", "180.00", "180.00", "-12.35"]);
 });
 
 // -- joints

@@ -3,11 +3,11 @@
  * override of the controller. Limits and tool come from the robot's model. Shown ten times a second at most, and while it is open.
  */
 import {add, clear, setText} from "../dom.js";
-import {toAngles} from "../planning/angles.js";
 import {axesOf} from "../planning/axes.js";
 import {shown} from "../planning/joints.js";
 import {MEANS, readModel, shortNames} from "../planning/model.js";
 import {browser} from "./clock.js";
+import {textsOf} from "./tool_fields.js";
 
 const EVERY = 100;
 const UNKNOWN = "–";
@@ -108,11 +108,8 @@ export function make(parent, store, connection, texts, {every, ...means} = {...b
     const of = (pose) => (model === null || !pose ? null : model.pose(Object.fromEntries(view.joints.names.map((name, k) => [name, pose.positions[k]]))));
     const [twin, arm] = [of(view.twin), of(view.arm)];
     if (model !== null) setText(toolName, texts("axes.tool", {tip: model.tip, base: model.base}));
-    const values = twin === null ? null : {...Object.fromEntries(["x", "y", "z"].map((name, k) => [name, 1000 * twin.position[k]])), ...toAngles(twin.quaternion)};
-    for (const name of TOOL) {
-      const text = values === null ? "" : values[name].toFixed("xyz".includes(name) ? 1 : 2);
-      setText(toolFields[name], text === "" ? UNKNOWN : `${Number(text) === 0 ? text.replace("-", "") : text}${"xyz".includes(name) ? " mm" : "°"}`);
-    }
+    const values = twin === null ? [] : textsOf(twin);
+    TOOL.forEach((name, k) => setText(toolFields[name], values[k] === undefined ? UNKNOWN : k < 3 ? `${values[k]} mm` : `${values[k]}°`));
     const distance = twin === null || arm === null ? null : Math.hypot(...twin.position.map((value, k) => value - arm.position[k]));
     setText(apart, distance === null ? UNKNOWN : `${(1000 * distance).toFixed(1)} mm`);
   };

@@ -1,6 +1,6 @@
 /** The tool's pose as numbers: x y z in mm and A B C in degrees, beside the handle in the picture. What is typed is taken all at once. */
 import {add, button, setText} from "../dom.js";
-import {fromAngles, toAngles} from "../planning/angles.js";
+import {fromAngles, shownAngle, toAngles} from "../planning/angles.js";
 
 const FIELDS = ["x", "y", "z", "a", "b", "c"];
 /** Farthest that is sent [mm]: what is typed wrongly is told here, and what an arm does not reach the planner says. */
@@ -16,8 +16,8 @@ export function numberOf(text, most) {
 /** Return the six texts of a pose {position [m], quaternion}. */
 export function textsOf({position, quaternion}) {
   const {a, b, c} = toAngles(quaternion);
-  return [...position.map((value) => (1000 * value).toFixed(1)), ...[a, b, c].map((angle) => angle.toFixed(2))]
-    .map((text) => (Number(text) === 0 ? text.replace("-", "") : text));
+  const millimetres = position.map((value) => (1000 * value).toFixed(1)).map((text) => (text === "-0.0" ? "0.0" : text));
+  return [...millimetres, ...[a, b, c].map(shownAngle)];
 }
 
 /**

@@ -30,6 +30,12 @@ export function fromAngles({a, b, c}) {
   ];
 }
 
+/** Return an angle [deg] as people read it; what rounds to 0 has no sign, and half a turn is +180. */
+export function shownAngle(angle) {
+  const text = angle.toFixed(2);
+  return Number(text) === 0 || text === "-180.00" ? text.replace("-", "") : text;
+}
+
 function wrapped(angle) {
   return angle > 180 ? angle - 360 : angle <= -180 ? angle + 360 : angle;
 }
