@@ -16,7 +16,7 @@ help:
 	@echo "make fuzz             a million hostile inputs per campaign: codecs and running gateway; ARGS=\"--count N --seed N\""
 	@echo "make scenarios        every fault scenario three times; writes the table of docs/scenarios.md"
 	@echo "make soak             the whole loop for an hour: memory and late replies per minute; then the console's page for half an hour; ARGS=faults two hours of faults, every promise checked after each"
-	@echo "make screenshots      take the pictures of docs/images again; needs no display; ARGS=\"one marker track two_robots\", ARGS=console"
+	@echo "make screenshots      take the pictures of docs/images again; needs no display; ARGS=\"one marker track two_robots\", ARGS=console; ARGS=console_all photographs every state of the console at four sizes, in two themes and two languages"
 	@echo "make setup            only install and build"
 	@echo "make clean            remove the workspace and the venv (.ws), and what pip built here"
 
@@ -59,8 +59,8 @@ soak:
 	@bash -c 'source .ws/env.bash; case "$$1" in faults) exec python scripts/soak_faults.py "$${@:2}";; console) ;; *) python scripts/soak.py "$$@" || exit;; esac; case "$$1" in ""|console) exec .ws/browser/bin/python scripts/soak_console.py "$${@:2}";; esac' soak $(ARGS)
 
 screenshots:
-	@bash setup/setup.sh $$(case "$(ARGS)" in ""|console) echo tests;; esac)
-	@bash -c 'source .ws/env.bash; [ "$$1" = console ] || python tools/screenshots.py "$$@" || exit; case "$$1" in ""|console) exec .ws/browser/bin/python tools/console_pictures.py;; esac' screenshots $(ARGS)
+	@bash setup/setup.sh $$(case "$(ARGS)" in ""|console*) echo tests;; esac)
+	@bash -c 'source .ws/env.bash; case "$$1" in console_all) exec .ws/browser/bin/python tools/console_states.py "$${@:2}";; esac; [ "$$1" = console ] || python tools/screenshots.py "$$@" || exit; case "$$1" in ""|console) exec .ws/browser/bin/python tools/console_pictures.py;; esac' screenshots $(ARGS)
 
 clean:
 	rm -rf .ws build src/*.egg-info

@@ -92,7 +92,7 @@ _EXPLAINED = {
 COMMANDS: list[tuple[str, str, list[str]]] = [
     ("twin", "nodes/twin", []),
     *((f"twin {name}", "nodes/twin", [name]) for name in ("plan", "home", "preview", "approve", "reject")),
-    *((f"twin {name}", "nodes/twin", [name]) for name in ("arm", "status", "scene", "export", "watch")),
+    *((f"twin {name}", "nodes/twin", [name]) for name in ("arm", "status", "scene", "export", "pair", "watch")),
     ("twin work", "nodes/twin", ["work"]),
     *(
         (f"twin work {name}", "nodes/twin", ["work", name])

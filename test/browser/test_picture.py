@@ -103,7 +103,7 @@ def test_the_plan_that_is_shown_is_the_plan_on_the_desk(seen, robot):
     seen.wait_uploaded(pieces(np.round(desk, 4)), _FINE)
     assert np.allclose(drawn["goal"]["tool"], robot.tool(plan.goal), atol=_FINE)
     # played back: the ghost stands where the desk's interpolation has it
-    slider = seen.page.locator("#verdict input[type=range]")
+    slider = seen.page.locator(".playback-slider")
     slider.evaluate("(it) => { it.value = it.max / 3; it.dispatchEvent(new Event('input', {bubbles: true})); }")
     time = float(slider.evaluate("(it) => it.value"))
     drawn = seen.wait_drawn("one", "it.plan.joints !== null")
@@ -214,8 +214,15 @@ def test_two_robots_are_shown_at_once_and_each_is_its_own(tmp_path, browser):
         buttons.nth(1).click()
         expect(page.page.locator(".verdict-title")).to_contain_text("the second robot")
         page.page.get_by_label("Stop two").click()
-        expect(page.page.get_by_role("group", name="two").locator(".stop-result")).to_contain_text("Stop: carried out")
+        told = page.page.locator(".stop-results")
+        expect(told).to_contain_text("Stop two: carried out")
         assert two.payloads("stop") and not one.payloads("stop")
+        # one press for all, and an answer of each
+        page.page.locator(".stop-all").click()
+        expect(told).to_contain_text("Stop one: carried out")
+        assert len(two.payloads("stop")) == 2 and one.payloads("stop")
+        told.get_by_role("button").click()
+        expect(told.locator(".stop-result:not(:empty)")).to_have_count(0)
         # alone it has the whole picture
         page.page.get_by_role("button", name="All robots").click()
         expect(page.page.locator(".overlay:visible")).to_have_count(1)

@@ -114,6 +114,12 @@ class ScriptedRobot:
         self.state = "IDLE"
         #: What the gateway counts and tells of its controller, as the bridge reports it.
         self.counters = {"late_replies": "0"}
+        #: What the bridge says.
+        self.link = LinkReport("ARMED", "", "ARMED", self.counters, gateway_kind="rsi")
+        #: Says no `view` and no `screen`.
+        self.silent = False
+        #: What `screen` has in place of its own line; None: its own.
+        self.lines: list[dict] | None = None
         #: Lines of `screen` that stand before its own.
         self.urgent: list[dict] = []
         #: How much older than it is what comes shall count [s]: as if it had lain on its way.
@@ -183,6 +189,17 @@ class ScriptedRobot:
             self._publish(self._topics.plan, b"", retain=True)
             self.say()
 
+    def play(self) -> None:
+        """Play the plan under review, as after an approval."""
+        with self._lock:
+            plan = self.plan
+            assert plan is not None
+            self.take_plan_away()
+            self._play(plan)
+
+    def _play(self, plan: PlanView) -> None:
+        self.state, self._outcome, self._playing, self._elapsed, self._rate = "PLAYING", "", plan.id, 0.0, 1.0
+
     def show_scene(self, objects: Sequence[dict]) -> None:
         """Publish a scene."""
         document = {"hash": f"{len(objects):064d}", "frame": "base_link", "padding": 0.01, "objects": list(objects)}
@@ -199,7 +216,7 @@ class ScriptedRobot:
                 twin=PoseView(stamp, 0.0, tuple(self.twin)),
                 arm=PoseView(self.arm_stamp or stamp, 0.0, tuple(self.twin + self.arm_error)),
                 sync=self._sync(),
-                link=Shown(LinkReport("ARMED", "", "ARMED", self.counters, gateway_kind="rsi"), 0.0),
+                link=Shown(self.link, 0.0),
                 execution=Shown(
                     ExecutionReport(
                         self.state,
@@ -247,6 +264,8 @@ class ScriptedRobot:
         return Shown(report, 0.0)
 
     def _screen(self) -> bytes:
+        if self.lines is not None:
+            return json.dumps(self.lines).encode()
         moving = self.state == "PLAYING"
         sentence = "The arm moves along the approved plan." if moving else "The arm stands still."
         waits = "" if self.plan is None else "a verdict on the plan"
@@ -281,6 +300,8 @@ class ScriptedRobot:
         while not self._ended.wait(self._period or VIEW):
             with self._lock:
                 self._advance()
+            if self.silent:
+                continue
             if self._period:
                 self.say()
             if time.monotonic() - said >= SCREEN:
@@ -355,7 +376,7 @@ class ScriptedRobot:
         self._answer(requests.REVIEW, account, True, f"{review.verdict} by {review.reviewer}", **known)
         self._publish(self._topics.plan, b"", retain=True)
         if review.approve:
-            self.state, self._outcome, self._playing, self._elapsed, self._rate = "PLAYING", "", plan.id, 0.0, 1.0
+            self._play(plan)
 
     def _on_intervention(self, verb: str, account: str, payload: bytes, retained: bool) -> None:
         kind = requests.STOP if verb == "stop" else requests.PAUSE

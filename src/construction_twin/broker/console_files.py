@@ -61,20 +61,32 @@ class ConsoleFiles:
         lines = []
         for host, address in zip(hosts, addresses):
             paths = [self._folder / f"{host.replace(':', '_')}.{kind}" for kind in ("svg", "png")]
-            pictures = [_picture(address, path.suffix[1:]) for path in paths]
-            if all(path.exists() and path.read_bytes() == picture for path, picture in zip(paths, pictures)):
+            codes = [picture(address, path.suffix[1:]) for path in paths]
+            if all(path.exists() and path.read_bytes() == code for path, code in zip(paths, codes)):
                 continue
-            for path, picture in zip(paths, pictures):
-                write_private(path, picture)
+            for path, code in zip(paths, codes):
+                write_private(path, code)
             lines.append(f"made a QR code of {address}: {paths[0]}, {paths[1].name}; it holds the address, no password")
         return lines
 
 
-def _picture(address: str, kind: str) -> bytes:
-    """Return a QR code as SVG or PNG."""
-    # it is there: _make_codes has looked
+def picture(address: str, kind: str) -> bytes:
+    """Return a QR code as a picture; `segno` must be there.
+
+    Args:
+        kind: ``svg`` or ``png``.
+    """
     import segno
 
     buffer = io.BytesIO()
     segno.make(address, micro=False).save(buffer, kind=kind, scale=_SCALE, light="white")
     return buffer.getvalue()
+
+
+def in_characters(address: str) -> str:
+    """Return a QR code for a terminal; `segno` must be there."""
+    import segno
+
+    text = io.StringIO()
+    segno.make(address, micro=False).terminal(text, compact=True)
+    return text.getvalue()

@@ -16,6 +16,7 @@ from datetime import UTC
 from pathlib import Path
 
 from construction_twin.broker.access import (
+    DEVICE,
     RIGHTS,
     ROLES,
     Grant,
@@ -68,6 +69,32 @@ class SiteFolder:
         except (OSError, ValueError, AttributeError) as error:
             raise ConstructionTwinError(
                 Sentence("view.site.unreadable", file=str(self._settings), problem=str(error))
+            ) from error
+
+    def site(self) -> Site:
+        """Return the site of the last run.
+
+        Raises:
+            ConstructionTwinError: When there was none.
+        """
+        before = self.load()
+        if not before:
+            raise ConstructionTwinError(Sentence("view.site.none", file=str(self._settings)))
+        return _site(_arguments([str(self._folder)]), before)
+
+    def password(self, account: str) -> str:
+        """Return the password of an account.
+
+        Raises:
+            ConstructionTwinError: When its folder is not here.
+        """
+        path = self._folder / "accounts" / account / "password"
+        try:
+            return path.read_text(encoding="utf-8").strip()
+        except OSError as error:
+            problem = str(error.strerror)
+            raise ConstructionTwinError(
+                Sentence("view.site.no_password", account=account, file=str(path), problem=problem)
             ) from error
 
     def make(
@@ -191,6 +218,9 @@ class SiteFolder:
     ) -> list[str]:
         lines = []
         for account in site.accounts():
+            # a console logs in to it with the password; a certificate could not be taken back
+            if account.role == DEVICE:
+                continue
             folder = self._account_folder(account)
             certificate, key = folder / "client.crt", folder / "client.key"
             if account.name in replace and certificate.exists():
@@ -260,7 +290,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
         metavar="NAME:RIGHTS[@ROBOTS]",
         help="one account for a person at several robots, e.g. ada:plan_request,review@kr120_1,kr120_2; without @ at all of "
         f"them; rights: {', '.join(RIGHTS)}; whoever may set an arm in motion may stop it; may be repeated, also for one name; "
-        "a name that there is gets these rights in place of those before",
+        "a name that there is gets these rights in place of those before. NAME-device is made beside it, for paired tablets",
     )
     add(
         "--console",

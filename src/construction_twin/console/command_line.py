@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from construction_twin.console.plain_http import HSTS_S
+from construction_twin.core.sentences import Sentence
 
 #: Not 8080: half of all programs with a page listen there.
 DEFAULT_PORT = 8480
@@ -21,6 +22,9 @@ def main(argv: list[str] | None = None) -> int:
     arguments = _arguments(argv)
     if importlib.util.find_spec("websockets") is None:
         print("console: the Python package websockets is not installed; run setup/setup.sh console")
+        return 1
+    if arguments.pairings and importlib.util.find_spec("cryptography") is None:
+        print(f"console: --pairings: {Sentence('view.pair.no_package', package='cryptography')}")
         return 1
     # websockets is needed from here on only
     from construction_twin.console.program import run
@@ -37,6 +41,12 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     add("--page", type=Path, help="folder of the page; without it there is none, only the pipe")
     add("--private", type=Path, help="folder of files for who is logged in: robot, scene, building model")
     add("--results", type=Path, help="folder of recorded runs, whose reports are listed")
+    add(
+        "--pairings",
+        type=Path,
+        metavar="DIR",
+        help="folder of paired devices, which log in with a PIN; `twin pair` invites them; made if it is not there",
+    )
     add("--rights", type=Path, help="who has which right, for who is logged in: rights.json, which make_site writes")
     add("--listen", default="127.0.0.1", metavar="ADDRESS", help="address on which it listens [%(default)s]")
     add("--port", type=int, default=DEFAULT_PORT, help="TCP port [%(default)s]")

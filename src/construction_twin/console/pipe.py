@@ -1,7 +1,8 @@
 """One browser's connection: bytes between its WebSocket and the broker's TCP port, cut off where they are no MQTT or too many.
 
 The broker decides who may do what; the pipe keeps what is not MQTT, too long, too fast or from another site's page away from it. It
-never keeps a packet: a browser that is not connected cannot have one sent later.
+changes nothing but the password of a paired device, which the login puts in. It never keeps a packet: a browser that is not
+connected cannot have one sent later.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from typing import Protocol
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-from construction_twin.console.packets import WRONG_PASSWORD, ClientStream, PacketReader, reason_code
+from construction_twin.console.packets import WRONG_PASSWORD, ClientStream, Packet, PacketReader, reason_code
+from construction_twin.console.paired import PairingError
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.rate_limit import TokenBucket
 from construction_twin.core.sentences import Sentence
@@ -27,6 +29,9 @@ from construction_twin.core.sentences import Sentence
 log = logging.getLogger("console")
 #: Close codes that the page knows (RFC 6455 leaves 4000 to 4999 to applications).
 BROKER_AWAY, NOT_MQTT, TOO_MUCH, TOO_SLOW = 4001, 4002, 4003, 4004
+#: And of a paired device: a wrong PIN; no PIN may be tried any more; not paired, or not any more.
+WRONG_PIN, PIN_ERASED, NOT_PAIRED = 4005, 4006, 4007
+_OF_DEVICES = {"wrong": WRONG_PIN, "erased": PIN_ERASED}
 #: Longest wait for a browser to take the end of its WebSocket, and to answer it [s].
 CLOSE_S = 1.0
 #: Bytes that are read from the broker at once.
@@ -80,8 +85,18 @@ class Cut(Exception):
 class Login(Protocol):
     """What is asked and told about the login of one connection."""
 
-    def wait_s(self, account: str) -> float:
+    def wait_s(self, connect: Packet) -> float:
         """Return how long a CONNECT with user name or password waits before it is passed on [s]."""
+
+    async def filled(self, connect: Packet) -> Packet:
+        """Return a CONNECT as it is passed on: that of a paired device with its password, any other unchanged.
+
+        Raises:
+            PairingError: When it is not passed on.
+        """
+
+    async def revoked(self) -> None:
+        """Return when the device whose password was put in is not paired any more."""
 
     def waited(self) -> None:
         """Note that it is passed on now, or that its browser has gone."""
@@ -133,8 +148,9 @@ async def pipe(
     attempt = _Attempt()
     up = asyncio.create_task(_from_browser(browser, writer, stream, limits, login, attempt, clock))
     down = asyncio.create_task(_from_broker(browser, reader, stream, limits, login, attempt, on_data))
+    gone = asyncio.create_task(_revoked(login))
     try:
-        done, _ = await asyncio.wait((up, down), return_when=asyncio.FIRST_COMPLETED)
+        done, _ = await asyncio.wait((up, down, gone), return_when=asyncio.FIRST_COMPLETED)
         cut = next((task.exception() for task in done if task.exception() is not None), None)
         # what came with the login is carried out if the password is right, so that nobody need wait for the answer to see it
         if attempt.is_open and not (isinstance(cut, Cut) and cut.code == BROKER_AWAY):
@@ -150,9 +166,9 @@ async def pipe(
         await _close(browser, cut.code, cut.sentence)
         return cut.sentence
     finally:
-        for task in (up, down):
+        for task in (up, down, gone):
             task.cancel()
-        await asyncio.gather(up, down, return_exceptions=True)
+        await asyncio.gather(up, down, gone, return_exceptions=True)
         writer.transport.abort()
 
 
@@ -214,8 +230,13 @@ async def _from_browser(
         if not packets.take(now, max(1, len(passed))):
             raise Cut(TOO_MUCH, too_much)
         if is_login and not stream.anonymous:
-            if not await _waited(browser, login, stream.account):
+            # the first of them is CONNECT: the stream takes nothing before it
+            if not await _waited(browser, login, passed[0]):
                 return
+            try:
+                passed[0] = await login.filled(passed[0])
+            except PairingError as error:
+                raise Cut(_OF_DEVICES.get(error.why, NOT_PAIRED), str(error)) from error
             attempt.is_open = True
         for packet in passed:
             writer.write(packet.data)
@@ -227,9 +248,15 @@ async def _from_browser(
             raise Cut(BROKER_AWAY, Sentence("view.pipe.broken", problem=str(error))) from error
 
 
-async def _waited(browser: ServerConnection, login: Login, account: str) -> bool:
+async def _revoked(login: Login) -> None:
+    """Wait until the connection's device is not paired any more."""
+    await login.revoked()
+    raise Cut(NOT_PAIRED, Sentence("view.pair.device"))
+
+
+async def _waited(browser: ServerConnection, login: Login, connect: Packet) -> bool:
     """Let a CONNECT wait for its pace; return whether its browser is still there."""
-    wait_s = login.wait_s(account)
+    wait_s = login.wait_s(connect)
     if not wait_s:
         return True
     try:

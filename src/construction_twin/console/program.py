@@ -7,7 +7,10 @@ import asyncio
 import logging
 import signal
 import ssl
+import time
 from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from construction_twin.console.addresses import addresses, certificate_names, is_everywhere
 from construction_twin.console.camera_address import cameras_of
@@ -17,6 +20,9 @@ from construction_twin.console.static_files import read_folder
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
 from construction_twin.core.sentences import Sentence
+
+if TYPE_CHECKING:
+    from construction_twin.console.pairings import Pairings
 
 #: A year [s].
 _LONGEST_HSTS_S = 365 * 24 * 3600
@@ -58,10 +64,20 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
         own,
         _names(arguments),
         arguments.hsts,
+        pairings=_pairings(arguments.pairings),
         rights=arguments.rights,
         cameras=cameras_of(arguments.camera, arguments.camera_robot),
         prefix=arguments.prefix,
     )
+
+
+def _pairings(folder: Path | None) -> Pairings | None:
+    if folder is None:
+        return None
+    # it needs one more package
+    from construction_twin.console.pairings import Pairings
+
+    return Pairings(folder, time.time)
 
 
 def _names(arguments: argparse.Namespace) -> list[str]:

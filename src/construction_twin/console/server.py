@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import http
+import json
 import logging
 import secrets
 import ssl
@@ -14,6 +15,7 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
@@ -30,13 +32,17 @@ from construction_twin.console.listener import Listener, listeners
 from construction_twin.console.login_pace import LoginPace, PaceLimits
 from construction_twin.console.logins import ConnectionLogin, Lines, Logins
 from construction_twin.console.origin import refusal
+from construction_twin.console.paired import DeviceCookie
 from construction_twin.console.pipe import CLOSE_S, BrokerAddress, PipeLimits, pipe
 from construction_twin.console.plain_http import HSTS_S
 from construction_twin.console.plain_http import answer as plain_answer
 from construction_twin.console.recordings import listing, recordings
 from construction_twin.console.static_files import FileCache, StaticFile, names
 from construction_twin.console.tickets import Tickets
-from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+
+if TYPE_CHECKING:
+    from construction_twin.console.pairings import Pairings
 
 log = logging.getLogger("console")
 #: Path of the WebSocket, and of what only who is logged in gets.
@@ -47,6 +53,8 @@ RIGHTS = "rights.json"
 CAMERA = "camera/"
 #: The subprotocol that MQTT has for WebSockets (MQTT 5.0, section 6).
 SUBPROTOCOL = "mqtt"
+#: A browser is paired on a WebSocket of its own, and asks whether it is; see `pair_socket.py`, which needs more packages.
+PAIR, PAIR_SUBPROTOCOL, PAIRED = "/pair", "twin-pair", "/paired.json"
 #: No script, style, picture or connection but this server's own; nothing may frame the page.
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
@@ -76,6 +84,7 @@ class ServerSettings:
         prefix: First level of the MQTT topics.
         camera_right_s: For so long the broker's word that an account may see a camera counts [s].
         file_stall_s: Who takes nothing of a file for so long is cut off [s].
+        pairings: Devices that log in with a PIN; None: there are none.
     """
 
     files: Mapping[str, StaticFile]
@@ -90,6 +99,7 @@ class ServerSettings:
     pace: PaceLimits = field(default_factory=PaceLimits)
     connections: ConnectionLimits = field(default_factory=ConnectionLimits)
     file_stall_s: float = 20.0
+    pairings: Pairings | None = None
     rights: Path | None = None
     cameras: tuple[CameraAddress, ...] = ()
     prefix: str = "twin"
@@ -103,7 +113,15 @@ class ConsoleServer:
     def __init__(self, settings: ServerSettings):
         self._settings = settings
         self._connections = OpenConnections(settings.connections)
-        self._logins = Logins(self._connections, _tickets(0), LoginPace(settings.pace), time.monotonic_ns)
+        self._logins = Logins(
+            self._connections,
+            _tickets(0),
+            LoginPace(settings.pace),
+            LoginPace(settings.pace),
+            time.monotonic_ns,
+            settings.pairings,
+        )
+        self._port = 0
         self._delivering: set[HttpConnection] = set()
         self._cache = FileCache()
         self._lines = Lines(1, 20, time.monotonic_ns)
@@ -122,7 +140,7 @@ class ConsoleServer:
         Args:
             ready: Set when the port is open.
         """
-        self._logins.tickets = _tickets(port)
+        self._logins.tickets, self._port = _tickets(port), port
         async with contextlib.AsyncExitStack() as serving:
             plain = None if self._settings.tls is None else partial(self._on_plain, port)
             for listener in await listeners(host, port, self._connections, self._on_full, plain):
@@ -130,7 +148,7 @@ class ConsoleServer:
             if ready is not None:
                 ready.set()
             try:
-                await asyncio.get_running_loop().create_future()
+                await self._logins.watch()
             finally:
                 # the library waits for whoever still answers a request
                 for client in tuple(self._delivering):
@@ -141,7 +159,7 @@ class ConsoleServer:
         return serve(
             self._on_socket,
             sock=listener,
-            subprotocols=[SUBPROTOCOL],  # type: ignore[list-item]  # a NewType of str
+            subprotocols=[SUBPROTOCOL, PAIR_SUBPROTOCOL],  # type: ignore[list-item]  # a NewType of str
             process_request=self._on_request,
             process_response=self._on_response,
             compression=None,  # what is sent is small, and latency counts
@@ -169,9 +187,11 @@ class ConsoleServer:
     # -- files
 
     async def _on_request(self, connection: ServerConnection, request: Request) -> Response | None:
-        path = request.path.partition("?")[0]
+        path = _path(request)
         if path == SOCKET:
-            return self._refuse_socket(connection, request)
+            return self._refuse_socket(connection, request, SUBPROTOCOL)
+        if path == PAIR and self._settings.pairings is not None:
+            return self._refuse_socket(connection, request, PAIR_SUBPROTOCOL)
         assert isinstance(connection, HttpConnection)
         if path.startswith(PRIVATE + CAMERA):
             answer = self._strict(self._camera_answer(path.removeprefix(PRIVATE + CAMERA), request))
@@ -192,6 +212,8 @@ class ConsoleServer:
     async def _answer_to(self, path: str, request: Request) -> Response:
         if request.method not in ("GET", "HEAD"):
             return _answer(http.HTTPStatus.METHOD_NOT_ALLOWED, b"only GET and HEAD\n")
+        if path == PAIRED:
+            return await asyncio.to_thread(self._paired, request)
         if path.startswith(PRIVATE):
             if not self._logins.tickets.is_known(_joined(request.headers, "Cookie", "; ")):
                 return _answer(http.HTTPStatus.FORBIDDEN, b"log in first\n")
@@ -259,16 +281,62 @@ class ConsoleServer:
             return _answer(http.HTTPStatus.NOT_FOUND, b"no such file\n")
         return _file_answer(file, request, policy, private=True)
 
+    # -- paired devices
+
+    def _cookie(self, request: Request) -> DeviceCookie | None:
+        """Return which paired device a browser says that it is."""
+        shown = _joined(request.headers, "Cookie", "; ")
+        return DeviceCookie.shown(shown, self._port, self._settings.tls is not None)
+
+    def _paired(self, request: Request) -> Response:
+        """Return whether the browser that asks is paired, which its page cannot know: the cookie is none for scripts."""
+        try:
+            found = self._settings.pairings and self._settings.pairings.device_of(self._cookie(request))
+        except (ConstructionTwinError, OSError) as error:
+            self._lines.write(logging.ERROR, str(error))
+            found = None
+        state = {"account": "", "device_account": "", "number": 0, "tries": 0}
+        if found:
+            state = {key: getattr(found, key) for key in ("account", "device_account", "number")} | {
+                "tries": found.left
+            }
+        answer = _answer(http.HTTPStatus.OK, json.dumps(state).encode())
+        answer.headers["Vary"] = "Cookie"
+        del answer.headers["Content-Type"]
+        answer.headers["Content-Type"] = "application/json; charset=utf-8"
+        return answer
+
+    def _invite(self, request: Request) -> DeviceCookie | None:
+        """Return the cookie of a device to be; None when there is no invitation that its browser names."""
+        from construction_twin.console.pair_socket import proposed
+
+        pairings = self._settings.pairings
+        hashed = proposed(_joined(request.headers, "Sec-WebSocket-Protocol", ",") or "")
+        try:
+            invited = pairings is not None and pairings.is_invited(hashed)
+        except (ConstructionTwinError, OSError) as error:
+            self._lines.write(logging.ERROR, str(error))
+            return None
+        return DeviceCookie(secrets.token_hex(16), secrets.token_urlsafe(32)) if invited else None
+
+    async def _on_pairing(self, connection: HttpConnection, peer: str) -> None:
+        from construction_twin.console.pair_socket import pair
+
+        pairings, request = self._settings.pairings, connection.request
+        assert pairings is not None and request is not None
+        said = await pair(connection, pairings, connection.invited, self._cookie(request), peer)
+        self._lines.write(logging.INFO, f"{peer} {said}")
+
     # -- the pipe
 
-    def _refuse_socket(self, connection: ServerConnection, request: Request) -> Response | None:
+    def _refuse_socket(self, connection: ServerConnection, request: Request, subprotocol: str) -> Response | None:
         settings, headers = self._settings, request.headers
         peer = _peer(connection)
         origin, host = _joined(headers, "Origin", ", "), _joined(headers, "Host", ", ")
         why = refusal(origin, host, settings.tls is not None, settings.origins)
         spoken = _joined(headers, "Sec-WebSocket-Protocol", ",") or ""
-        if not why and SUBPROTOCOL not in [word.strip() for word in spoken.split(",")]:
-            why = f"no subprotocol {SUBPROTOCOL}"
+        if not why and subprotocol not in [word.strip() for word in spoken.split(",")]:
+            why = f"no subprotocol {subprotocol}"
         if why:
             self._lines.write(logging.WARNING, f"{peer} refused: {why}")
             return _answer(http.HTTPStatus.FORBIDDEN, f"{why}\n".encode())
@@ -284,6 +352,12 @@ class ConsoleServer:
     def _on_response(self, connection: ServerConnection, request: Request, response: Response) -> Response | None:
         if response.status_code == http.HTTPStatus.SWITCHING_PROTOCOLS:
             assert isinstance(connection, HttpConnection)
+            if _path(request) == PAIR:
+                connection.invited = self._invite(request)
+                if connection.invited is not None:
+                    cookie = connection.invited.header(self._port, self._settings.tls is not None)
+                    response.headers["Set-Cookie"] = cookie
+                return self._strict(response)
             connection.ticket = self._logins.tickets.give(_joined(request.headers, "Cookie", "; "))
             response.headers["Set-Cookie"] = self._logins.tickets.cookie(
                 connection.ticket, self._settings.tls is not None
@@ -292,8 +366,16 @@ class ConsoleServer:
 
     async def _on_socket(self, connection: ServerConnection) -> None:
         assert isinstance(connection, HttpConnection)
-        number, peer = connection.transport.get_extra_info("socket").fileno(), _peer(connection)
-        login = ConnectionLogin(self._logins, number, peer, connection.ticket)
+        number, peer, request = (
+            connection.transport.get_extra_info("socket").fileno(),
+            _peer(connection),
+            connection.request,
+        )
+        assert request is not None
+        if _path(request) == PAIR:
+            await self._on_pairing(connection, peer)
+            return
+        login = ConnectionLogin(self._logins, number, peer, connection.ticket, self._cookie(request))
         scanner, session = TopicScanner(), id(connection)
 
         def on_data(data: bytes) -> None:
@@ -315,6 +397,10 @@ class ConsoleServer:
 def _joined(headers: Headers, name: str, between: str) -> str | None:
     """Return a header, and all of them where a request has several of that name; None when it has none."""
     return between.join(headers.get_all(name)) or None
+
+
+def _path(request: Request) -> str:
+    return request.path.partition("?")[0]
 
 
 def _tickets(port: int) -> Tickets:

@@ -201,7 +201,7 @@ def test_a_person_has_one_account_with_rights_of_its_own_at_each_robot(folder):
     of_ada = rules.split("user ada\n")[1].split("user ")[0]
     assert "twin/kr120/stop/ada" in of_ada and "twin/kr120/plan_request/ada" in of_ada
     assert "twin/kr121/#" in of_ada and "topic write twin/kr121" not in of_ada
-    of_cy = rules.split("user cy\n")[1]
+    of_cy = rules.split("user cy\n")[1].split("user ")[0]
     assert all(
         f"topic write twin/{robot}/{act}/cy" in of_cy for robot in ("kr120", "kr121") for act in ("review", "stop")
     )
@@ -227,12 +227,37 @@ def test_a_person_has_one_account_with_rights_of_its_own_at_each_robot(folder):
         ("bridge:review", "expected.site.person_name", "bridge"),
         ("console:view", "expected.site.person_name", "console"),
         ("kr120-viewer:view", "expected.site.person_name", "kr120-viewer"),
+        ("ada-device:view", "expected.site.person_name", "ada-device"),
     ],
 )
 def test_a_person_who_cannot_be_is_refused(words, key, found):
     with pytest.raises(ConfigurationError, check=expects(key, "--person")) as caught:
         Site(("broker.example",), ("kr120",), folder="/site", persons=(Person.parse(words),))
     assert found in str(caught.value)
+
+
+def test_a_person_s_devices_have_an_account_that_sees_stops_and_pauses_where_the_person_does_and_starts_nothing(folder):
+    robots = ("--robot", "kr121", "--robot", "kr122")
+    make(folder, *robots, "--person", "ada:review,reset,trajectory@kr120", "--person", "ada:plan_request@kr121")
+    make(folder, "--person", "vic:view", "--certificates")
+    assert load_account(folder / "accounts/ada-device/account.json").user == "ada-device"
+    rules = (folder / "broker/access.acl").read_text()
+    of_device = rules.split("user ada-device\n")[1].split("user ")[0]
+    assert [line for line in of_device.splitlines() if line.startswith("topic")] == [
+        "topic read twin/kr120/#",
+        "topic write twin/kr120/stop/ada-device",
+        "topic read twin/kr121/#",
+        "topic write twin/kr121/stop/ada-device",
+    ]
+    # nobody's device may do what the person may not
+    of_device = rules.split("user vic-device\n")[1].split("user ")[0]
+    assert "topic read twin/kr120/#" in of_device and "topic write" not in of_device
+    # its password is the console's business; a certificate could not be taken back
+    assert (folder / "accounts/ada/client.crt").exists() and not (folder / "accounts/ada-device/client.crt").exists()
+    assert "# kr120: view, stop\n" in rules.split("user ada-device\n")[1].split("user ")[0]
+    make(folder, "--person", "ada:pause")
+    of_device = (folder / "broker/access.acl").read_text().split("user ada-device\n")[1].split("user ")[0]
+    assert "twin/kr122/pause/ada-device" in of_device and "/resume/" not in of_device
 
 
 def test_people_of_roles_become_people_with_one_account_and_the_old_ones_stay_until_they_are_dropped(folder, capsys):
@@ -286,8 +311,15 @@ def test_the_page_gets_who_has_which_right_and_no_program(tmp_path):
     assert robots["kr120"]["reset"] == {"ada": "ada"} and robots["kr120"]["stop"] == {
         "kr120-stopper-bob": "bob",
         "ada": "ada",
+        "ada-device": "ada",
     }
-    assert robots["kr120"]["view"] == {"kr120-viewer": "viewer", "kr120-stopper-bob": "bob", "ada": "ada"}
+    assert robots["kr120"]["view"] == {
+        "kr120-viewer": "viewer",
+        "kr120-stopper-bob": "bob",
+        "ada": "ada",
+        "ada-device": "ada",
+    }
+    assert robots["kr120"]["review"] == {"ada": "ada"}
     assert set(robots["kr120"]) == set(RIGHTS) and "bridge" not in json.dumps(robots)
 
 

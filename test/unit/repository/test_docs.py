@@ -233,7 +233,7 @@ def topics_of(rules: str) -> set[str]:
     template = (ROOT / f"config/mosquitto/{rules}.acl").read_text()
     text = access_rules(site, lambda name: template if name == f"{rules}.acl" else "")
     topics = re.findall(r"^topic \w+ twin/r/(\S+)$", text, re.MULTILINE)
-    return {re.sub(r"\b(r-\w+-)?ada$", "<account>", topic) for topic in topics} - {"#"}
+    return {re.sub(r"\b(r-\w+-)?ada(-device)?$", "<account>", topic) for topic in topics} - {"#"}
 
 
 def documented_requests() -> dict[str, set[str]]:

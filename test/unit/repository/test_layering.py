@@ -56,6 +56,7 @@ OPTIONAL = {
     "coacd": "work",
     "shapely": "work",
     "websockets": "console",
+    "cryptography": "console/sealing.py",
     "rosbags": "evaluation/pure_bag.py",
 }
 GENERATED = {"msg", "srv", "action"}
@@ -353,7 +354,8 @@ SOCKETS = (
     "broker/start.py console/addresses.py console/camera.py console/camera_delivery.py "
     "console/delivery.py console/listener.py console/pipe.py console/program.py "
     "console/server.py console/http_connection.py core/network.py gateway/service.py mock/network.py mqtt/client.py "
-    "mqtt/failures.py mqtt/fast_client.py mqtt/polled_client.py core/udp.py views/display.py"
+    "mqtt/failures.py mqtt/fast_client.py mqtt/polled_client.py core/udp.py views/display.py console/logins.py "
+    "console/pair_socket.py"
 ).split()
 
 

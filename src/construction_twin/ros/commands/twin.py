@@ -269,6 +269,10 @@ def main(arguments: list[str] | None = None) -> int:
     if problem:
         command_line.error(problem)
     try:
+        if options.command == "pair":
+            from construction_twin.ros.commands.twin_pair import PairCommand
+
+            return PairCommand(options).run()
         connect(options)
         return Command(options).run()
     except SilenceError as error:
