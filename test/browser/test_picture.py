@@ -101,7 +101,7 @@ def test_the_plan_that_is_shown_is_the_plan_on_the_desk(seen, robot):
     seen.wait_uploaded(pieces(np.round(desk, 4)), _FINE)
     assert np.allclose(drawn["goal"]["tool"], robot.tool(plan.goal), atol=_FINE)
     # played back: the ghost stands where the desk's interpolation has it
-    slider = seen.page.locator("#verdict input[type=range]")
+    slider = seen.page.locator("#verdict .playback-slider")
     slider.evaluate("(it) => { it.value = it.max / 3; it.dispatchEvent(new Event('input', {bubbles: true})); }")
     time = float(slider.evaluate("(it) => it.value"))
     drawn = seen.wait_drawn("one", "it.plan.joints !== null")

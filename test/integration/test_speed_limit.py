@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""What limits the speed slows the arm down on its path, and nothing that falls silent or vanishes speeds it up: a separation distance
-by a program, and a person by MQTT.
+"""What limits the speed slows the arm down on its path, and nothing that falls silent or vanishes speeds it up: a separation
+distance by a program, and a person by MQTT.
 """
 
 import json
