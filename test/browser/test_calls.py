@@ -102,7 +102,7 @@ def test_a_cause_and_a_question_are_told_in_the_page_s_language(device_of, robot
 
 def test_the_plan_that_a_person_has_asked_for_here_does_not_ring_here_but_elsewhere(device_of, robot):
     planner, reviewer = device_of("planner-pia"), device_of("reviewer-ada")
-    plan = planner.page.locator("#plan")
+    plan = planner.tab("plan")
     plan.locator(".plan-begin").click()
     plan.locator(".plan-ask").click()
     for page in (planner, reviewer):

@@ -37,6 +37,7 @@ def test_while_a_plan_is_played_its_name_progress_rest_and_speed_are_shown(page_
 
 def test_joints_and_tool_are_where_the_robot_has_them_and_a_difference_is_told(page_of, robot):
     page = page_of("viewer-vic")
+    page.tab("motion")
     robot.twin = np.array([0.4, -1.2, 1.1, 0.5, 0.9, -0.7])
     rows = page.page.locator(".motion-row:not(.motion-head)")
     expect(rows).to_have_count(6)
@@ -62,7 +63,7 @@ def test_joints_and_tool_are_where_the_robot_has_them_and_a_difference_is_told(p
 @pytest.mark.parametrize(("language", "not_sent"), [("en", "not sent"), ("de", "nicht gesendet")])
 def test_mode_and_override_are_what_the_controller_sends_or_not_sent(page_of, robot, language, not_sent):
     page = page_of("viewer-vic", f"?language={language}")
-    facts = page.page.locator(".motion-facts dd")
+    facts = page.tab("motion").locator(".motion-facts dd")
     expect(facts.nth(0)).to_have_text(not_sent)
     expect(facts.nth(1)).to_have_text(not_sent)
     robot.counters = {"late_replies": "0", "controller_mode": "T1", "controller_override_percent": "30"}
@@ -72,7 +73,7 @@ def test_mode_and_override_are_what_the_controller_sends_or_not_sent(page_of, ro
 
 def test_a_goal_of_the_tool_is_typed_and_asked_for(page_of, robot):
     page = page_of("planner-pia")
-    page.page.locator(".plan-begin").click()
+    page.tab("plan").locator(".plan-begin").click()
     page.page.locator(".plan-tool summary").click()
     fields = page.page.locator(".plan-tool-fields input")
     begin = [f"{1000 * value:.1f}" for value in robot.tool(robot.twin)]
@@ -88,6 +89,7 @@ def test_a_goal_of_the_tool_is_typed_and_asked_for(page_of, robot):
     assert np.allclose(found, [*robot.tool(robot.twin)[:2], height / 1000], atol=1e-3)
     assert robot.state == "IDLE"
     # what no arm reaches is said, and cannot be asked for
+    page.tab("plan")
     fields.first.fill("90000")
     fields.first.press("Enter")
     expect(page.page.locator(".plan-reach")).to_contain_text("The arm does not get there.")
@@ -111,19 +113,24 @@ def test_the_waypoints_are_those_of_the_plan(page_of, robot):
 def test_everybody_can_use_them_and_nothing_is_wider_than_the_screen(page_of, robot, size):
     page = page_of("planner-pia", size=size, color_scheme="light")
     robot.arm_error = np.array([0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
-    page.page.locator(".plan-begin").click()
-    page.page.locator(".plan-tool summary").click()
     robot.show_plan()
-    page.page.locator(".waypoints summary").click()
-    expect(page.page.locator(".motion-row.is-over")).to_be_visible()
-    for scheme in ("light", "dark"):
-        page.page.emulate_media(color_scheme=scheme)
-        found = Axe().run(page.page, context="#motion, .waypoints, .plan-tool").response["violations"]
-        assert not found, [(each["id"], [node["target"] for node in each["nodes"]]) for each in found]
-    for each in page.page.locator(".plan-tool :is(summary, input, button), .waypoints summary").all():
-        box = each.bounding_box()
-        assert box is not None and box["height"] >= 44
-    assert page.page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    axes = {"plan": ".plan-tool", "motion": "#motion", "verdict": ".waypoints"}
+    for name, area in axes.items():
+        panel = page.tab(name)
+        if name == "plan":
+            panel.locator(".plan-begin").click()
+        if name != "motion":
+            page.page.locator(f"{area} summary").click()
+        else:
+            expect(page.page.locator(".motion-row.is-over")).to_be_visible()
+        for scheme in ("light", "dark"):
+            page.page.emulate_media(color_scheme=scheme)
+            found = Axe().run(page.page, context=area).response["violations"]
+            assert not found, [(each["id"], [node["target"] for node in each["nodes"]]) for each in found]
+        for each in page.page.locator(f"{area} :is(summary, input, button)").all():
+            box = each.bounding_box()
+            assert box is not None and box["height"] >= 44
+        assert page.page.evaluate("document.documentElement.scrollWidth") <= size[0]
 
 
 def test_progress_is_told_to_everybody(page_of, robot):

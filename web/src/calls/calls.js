@@ -47,10 +47,9 @@ export function make(parent, store, connection, texts, means = {}) {
   const line = add(parent, "span", {className: "calls-line", role: "status"});
   // before the account, so that nothing that can be pressed moves when it goes
   parent.querySelector(".account")?.before(line);
-  const opener = button(parent, "", () => open(panel.hidden), {className: "quiet calls-open", "aria-expanded": "false", "aria-controls": "calls-panel"});
+  const opener = button(parent, "", () => open(panel.hidden), {className: "calls-open", "aria-expanded": "false", "aria-controls": "calls-panel"});
   add(opener, "span", {className: "calls-bell", "aria-hidden": "true"});
   const openerText = add(opener, "span");
-  // below the header and not over the page: nothing may cover the stop
   const panel = add(parent, "section", {id: "calls-panel", className: "calls-panel", "aria-labelledby": "calls-title", hidden: true});
   parent.after(panel);
   add(panel, "h2", {id: "calls-title", text: texts("calls.title")});

@@ -17,6 +17,8 @@ const TOOL = ["x", "y", "z", "a", "b", "c"];
 /** Make the panel. */
 export function make(parent, store, connection, texts, {every, ...means} = {...browser, ...MEANS}) {
   const models = new Map();
+  // it scrolls, and has nothing else in it that a keyboard reaches
+  parent.setAttribute("tabindex", "0");
   const area = add(parent, "div", {className: "motion"});
   const facts = add(area, "dl", {className: "motion-facts"});
   const factOf = (name) => {
@@ -135,11 +137,8 @@ export function make(parent, store, connection, texts, {every, ...means} = {...b
     setText(override, told(view.link?.controller?.override_percent, " %"));
   };
 
-  const isOpen = () => {
-    const details = parent.closest?.("details") ?? null;
-    return (details === null || details.hasAttribute("open")) && parent.ownerDocument.visibilityState !== "hidden";
-  };
-  parent.closest?.("details")?.addEventListener("toggle", show);
+  const isOpen = () => (parent.tab?.isOpen() ?? true) && parent.ownerDocument.visibilityState !== "hidden";
+  parent.tab?.onOpen(show);
   store.on("view", (robot) => {
     if (robot === store.selected) dirty = true;
     load(robot);

@@ -1,6 +1,6 @@
 /**
- * While a plan is under way: whose it is, how far it has come, what remains, and how fast it goes. Stands below the sentences of the
- * state; the numbers come with each view and are shown ten times a second at most.
+ * While a plan is under way: whose it is, how far it has come, what remains, and how fast it goes. Stands above the
+ * verdict; the numbers come with each view and are shown ten times a second at most.
  */
 import {add, setText} from "../dom.js";
 import {clock, percentOf, progressOf} from "../progress.js";
