@@ -356,7 +356,8 @@ def test_the_camera_is_fitted_until_a_person_turns_it_and_again_by_the_button(se
     close = seen.wait_drawn("one", "it.camera.chosen === 'home'")["camera"]
     robot.show_scene([FLOOR, box("wall", [0.1, 3.0, 2.0], [-3.0, 0.0, 1.0])])
     seen.wait_drawn("one", "it.objects.includes('wall')")
-    far = seen.wait_drawn("one", f"Math.abs(it.camera.position[0] - {close['position'][0]}) > 0.2")["camera"]
+    moved = f"Math.hypot(...it.camera.position.map((value, k) => value - {close['position']}[k])) > 0.1"
+    far = seen.wait_drawn("one", moved)["camera"]
     area = seen.page.locator("#picture canvas").bounding_box()
     assert area is not None
     seen.page.mouse.move(area["x"] + 300, area["y"] + 150)
@@ -450,7 +451,7 @@ def test_axe_finds_nothing_serious_light_or_dark(page_of, robot, size):
 def test_axe_finds_nothing_serious_in_the_picture_light_or_dark(seen, robot):
     robot.show_scene([FLOOR, TABLE])
     robot.show_plan()
-    seen.wait_drawn("one", "it.path !== null && it.words.includes('table')")
+    seen.wait_drawn("one", "it.path !== null && it.objects.includes('table')")
     seen.page.get_by_role("button", name="Measure a distance").click()
     for scheme in ("light", "dark"):
         seen.page.emulate_media(color_scheme=scheme)
@@ -513,6 +514,7 @@ def test_nothing_moves_when_the_sentence_grows(page_of, robot):
     expect(page.page.locator(".verdict")).to_be_visible()
     places = """() => ['.stop-stop', '.verdict-approve', '#picture']
       .map((each) => document.querySelector(each).getBoundingClientRect().top)"""
+    expect(page.page.locator(".status-worst .status-sentence")).to_be_visible()
     before = page.page.evaluate(places)
     page.page.evaluate(
         """() => { const box = document.querySelector('.status-sentence'); box.textContent = box.textContent.repeat(6); }"""

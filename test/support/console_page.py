@@ -14,7 +14,7 @@ ARGUMENTS = ["--enable-unsafe-swiftshader", "--disable-background-networking", "
 # /dev/shm of a container is too small for pictures
 ARGUMENTS += ["--disable-dev-shm-usage"]
 #: Longest wait for what a page shall show [ms].
-PATIENCE = 60_000
+PATIENCE = 15_000
 
 expect.set_options(timeout=PATIENCE)
 

@@ -207,8 +207,11 @@ class SpeedLimitsNode:
             "program": told.program_name,
         }
         sentence = f"speed limit {told.limit:g}: {told.reason}"
-        if problem := self._problem or self._memory.problem:
-            return Report(ERROR, problem, values)
+        if self._problem:
+            return Report(ERROR, self._problem, values)
+        if self._memory.problem:
+            forgotten = f"which program was heard would not outlast this node: {PROGRAM} was not written"
+            return Report(ERROR, forgotten, values)
         if self._limits.people.problem:
             return Report(ERROR, sentence, values)
         return Report(WARN if _is_slow(self._limits.program.state) else OK, sentence, values)
