@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,7 +67,8 @@ def test_mode_and_override_are_what_the_controller_sends_or_not_sent(page_of, ro
     facts = page.tab("motion").locator(".motion-facts dd")
     expect(facts.nth(0)).to_have_text(not_sent)
     expect(facts.nth(1)).to_have_text(not_sent)
-    robot.counters = {"late_replies": "0", "controller_mode": "T1", "controller_override_percent": "30"}
+    told = {"controller_mode": "T1", "controller_override_percent": "30"}
+    robot.link = replace(robot.link, gateway_counters={**robot.link.gateway_counters, **told})
     expect(facts.nth(0)).to_have_text("T1")
     expect(facts.nth(1)).to_have_text("30 %")
 

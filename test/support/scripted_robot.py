@@ -112,10 +112,8 @@ class ScriptedRobot:
         self.plan: PlanView | None = None
         self.trajectory: Trajectory | None = None
         self.state = "IDLE"
-        #: What the gateway counts and tells of its controller, as the bridge reports it.
-        self.counters = {"late_replies": "0"}
         #: What the bridge says.
-        self.link = LinkReport("ARMED", "", "ARMED", self.counters, gateway_kind="rsi")
+        self.link = LinkReport("ARMED", "", "ARMED", {"late_replies": "0"}, gateway_kind="rsi")
         #: Says no `view` and no `screen`.
         self.silent = False
         #: What `screen` has in place of its own line; None: its own.
