@@ -195,7 +195,7 @@ def _home(robot: ScriptedRobot) -> None:
     robot.state = "IDLE"
     robot.twin = np.array(robot.robot.home, dtype=float)
     robot.arm_error[:] = 0.0
-    robot.link = LinkReport("ARMED", "", "ARMED", robot.counters, gateway_kind="rsi")
+    robot.link = LinkReport("ARMED", "", "ARMED", {"late_replies": "0"}, gateway_kind="rsi")
     robot.take_plan_away()
     robot.publish("work/tasks", b"", retain=True)
     _say(robot)

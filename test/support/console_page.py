@@ -14,7 +14,7 @@ ARGUMENTS = ["--enable-unsafe-swiftshader", "--disable-background-networking", "
 # /dev/shm of a container is too small for pictures
 ARGUMENTS += ["--disable-dev-shm-usage"]
 #: Longest wait for what a page shall show [ms].
-PATIENCE = 15_000
+PATIENCE = 60_000
 
 expect.set_options(timeout=PATIENCE)
 
@@ -188,11 +188,12 @@ class ConsolePage:
 
     def look(self) -> None:
         """Open the plan's checks, which counts as having looked, and wait until approving is possible."""
-        self.page.locator(".verdict-checks summary").click()
+        self.tab("verdict").locator(".verdict-checks summary").click()
         expect(self.approve_button).to_be_enabled()
 
     def play_to_end(self) -> None:
         """Play the plan, which counts as having looked; again where the connection was lost meanwhile: then it does not count."""
+        self.tab("verdict")
         for _ in range(5):
             self.page.locator(".playback-play").click()
             self.wait_for("() => (({value, max}) => value === max)(document.querySelector('.playback-slider'))")
