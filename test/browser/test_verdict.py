@@ -147,7 +147,7 @@ def test_each_role_may_do_what_the_broker_lets_it_do_and_is_told_the_rest(
     else:
         expect(page.page.locator(".stop-stop")).to_be_hidden()
         expect(page.page.locator(".stop-who")).to_contain_text(
-            "This account cannot stop. Who can: ada, bob, dora, pia, sam."
+            "This account cannot stop. Who can: ada, bob, dora, pat, pia, sam."
         )
     if may_review:
         page.look()
@@ -156,7 +156,7 @@ def test_each_role_may_do_what_the_broker_lets_it_do_and_is_told_the_rest(
     else:
         page.page.locator(".verdict-checks summary").click()
         expect(page.page.locator(".verdict-hint")).to_contain_text(
-            "This account may not approve. Who can: ada, bob, dora."
+            "This account may not approve. Who can: ada, bob, dora, pat."
         )
         expect(page.approve_button).to_be_disabled()
     plan = page.tab("plan")
