@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import rospy
 import rostest
-from construction_twin.msg import Engagement, PlanCaller, ToolCommand, ToolState
+from construction_twin.msg import Engagement, PlanCaller, SessionRequest, SpeedLimitInForce, ToolCommand, ToolState
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from played_bag import RefusalLog, excerpt, play, subscribers, write
@@ -53,6 +53,8 @@ HEARD_BY = {
     "hold": set(),
     "approval_obstacle": set(),
     "link": {"pca_monitor", "executor", "virtual_robot"},
+    "session_request": {"executor"},
+    "speed_limit_in_force": {"executor", "mqtt_bridge"},
     "scene": {"executor", "planner"},
     "plan_outcome": set(),
     "plan_caller": set(),
@@ -61,12 +63,14 @@ HEARD_BY = {
 }
 #: Who of them acts on tf.
 FRAMES = {"planner", "scene"}
-#: What an arm without a tool does not publish while it moves.
+#: What an arm without a tool, that nobody resets or limits, does not publish while it moves.
 MADE = {
     "tool_command": ToolCommand(verb=ToolCommand.VOID),
     "tool": ToolState(),
     "engagement": Engagement(),
     "plan_caller": PlanCaller(),
+    "session_request": SessionRequest(),
+    "speed_limit_in_force": SpeedLimitInForce(),
 }
 #: Cycles over which an arm that must not move is watched.
 WATCH = 250
