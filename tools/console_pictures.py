@@ -63,14 +63,13 @@ def open_page(browser: Browser, url: str, **more) -> ConsolePage:
 
 def ask_for_plan(page: ConsolePage, folder: Path) -> None:
     """Set the goal, take a picture of that, and ask for the plan."""
-    plan = page.page.locator("#plan")
+    plan = page.tab("plan")
     plan.locator(".plan-begin").click(timeout=1000 * READY)
     for joint, value in GOAL.items():
         field = plan.locator(".plan-joint", has_text=joint).locator("input[type=text]")
         field.fill(value)
         field.press("Enter")
     page.wait_drawn(ROBOT, f"it.goal.joints !== null && Math.abs(it.goal.joints.joint_a1 - {GOAL_A1}) < 1e-3")
-    page.page.evaluate("window.scrollTo(0, document.querySelector('#picture').offsetTop)")
     shoot(page, folder, "console_goal.png")
     plan.get_by_label("Speed").select_option(SPEED)
     plan.locator(".plan-ask").click()
@@ -163,7 +162,6 @@ def main() -> int:
                 url = f"http://127.0.0.1:{port}/"
                 page = open_page(browser, url, size=TABLET, color_scheme="light")
                 ask_for_plan(page, folder)
-                page.page.evaluate("window.scrollTo(0, 0)")
                 page.wait_drawn(ROBOT, "it.path !== null")
                 shoot(page, folder, "console.png")
                 page.close()
