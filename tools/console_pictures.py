@@ -33,7 +33,7 @@ GOAL_A1 = math.radians(float(GOAL["joint_a1"]))
 #: Fraction of the limits that is asked for: slow enough to be watched.
 SPEED = "0.25"
 #: Of the recording: least time between two pictures [s], width [px] and number of colours that are kept; most bytes of a file.
-STEP, WIDTH, COLOURS = 0.2, 760, 64
+STEP, WIDTH, COLOURS = 0.2, 600, 48
 WEIGHT, WEIGHT_OF_RECORDING = 200_000, 1_500_000
 
 
