@@ -72,6 +72,7 @@ def _say(robot: ScriptedRobot, **changes: object) -> None:
     """Have the robot's status line say what these reports are about."""
     reports = ReportsNow(**{"link": _ARMED, "sync": _IN_SYNC, "execution": _IDLE} | changes)  # type: ignore[arg-type]
     robot.lines = document(status_lines(reports))
+    robot.publish("screen", json.dumps(robot.lines).encode())
 
 
 def _messages(robot: ScriptedRobot) -> None:
