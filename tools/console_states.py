@@ -44,7 +44,7 @@ STALLED, OFF = 2, 0.0132
 
 _ARMED, _IN_SYNC, _IDLE = Word("ARMED", ""), Word("IN_SYNC", ""), Word("IDLE", "")
 _DIFFERS = Sentence(
-    "reason.gate.differs", joint="joint_a3", error=Quantity(OFF, "rad"), threshold=Quantity(0.01, "rad")
+    "reason.gate.differs", joint="joint_a3", difference=Quantity(OFF, "rad"), threshold=Quantity(0.01, "rad")
 )
 _STOPPED = Sentence(
     "link.call_reset",

@@ -63,6 +63,11 @@ export function wordsOf(line, texts) {
   };
 }
 
+/** Whether an element ends where its box does, or above. */
+function isInside(element, box) {
+  return element !== null && element.getBoundingClientRect().bottom <= box.getBoundingClientRect().bottom + 1;
+}
+
 /** Make the panel. */
 export function make(parent, store, connection, texts, {now, every} = browser) {
   // a box of one height: whatever is said, nothing below it moves
@@ -88,6 +93,8 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
       if (whole) break;
     }
     box.classList.toggle("is-cut", !whole);
+    // who is waited for, and what to do, may be scrolled to in the box; the sentence itself must be there
+    whole ||= isInside(worst.querySelector(".status-sentence"), box);
     const word = ownLine({connected: connection.state === "connected", robot: store.robot(robot), now: now()}) !== null ? "old" : whole ? "whole" : "cut";
     const news = `${robot} ${word}`;
     if (news === said && store.robot(robot)?.said === word) return;
