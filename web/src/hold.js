@@ -5,6 +5,7 @@
  * counts for nothing.
  */
 import {add, setText} from "./dom.js";
+import {onHold} from "./press.js";
 
 /** A press must last so long [ms]. */
 export const HELD_FOR = 1000;
@@ -81,21 +82,7 @@ export function holdButton(parent, {text, className = "", onHeld, key = () => ""
     release();
     onHeld();
   };
-  element.addEventListener("pointerdown", (event) => {
-    if (event.button === 0 || event.button === undefined) press();
-  });
-  for (const kind of ["pointerup", "pointercancel", "pointerleave", "blur"]) element.addEventListener(kind, release);
-  // a long press opens a menu on a tablet, which would take the finger away from the button
-  element.addEventListener("contextmenu", (event) => event.preventDefault());
-  element.addEventListener("keydown", (event) => {
-    if (event.key === "Escape") release();
-    if (event.key !== "Enter" && event.key !== " ") return;
-    event.preventDefault();
-    if (!event.repeat) press();
-  });
-  element.addEventListener("keyup", (event) => {
-    if (event.key === "Enter" || event.key === " ") release();
-  });
+  onHold(element, press, release);
   element.say = (said) => setText(words, said);
   return element;
 }

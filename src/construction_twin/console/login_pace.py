@@ -60,13 +60,16 @@ class _Wrong:
         self.count = 0
 
     def note(self, now: int) -> None:
+        """Count another one."""
         self.count += 1
         self._bucket.take(now)
 
     def rest(self, now: int) -> float:
+        """Return how long until all are forgotten [ns]."""
         return self._bucket.rest(now)
 
     def wait_s(self, first: float, most: float, now: int) -> float:
+        """Return how long a login waits [s]: `first` after one, doubled by each that is not forgotten, at most `most`."""
         left = self.rest(now) / self._forget
         return min(most, first * 2 ** (left - 1)) if left else 0.0
 

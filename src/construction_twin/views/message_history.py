@@ -28,8 +28,8 @@ ORDINARY = (
     ("execution", "REVIEW"), ("execution", "PAUSED"), ("startup", "waiting"),
     ("work", "planned"), ("work", "ready"), ("work", "proposed"),
 )  # fmt: skip
-#: Acts of people: their words are ``line.person.<act>``.
-RESET, ARM, APPROVED, REJECTED = "reset", "arm", "approved", "rejected"
+#: Acts of people, beside the verb of a `SessionRequest`: their words are ``line.person.<act>``.
+RESET, APPROVED, REJECTED = "reset", "approved", "rejected"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +56,7 @@ _Messages = pydantic.TypeAdapter(tuple[Message, ...])
 
 
 class MessageHistory:
-    """The newest messages, oldest first; used by one thread at a time.
+    """The newest messages, oldest first; used by one thread at a time. `messages` is another tuple after each change.
 
     Args:
         new_id: Returns a new unique id.
@@ -87,9 +87,8 @@ class MessageHistory:
         """The messages as JSON: what is published, and written into the file."""
         return dumped(self.messages)
 
-    def on_lines(self, lines: Sequence[Line], now: float) -> bool:
-        """Take the status line of `now`; return whether a message began or ended."""
-        before = self.messages
+    def on_lines(self, lines: Sequence[Line], now: float) -> None:
+        """Take the status line of `now`."""
         urgent = {_identity(line): line for line in lines if _is_message(line)}
         for gone in self._standing.keys() - urgent.keys():
             self._end(self._standing.pop(gone)[1], now)
@@ -97,7 +96,6 @@ class MessageHistory:
             since, id_ = self._standing.setdefault(key, (now, ""))
             if not id_ and now - since >= STANDS:
                 self._standing[key] = since, self._add(line, since)
-        return self.messages is not before
 
     def on_act(self, act: str, at: float, **values: str) -> None:
         """Take what a person did: ``line.person.<act>`` of the sentences, with its values. One that is told again is not new."""

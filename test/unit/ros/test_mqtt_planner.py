@@ -25,7 +25,7 @@ from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ClosestView, ViewWriter
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
-from construction_twin.mqtt.requests import ACKNOWLEDGE, IK, NAMELESS_TRAJECTORY, PLAN_REQUEST, RequestKind
+from construction_twin.mqtt.requests import IK, NAMELESS_TRAJECTORY, PLAN_REQUEST, RequestKind
 from construction_twin.ros.nodes import mqtt_planner
 from construction_twin.ros.nodes.mqtt_planner import (
     REPEAT_WINDOW,
@@ -36,6 +36,7 @@ from construction_twin.ros.nodes.mqtt_planner import (
     source_of,
 )
 from construction_twin.ros.shared.endpoint import REPEATED, Endpoint, Incoming, Outlets
+from construction_twin.ros.shared.message_board import MessageBoard
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.ros.transport.joint_stream import to_time
@@ -358,6 +359,7 @@ class Feed:
 
     def __init__(self):
         self.heard: list = []
+        self.messages = MessageBoard(lambda text: None, lambda reason, sentence: None)
 
     def note_poses(self, twin, arm):
         self.heard.append(("poses", twin, arm))
@@ -370,16 +372,6 @@ class Feed:
 
     def publish_offline(self):
         self.heard.append("publish_offline")
-
-    def write_messages(self):
-        pass
-
-    def acknowledgements(self, topics, counts, outlets):
-        return Endpoint(ACKNOWLEDGE, topics, lambda incoming: incoming.account, self.acknowledge, counts, outlets)
-
-    def acknowledge(self, account):
-        self.heard.append(("acknowledge", account))
-        return Outcome(True, "read")
 
     def publish_status_line(self, link, sync, execution, now):
         self.heard.append(("tell", *(report and report.text for report in (link, sync, execution))))

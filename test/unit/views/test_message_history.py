@@ -30,13 +30,17 @@ STOPPED = lines(link=Word("NEEDS_RESET", "asked by account bob"))
 
 def test_what_a_person_must_mend_is_a_message_from_when_it_began_until_it_ends():
     made = history()
-    assert not made.on_lines(lines(), 10.0)
-    assert not made.on_lines(STOPPED, 11.0) and made.messages == ()
-    assert made.on_lines(STOPPED, 12.0)
+    made.on_lines(lines(), 10.0)
+    made.on_lines(STOPPED, 11.0)
+    assert made.messages == ()
+    made.on_lines(STOPPED, 12.0)
     (message,) = made.messages
     assert (message.at, message.until, message.line.words) == (11.0, None, "link.NEEDS_RESET")
     assert "asked by account bob" in message.line.sentence
-    assert not made.on_lines(STOPPED, 13.0) and made.on_lines(lines(), 14.0)
+    before = made.messages
+    made.on_lines(STOPPED, 13.0)
+    assert made.messages is before, "nothing is told again"
+    made.on_lines(lines(), 14.0)
     assert [message.until for message in made.messages] == [14.0]
 
 

@@ -3,6 +3,7 @@
  * raising is held. What may go out when is speed_state.js; whether an account may at all is the broker's to decide.
  */
 import {add, button, setText} from "../dom.js";
+import {onHold} from "../press.js";
 import * as speed from "../speed_state.js";
 import {browser} from "./clock.js";
 
@@ -49,6 +50,7 @@ export function make(parent, store, connection, texts, {now, every, time = brows
   const place = () => speed.handle(recordOf(store.selected), peopleOf(store.selected));
   const why = (robot) => {
     const found = store.robot(robot);
+    if (store.rightsOf.may(robot, "speed") === false) return "right";
     return speed.blocked(recordOf(robot), {connected: connection.state === "connected", view: found?.view ?? null, old: found?.old ?? true});
   };
   const take = (robot, record) => {
@@ -137,21 +139,7 @@ export function make(parent, store, connection, texts, {now, every, time = brows
     const record = recordOf(robot);
     if (record.heldAt !== null) take(robot, speed.released(record));
   };
-  confirm.addEventListener("pointerdown", (event) => {
-    if (event.button === 0 || event.button === undefined) press();
-  });
-  for (const kind of ["pointerup", "pointercancel", "pointerleave", "blur"]) confirm.addEventListener(kind, () => release());
-  // a long press opens a menu on a tablet, which would take the finger away from the button
-  confirm.addEventListener("contextmenu", (event) => event.preventDefault());
-  confirm.addEventListener("keydown", (event) => {
-    if (event.key === "Escape") release();
-    if (event.key !== "Enter" && event.key !== " ") return;
-    event.preventDefault();
-    if (!event.repeat) press();
-  });
-  confirm.addEventListener("keyup", (event) => {
-    if (event.key === "Enter" || event.key === " ") release();
-  });
+  onHold(confirm, press, () => release());
   parent.ownerDocument.addEventListener("visibilitychange", () => release());
 
   // -- what is heard
@@ -167,6 +155,7 @@ export function make(parent, store, connection, texts, {now, every, time = brows
     show();
   });
   store.on("robots", show);
+  store.on("rights", show);
   store.on("old", show);
   store.on("view", (robot, view) => {
     if (view !== null) look(robot);

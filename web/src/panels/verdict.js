@@ -5,6 +5,7 @@
  * executor's. Both answers are shown.
  */
 import {add, clear, setText} from "../dom.js";
+import {onHold} from "../press.js";
 import * as verdict from "../verdict_state.js";
 import {browser} from "./clock.js";
 import {segmentsOf} from "./playback.js";
@@ -231,22 +232,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const release = () => {
     if (machineOf(store.selected).state === "pressing") take(store.selected, {type: "release"});
   };
-  approve.addEventListener("pointerdown", (event) => {
-    if (event.button !== 0 && event.button !== undefined) return;
-    press();
-  });
-  for (const kind of ["pointerup", "pointercancel", "pointerleave", "blur"]) approve.addEventListener(kind, release);
-  // a long press opens a menu on a tablet, which would take the finger away from the button
-  approve.addEventListener("contextmenu", (event) => event.preventDefault());
-  approve.addEventListener("keydown", (event) => {
-    if (event.key === "Escape") release();
-    if (event.key !== "Enter" && event.key !== " ") return;
-    event.preventDefault();
-    if (!event.repeat) press();
-  });
-  approve.addEventListener("keyup", (event) => {
-    if (event.key === "Enter" || event.key === " ") release();
-  });
+  onHold(approve, press, release);
   parent.ownerDocument.addEventListener("visibilitychange", release);
   reject.addEventListener("click", () => take(store.selected, {type: "reject", reason: reason()}));
   for (const field of [pick, words, name]) {

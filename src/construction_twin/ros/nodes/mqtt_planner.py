@@ -225,7 +225,7 @@ class MqttPlanner:
     def serve_consoles(self, feed: ConsoleFeed, requests: ConsoleRequests) -> None:
         """Take what tells consoles more than `view`, and what carries out their requests."""
         self._feed, self._consoles = feed, requests
-        self._acknowledgements = (feed.acknowledgements(self._topics, self._read_messages, self.outlets),)
+        self._acknowledgements = (feed.messages.endpoint(self._topics, self._read_messages, self.outlets),)
 
     def publish_now(self, topic: str, payload: bytes, qos: int, retain: bool = False) -> None:
         """Publish where there is a connection; what could be sent later only would be of the past."""
@@ -261,7 +261,7 @@ class MqttPlanner:
         self._queue.run(patience)
         self.outlets.write_log()
         if self._feed is not None:
-            self._feed.write_messages()
+            self._feed.messages.write()
 
     # -- motions from MQTT
 

@@ -7,35 +7,29 @@ from __future__ import annotations
 
 import threading
 import time
-import uuid
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 
-import genpy
 from std_msgs.msg import String
 
-from construction_twin.core.errors import ConfigurationError, RequestRefused
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import HoldReport, WorkReport
 from construction_twin.core.sentences import Sentence
-from construction_twin.link.remote_answer import MAX_BYTES, Acknowledgement, parse_acknowledgement
 from construction_twin.link.remote_review import PlanBoard
 from construction_twin.mqtt.messages import Topics
-from construction_twin.mqtt.requests import ACKNOWLEDGE
 from construction_twin.msg import Execution, Hold, Link, Plan, Review, SessionRequest, Sync, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.review.plan_under_review import EXECUTOR
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
+from construction_twin.ros.shared.message_board import MessageBoard
 from construction_twin.ros.shared.message_file import MessageFile
-from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.private_files import PrivateFiles
-from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.scene.objects import Scene
 from construction_twin.views.hold_cause import hold_cause
-from construction_twin.views.message_history import APPROVED, REJECTED, MessageHistory
+from construction_twin.views.message_history import APPROVED, REJECTED
 from construction_twin.views.scene_view import scene_view
 from construction_twin.views.startup import Deployment, Seen, Word, first_missing
 from construction_twin.views.status_line import Line, ReportsNow, status_lines
@@ -85,10 +79,8 @@ class ConsoleFeed:
         self._work: WorkReport | None = None
         self._hold, self._obstacle = HoldReport(), ""
         self._arm_seen = self._twin_seen = False
-        self._file, self._clock = messages, clock
-        self._history_lock = threading.Lock()
-        self._history = MessageHistory(lambda: uuid.uuid4().hex, b"" if messages is None else messages.read(refuse))
-        self._kept = self._history.text
+        #: What a person must not miss.
+        self.messages = MessageBoard(lambda text: self._keep(topics.messages, text), refuse, messages, clock)
         self._looked = self._told_at = float("-inf")
         self._told = b""
 
@@ -105,12 +97,12 @@ class ConsoleFeed:
             self._board.on_verdict(message.plan_id)
         if message.reviewer not in ("", EXECUTOR):
             act, at = APPROVED if message.approved else REJECTED, message.header.stamp
-            self._note_act(act, at, person=message.reviewer, reason=message.reason)
+            self.messages.on_act(act, at, person=message.reviewer, reason=message.reason)
 
     def on_session_request(self, message: SessionRequest) -> None:
         """Take that a person has lifted a stop or fault, or armed."""
         person = message.person or Sentence("line.person.somebody")
-        self._note_act(message.verb, message.stamp, person=person, lifts=message.lifts)
+        self.messages.on_act(message.verb, message.stamp, person=person, lifts=message.lifts)
 
     def on_hold(self, message: Hold) -> None:
         """Take why the gate is closed."""
@@ -143,40 +135,6 @@ class ConsoleFeed:
         """Tell the tasks."""
         self._work = from_msg(WorkReport, message)
         self._keep(self._topics.work_tasks, dumped(self._work))
-
-    def acknowledgements(self, topics: Topics, counts: RequestCounts, outlets: Outlets) -> Endpoint[tuple[str, str]]:
-        """Return what takes that a person has read a message."""
-        return Endpoint(
-            ACKNOWLEDGE, topics, _read_acknowledgement, self._acknowledge, counts, outlets,
-            lambda asked: f"message {asked[0]} acknowledged by MQTT account {asked[1]}",
-        )  # fmt: skip
-
-    def _acknowledge(self, asked: tuple[str, str]) -> Outcome:
-        try:
-            with self._history_lock:
-                sentence = self._history.acknowledge(*asked, self._clock())
-        except RequestRefused as error:
-            return Outcome(False, str(error))
-        self._publish_messages()
-        return Outcome(True, sentence)
-
-    def _note_act(self, act: str, at: genpy.Time, **values: str) -> None:
-        with self._history_lock:
-            self._history.on_act(act, at.to_sec(), **values)
-        self._publish_messages()
-
-    def _publish_messages(self) -> None:
-        with self._history_lock:
-            text = self._history.text
-        self._keep(self._topics.messages, text)
-
-    def write_messages(self) -> None:
-        """Write the messages where they changed, for a thread that may wait for a disk."""
-        with self._history_lock:
-            text = self._history.text
-        if self._file is not None and text != self._kept:
-            self._file.write(text, self._refuse)
-        self._kept = text
 
     # -- to MQTT
 
@@ -242,10 +200,7 @@ class ConsoleFeed:
             return
         self._looked = now
         lines = self._lines(link, sync, execution)
-        with self._history_lock:
-            news = self._history.on_lines(lines, self._clock())
-        if news or self._topics.messages not in self._retained:
-            self._publish_messages()
+        self.messages.on_lines(lines)
         payload = dumped(lines, marks=SPACED)
         if payload == self._told and now - self._told_at < REPEAT:
             return
@@ -281,12 +236,6 @@ class ConsoleFeed:
             missing = first_missing(seen, deployment)
             heard = replace(heard, started=True, missing=missing, arm=deployment.arm != "none")
         return status_lines(heard)
-
-
-def _read_acknowledgement(incoming: Incoming) -> tuple[str, str]:
-    asked: Acknowledgement = parse_acknowledgement(incoming.read_document("acknowledge", MAX_BYTES))
-    incoming.echo["message"] = asked.message
-    return asked.message, incoming.account
 
 
 def _word(report: Link | Sync | Execution | None) -> Word | None:

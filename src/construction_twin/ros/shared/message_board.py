@@ -1,0 +1,94 @@
+"""The messages of a robot that a person must not miss: told in their order, kept in a file, acknowledged by MQTT."""
+
+from __future__ import annotations
+
+import threading
+import time
+import uuid
+from collections.abc import Callable, Sequence
+
+import genpy
+
+from construction_twin.core.errors import RequestRefused
+from construction_twin.link.remote_answer import MAX_BYTES, parse_acknowledgement
+from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.requests import ACKNOWLEDGE
+from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
+from construction_twin.ros.shared.message_file import MessageFile
+from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.shared.request_counts import RequestCounts
+from construction_twin.views.message_history import Message, MessageHistory
+from construction_twin.views.status_line import Line
+
+
+class MessageBoard:
+    """A `MessageHistory` for several threads.
+
+    Args:
+        tell: Takes the messages as JSON: at the first look, and after each change.
+        refuse: Counts a file that cannot be read or written; takes reason and sentence.
+        file: Where they are kept; None: only in memory.
+        clock: Returns the time of day [s since 1970].
+    """
+
+    def __init__(
+        self,
+        tell: Callable[[bytes], object],
+        refuse: Callable[[str, str], None],
+        file: MessageFile | None = None,
+        clock: Callable[[], float] = time.time,
+    ):
+        self._tell, self._refuse, self._file, self._clock = tell, refuse, file, clock
+        # held while it is told: what is retained must not be an older one, told by another thread
+        self._lock = threading.Lock()
+        self._history = MessageHistory(lambda: uuid.uuid4().hex, b"" if file is None else file.read(refuse))
+        self._told: tuple[Message, ...] | None = None
+        self._written = self._history.messages
+
+    def on_lines(self, lines: Sequence[Line]) -> None:
+        """Take the status line as it is now."""
+        with self._lock:
+            self._history.on_lines(lines, self._clock())
+            self._publish()
+
+    def on_act(self, act: str, at: genpy.Time, **values: str) -> None:
+        """Take what a person did, as `MessageHistory.on_act`."""
+        with self._lock:
+            self._history.on_act(act, at.to_sec(), **values)
+            self._publish()
+
+    def endpoint(self, topics: Topics, counts: RequestCounts, outlets: Outlets) -> Endpoint[tuple[str, str]]:
+        """Return what takes that a person has read a message."""
+        return Endpoint(
+            ACKNOWLEDGE, topics, _read, self._acknowledge, counts, outlets,
+            lambda asked: f"message {asked[0]} acknowledged by MQTT account {asked[1]}",
+        )  # fmt: skip
+
+    def write(self) -> None:
+        """Write the file where something has changed, for a thread that may wait for a disk."""
+        with self._lock:
+            if self._written is self._history.messages:
+                return
+            self._written, text = self._history.messages, self._history.text
+        if self._file is not None:
+            self._file.write(text, self._refuse)
+
+    def _acknowledge(self, asked: tuple[str, str]) -> Outcome:
+        try:
+            with self._lock:
+                sentence = self._history.acknowledge(*asked, self._clock())
+                self._publish()
+        except RequestRefused as error:
+            return Outcome(False, str(error))
+        return Outcome(True, sentence)
+
+    def _publish(self) -> None:
+        if self._told is not self._history.messages:
+            self._told = self._history.messages
+            self._tell(self._history.text)
+
+
+def _read(incoming: Incoming) -> tuple[str, str]:
+    asked = parse_acknowledgement(incoming.read_document("acknowledge", MAX_BYTES))
+    incoming.echo["message"] = asked.message
+    return asked.message, incoming.account
