@@ -63,9 +63,10 @@ export function wordsOf(line, texts) {
   };
 }
 
-/** Whether an element ends where its box does, or above. */
+/** Whether an element begins and ends within its box. */
 function isInside(element, box) {
-  return element !== null && element.getBoundingClientRect().bottom <= box.getBoundingClientRect().bottom + 1;
+  const [inner, outer] = [element, box].map((each) => each.getBoundingClientRect());
+  return inner.top >= outer.top - 1 && inner.bottom <= outer.bottom + 1;
 }
 
 /** Make the panel. */
@@ -80,27 +81,35 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   add(summary, "span", {className: "status-more-short", text: "\u22ef"});
   const list = add(more, "ul", {className: "status-list"});
   let shown = "";
-  let said = "";
+  // whether the page's own line stands in the place of what is past; whether the sentence can be read whole
+  let past = false;
+  let whole = true;
 
-  /** Write as large as fits, and tell whether the sentence can be read: approving needs it. */
+  /** Write as large as fits. It measures, and so is called only where the words or the box have changed. */
   const fit = () => {
-    const robot = store.selected;
-    if (robot === "") return;
-    let whole = false;
+    let fits = false;
     for (const size of SIZES) {
       box.style?.setProperty?.("--said", size);
-      whole = !(box.scrollHeight > box.clientHeight + 1);
-      if (whole) break;
+      fits = !(box.scrollHeight > box.clientHeight + 1);
+      if (fits) break;
     }
-    box.classList.toggle("is-cut", !whole);
-    // who is waited for, and what to do, may be scrolled to in the box; the sentence itself must be there
-    whole ||= isInside(worst.querySelector(".status-sentence"), box);
-    const word = ownLine({connected: connection.state === "connected", robot: store.robot(robot), now: now()}) !== null ? "old" : whole ? "whole" : "cut";
-    const news = `${robot} ${word}`;
-    if (news === said && store.robot(robot)?.said === word) return;
-    said = news;
-    store.set("said", robot, word);
+    box.classList.toggle("is-cut", !fits);
+    read();
   };
+  /** Look whether the sentence is in its box: who is waited for, and what to do, may be scrolled to there. */
+  const read = () => {
+    const sentence = worst.querySelector(".status-sentence");
+    whole = !box.classList.contains("is-cut") || (sentence !== null && isInside(sentence, box));
+    tell();
+  };
+  /** Tell whether the sentence can be read: approving needs it. */
+  const tell = () => {
+    const robot = store.robot(store.selected);
+    if (robot === null) return;
+    const word = past ? "old" : whole ? "whole" : "cut";
+    if (robot.said !== word) store.set("said", robot.name, word);
+  };
+  box.addEventListener("scroll", read);
 
   const put = (into, line) => {
     const known = texts.has(`status.topic.${line.topic}`);
@@ -132,12 +141,15 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     }
     parent.classList.toggle("is-past", line !== null);
     // why nothing can be read comes in the place of what is past
+    const turned = past !== (line !== null);
+    past = line !== null;
     worst.hidden = line !== null || (robot?.screen ?? []).length === 0;
     const lines = robot?.screen ?? [];
     // again and again the same: a screen reader speaks, and a focus is lost, only where something has changed
     const wanted = JSON.stringify([store.selected, lines]);
     if (wanted === shown) {
-      fit();
+      if (turned) fit();
+      else tell();
       return;
     }
     shown = wanted;
