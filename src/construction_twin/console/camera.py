@@ -71,11 +71,6 @@ class Camera:
         self._changed = asyncio.Event()
         self._said = ""
 
-    @property
-    def is_reading(self) -> bool:
-        """Whether there is somebody for whom the camera is read."""
-        return self._task is not None
-
     def has_place(self, browser: str) -> bool:
         """Return whether one more may look, in this browser."""
         limits = self.limits
