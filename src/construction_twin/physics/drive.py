@@ -1,0 +1,149 @@
+"""What drives the axes: torques they can give, inertias of their motors, friction, and how much the arm may carry. SI.
+
+Torque limits are the URDF's ``effort``; the rest a file of the arm says (config/kr120_drives.yaml), each number with its source, or
+that it is an estimate. What no file says is zero, and named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import pydantic
+import yaml
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.validation import configuration_error
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.urdf import parse_urdf, read_text
+
+_Positive = Annotated[float, pydantic.Field(gt=0.0, le=1e7, allow_inf_nan=False)]
+_NotNegative = Annotated[float, pydantic.Field(ge=0.0, le=1e7, allow_inf_nan=False)]
+_Finite = Annotated[float, pydantic.Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
+
+
+@dataclass(frozen=True)
+class PayloadRating:
+    """What the arm may carry at its flange.
+
+    Attributes:
+        mass: [kg]
+        inertia: Largest moment of inertia of the load about the axes of the last joint's frame, at its origin [kg m^2]; None: not known.
+        distance: Largest distance of the load's centre of mass from the flange, across the last axis and along it [m]; None: not known.
+        source: Where the numbers are from.
+    """
+
+    mass: float
+    inertia: float | None
+    distance: tuple[float, float] | None
+    source: str
+
+
+@dataclass(frozen=True)
+class ArmDrives:
+    """The drives of an arm, in the order of ``robot.joint_names``.
+
+    Attributes:
+        torque: Length n. What an axis can give [N m], of a linear one [N]; None: nobody says.
+        armature: Length n. Inertia of motor and gear, seen from the axis [kg m^2], [kg].
+        damping: Length n. Friction that grows with speed [N m s/rad], [N s/m].
+        friction: Length n. Friction at any speed [N m], [N].
+        rating: None: nobody says.
+        source: Where the torques are from.
+        estimates: Keys of the file whose numbers are estimates; ``torque``: the URDF's efforts are.
+    """
+
+    torque: tuple[float | None, ...]
+    armature: tuple[float, ...]
+    damping: tuple[float, ...]
+    friction: tuple[float, ...]
+    rating: PayloadRating | None
+    source: str
+    estimates: tuple[str, ...]
+
+
+class _Strict(pydantic.BaseModel):
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+
+class _Axis(_Strict):
+    """One axis of the file; units in the keys are those of an axis that turns."""
+
+    torque_nm: _Positive | None = None
+    armature_kg_m2: _NotNegative = 0.0
+    damping_nm_s: _NotNegative = 0.0
+    friction_nm: _NotNegative = 0.0
+
+
+class _Rating(_Strict):
+    mass_kg: _Positive
+    inertia_kg_m2: _Positive | None = None
+    across_m: _Positive | None = None
+    along_m: _Positive | None = None
+    source: str
+
+
+class _DrivesFile(_Strict):
+    robot: str
+    source: str
+    joints: dict[str, _Axis]
+    payload: _Rating | None = None
+    estimates: tuple[str, ...] = ()
+
+
+def drives_of(robot: RobotModel) -> ArmDrives:
+    """Return what the URDF alone says: its efforts, of which nobody knows whether they are a datasheet's."""
+    zeros = (0.0,) * len(robot.joint_names)
+    return ArmDrives(_efforts(robot), zeros, zeros, zeros, None, "URDF effort", ("torque", "armature", "friction"))
+
+
+def read_drives(path: str | Path, robot: RobotModel) -> ArmDrives:
+    """Read the file of an arm's drives, see config/kr120_drives.yaml.
+
+    Raises:
+        ConfigurationError: Naming file, key, value and what was expected.
+    """
+    try:
+        content = yaml.safe_load(read_text(path))
+    except yaml.YAMLError as error:
+        raise ConfigurationError(str(path), " ".join(str(error).split()), Sentence("expected.yaml_file")) from error
+    return load_drives(content, robot, str(path))
+
+
+def load_drives(content: object, robot: RobotModel, where: str) -> ArmDrives:
+    """Return the drives that a file's content describes; raises like `read_drives`, naming `where`."""
+    try:
+        read = _DrivesFile.model_validate(content)
+    except pydantic.ValidationError as error:
+        raise configuration_error(error, _DrivesFile, where) from error
+    if read.robot != robot.name:
+        raise ConfigurationError(f"{where}/robot", read.robot, Sentence("expected.physics.robot", robot=robot.name))
+    if set(read.joints) != set(robot.joint_names):
+        raise ConfigurationError(
+            f"{where}/joints", sorted(read.joints), Sentence("expected.robot.entry_each", names=str(list(robot.joint_names)))
+        )
+    axes = [read.joints[name] for name in robot.joint_names]
+    efforts = _efforts(robot)
+    return ArmDrives(
+        tuple(axis.torque_nm or effort for axis, effort in zip(axes, efforts)),
+        tuple(axis.armature_kg_m2 for axis in axes),
+        tuple(axis.damping_nm_s for axis in axes),
+        tuple(axis.friction_nm for axis in axes),
+        read.payload and _rating(read.payload),
+        read.source,
+        read.estimates,
+    )
+
+
+def _rating(read: _Rating) -> PayloadRating:
+    distance = (read.across_m, read.along_m) if read.across_m is not None and read.along_m is not None else None
+    return PayloadRating(read.mass_kg, read.inertia_kg_m2, distance, read.source)
+
+
+def _efforts(robot: RobotModel) -> tuple[float | None, ...]:
+    limits: Mapping[str, object] = parse_urdf(robot.urdf).joint_map
+    efforts = (getattr(limits[name].limit, "effort", None) for name in robot.joint_names)  # type: ignore[attr-defined]
+    return tuple(float(effort) if effort else None for effort in efforts)

@@ -1,0 +1,104 @@
+"""Masses that a simulation needs: of links, tools and workpieces, and where each number comes from. SI.
+
+A number that nobody has said is calculated from a volume and a density, and is named as an estimate wherever it is shown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import coal
+import numpy as np
+import pinocchio
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
+
+#: Taken for a shape of unknown material [kg/m^3]: between spruce and aluminium, as what a lab carries is.
+UNKNOWN_DENSITY = 1000.0
+#: A body of no volume, a plate of a surface mesh, has this mass [kg]: MuJoCo simulates nothing that weighs nothing.
+LEAST_MASS = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class MassProperties:
+    """What a rigid body weighs, and how its mass is spread.
+
+    Attributes:
+        mass: [kg], above 0
+        centre: Shape (3,). Centre of mass in the body's frame [m].
+        inertia: Shape (3, 3). About the centre of mass, axes of the body's frame [kg m^2].
+        estimated: Calculated from a volume and an assumed density.
+    """
+
+    mass: float
+    centre: np.ndarray
+    inertia: np.ndarray
+    estimated: bool = False
+
+    def at(self, placement: pinocchio.SE3) -> MassProperties:
+        """Return the same body seen from a frame in which it lies at `placement`."""
+        rotation = placement.rotation
+        return MassProperties(
+            self.mass, placement.act(self.centre), rotation @ self.inertia @ rotation.T, self.estimated
+        )
+
+    def scaled_to(self, mass: float) -> MassProperties:
+        """Return a body of the same shape that weighs `mass` [kg], which somebody has said."""
+        return MassProperties(mass, self.centre, self.inertia * (mass / self.mass), False)
+
+
+def together(parts: Sequence[MassProperties]) -> MassProperties:
+    """Return the properties of parts that are one rigid body, all in one frame."""
+    mass = sum(part.mass for part in parts)
+    centre = sum((part.mass * part.centre for part in parts), np.zeros(3)) / mass
+    inertia = np.zeros((3, 3))
+    for part in parts:
+        away = part.centre - centre
+        inertia += part.inertia + part.mass * (away @ away * np.eye(3) - np.outer(away, away))
+    return MassProperties(mass, centre, inertia, any(part.estimated for part in parts))
+
+
+def of_shape(geometry: coal.CollisionGeometry, density: float = UNKNOWN_DENSITY) -> MassProperties:
+    """Return the properties of a solid of one density [kg/m^3] in its own frame.
+
+    A surface that encloses no volume weighs `LEAST_MASS`, spread as in the box around it.
+    """
+    volume = abs(geometry.computeVolume())
+    mass = volume * density
+    if mass > LEAST_MASS:
+        inertia = np.array(geometry.computeMomentofInertiaRelatedToCOM(), dtype=float) * density
+        if np.linalg.eigvalsh(inertia).min() > 0.0:
+            return MassProperties(mass, np.array(geometry.computeCOM(), dtype=float).ravel(), inertia, True)
+    geometry.computeLocalAABB()
+    size = np.array(geometry.aabb_local.max_ - geometry.aabb_local.min_, dtype=float).ravel()
+    size = np.maximum(size, 1e-3)
+    mass = max(mass, LEAST_MASS)
+    squares = size**2
+    inertia = np.diag(mass / 12.0 * (squares.sum() - squares))
+    return MassProperties(mass, np.array(geometry.aabb_center, dtype=float).ravel(), inertia, True)
+
+
+def of_link(name: str, inertia: pinocchio.Inertia, shapes: Sequence[MassProperties]) -> MassProperties:
+    """Return what a link weighs: what its URDF says, or, where that says nothing, its shapes at `UNKNOWN_DENSITY`.
+
+    Args:
+        inertia: Of the URDF, in the frame of the link's joint; mass 0: it says nothing.
+        shapes: The link's collision shapes, in the same frame.
+
+    Raises:
+        ConfigurationError: If the URDF's inertia is none that a body can have.
+    """
+    if inertia.mass <= 0.0:
+        return together(shapes) if shapes else MassProperties(LEAST_MASS, np.zeros(3), np.eye(3) * 1e-6, True)
+    matrix = np.array(inertia.inertia, dtype=float)
+    low, middle, high = np.linalg.eigvalsh(matrix)
+    # a point mass has none: a thousandth of a kilogram a metre away keeps the equations solvable and changes nothing
+    if high <= 0.0:
+        matrix, low, middle, high = matrix + np.eye(3) * 1e-6, 1e-6, 1e-6, 1e-6
+    if low < 0.0 or high > (low + middle) * (1 + 1e-6):
+        raise ConfigurationError(
+            f"robot_description link {name} inertia", np.round([low, middle, high], 6).tolist(), Sentence("expected.physics.inertia")
+        )
+    return MassProperties(inertia.mass, np.array(inertia.lever, dtype=float), matrix)

@@ -1,0 +1,342 @@
+"""A MuJoCo model of an arm, what it carries and what stands around it, from the records that the planner checks collisions with.
+
+The same joints, shapes and pairs as `scene.collision_world`: what the planner calls free, the simulation finds free, too. The world
+is the root of the URDF's tree; SI; joints in the order of ``robot.joint_names``.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import coal
+import mujoco
+import numpy as np
+import pinocchio
+
+from construction_twin.core.sentences import Sentence
+from construction_twin.physics.drive import ArmDrives
+from construction_twin.physics.mass import MassProperties, of_link, of_shape, together
+from construction_twin.robot.description import RobotModel
+from construction_twin.scene.collision_bodies import Body, RobotBodies, is_convex, mesh_triangles
+from construction_twin.scene.collision_world import checked_pairs
+from construction_twin.scene.objects import Scene
+from construction_twin.scene.self_collision import SelfCollision
+
+#: Length of a step [s]: a quarter of a cycle.
+STEP = 0.001
+#: Acceleration of gravity, along -z of the root [m/s^2] (DIN 1305).
+GRAVITY = 9.80665
+#: Friction of two bodies [1] of which nobody says more: wood, brick and steel lie between 0.3 and 0.6.
+FRICTION = 0.4
+#: Bodies that touch give way like a spring of this time constant [s] and damping; twice the step is MuJoCo's smallest.
+_CONTACT = (0.004, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class PhysicsModel:
+    """A compiled model and where its numbers are.
+
+    Attributes:
+        model: MuJoCo's.
+        joints: Shape (n,), integers. Position and velocity of each of ``robot.joint_names`` in MuJoCo's arrays.
+        drives: Torques, inertias and friction of the axes.
+        owners: Of each geom: the link or scene object that it belongs to.
+        loose: Position of each loose object in MuJoCo's arrays of positions: 7 numbers from there.
+        unplanned: Shape (geoms, geoms), true or false. Which contacts the planner would have refused.
+        payload: What the flange carries, tool and objects, in the frame of the last joint; None: nothing.
+        remarks: What is simulated otherwise than the planner checks it, and what is an estimate, one sentence each.
+    """
+
+    robot: RobotModel
+    model: mujoco.MjModel
+    joints: np.ndarray
+    drives: ArmDrives
+    owners: tuple[str, ...]
+    loose: Mapping[str, int]
+    unplanned: np.ndarray
+    payload: MassProperties | None
+    remarks: tuple[str, ...]
+
+    def at_rest(self, q: Sequence[float]) -> mujoco.MjData:
+        """Return a state at rest with the arm at `q`, shape (n,) [rad] or [m]."""
+        data = mujoco.MjData(self.model)
+        data.qpos[self.joints] = q
+        _follow(self.model, data)
+        mujoco.mj_forward(self.model, data)
+        return data
+
+
+@dataclass(frozen=True)
+class Load:
+    """What the scene does not say of its objects.
+
+    Attributes:
+        masses: Of objects, by name [kg]; others are estimated from their volume.
+        loose: Objects that stand and can be moved or tipped over; others are part of the world.
+        flange: A mass at the flange without a shape: a payload of which only its numbers are known, in the frame of the tip link.
+    """
+
+    masses: Mapping[str, float] = field(default_factory=dict)
+    loose: frozenset[str] = frozenset()
+    flange: MassProperties | None = None
+
+
+def build_model(
+    bodies: RobotBodies,
+    scene: Scene,
+    self_collision: SelfCollision,
+    drives: ArmDrives,
+    load: Load = Load(),
+    gravity: Sequence[float] = (0.0, 0.0, -GRAVITY),
+    step: float = STEP,
+) -> PhysicsModel:
+    """Compile the model.
+
+    Args:
+        gravity: Length 3. In the root of the URDF [m/s^2].
+        step: Of the simulation [s].
+
+    Raises:
+        SceneError: If the scene names links or objects that do not exist, or a mesh cannot be used.
+        ConfigurationError: If an inertia of the URDF is none.
+    """
+    return _Builder(bodies, scene, self_collision, drives, load, gravity, step).build()
+
+
+class _Builder:
+    """Builds one model; the order of its steps is that of `build`."""
+
+    def __init__(self, bodies, scene, self_collision, drives, load, gravity, step):
+        self._robot_bodies: RobotBodies = bodies
+        self._scene: Scene = scene
+        self._self_collision: SelfCollision = self_collision
+        self._drives: ArmDrives = drives
+        self._load: Load = load
+        self._own = (*bodies.bodies, *(bodies.place(item, scene.names) for item in scene.objects))
+        self._remarks: list[str] = []
+        self._owners: list[str] = []
+        self._spec = spec = mujoco.MjSpec()
+        spec.modelname = bodies.robot.name
+        spec.option.timestep = step
+        spec.option.gravity = list(gravity)
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        spec.compiler.degree = False
+        # which bodies may touch is said pair by pair below
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
+
+    def build(self) -> PhysicsModel:
+        """Return the compiled model."""
+        model = self._robot_bodies.model
+        joints = self._add_arm(model)
+        carried = self._add_objects(joints)
+        payload = self._add_flange_load(joints, carried)
+        self._exclude_pairs()
+        self._add_followers(model)
+        compiled = self._spec.compile()
+        for name, armature, damping, friction in zip(
+            self._robot_bodies.robot.joint_names, self._drives.armature, self._drives.damping, self._drives.friction
+        ):
+            dof = compiled.joint(name).dofadr[0]
+            compiled.dof_armature[dof], compiled.dof_frictionloss[dof] = armature, friction
+            compiled.dof_damping[dof] = damping
+        mujoco.mj_setConst(compiled, mujoco.MjData(compiled))
+        places = np.array([compiled.joint(name).dofadr[0] for name in self._robot_bodies.robot.joint_names])
+        owners = [""] * compiled.ngeom
+        for geom in range(compiled.ngeom):
+            owners[geom] = compiled.geom(geom).name.split("\n")[0]
+        loose = {
+            name: int(compiled.joint(f"free\n{name}").qposadr[0])
+            for name in self._scene.names
+            if name in self._load.loose and not self._scene.get(name).link
+        }
+        return PhysicsModel(
+            self._robot_bodies.robot, compiled, places, self._drives, tuple(owners), loose,
+            self._unplanned(owners), payload, tuple(dict.fromkeys(self._remarks)),
+        )  # fmt: skip
+
+    def _add_arm(self, model: pinocchio.Model) -> list:
+        """Add a body per joint, and return them by Pinocchio's index of the joint; 0 is the world."""
+        data = model.createData()
+        pinocchio.forwardKinematics(model, data, pinocchio.neutral(model))
+        made = [self._spec.worldbody]
+        for index in range(1, model.njoints):
+            placement = model.jointPlacements[index]
+            body = made[model.parents[index]].add_body(
+                name=f"joint\n{model.names[index]}", pos=placement.translation, quat=_quaternion(placement.rotation)
+            )
+            axis = np.array(data.joints[index].S, dtype=float).ravel()
+            slides = np.any(axis[:3])
+            body.add_joint(
+                name=model.names[index],
+                type=mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE,
+                axis=axis[:3] if slides else axis[3:],
+            )
+            own = [of_shape(one.geometry).at(one.placement) for one in self._own if one.joint == index and one.item is None]
+            inertia = of_link(model.names[index], model.inertias[index], own)
+            if inertia.estimated:
+                self._remarks.append(Sentence("physics.remark.link_mass", joint=model.names[index], mass=inertia.mass))
+            _set_mass(body, inertia)
+            made.append(body)
+        for link, shapes in itertools.groupby(self._robot_bodies.bodies, key=lambda one: one.owner):
+            holder = None
+            for number, one in enumerate(shapes):
+                # a body of its own per link: pairs are left out link by link
+                holder = holder or made[one.joint].add_body(name=link)
+                self._add_geom(holder, one, number, massless=True)
+        return made
+
+    def _add_objects(self, joints: list) -> list[tuple[Body, MassProperties]]:
+        """Add the scene's objects, and return those that the arm carries with what they weigh."""
+        carried = []
+        apart = {name for item in self._scene.objects for name in item.touch} | {
+            item.name for item in self._scene.objects if item.touch
+        }
+        for one in (each for each in self._own if each.item is not None):
+            name = one.owner
+            properties = of_shape(one.geometry)
+            if name in self._load.masses:
+                properties = properties.scaled_to(self._load.masses[name])
+            if one.joint:
+                if properties.estimated:
+                    self._remarks.append(Sentence("physics.remark.object_mass", object=name, mass=properties.mass))
+                holder = joints[one.joint].add_body(
+                    name=name, pos=one.placement.translation, quat=_quaternion(one.placement.rotation)
+                )
+                _set_mass(holder, properties)
+                self._add_geom(holder, one, 0, massless=True, placed=False)
+                carried.append((one, properties))
+            elif name in self._load.loose:
+                if properties.estimated:
+                    self._remarks.append(Sentence("physics.remark.object_mass", object=name, mass=properties.mass))
+                holder = self._spec.worldbody.add_body(
+                    name=name, pos=one.placement.translation, quat=_quaternion(one.placement.rotation)
+                )
+                holder.add_freejoint(name=f"free\n{name}")
+                _set_mass(holder, properties)
+                self._add_geom(holder, one, 0, massless=True, placed=False)
+            elif name in apart:
+                self._add_geom(self._spec.worldbody.add_body(name=name), one, 0, massless=True)
+            else:
+                self._add_geom(self._spec.worldbody, one, 0, massless=True)
+        return carried
+
+    def _add_flange_load(self, joints: list, carried: list[tuple[Body, MassProperties]]) -> MassProperties | None:
+        """Add the mass without a shape, and return all that the last joint carries beside its links, in its frame."""
+        tip = self._robot_bodies.robot.tip_link
+        frames = self._robot_bodies.model.frames
+        frame = frames[self._robot_bodies.model.getFrameId(tip, pinocchio.FrameType.BODY)]
+        parts = [properties.at(one.placement) for one, properties in carried if one.joint == frame.parentJoint]
+        flange = self._load.flange
+        if flange is not None:
+            part = flange.at(frame.placement)
+            _set_mass(joints[frame.parentJoint].add_body(name="payload\n"), part)
+            parts.append(part)
+        return together(parts) if parts else None
+
+    def _add_geom(self, holder, one: Body, number: int, massless: bool, placed: bool = True) -> None:
+        """Add one shape; what it cannot be is its convex hull, and a remark."""
+        placement = one.placement if placed else pinocchio.SE3.Identity()
+        shape = _shape(self._spec, f"{one.owner}\n{number}", one.geometry)
+        if shape is None:
+            self._remarks.append(Sentence("physics.remark.flat", object=one.owner))
+            return
+        kind, values, is_hull = shape
+        if is_hull:
+            self._remarks.append(Sentence("physics.remark.hull", object=one.owner))
+        holder.add_geom(
+            name=f"{one.owner}\n{number}\n{len(self._owners)}", type=kind,
+            pos=placement.translation, quat=_quaternion(placement.rotation),
+            contype=1, conaffinity=1, mass=0.0 if massless else None,
+            friction=[FRICTION, 0.005, 0.0001], solref=list(_CONTACT), **values,
+        )  # fmt: skip
+        self._owners.append(one.owner)
+
+    def _exclude_pairs(self) -> None:
+        """Leave out the pairs of the arm, and what it carries, that the planner does not check."""
+        on_arm = dict.fromkeys(one.owner for one in self._own if one.item is None or one.joint)
+        checked = self._checked()
+        named = {one.owner: one for one in self._own}
+        mobile = {name for name in on_arm if named[name].joint}
+        standing = [one.owner for one in self._own if one.item is not None and not one.joint and self._has_body(one.owner)]
+        for first, second in itertools.combinations((*on_arm, *standing), 2):
+            if (first in mobile or second in mobile) and frozenset((first, second)) not in checked:
+                self._spec.add_exclude(bodyname1=first, bodyname2=second)
+
+    def _has_body(self, owner: str) -> bool:
+        return self._spec.body(owner) is not None
+
+    def _checked(self) -> set[frozenset[str]]:
+        """Return the pairs of owners that the planner checks."""
+        return {
+            frozenset((self._own[first].owner, self._own[second].owner))
+            for first, second, _ in checked_pairs(self._own, self._scene.padding, self._self_collision)
+        }
+
+    def _unplanned(self, owners: Sequence[str]) -> np.ndarray:
+        checked = self._checked()
+        index: dict[str, list[int]] = {}
+        for number, owner in enumerate(owners):
+            index.setdefault(owner, []).append(number)
+        found = np.zeros((len(owners), len(owners)), dtype=bool)
+        for pair in checked:
+            first, second = pair
+            for one, other in itertools.product(index.get(first, ()), index.get(second, ())):
+                found[one, other] = found[other, one] = True
+        return found
+
+    def _add_followers(self, model: pinocchio.Model) -> None:
+        """Tie the joints that follow one of the chain to their leaders."""
+        places = {model.joints[index].idx_q: model.names[index] for index in range(1, model.njoints)}
+        for at, leader, factor, offset in self._robot_bodies.followers:
+            self._spec.add_equality(
+                type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=places[at], name2=places[leader],
+                data=[offset, factor, 0.0, 0.0, 0.0] + [0.0] * 6,
+            )  # fmt: skip
+
+
+def _follow(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Put the joints that follow another where the arm's pose has them."""
+    for number in range(model.neq):
+        if model.eq_type[number] == mujoco.mjtEq.mjEQ_JOINT:
+            follower, leader = model.eq_obj1id[number], model.eq_obj2id[number]
+            offset, factor = model.eq_data[number][:2]
+            data.qpos[model.jnt_qposadr[follower]] = offset + factor * data.qpos[model.jnt_qposadr[leader]]
+
+
+def _shape(spec: mujoco.MjSpec, name: str, geometry: coal.CollisionGeometry) -> tuple | None:
+    """Return kind and numbers of a geom, and whether it is a hull where the planner has a surface; None: nothing to touch."""
+    kinds = mujoco.mjtGeom
+    if isinstance(geometry, coal.Box):
+        return kinds.mjGEOM_BOX, {"size": np.array(geometry.halfSide).ravel()}, False
+    if isinstance(geometry, coal.Sphere):
+        return kinds.mjGEOM_SPHERE, {"size": [geometry.radius, 0.0, 0.0]}, False
+    if isinstance(geometry, (coal.Cylinder, coal.Capsule)):
+        kind = kinds.mjGEOM_CYLINDER if isinstance(geometry, coal.Cylinder) else kinds.mjGEOM_CAPSULE
+        return kind, {"size": [geometry.radius, geometry.halfLength, 0.0]}, False
+    if isinstance(geometry, coal.BVHModelBase):
+        vertices, triangles = mesh_triangles(geometry)
+        is_hull = not is_convex(vertices, triangles)
+    else:
+        vertices, is_hull = np.array(geometry.points(), dtype=float), False
+    if np.linalg.matrix_rank(vertices - vertices.mean(axis=0), tol=1e-6) < 3:
+        return None
+    spec.add_mesh(name=name, uservert=vertices.ravel().tolist(), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
+    return kinds.mjGEOM_MESH, {"meshname": name}, is_hull
+
+
+def _set_mass(body, properties: MassProperties) -> None:
+    """Give a body its mass, whatever its shapes."""
+    moment = properties.inertia
+    body.explicitinertial = True
+    body.mass = properties.mass
+    body.ipos = properties.centre
+    body.fullinertia = [moment[0, 0], moment[1, 1], moment[2, 2], moment[0, 1], moment[0, 2], moment[1, 2]]
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    """Return w, x, y, z, as MuJoCo has them."""
+    x, y, z, w = pinocchio.Quaternion(rotation).coeffs()
+    return np.array([w, x, y, z])

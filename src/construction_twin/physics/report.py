@@ -1,0 +1,166 @@
+"""What a rehearsal has found: one record for message, file, screen and terminal. SI.
+
+Each field has the name that it has in `Rehearsal.msg`. Joints in the order of the trajectory's `joint_names`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+#: How a rehearsal ended.
+PASSED, FAILED, BROKEN = "passed", "failed", "broken"
+
+
+@dataclass(frozen=True)
+class AxisLoad:
+    """What a plan asks of one axis.
+
+    Attributes:
+        joint: Its name.
+        peak: Largest torque that its drive gives [N m], of a linear axis force [N]; `time` is when [s].
+        rms: Root of the mean square over the plan.
+        gravity: What holding the arm still at that moment would need, as a share of `peak`; above 1 where the motion helps.
+        limit: What the drive can give; 0: nobody says.
+        estimated: That limit is an estimate.
+    """
+
+    joint: str
+    peak: float
+    time: float
+    rms: float
+    gravity: float
+    limit: float
+    estimated: bool
+
+    @property
+    def usage(self) -> float:
+        """Fraction of the limit that is used; 0 without one."""
+        return self.peak / self.limit if self.limit else 0.0
+
+
+@dataclass(frozen=True)
+class RehearsedContact:
+    """Two bodies that touched although the plan has no contact of them.
+
+    Attributes:
+        first, second: Links or objects.
+        time: When they first did [s]. force: The largest force between them [N]. seconds: For how long in all.
+    """
+
+    first: str
+    second: str
+    time: float
+    force: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class LooseObject:
+    """What became of an object that can be moved: one that the plan lets go of, or one that stands around.
+
+    Attributes:
+        name: Of the object.
+        released: At which time the plan lets go of it [s]; nan: it never held it.
+        moved: From where it was let go, or stood, to where it lay at the end [m].
+        turned: The same as an angle [rad].
+        fell: Of `moved`, downwards [m].
+        resting: It lay still at the end.
+    """
+
+    name: str
+    released: float
+    moved: float
+    turned: float
+    fell: float
+    resting: bool
+
+
+@dataclass(frozen=True)
+class PayloadLoad:
+    """What the flange carries, beside what the arm is rated for.
+
+    Attributes:
+        mass: [kg], of it `estimated` says whether a part is an estimate.
+        across, along: Distance of its centre of mass from the flange, across the last axis and along it [m].
+        inertia: Largest moment about the axes of the flange [kg m^2].
+        rated_mass, rated_inertia, rated_across, rated_along: 0: nobody says.
+    """
+
+    mass: float = 0.0
+    estimated: bool = False
+    across: float = 0.0
+    along: float = 0.0
+    inertia: float = 0.0
+    rated_mass: float = 0.0
+    rated_inertia: float = 0.0
+    rated_across: float = 0.0
+    rated_along: float = 0.0
+
+
+@dataclass(frozen=True)
+class Braking:
+    """How far the arm goes on when it has to stop at the worst moment of the plan: at its largest kinetic energy.
+
+    Attributes:
+        time: That moment [s]. seconds: Until it stands.
+        distance: Way of the flange [m].
+        joint: The axis with the largest way; angle: that way [rad], [m].
+        usage: Largest fraction of an axis' torque that braking takes; above 1 the arm cannot brake like this.
+    """
+
+    time: float = 0.0
+    seconds: float = 0.0
+    distance: float = 0.0
+    joint: str = ""
+    angle: float = 0.0
+    usage: float = 0.0
+
+
+@dataclass(frozen=True)
+class RehearsalReport:
+    """The result of one rehearsal: `Rehearsal.msg`.
+
+    Attributes:
+        plan_id, plan_hash: Of the plan that was rehearsed; the result counts for no other.
+        scene: Hash of the scene that it began in.
+        tool: Hash of tool, drives and settings it was rehearsed with.
+        state: `PASSED`, `FAILED`; `BROKEN`: the rehearsal itself failed.
+        reasons: Why it failed, one sentence each; empty when it passed.
+        axes: One per joint.
+        tracking: Largest distance of the arm from its setpoint, with the servo's lag taken out [rad], [m]; `tracking_joint` names the axis.
+        worst_time: Of the moment with the largest usage of a torque [s].
+        worst_pose: Shape (n,). The arm then [rad], [m].
+        contacts: That the plan does not have.
+        objects: That were let go of, or moved.
+        energy: That the drives put in [J].
+        duration: Of the plan [s]. took: Time the rehearsal took [s]. settle_took: Of it, with bodies kept awake [s].
+        engine: Name and version.
+        remarks: What is an estimate, or is simulated otherwise than planned, one sentence each.
+        hash: Of all of this but `took` and `settle_took`, as the record of a verdict has it.
+        stamp: [ns]
+    """
+
+    plan_id: str = ""
+    plan_hash: str = ""
+    scene: str = ""
+    tool: str = ""
+    state: str = BROKEN
+    reasons: tuple[str, ...] = ()
+    axes: tuple[AxisLoad, ...] = ()
+    payload: PayloadLoad = PayloadLoad()
+    tracking: float = math.nan
+    tracking_joint: str = ""
+    braking: Braking = Braking()
+    worst_time: float = 0.0
+    worst_pose: tuple[float, ...] = ()
+    contacts: tuple[RehearsedContact, ...] = ()
+    objects: tuple[LooseObject, ...] = ()
+    energy: float = math.nan
+    duration: float = 0.0
+    took: float = 0.0
+    settle_took: float = 0.0
+    engine: str = ""
+    remarks: tuple[str, ...] = ()
+    hash: str = ""
+    stamp: int = 0
