@@ -3,6 +3,7 @@
 #
 #   setup/setup.sh           Debian packages, Python venv, catkin workspace
 #   setup/setup.sh work      the same, and the Python packages for work from a building model
+#   setup/setup.sh physics   the same as without a word, and what simulates an arm with mass
 #   setup/setup.sh console   the same as without a word, and what the console needs: a Python package, and its page (web/), built
 #   setup/setup.sh tests     all of these, the Debian packages that only the tests need, and a venv with what drives a browser
 #
@@ -18,9 +19,9 @@ python=/usr/bin/python3 # Debian's own: the only Python that sees Debian's rospy
 lists=("$root/setup/debian-packages.txt")
 case "${1:-}" in
   "") ;;
-  work | console) ;;
+  work | console | physics) ;;
   tests) lists+=("$root/setup/debian-test-packages.txt") ;;
-  *) printf '[setup] unknown word %q; expected nothing, work, console or tests\n' "$1" >&2 && exit 2 ;;
+  *) printf '[setup] unknown word %q; expected nothing, work, physics, console or tests\n' "$1" >&2 && exit 2 ;;
 esac
 
 say() { printf '[setup] %s\n' "$*"; }
@@ -220,6 +221,7 @@ install_packages
 make_venv
 case "${1:-}" in
   work | tests) add_packages work "work from a building model" ;;&
+  physics | tests) add_packages physics "the twin with physics" ;;&
   console | tests) add_packages console "the console" ;;&
   tests) make_browser_venv ;;
 esac

@@ -7,13 +7,13 @@ rad, plain tuples, standard library only, no clock.
 
 from __future__ import annotations
 
-import cmath
 import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 
 from construction_twin.core.follower import braking_step
+from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import CYCLE
 
 
@@ -255,16 +255,3 @@ class Chase:
         self.step = self._aimed if step is None else step
         self.position += self.step
         return self.position
-
-
-def transition_matrix(omega: float, zeta: float, period: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return exp(A * period) of (x - u, x') for x'' = -omega^2 (x - u) - 2 zeta omega x', u constant, any damping."""
-    centre = -zeta * omega
-    root = omega * cmath.sqrt(zeta * zeta - 1.0)
-    even = cmath.cosh(root * period).real
-    odd = (cmath.sinh(root * period) / root).real if root else period
-    scale = math.exp(centre * period)
-    return (
-        (scale * (even - centre * odd), scale * odd),
-        (-scale * omega * omega * odd, scale * (even + centre * odd)),
-    )

@@ -8,15 +8,15 @@ correction for what the model does not know: a contact, a lost load.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
+from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import CYCLE
-from construction_twin.mock.servo import transition_matrix
 from construction_twin.physics.model import PhysicsModel
+from construction_twin.robot.description import JointValues
 
 #: Of the lag, as of `mock.servo.RealisticServo`: natural frequency [rad/s] and damping.
 OMEGA, ZETA = 60.0, 0.8
@@ -53,7 +53,7 @@ class SimulatedArm:
         steps_per_cycle: Steps of the simulation in a cycle of 4 ms.
     """
 
-    def __init__(self, physics: PhysicsModel, q: Sequence[float], servo: Servo = Servo()):
+    def __init__(self, physics: PhysicsModel, q: JointValues, servo: Servo = Servo()):
         self.physics = physics
         self.data = physics.at_rest(q)
         model = physics.model

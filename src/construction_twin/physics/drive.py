@@ -31,8 +31,8 @@ class PayloadRating:
 
     Attributes:
         mass: [kg]
-        inertia: Largest moment of inertia of the load about the axes of the last joint's frame, at its origin [kg m^2]; None: not known.
-        distance: Largest distance of the load's centre of mass from the flange, across the last axis and along it [m]; None: not known.
+        inertia: Largest moment of inertia of the load at the flange [kg m^2]; None: not known.
+        distance: Of the load's centre of mass from the flange at most, across the last axis and along it [m]; None: not known.
         source: Where the numbers are from.
     """
 
@@ -123,7 +123,9 @@ def load_drives(content: object, robot: RobotModel, where: str) -> ArmDrives:
         raise ConfigurationError(f"{where}/robot", read.robot, Sentence("expected.physics.robot", robot=robot.name))
     if set(read.joints) != set(robot.joint_names):
         raise ConfigurationError(
-            f"{where}/joints", sorted(read.joints), Sentence("expected.robot.entry_each", names=str(list(robot.joint_names)))
+            f"{where}/joints",
+            sorted(read.joints),
+            Sentence("expected.robot.entry_each", names=str(list(robot.joint_names))),
         )
     axes = [read.joints[name] for name in robot.joint_names]
     efforts = _efforts(robot)
@@ -132,7 +134,7 @@ def load_drives(content: object, robot: RobotModel, where: str) -> ArmDrives:
         tuple(axis.armature_kg_m2 for axis in axes),
         tuple(axis.damping_nm_s for axis in axes),
         tuple(axis.friction_nm for axis in axes),
-        read.payload and _rating(read.payload),
+        None if read.payload is None else _rating(read.payload),
         read.source,
         read.estimates,
     )

@@ -18,7 +18,7 @@ import pinocchio
 from construction_twin.core.sentences import Sentence
 from construction_twin.physics.drive import ArmDrives
 from construction_twin.physics.mass import MassProperties, of_link, of_shape, together
-from construction_twin.robot.description import RobotModel
+from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.scene.collision_bodies import Body, RobotBodies, is_convex, mesh_triangles
 from construction_twin.scene.collision_world import checked_pairs
 from construction_twin.scene.objects import Scene
@@ -59,7 +59,7 @@ class PhysicsModel:
     payload: MassProperties | None
     remarks: tuple[str, ...]
 
-    def at_rest(self, q: Sequence[float]) -> mujoco.MjData:
+    def at_rest(self, q: JointValues) -> mujoco.MjData:
         """Return a state at rest with the arm at `q`, shape (n,) [rad] or [m]."""
         data = mujoco.MjData(self.model)
         data.qpos[self.joints] = q
@@ -174,7 +174,9 @@ class _Builder:
                 type=mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE,
                 axis=axis[:3] if slides else axis[3:],
             )
-            own = [of_shape(one.geometry).at(one.placement) for one in self._own if one.joint == index and one.item is None]
+            own = [
+                of_shape(one.geometry).at(one.placement) for one in self._own if one.joint == index and one.item is None
+            ]
             inertia = of_link(model.names[index], model.inertias[index], own)
             if inertia.estimated:
                 self._remarks.append(Sentence("physics.remark.link_mass", joint=model.names[index], mass=inertia.mass))
@@ -260,7 +262,9 @@ class _Builder:
         checked = self._checked()
         named = {one.owner: one for one in self._own}
         mobile = {name for name in on_arm if named[name].joint}
-        standing = [one.owner for one in self._own if one.item is not None and not one.joint and self._has_body(one.owner)]
+        standing = [
+            one.owner for one in self._own if one.item is not None and not one.joint and self._has_body(one.owner)
+        ]
         for first, second in itertools.combinations((*on_arm, *standing), 2):
             if (first in mobile or second in mobile) and frozenset((first, second)) not in checked:
                 self._spec.add_exclude(bodyname1=first, bodyname2=second)

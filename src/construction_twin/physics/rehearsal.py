@@ -25,7 +25,6 @@ from construction_twin.physics.drive import ArmDrives
 from construction_twin.physics.mass import MassProperties
 from construction_twin.physics.model import GRAVITY, Load, PhysicsModel, build_model
 from construction_twin.physics.report import (
-    BROKEN,
     FAILED,
     PASSED,
     AxisLoad,
@@ -100,7 +99,9 @@ class Rehearsal:
     tool: str = ""
     gravity: tuple[float, float, float] = (0.0, 0.0, -GRAVITY)
 
-    def of_plan(self, plan: Plan, scenes: Mapping[str, Scene], clock: Callable[[], float] = time.perf_counter) -> RehearsalReport:
+    def of_plan(
+        self, plan: Plan, scenes: Mapping[str, Scene], clock: Callable[[], float] = time.perf_counter
+    ) -> RehearsalReport:
         """Rehearse a plan.
 
         Args:
@@ -112,7 +113,9 @@ class Rehearsal:
         wanted = [segment.scene for segment in plan.segments] or [plan.scene]
         missing = sorted({each for each in wanted if each not in scenes})
         if missing:
-            return _finished(replace(named, reasons=(Sentence("rehearsal.no_scene", scene=missing[0][:12]),)), clock() - begin)
+            return _finished(
+                replace(named, reasons=(Sentence("rehearsal.no_scene", scene=missing[0][:12]),)), clock() - begin
+            )
         ends = [segment.end for segment in plan.segments] or [plan.trajectory.duration]
         parts = [Part(scenes[scene], end) for scene, end in zip(wanted, ends)]
         after = scenes.get(plan.segments[-1].scene_after) if plan.segments else None
@@ -160,7 +163,8 @@ class _Run:
     def report(self, named: RehearsalReport, clock: Callable[[], float]) -> RehearsalReport:
         times = np.arange(round(self._trajectory.duration / CYCLE) + 1) * CYCLE
         setpoints = self._trajectory.sample_many(times)[0]
-        arm, states = None, {}
+        arm: SimulatedArm | None = None
+        states: dict[str, np.ndarray] = {}
         first = 0
         for number, part in enumerate(self._parts):
             last = len(times) if number == len(self._parts) - 1 else round(part.end / CYCLE)
@@ -180,7 +184,9 @@ class _Run:
     def _arm(self, scene, pose, before, states, asleep: bool) -> SimulatedArm:
         """Return the arm in a scene, where it stood; what was let go lies where it lay."""
         carried = {item.name for part in self._parts for item in part.scene.objects if item.link}
-        tool_of_all = set.intersection(*({item.name for item in part.scene.objects if item.link} for part in self._parts))
+        tool_of_all = set.intersection(
+            *({item.name for item in part.scene.objects if item.link} for part in self._parts)
+        )
         loose = frozenset(({*self._of.masses} | (carried - tool_of_all)) & set(scene.names))
         physics = build_model(
             self._of.bodies, scene, self._of.self_collision, self._of.drives,
@@ -290,8 +296,13 @@ class _Run:
             peak = float(abs(torques[at, joint]))
             axes.append(
                 AxisLoad(
-                    name, peak, float(times[at]), float(np.sqrt(np.mean(torques[:, joint] ** 2))),
-                    float(abs(gravity[at, joint]) / peak) if peak else 0.0, limits[joint] or 0.0, "torque" in self._of.drives.estimates,
+                    name,
+                    peak,
+                    float(times[at]),
+                    float(np.sqrt(np.mean(torques[:, joint] ** 2))),
+                    float(abs(gravity[at, joint]) / peak) if peak else 0.0,
+                    limits[joint] or 0.0,
+                    "torque" in self._of.drives.estimates,
                 )  # fmt: skip
             )
         payload = _heaviest(self._payloads, self._of)
@@ -308,7 +319,7 @@ class _Run:
         return replace(report, state=FAILED if reasons else PASSED, reasons=reasons)
 
     def _braking(self) -> Braking:
-        """Stop the arm at the moment of the largest kinetic energy, every axis as fast as its limit allows, in this time together."""
+        """Stop the arm at the moment of its largest kinetic energy, all axes in the time that the slowest needs."""
         number = int(np.argmax(self._kinetic))
         robot = self._of.bodies.robot
         speed = self._speeds[number]
@@ -335,7 +346,12 @@ class _Run:
         way = np.abs(arm.q - begin)
         joint = int(np.argmax(way))
         return Braking(
-            number * CYCLE, seconds, float(np.linalg.norm(_flange(arm) - flange)), robot.joint_names[joint], float(way[joint]), usage
+            number * CYCLE,
+            seconds,
+            float(np.linalg.norm(_flange(arm) - flange)),
+            robot.joint_names[joint],
+            float(way[joint]),
+            usage,
         )
 
 
@@ -373,7 +389,12 @@ def _reasons(report: RehearsalReport, limits: Limits):
     for axis in report.axes:
         if axis.limit and axis.usage > limits.torque:
             yield Sentence(
-                "rehearsal.torque", joint=axis.joint, peak=axis.peak, limit=axis.limit, percent=axis.usage * 100.0, time=axis.time
+                "rehearsal.torque",
+                joint=axis.joint,
+                peak=axis.peak,
+                limit=axis.limit,
+                percent=axis.usage * 100.0,
+                time=axis.time,
             )
     if report.braking.usage > limits.torque and not report.contacts:
         yield Sentence("rehearsal.braking", time=report.braking.time, percent=report.braking.usage * 100.0)
@@ -387,10 +408,16 @@ def _reasons(report: RehearsalReport, limits: Limits):
                 yield Sentence("rehearsal.fell", object=one.name, time=one.released, distance=one.fell * 1e3)
             elif one.moved > limits.stays or one.turned > limits.stays_turned:
                 yield Sentence(
-                    "rehearsal.slipped", object=one.name, time=one.released, distance=one.moved * 1e3, angle=Quantity(one.turned, "rad")
+                    "rehearsal.slipped",
+                    object=one.name,
+                    time=one.released,
+                    distance=one.moved * 1e3,
+                    angle=Quantity(one.turned, "rad"),
                 )
         elif one.moved > limits.stays or one.turned > limits.stays_turned:
-            yield Sentence("rehearsal.moved", object=one.name, distance=one.moved * 1e3, angle=Quantity(one.turned, "rad"))
+            yield Sentence(
+                "rehearsal.moved", object=one.name, distance=one.moved * 1e3, angle=Quantity(one.turned, "rad")
+            )
     if report.tracking > LARGEST_TRACKING and not report.contacts:
         yield Sentence("rehearsal.tracking", joint=report.tracking_joint, error=Quantity(report.tracking, "rad"))
 

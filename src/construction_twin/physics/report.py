@@ -128,7 +128,7 @@ class RehearsalReport:
         state: `PASSED`, `FAILED`; `BROKEN`: the rehearsal itself failed.
         reasons: Why it failed, one sentence each; empty when it passed.
         axes: One per joint.
-        tracking: Largest distance of the arm from its setpoint, with the servo's lag taken out [rad], [m]; `tracking_joint` names the axis.
+        tracking: Largest distance of the arm from its setpoint, without the servo's lag [rad], [m], of `tracking_joint`.
         worst_time: Of the moment with the largest usage of a torque [s].
         worst_pose: Shape (n,). The arm then [rad], [m].
         contacts: That the plan does not have.

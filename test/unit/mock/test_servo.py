@@ -9,8 +9,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import CYCLE
-from construction_twin.mock.servo import IdealServo, RealisticServo, transition_matrix
+from construction_twin.mock.servo import IdealServo, RealisticServo
 
 VELOCITY, ACCELERATION = 2.0, 2.5
 

@@ -24,6 +24,7 @@ from construction_twin.console.camera_address import cameras_of
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.controller.port import Make
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.extras import check_extras
 from construction_twin.core.files import check_writable
 from construction_twin.core.network import port_is_free, reaches_itself
 from construction_twin.core.sentences import Sentence
@@ -48,7 +49,6 @@ from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.views.preflight import NONE, has_gateway_here, is_bare, is_true, notes, problem
 from construction_twin.views.roslaunch_call import RoslaunchCall, argument_problem, known_arguments
-from construction_twin.work.extras import check_extras
 from construction_twin.work.site import read_site
 
 #: What parses launch files without the master that ROS_MASTER_URI names.
@@ -113,7 +113,7 @@ def _check_work(given: Given, robot: RobotModel) -> None:
     """Check that a building model can be worked on: packages, cell file, and that the robot's tool and scene are the cell's."""
     if not given["work_model"]:
         return
-    check_extras()
+    check_extras("work")
     if not readable(given["work_model"]):
         raise ConfigurationError("its path", given["work_model"], Sentence("preflight.expected.file"))
     cell = given.get("work_cell", "")

@@ -23,6 +23,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.extras import check_extras
 from construction_twin.core.files import check_writable, write_whole
 from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain
@@ -33,7 +34,6 @@ from construction_twin.scene.objects import SceneObject
 from construction_twin.work.building import BuildingModel
 from construction_twin.work.check import CheckedTask
 from construction_twin.work.check_report import Header, as_json, page, row, short_why, why
-from construction_twin.work.extras import check_extras
 from construction_twin.work.ifc.reading import read_building
 from construction_twin.work.placement import check_placement
 from construction_twin.work.proposed_schedule import propose
@@ -72,7 +72,7 @@ def main(arguments: list[str]) -> int:
     console = Console(highlight=False)
     directory = options.output or options.model.with_name(options.model.stem + "_check")
     try:
-        check_extras()
+        check_extras("work")
         check_writable(directory)
         arm = _arm(options)
         robot = arm.robot()

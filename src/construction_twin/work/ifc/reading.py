@@ -111,7 +111,7 @@ def _digest(path: Path, bounds: Bounds) -> str:
 
 def _read(path: Path, digest: str, output: Path, bounds: Bounds, progress: Progress) -> BuildingModel:
     if importlib.util.find_spec("ifcopenshell") is None:
-        raise ConfigurationError("ifcopenshell", None, Sentence("expected.work.installed"))
+        raise ConfigurationError("ifcopenshell", None, Sentence("expected.extras.installed", group="work"))
     _run(path, digest, output, bounds, progress)
     try:
         return load(output, path.name, digest)
