@@ -45,14 +45,14 @@ export function makePage(parent, store, connection, texts, panels, {onTheme, onL
   item(texts("page.language"), () => onLanguage?.(), {lang: texts.language === "en" ? "de" : "en"});
   item(texts("page.theme"), () => onTheme?.());
   const logout = item(texts("page.logout"), () => connection.logout());
-  // over the picture, not above it: nothing may move under a finger
-  const notices = add(parent, "div", {className: "notices"});
+  const main = add(parent, "main", {className: "areas"});
+  // over the picture: nothing may move under a finger, and what to do stays readable
+  const notices = add(main, "div", {className: "notices"});
   const lost = add(notices, "p", {className: "lost", role: "alert", hidden: true});
   const failed = add(notices, "p", {className: "failed", role: "alert", hidden: true});
   const old = add(notices, "p", {className: "old", role: "status", hidden: true});
   const waiting = add(notices, "p", {className: "waiting", text: texts("page.waiting")});
   const refused = add(notices, "p", {className: "refused", role: "status", hidden: true});
-  const main = add(parent, "main", {className: "areas"});
   const section = (name) => add(main, "section", {id: name, className: "area", "aria-label": texts(`page.area.${name}`)});
   const areas = Object.fromEntries(ALWAYS.map((name) => [name, section(name)]));
   Object.assign(areas, makeTabs(main, texts, TABS, section));
