@@ -38,6 +38,7 @@ from construction_twin.msg import (
     Plan,
     Review,
     SessionRequest,
+    SpeedChange,
     SpeedLimitInForce,
     Sync,
     WorkTasks,
@@ -540,6 +541,7 @@ INTERFACE = Interface(
         Subscription("approval_obstacle", String, _fed(ConsoleFeed.on_approval_obstacle), queue_size=1),
         Subscription("link", Link, MqttPlanner.on_link, queue_size=1),
         Subscription("session_request", SessionRequest, _fed(ConsoleFeed.on_session_request), queue_size=10),
+        Subscription("speed_change", SpeedChange, _fed(ConsoleFeed.on_speed_change), queue_size=50),
         Subscription("speed_limit_in_force", SpeedLimitInForce, MqttPlanner.on_speed, queue_size=1),
     ),
 )
