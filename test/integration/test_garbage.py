@@ -15,7 +15,15 @@ from pathlib import Path
 import numpy as np
 import rospy
 import rostest
-from construction_twin.msg import Engagement, PlanCaller, SessionRequest, SpeedChange, SpeedLimitInForce, ToolCommand, ToolState
+from construction_twin.msg import (
+    Engagement,
+    PlanCaller,
+    SessionRequest,
+    SpeedChange,
+    SpeedLimitInForce,
+    ToolCommand,
+    ToolState,
+)
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from played_bag import RefusalLog, excerpt, play, subscribers, write

@@ -13,19 +13,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from construction_twin.console.addresses import addresses, certificate_names, is_everywhere
-from construction_twin.console.camera_address import cameras_of
 from construction_twin.console.pipe import BrokerAddress
+from construction_twin.console.plain_http import LONGEST_HSTS_S
 from construction_twin.console.server import SOCKET, ConsoleServer, ServerSettings
 from construction_twin.console.static_files import read_folder
+from construction_twin.core.camera_address import cameras_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
 from construction_twin.core.sentences import Sentence
 
 if TYPE_CHECKING:
     from construction_twin.console.pairings import Pairings
-
-#: A year [s].
-_LONGEST_HSTS_S = 365 * 24 * 3600
 
 
 def settings_of(arguments: argparse.Namespace) -> ServerSettings:
@@ -49,10 +47,8 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
     except (OSError, ssl.SSLError) as error:
         where = "--broker-ca" if own or not arguments.certificate else "--certificate and --key"
         raise ConfigurationError(where, str(error), Sentence("expected.pem")) from error
-    if not 0 <= arguments.hsts <= _LONGEST_HSTS_S:
-        raise ConfigurationError(
-            "--hsts", arguments.hsts, Sentence("expected.range", lowest=0, largest=_LONGEST_HSTS_S)
-        )
+    if not 0 <= arguments.hsts <= LONGEST_HSTS_S:
+        raise ConfigurationError("--hsts", arguments.hsts, Sentence("expected.range", lowest=0, largest=LONGEST_HSTS_S))
     if broker_tls is None and not is_loopback(arguments.broker_host):
         raise ConfigurationError("--broker-host", arguments.broker_host, Sentence("expected.loopback_ca"))
     return ServerSettings(

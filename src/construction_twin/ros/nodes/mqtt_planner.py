@@ -21,7 +21,7 @@ import rospy
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from construction_twin.console.camera_address import cameras_of
+from construction_twin.core.camera_address import cameras_of
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
 from construction_twin.core.units import NANOSECONDS
