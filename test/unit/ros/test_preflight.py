@@ -337,6 +337,34 @@ def test_a_console_without_its_package_or_its_page_is_refused_with_what_to_do(mo
     assert preflight.contents_problem(given | {"console": "false"}) == ""
 
 
+@pytest.mark.parametrize(
+    ("names", "sentence"),
+    (
+        (("console_certificate", "console_key"), "console:=true: --certificate and --key: found '[SSL] PEM lib"),
+        (("console_broker_ca",), "console:=true: --broker-ca: found "),
+        (("console_rights",), "console:=true: --rights: found "),
+    ),
+)
+def test_a_file_that_the_console_could_not_use_is_refused_by_the_name_of_its_option(tmp_path, names, sentence):
+    wrong = tmp_path / "wrong"
+    wrong.write_text("no PEM, and no JSON\n")
+    given = KR120 | {"console": "true", "console_page": "none", "console_files": "false"}
+    given |= dict.fromkeys(names, str(wrong))
+    said = preflight.contents_problem(given)
+    assert said.startswith(sentence) and "expected " in said
+    assert preflight.contents_problem(given | {"console": "false"}) == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "is_one"), (('{"robots": {}}', True), ("[]", False), ("{}", False), ('{"robots": []}', False))
+)
+def test_a_list_of_rights_is_what_make_site_writes(tmp_path, text, is_one):
+    (tmp_path / "rights.json").write_text(text)
+    given = {"console": "true", "console_page": "none", "console_files": "false"}
+    said = preflight.contents_problem(KR120 | given | {"console_rights": str(tmp_path / "rights.json")})
+    assert (said == "") == is_one and (is_one or "as make_site writes it" in said)
+
+
 def test_a_folder_of_paired_devices_that_the_console_could_not_use_is_refused(monkeypatch, tmp_path):
     given = KR120 | {"console": "true", "console_page": "none", "console_files": "false"}
 

@@ -20,6 +20,7 @@ import rosgraph
 import rospkg
 
 from construction_twin.broker.start import DEFAULT_PORT, listener_ports, trial
+from construction_twin.console.given_files import broker_tls, check_rights, own_tls
 from construction_twin.console.pairings_folder import check_pairings_folder
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.controller.port import Make
@@ -214,6 +215,13 @@ def _check_console(given: Given, robot: RobotModel) -> None:
     if page != "none" and not (page.startswith("/") and Path(page, "index.html").is_file()):
         expected = Sentence("expected.page")
         raise ConfigurationError("console_page", page, expected)
+    certificate, key = given.get("console_certificate"), given.get("console_key")
+    if certificate and key:
+        own_tls(Path(certificate), Path(key))
+    if ca := given.get("console_broker_ca"):
+        broker_tls(Path(ca))
+    if rights := given.get("console_rights"):
+        check_rights(Path(rights))
     if is_true(given, "console_files"):
         check_writable(ros_home() / "construction_twin" / "console")
 
