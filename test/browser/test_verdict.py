@@ -165,7 +165,7 @@ def test_each_role_may_do_what_the_broker_lets_it_do_and_is_told_the_rest(
         plan.locator(".plan-ask").click()
         expect(plan.locator(".plan-answer")).to_contain_text("There is a plan")
     else:
-        expect(plan.locator(".plan-told")).to_have_text("This account may not ask for plans. Who can: pia.")
+        expect(plan.locator(".plan-told")).to_have_text("This account may not ask for plans. Who can: dora, pat, pia.")
         expect(plan.locator(".plan-begin")).to_be_hidden()
     assert bool(robot.payloads("stop")) == may_stop
     assert bool(robot.payloads("review")) == may_review
