@@ -323,7 +323,9 @@ def _rules(
         values["cameras"] = "\n".join(
             f"topic read {each.topic(site.prefix)}" for each in site.cameras if each.robot == robot
         )
-        rules += _filled(name, template(name), **values, writes=_asking(topics, right, account, asks))
+        text = _filled(name, template(name), **values, writes=_asking(topics, right, account, asks))
+        # a robot without cameras leaves no empty line
+        rules += "".join(line for line in text.splitlines(keepends=True) if line.strip())
     return rules
 
 
