@@ -7,10 +7,11 @@ import json
 from pathlib import Path
 from xml.etree import ElementTree
 
+import genpy
 import numpy as np
 import pytest
 import rospy
-from construction_twin.msg import Execution, Hold, Link, Plan, Review, Sync, WorkTask, WorkTasks
+from construction_twin.msg import Execution, Hold, Link, Plan, Review, SpeedChange, Sync, WorkTask, WorkTasks
 from std_msgs.msg import String
 
 from construction_twin.core.errors import ConfigurationError
@@ -288,3 +289,11 @@ def test_cameras_are_announced_retained_and_again_and_again_and_taken_away(broke
     assert [topic for topic, *_ in broker.published] == [front, "twin/kr120/camera/side"] * 2
     made.publish_offline()
     assert broker.newest(front) is None and broker.published[-1][3]
+
+
+def test_who_has_set_the_speed_limit_is_among_the_messages(broker):
+    made = feed(broker)
+    made.on_speed_change(SpeedChange(stamp=genpy.Time(7), person="dora", limit=0.6, before=0.3, whose="bob"))
+    ((message,),) = [content for topic, content, *_ in broker.published if topic == TOPICS.messages]
+    assert message["line"]["values"] == {"person": "dora", "percent": "60", "before": "30"}
+    assert (message["line"]["words"], message["at"], message["until"]) == ("person.raised", 7.0, 7.0)

@@ -15,12 +15,13 @@ from std_msgs.msg import String
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.records import SPACED, dumped
-from construction_twin.core.reports import HoldReport, WorkReport
+from construction_twin.core.reports import HoldReport, SpeedChange, WorkReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.link.remote_review import PlanBoard
 from construction_twin.mqtt.messages import Topics
 from construction_twin.msg import Execution, Hold, Link, Plan, Review, SessionRequest, Sync, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
+from construction_twin.msg import SpeedChange as SpeedChangeMessage
 from construction_twin.review.plan_under_review import EXECUTOR
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
@@ -103,6 +104,10 @@ class ConsoleFeed:
         """Take that a person has lifted a stop or fault, or armed."""
         person = message.person or Sentence("line.person.somebody")
         self.messages.on_act(message.verb, message.stamp, person=person, lifts=message.lifts)
+
+    def on_speed_change(self, message: SpeedChangeMessage) -> None:
+        """Take that a person has set the speed limit of people."""
+        self.messages.on_speed(from_msg(SpeedChange, message))
 
     def on_hold(self, message: Hold) -> None:
         """Take why the gate is closed."""
