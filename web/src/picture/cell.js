@@ -7,15 +7,17 @@
 import {Box3, DirectionalLight, HemisphereLight, Object3D, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3} from "three";
 import {OrbitControls} from "three/addons/controls/OrbitControls.js";
 import {TransformControls} from "three/addons/controls/TransformControls.js";
+import {clock} from "../progress.js";
 import {closestOf, millimetres, otherPoint} from "./closest.js";
 import * as colours from "./colours.js";
 import {around, clipped, corners, fit} from "./fit.js";
 import {makeFloor} from "./floor.js";
 import {floorOf} from "./grid.js";
 import {measured, onFloor} from "./measuring.js";
+import {playedOf} from "./played.js";
 import {ghostOf, loadRobot, mainColour, ModelError, reachOf, setJoints, toolOf} from "./robot_model.js";
 import {
-  axes, closestMarker, colourBuilding, dispose, ghostMaterial, isEngaged, loadBuilding, pathLine, reachMarker, sceneBody, span,
+  axes, closestMarker, colourBuilding, dispose, ghostMaterial, isEngaged, loadBuilding, pathLine, playedPath, reachMarker, sceneBody, span,
 } from "./shapes.js";
 
 /** Directions from which the cell is looked at: towards the camera. */
@@ -117,7 +119,10 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   const closest = closestMarker();
   const reach = reachMarker();
   const rule = span(colours.MEASURE, 3);
-  scene.add(closest, reach, rule);
+  const playedLine = playedPath();
+  scene.add(closest, reach, rule, playedLine);
+  let played = null;
+  let playedId = "";
   let measuring = [];
   let ended = false;
 
@@ -266,10 +271,11 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       there.arm = bodies.arm.visible = false;
     }
     showClosest();
+    showPlayed();
     if (chosen !== "" && isOutside()) refit();
     // views come 25 times a second; while the robot stands still they all show the same picture
     const shown = view === null ? "" : JSON.stringify(
-      [view.twin?.positions, view.arm?.positions, view.sync?.state, view.closest, bodies !== null], rounded);
+      [view.twin?.positions, view.arm?.positions, view.sync?.state, view.closest, bodies !== null, played?.travelled.at(-1), played?.remaining], rounded);
     const at = performance.now();
     if (shown === drawnView && at - drawnAt < AT_LEAST_EVERY) return;
     drawnView = shown;
@@ -285,6 +291,19 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     near = found;
     other = near === null ? null : otherPoint(near, robot().scene?.objects ?? []);
     closest.show(near, other);
+  }
+
+  /** Show where the tool goes by the plan that is played. */
+  function showPlayed() {
+    const before = played;
+    played = replayed() === null ? playedOf(robot()) : null;
+    if (played === null && before === null) return;
+    playedLine.show(played);
+    const id = played === null ? "" : robot().path.plan_id;
+    // who comes in the middle of a motion has seen no plan that the camera was fitted to
+    if (id !== playedId && id !== "") refit();
+    if (id !== playedId) redraw();
+    playedId = id;
   }
 
   function showPlan() {
@@ -410,6 +429,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   function showAll() {
     if (replayed() !== null) showReplay(replayed());
     showView(robot()?.view ?? null);
+    showPlayed();
     showPlan();
     showPlayback();
     showScene();
@@ -421,7 +441,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     if (whose === name) listener(value);
   };
   const ends = [
-    store.on("view", mine(showView)), store.on("plan", mine(showPlan)), store.on("goal", mine(showGoal)),
+    store.on("view", mine(showView)), store.on("plan", mine(showPlan)), store.on("path", mine(showPlayed)), store.on("goal", mine(showGoal)),
     store.on("playback", mine(showPlayback)), store.on("scene", mine(showScene)), store.on("tasks", mine(showTasks)),
     store.on("picked", mine(showTasks)), store.on("handle", mine(showHandle)), store.on("replay", mine(showReplay)),
   ];
@@ -486,6 +506,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     if (bodies === null) points.push([0, 0, 0.9 * reachable]);
     else for (const body of Object.values(bodies)) if (body.visible) points.push(...cornersOf(body));
     if (path !== null) points.push(...robot().plan.tool_path);
+    if (played !== null) points.push(...robot().path.tool_path);
     for (const body of objects) if (body.visible) points.push(...cornersOf(body));
     if (building !== null) points.push(...cornersOf(building.group));
     return clipped(points, FAR * reachable);
@@ -581,6 +602,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       const point = new Vector3(...near.point);
       at(other === null ? point : point.add(new Vector3(...other)).divideScalar(2), `${millimetres(near.distance)} mm`, "closest", 90);
     }
+    if (played !== null && played.remaining !== null) at(new Vector3(...played.end), clock(played.remaining), "left", 95);
     const names = [];
     const name = (object, text, isTapped) => {
       const box = new Box3().setFromObject(object);
@@ -700,6 +722,8 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
         goal: is("goal") ? {colour: ghosts.goal.color.getHex(), reach: goal?.reach || null} : null,
         path: path !== null && engaged.includes(false) ? colours.PATH : null,
         engaged: engaged.includes(true) ? colours.PATH_ENGAGED : null,
+        ahead: played?.ahead.length ? colours.AHEAD : null,
+        travelled: played?.travelled.length ? colours.TRAVELLED : null,
         closest: closest.visible ? {...near, colour: colours.CLOSEST} : null,
         tool: is("twin") ? colours.AXES[0] : null,
         carried: some(true) ? colours.CARRIED : null,
@@ -718,6 +742,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       for (const body of ["twin", "arm", "plan", "goal"]) result[body] = {joints: values(body), tool: toolPosition(body)};
       result.path = path === null ? null : robot()?.plan?.tool_path ?? null;
       result.waypoints = path === null ? 0 : path.userData.waypoints;
+      result.played = played;
       result.armColour = ghosts.arm.color.getHex();
       result.goalColour = ghosts.goal.color.getHex();
       result.objects = objects.map((each) => each.name);
