@@ -28,6 +28,8 @@ const FOV = 38;
 const FAR = 2.2;
 /** Reach of an arm whose model has not come yet [m]. */
 const REACH = 2.5;
+/** So much is shown on all sides of an element that is brought into view, as a part of the arm's reach. */
+const AROUND = 0.2;
 /** Length of the tool frame's axes, as a part of the arm's reach. */
 const AXES = 0.1;
 /** A body has its name beside it where it is at least so large on the screen [px]; so many have at most. */
@@ -380,6 +382,16 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     redraw();
   }
 
+  /** Show which element is worked on, in view: who has chosen it in the list may look somewhere else. */
+  function showPicked(picked) {
+    showTasks();
+    const node = building?.elements.get(picked?.element ?? "")?.node;
+    // what was tapped in the picture is in view
+    if (node === undefined || tapping) return;
+    const centre = new Box3().setFromObject(node).getCenter(new Vector3());
+    if (!isInView(centre)) lookAt(cornersOf(node), centre);
+  }
+
   function showTasks() {
     const tasks = robot()?.tasks ?? null;
     if (tasks === null) {
@@ -443,12 +455,13 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   const ends = [
     store.on("view", mine(showView)), store.on("plan", mine(showPlan)), store.on("path", mine(showPlayed)), store.on("goal", mine(showGoal)),
     store.on("playback", mine(showPlayback)), store.on("scene", mine(showScene)), store.on("tasks", mine(showTasks)),
-    store.on("picked", mine(showTasks)), store.on("handle", mine(showHandle)), store.on("replay", mine(showReplay)),
+    store.on("picked", mine(showPicked)), store.on("handle", mine(showHandle)), store.on("replay", mine(showReplay)),
   ];
 
   // -- taps
 
   let pressed = null;
+  let tapping = false;
   overlay.addEventListener("pointerdown", (event) => {
     pressed = event.isPrimary ? [event.clientX, event.clientY] : null;
   });
@@ -472,7 +485,9 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     let object = "";
     for (let each = hit.object; each !== null; each = each.parent) object ||= each.userData.object ?? "";
     tapped = {object, element: hit.object.userData.tapped ?? ""};
+    tapping = true;
     store.set("tap", name, {element: tapped.element, object});
+    tapping = false;
   }
 
   /** Return the nearest point of a surface that is drawn, on a ray; null: none. */
@@ -558,6 +573,26 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     } else {
       place = fit(points, direction, FOV, camera.aspect, inset);
     }
+    goTo(place);
+  }
+
+  /** Whether a point is in the part of the picture that is not covered. */
+  function isInView(point) {
+    camera.updateMatrixWorld();
+    const {x, y, z} = point.clone().project(camera);
+    const {left, right, top, bottom} = inset ?? {left: 0, right: 0, top: 0, bottom: 0};
+    return z < 1 && x > 2 * left - 1 && x < 1 - 2 * right && y > 2 * bottom - 1 && y < 1 - 2 * top;
+  }
+
+  /** Look at what has these corners from where the camera is now, with some of what is around it. */
+  function lookAt(points, centre) {
+    chosen = "";
+    const size = AROUND * reachable;
+    const box = corners(centre.clone().subScalar(size).toArray(), centre.clone().addScalar(size).toArray());
+    goTo(fit([...points, ...box], camera.position.clone().sub(controls.target).toArray(), FOV, camera.aspect, inset));
+  }
+
+  function goTo(place) {
     const [position, target] = [new Vector3(...place.position), new Vector3(...place.target)];
     gliding = null;
     if (glides && camera.position.lengthSq() > 0) {
@@ -747,6 +782,8 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       result.goalColour = ghosts.goal.color.getHex();
       result.objects = objects.map((each) => each.name);
       result.elements = building === null ? [] : [...building.elements].map(([element, {material}]) => [element, material.color.getHex()]);
+      result.places = building === null ? {} : Object.fromEntries([...building.elements].map(
+        ([element, {node}]) => [element, onScreen(new Box3().setFromObject(node).getCenter(new Vector3()))]));
       result.handle = gizmo.object === undefined ? null
         : {position: handle.position.toArray(), screen: onScreen(handle.position), axis: screenAxis(), mode: gizmo.mode};
       result.camera = {position: camera.position.toArray(), target: controls.target.toArray(), chosen};
