@@ -1,6 +1,7 @@
 """`path` on MQTT: where the tool goes while a plan is played, for who shows it. Pure; SI.
 
-The plan itself leaves `plan` with its verdict; this is what a picture still needs of it, for whoever looks in the middle of a motion.
+The plan itself leaves `plan` with its verdict; this is what a picture still needs of it, for whoever looks in the middle of a
+motion.
 """
 
 from __future__ import annotations

@@ -80,7 +80,8 @@ class TestFiles:
         given = ("reset", "arm", "answer", "acknowledge", "speed")
         asked = [f"topic read twin/kr120/{verb}/+" for verb in given]
         answered = [f"topic write twin/kr120/{verb}/ack" for verb in given]
-        new = ["topic readwrite twin/kr120/path", "topic readwrite twin/kr120/messages", "topic readwrite twin/kr120/camera/+", *asked, *answered]
+        kept_ones = [f"topic readwrite twin/kr120/{topic}" for topic in ("path", "messages", "camera/+")]
+        new = [*kept_ones, *asked, *answered]
         kept = [line for line in made if line not in new and not line.startswith("#")]
         assert kept == [line for line in rules.splitlines() if not line.startswith("#")] and set(new) <= set(made)
         assert "connection_messages false" in (site / "broker/mosquitto.conf").read_text()
