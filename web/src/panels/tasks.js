@@ -158,7 +158,6 @@ export function make(parent, store, connection, texts, {now = () => performance.
     if (task === null) return;
     const item = list.children[tasks.tasks.indexOf(task)];
     if (detail.parentElement !== item) item.append(detail);
-    add(detail, "h3", {text: task.name});
     const element = task.element_name || task.element;
     const lines = [texts("tasks.element", {element}), texts("tasks.state", {state: stateText(task)})];
     if (task.reason) lines.push(texts.reason(task.reason));
