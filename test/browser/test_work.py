@@ -42,7 +42,7 @@ def building() -> bytes:
 
 def tasks() -> bytes:
     rows = [
-        {"id": str(k), "name": f"Place {k}", "element": f"beam-{k}", "element_name": f"Beam {k}", "state": state, "reason": "",
+        {"id": str(k), "name": f"Place stud {k} of the wall along axis B", "element": f"beam-{k}", "element_name": f"Beam {k}", "state": state, "reason": "",
          "after": [], "question": "Is it in the grip?" if state == "asks" else ""}
         for k, state in enumerate(("done", "ready", "asks", *["waiting"] * (COUNT - 3)), 1)
     ]  # fmt: skip
