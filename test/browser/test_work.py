@@ -42,8 +42,8 @@ def building() -> bytes:
 
 def tasks() -> bytes:
     rows = [
-        {"id": str(k), "name": f"Place stud {k} of the wall along axis B", "element": f"beam-{k}", "element_name": f"Beam {k}", "state": state, "reason": "",
-         "after": [], "question": "Is it in the grip?" if state == "asks" else ""}
+        {"id": str(k), "name": f"Place stud {k} of the wall along axis B", "element": f"beam-{k}", "element_name": f"Beam {k}",
+         "state": state, "reason": "", "after": [], "question": "Is it in the grip?" if state == "asks" else ""}
         for k, state in enumerate(("done", "ready", "asks", *["waiting"] * (COUNT - 3)), 1)
     ]  # fmt: skip
     return json.dumps(
@@ -144,7 +144,8 @@ def test_the_tasks_scroll_in_one_place_and_the_page_not_at_all(page_of, robot, s
         const {scrollWidth, scrollHeight} = document.documentElement;
         // the panel cuts off what is wider than it
         const {right} = document.querySelector("#tasks").getBoundingClientRect();
-        const cut = [...document.querySelectorAll("#tasks *")].filter((it) => it.getBoundingClientRect().right > right).map((it) => it.className);
+        const isCut = (it) => it.getBoundingClientRect().right > right;
+        const cut = [...document.querySelectorAll("#tasks *")].filter(isCut).map((it) => it.className);
         return {inside, page: [scrollWidth, scrollHeight], cut};
     }""")
     assert found == {"inside": [], "page": list(size), "cut": []}
