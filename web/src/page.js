@@ -35,12 +35,22 @@ export function makePage(parent, store, connection, texts, panels, {onTheme, onL
   add(header, "h1", {text: texts("page.title")});
   const account = add(header, "span", {className: "account"});
   const menu = add(header, "details", {className: "menu"});
-  add(menu, "summary", {"aria-label": texts("page.menu"), text: "\u2630"});
+  const opener = add(menu, "summary", {"aria-label": texts("page.menu"), text: "\u2630"});
   const items = add(menu, "div", {className: "menu-items"});
   const item = (text, act, options) => button(items, text, () => {
     menu.open = false;
     act();
   }, options);
+  // as menus do: a press anywhere else closes it, and Escape, after which the keyboard is where it was
+  const {ownerDocument: page} = menu;
+  page.addEventListener("pointerdown", ({target}) => {
+    if (menu.open && !menu.contains(target)) menu.open = false;
+  }, true);
+  page.addEventListener("keydown", (event) => {
+    if (event.key !== "Escape" || !menu.open) return;
+    menu.open = false;
+    opener.focus();
+  });
   const who = add(items, "p", {className: "menu-account"});
   item(texts("page.language"), () => onLanguage?.(), {lang: texts.language === "en" ? "de" : "en"});
   item(texts("page.theme"), () => onTheme?.());

@@ -321,7 +321,7 @@ async function tasksPanel(value = work(), account = "kr120-planner-ada", languag
   await page.hear("kr120", "view", view());
   if (value !== null) await page.hear("kr120", "work/tasks", value, true);
   page.find = (selector) => page.parent.querySelector(selector);
-  page.items = () => [...page.parent.querySelectorAll(".tasks-list button")];
+  page.items = () => [...page.parent.querySelectorAll(".tasks-list .task")];
   return page;
 }
 

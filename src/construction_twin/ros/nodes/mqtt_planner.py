@@ -329,6 +329,8 @@ class MqttPlanner:
         with self._lock:
             self._progress.on_report(report)
             self._execution = message, time.monotonic()
+        if self._feed is not None:
+            self._feed.on_execution(report)
 
     def on_speed(self, message: SpeedLimitInForce) -> None:
         """Take which speed limit is in force."""
