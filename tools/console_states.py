@@ -207,6 +207,8 @@ def _photograph(browser: Browser, site: ConsoleSite, robot: ScriptedRobot, folde
         for theme in THEMES:
             for language in LANGUAGES:
                 for account in dict.fromkeys(state.account for state in states):
+                    # the state before left the robot as it was, silent perhaps
+                    _home(robot)
                     page = ConsolePage(browser, site.url, size=size, picture=True)
                     try:
                         page.open(f"?language={language}&theme={theme}")

@@ -30,6 +30,7 @@ const samples = () => [
   ["scene", {hash: "0", frame: "base_link", objects: [{name: "table", shape: "box", size: [1, 1, 1]}]}],
   ["plan", {id: "p1", hash: "0".repeat(64), joints: ["joint_a1"], trajectory: {times: [0, 1], positions: [[0], [1]],
     velocities: [[0], [0]], accelerations: [[0], [0]]}}],
+  ["path", {plan_id: "p1", times: [0, 1], tool_path: [[0, 0, 1], [1, 0, 1]]}],
   ["work/tasks", {model: "m", model_hash: "0", tasks: [{id: "1", element: "2", title: "Place", state: "ready"}]}],
   ["review/ack", {plan_id: "p1", plan_hash: "", ok: false, reason: "", account: ""}],
   ["stop/ack", {id: "1", account: "a", by: "gateway", ok: true, reason: ""}],
@@ -66,7 +67,7 @@ let time = 0;
 const store = makeStore({now: () => (time += 1)});
 const tally = {accepted: 0, refused: 0};
 let told = 0;
-for (const kind of ["view", "screen", "scene", "plan", "tasks", "review_ack", "stop_ack", "pause_ack", "plan_request_ack", "ik_ack"]) {
+for (const kind of ["view", "screen", "scene", "plan", "path", "tasks", "review_ack", "stop_ack", "pause_ack", "plan_request_ack", "ik_ack"]) {
   store.on(kind, () => {
     told += 1;
   });

@@ -15,7 +15,15 @@ from pathlib import Path
 import numpy as np
 import rospy
 import rostest
-from construction_twin.msg import Engagement, PlanCaller, SessionRequest, SpeedLimitInForce, ToolCommand, ToolState
+from construction_twin.msg import (
+    Engagement,
+    PlanCaller,
+    SessionRequest,
+    SpeedChange,
+    SpeedLimitInForce,
+    ToolCommand,
+    ToolState,
+)
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from played_bag import RefusalLog, excerpt, play, subscribers, write
@@ -54,6 +62,7 @@ HEARD_BY = {
     "approval_obstacle": set(),
     "link": {"pca_monitor", "executor", "virtual_robot"},
     "session_request": {"executor"},
+    "speed_change": {"executor"},
     "speed_limit_in_force": {"executor", "mqtt_bridge"},
     "scene": {"executor", "planner"},
     "plan_outcome": set(),
@@ -70,6 +79,7 @@ MADE = {
     "engagement": Engagement(),
     "plan_caller": PlanCaller(),
     "session_request": SessionRequest(),
+    "speed_change": SpeedChange(),
     "speed_limit_in_force": SpeedLimitInForce(),
 }
 #: Cycles over which an arm that must not move is watched.

@@ -162,10 +162,11 @@ class ConsolePage:
         self.page.evaluate("window.uploaded.length = 0")
 
     def tab(self, name: str) -> Locator:
-        """Open the panel of a name (`plan`, `tasks`, ...) and return it; on a wide screen the verdict is always open."""
-        if name != "verdict" or self.page.locator(".tab-verdict").is_visible():
-            self.page.locator(f".tab-{name}").click()
+        """Open the panel of a name (`plan`, `tasks`, ...) and return it; on a wide screen some are always open, and have no tab."""
         panel = self.page.locator(f"#{name}")
+        expect(panel.or_(self.page.locator(f".tab-{name}")).filter(visible=True).first).to_be_visible()
+        if self.page.locator(f".tab-{name}").is_visible():
+            self.page.locator(f".tab-{name}").click()
         expect(panel).to_be_visible()
         return panel
 

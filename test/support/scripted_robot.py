@@ -23,6 +23,7 @@ from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.link.goal_request import MAX_BYTES, parse_ik, parse_plan_request
+from construction_twin.link.path_view import PathView
 from construction_twin.link.remote_review import ClearanceView, PlanView, UseView, parse_review
 from construction_twin.link.remote_speed import parse_speed
 from construction_twin.link.remote_trajectory import Joints
@@ -135,6 +136,7 @@ class ScriptedRobot:
         self._ready = threading.Event()
         self._elapsed, self._rate, self._tick = 0.0, 1.0, 0.0
         self._outcome, self._playing = "", ""
+        self._path = b""
         self._numbers = 0
         self._listened: dict[str, Callable[[bytes], None]] = {}
         self._writer = ViewWriter(name, unique_id(name, "run"), self._joints)
@@ -195,7 +197,24 @@ class ScriptedRobot:
             self.take_plan_away()
             self._play(plan)
 
+    def seek(self, elapsed: float) -> None:
+        """Go on from another time of the plan that is played [s]."""
+        with self._lock:
+            self._elapsed = elapsed
+
+    def pause(self) -> None:
+        """Stand still on the path of the plan that is played."""
+        with self._lock:
+            self.state = "PAUSED"
+
+    def resume(self) -> None:
+        """Go on with it."""
+        with self._lock:
+            self.state = "PLAYING"
+
     def _play(self, plan: PlanView) -> None:
+        assert plan.trajectory is not None
+        self._show_path(PathView(plan.id, plan.trajectory["times"], plan.tool_path).to_json(200))
         self.state, self._outcome, self._playing, self._elapsed, self._rate = "PLAYING", "", plan.id, 0.0, 1.0
 
     def show_scene(self, objects: Sequence[dict]) -> None:
@@ -316,7 +335,15 @@ class ScriptedRobot:
         self._elapsed += min(passed, 0.2) * self._rate
         self.twin = self.trajectory.sample(self._elapsed)[0]
         if self._elapsed >= self.trajectory.duration:
-            self.state, self._outcome = "IDLE", "finished"
+            self._end("finished")
+
+    def _end(self, outcome: str) -> None:
+        self.state, self._outcome = "IDLE", outcome
+        self._show_path(b"")
+
+    def _show_path(self, payload: bytes) -> None:
+        self._path = payload
+        self._publish(self._topics.path, payload, retain=True)
 
     # -- what it hears
 
@@ -328,6 +355,7 @@ class ScriptedRobot:
         client.subscribe([(topic, 1) for topic in asked] + [(topic, 0) for topic in self._listened])
         with self._lock:
             self._publish(topics.plan, b"" if self.plan is None else self.plan.to_json(200), retain=True)
+            self._publish(topics.path, self._path, retain=True)
 
     def _on_message(self, client, userdata, message) -> None:
         if message.topic in self._listened:
@@ -392,6 +420,8 @@ class ScriptedRobot:
         ok = self.state in ("PLAYING", "PAUSED") or verb == "stop"
         if self.state in ("PLAYING", "PAUSED"):
             self.state, self._outcome = moves[verb]
+            if verb == "stop":
+                self._end("stopped")
         for each in by:
             self._answer(kind, account, ok, "" if ok else "nothing is played", id=asked.id, by=each)
 

@@ -35,24 +35,34 @@ export function makePage(parent, store, connection, texts, panels, {onTheme, onL
   add(header, "h1", {text: texts("page.title")});
   const account = add(header, "span", {className: "account"});
   const menu = add(header, "details", {className: "menu"});
-  add(menu, "summary", {"aria-label": texts("page.menu"), text: "\u2630"});
+  const opener = add(menu, "summary", {"aria-label": texts("page.menu"), text: "\u2630"});
   const items = add(menu, "div", {className: "menu-items"});
   const item = (text, act, options) => button(items, text, () => {
     menu.open = false;
     act();
   }, options);
+  // as menus do: a press anywhere else closes it, and Escape, after which the keyboard is where it was
+  const {ownerDocument: page} = menu;
+  page.addEventListener("pointerdown", ({target}) => {
+    if (menu.open && !menu.contains(target)) menu.open = false;
+  }, true);
+  page.addEventListener("keydown", (event) => {
+    if (event.key !== "Escape" || !menu.open) return;
+    menu.open = false;
+    opener.focus();
+  });
   const who = add(items, "p", {className: "menu-account"});
   item(texts("page.language"), () => onLanguage?.(), {lang: texts.language === "en" ? "de" : "en"});
   item(texts("page.theme"), () => onTheme?.());
   const logout = item(texts("page.logout"), () => connection.logout());
-  // over the picture, not above it: nothing may move under a finger
-  const notices = add(parent, "div", {className: "notices"});
+  const main = add(parent, "main", {className: "areas"});
+  // over the picture: nothing may move under a finger, and what to do stays readable
+  const notices = add(main, "div", {className: "notices"});
   const lost = add(notices, "p", {className: "lost", role: "alert", hidden: true});
   const failed = add(notices, "p", {className: "failed", role: "alert", hidden: true});
   const old = add(notices, "p", {className: "old", role: "status", hidden: true});
   const waiting = add(notices, "p", {className: "waiting", text: texts("page.waiting")});
   const refused = add(notices, "p", {className: "refused", role: "status", hidden: true});
-  const main = add(parent, "main", {className: "areas"});
   const section = (name) => add(main, "section", {id: name, className: "area", "aria-label": texts(`page.area.${name}`)});
   const areas = Object.fromEntries(ALWAYS.map((name) => [name, section(name)]));
   Object.assign(areas, makeTabs(main, texts, TABS, section));

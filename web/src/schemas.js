@@ -344,6 +344,18 @@ export const PLAN = {
   }
 };
 
+/** A message on <prefix>/<robot>/path: the tool's path of the plan that is played. */
+export const PATH = {
+  "type": "object",
+  "additionalProperties": false,
+  "required": ["plan_id", "times", "tool_path"],
+  "properties": {
+    "plan_id": {"type": "string", "minLength": 1},
+    "times": {"type": "array", "items": {"type": "number"}},
+    "tool_path": {"type": "array", "items": {"type": "array", "items": {"type": "number"}}}
+  }
+};
+
 /** A message on <prefix>/<robot>/review/ack. */
 export const REVIEW_ACK = {
   "type": "object",

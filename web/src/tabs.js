@@ -1,6 +1,6 @@
 /**
- * The panels that share one place beside the picture: a tab for each. Where the screen is wide enough the first stands beside the
- * others (style.css), and has no tab there.
+ * The panels that share one place beside the picture: a tab for each. Where the screen is wide enough some have a place of their own
+ * and no tab: style.css says which, in `--own`, and is told by the class `offers-<name>` which panels have anything in them.
  *
  * A panel's element has `tab`: `isOpen()`, `open()`, `offer(is)` (whether there is anything in it), `mark(text)` (a number on its tab), and
  * `onOpen(listener)`.
@@ -21,26 +21,28 @@ export function makeTabs(parent, texts, names, makePanel) {
   const [first] = names;
   const panels = {};
   const tabs = {};
+  // the one that was opened last comes first
+  let opened = [...names];
+  let own = [];
   let chosen = first;
-  // what stands beside the first where both have room
-  let beside = names[1] ?? first;
 
+  const usable = () => names.filter((name) => !tabs[name].hidden && !own.includes(name));
   const show = () => {
+    own = globalThis.getComputedStyle?.(parent).getPropertyValue("--own").split(" ") ?? [];
+    const there = usable();
+    chosen = opened.find((name) => there.includes(name)) ?? first;
     for (const name of names) {
       tabs[name].setAttribute("aria-selected", String(name === chosen));
       tabs[name].setAttribute("tabindex", name === chosen ? "0" : "-1");
       panels[name].classList.toggle("is-chosen", name === chosen);
-      panels[name].classList.toggle("is-beside", name === beside && name !== first);
     }
   };
   const open = (name) => {
     if (tabs[name].hidden) return;
-    chosen = name;
-    if (name !== first) beside = name;
+    opened = [name, ...opened.filter((each) => each !== name)];
     show();
     for (const listener of panels[name].tab.listeners) listener();
   };
-  const usable = () => names.filter((name) => !tabs[name].hidden);
 
   for (const name of names) {
     tabs[name] = button(list, "", () => open(name), {role: "tab", id: `tab-${name}`, className: `tab tab-${name}`, "aria-controls": name});
@@ -60,10 +62,12 @@ export function makeTabs(parent, texts, names, makePanel) {
         setText(badge, text);
       },
       offer(is) {
+        if (tabs[name].hidden === !is) return;
         tabs[name].hidden = !is;
-        if (is) return;
-        if (beside === name) beside = usable().find((each) => each !== first) ?? first;
-        if (chosen === name) open(first);
+        parent.classList.toggle(`offers-${name}`, is);
+        // what is gone does not open by itself when it is there again
+        if (!is) opened = [...opened.filter((each) => each !== name), name];
+        if (!is && chosen === name) open(first);
         else show();
       },
     };
@@ -76,6 +80,7 @@ export function makeTabs(parent, texts, names, makePanel) {
     open(next);
     tabs[next].focus();
   });
+  globalThis.addEventListener?.("resize", show);
   show();
   return panels;
 }

@@ -35,6 +35,24 @@ test("nothing is offered where nothing waits for it", async () => {
   assert.equal(page.find(".actions").hidden, true);
 });
 
+test("a gate that was closed for good under an armed link is reset here, and a press is void when it is another matter", async () => {
+  const page = await panel();
+  const gate = (state) => view({sync: {...view().sync, state, reason: "held for 30 s; call reset"}, link: {...view().link, state: "ARMED"}});
+  await page.hear("kr120", "view", gate("HOLDING"));
+  assert.equal(page.find(".actions").hidden, true, "it goes on by itself");
+  await page.hear("kr120", "view", gate("STOPPED"));
+  assert.deepEqual(["reset", "arm"].map((verb) => page.find(`.action-${verb}`).hidden), [false, true]);
+  page.fire(page.find(".action-reset"), "pointerdown", {button: 0});
+  await page.pass(600);
+  await page.hear("kr120", "view", view({sync: gate("STOPPED").sync, link: STOPPED}));
+  await page.pass(2000);
+  assert.deepEqual(page.connection.sent, []);
+  await page.hear("kr120", "view", gate("STOPPED"));
+  page.fire(page.find(".action-reset"), "pointerdown", {button: 0});
+  await page.pass(1100);
+  assert.deepEqual(page.connection.sent.map(({topic}) => topic), ["reset/ada"]);
+});
+
 for (const verb of ["reset", "arm"]) {
   test(`${verb} goes out when it was held for a second, with what the page had shown`, async () => {
     const page = await panel();

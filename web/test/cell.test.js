@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import {mock, test} from "node:test";
 import {Document, DOMParser, Element} from "linkedom";
 import {makeCell} from "../src/picture/cell.js";
-import {BY_REACH, BY_TASK, GOAL} from "../src/picture/colours.js";
+import {AHEAD, BY_REACH, BY_TASK, GOAL, TRAVELLED} from "../src/picture/colours.js";
 import {fakePage, plan, view, work} from "./support/fake.js";
 
 /** A cell whose files the test answers: `answers` by the end of the path, a status or a text; `asked` holds the paths. */
@@ -269,4 +269,28 @@ test("the scene's floor is the floor of the picture and is not drawn as a body",
   assert.notEqual(it.made.drawn().standing, null);
   await it.hear("kr120", "scene", {...wall(-2), objects: [floor]}, true);
   assert.equal(it.made.drawn().standing, null);
+});
+
+test("while a plan is played its path is there, travelled apart from ahead, with the time that is left; then it goes", async () => {
+  const it = await robotCell();
+  const path = {plan_id: "p1", times: [0, 1, 2], tool_path: [[2, 0, 1], [1.6, 0.4, 1], [1.2, 0.8, 1]]};
+  const says = (state, progress, more = {}) => it.hear("kr120", "view", view({
+    twin: {stamp: 1, age: 0, positions: [progress, 0]}, execution: {...view().execution, state, plan_id: "p1", duration: 2, progress, rate: 1}, ...more}));
+  const left = () => it.made.labels(800, 500).filter(({kind}) => kind === "left").map(({text}) => text);
+  // whoever comes in mid motion is told one or the other first
+  await says("PLAYING", 0.25);
+  assert.deepEqual([it.made.inspect().played, it.made.drawn().ahead, it.made.drawn().travelled, left()], [null, null, null, []]);
+  await it.hear("kr120", "path", path, true);
+  assert.deepEqual(it.made.inspect().played.travelled, [[2, 0, 1], [1.8, 0.2, 1]]);
+  await says("PLAYING", 0.75);
+  assert.deepEqual(it.made.inspect().played.ahead, [[1.4, 0.6000000000000001, 1], [1.2, 0.8, 1]]);
+  assert.deepEqual([it.made.drawn().ahead, it.made.drawn().travelled, left()], [AHEAD, TRAVELLED, ["0:01"]]);
+  await says("PAUSED", 0.75);
+  assert.deepEqual([it.made.drawn().travelled, left()], [TRAVELLED, []], "who stands still has no time left that could be told");
+  it.store.set("replay", "kr120", {run: "r", time: 0, names: NAMES, twin: [0, 0], arm: null, sync: ""});
+  assert.equal(it.made.inspect().played, null, "the present's path in a recording");
+  it.store.set("replay", "kr120", null);
+  assert.notEqual(it.made.inspect().played, null);
+  await says("IDLE", 1);
+  assert.deepEqual([it.made.inspect().played, it.made.drawn().ahead, it.made.drawn().travelled], [null, null, null]);
 });

@@ -106,7 +106,7 @@ test("the floor is the scene's: a flat, wide box below the base", () => {
 // -- legend
 
 const NOTHING_DRAWN = {
-  both: null, twin: null, arm: null, plan: null, goal: null, path: null, engaged: null, closest: null, tool: null, carried: null, standing: null,
+  both: null, twin: null, arm: null, plan: null, goal: null, path: null, engaged: null, ahead: null, travelled: null, closest: null, tool: null, carried: null, standing: null,
   elements: [], measure: null,
 };
 

@@ -8,8 +8,8 @@ import logging
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
-from construction_twin.console.camera_address import CameraAddress
 from construction_twin.console.mjpeg import LARGEST, LARGEST_HEAD, PictureReader, boundary_of
+from construction_twin.core.camera_address import CameraAddress
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.sentences import Sentence
 

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from construction_twin.console.paired import DeviceCookie, PairingError, no_invitation
+from construction_twin.console.pairings_folder import DEVICES, INVITATIONS, check_pairings_folder
 from construction_twin.console.pin import refusal
 from construction_twin.console.sealing import (
     KEY,
@@ -128,21 +129,19 @@ class Pairings:
         folder: As given.
 
     Raises:
-        ConfigurationError: When others may read the folder, or it cannot be made.
+        ConfigurationError: When the folder cannot be used, as `check_pairings_folder` says.
     """
 
     def __init__(self, folder: Path, now: Callable[[], float], cost: Cost | None = None):
         self.folder, self._now, self._cost = folder, now, cost or Cost()
-        self._invitations, self._devices = folder / "invitations", folder / "devices"
+        self._invitations, self._devices = folder / INVITATIONS, folder / DEVICES
         self._secret = folder / "secret"
+        check_pairings_folder(folder)
         try:
             for each in (folder, self._invitations, self._devices):
                 each.mkdir(mode=0o700, parents=True, exist_ok=True)
-            mode = folder.stat().st_mode & 0o777
         except OSError as error:
             raise ConfigurationError("--pairings", str(folder), Sentence("expected.pairings.folder")) from error
-        if mode & 0o077:
-            raise ConfigurationError("--pairings", f"{folder}, mode {mode:o}", Sentence("expected.pairings.private"))
         with self._locked():
             if not self._secret.exists():
                 _write_durable(self._secret, secrets.token_bytes(KEY).hex())

@@ -17,6 +17,8 @@ from construction_twin.core.sentences import fill, in_every_language
 #: For so long browsers remember that this host has https [s]: a week is enough for a tablet that is used at times, and not too much
 #: for a host whose other ports have none.
 HSTS_S = 7 * 24 * 3600
+#: A year: the longest that can be set [s].
+LONGEST_HSTS_S = 365 * 24 * 3600
 #: Longest request that is read [bytes]; one that is longer gets the sentence.
 LONGEST = 8192
 _END = b"\r\n\r\n"

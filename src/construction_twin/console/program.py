@@ -6,26 +6,24 @@ import argparse
 import asyncio
 import logging
 import signal
-import ssl
 import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from construction_twin.console.addresses import addresses, certificate_names, is_everywhere
-from construction_twin.console.camera_address import cameras_of
+from construction_twin.console.given_files import broker_tls, check_rights, own_tls
 from construction_twin.console.pipe import BrokerAddress
+from construction_twin.console.plain_http import LONGEST_HSTS_S
 from construction_twin.console.server import SOCKET, ConsoleServer, ServerSettings
 from construction_twin.console.static_files import read_folder
+from construction_twin.core.camera_address import cameras_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
 from construction_twin.core.sentences import Sentence
 
 if TYPE_CHECKING:
     from construction_twin.console.pairings import Pairings
-
-#: A year [s].
-_LONGEST_HSTS_S = 365 * 24 * 3600
 
 
 def settings_of(arguments: argparse.Namespace) -> ServerSettings:
@@ -38,28 +36,19 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
         raise ConfigurationError("--certificate and --key", None, Sentence("expected.both_or_neither"))
     if not arguments.certificate and not is_loopback(arguments.listen):
         raise ConfigurationError("--listen", arguments.listen, Sentence("expected.loopback_certificate"))
-    own = broker_tls = None
-    try:
-        if arguments.certificate:
-            own = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-            # a key with a passphrase is refused: nobody is there to type it
-            own.load_cert_chain(arguments.certificate, arguments.key, password="")
-        if arguments.broker_ca:
-            broker_tls = ssl.create_default_context(cafile=str(arguments.broker_ca))
-    except (OSError, ssl.SSLError) as error:
-        where = "--broker-ca" if own or not arguments.certificate else "--certificate and --key"
-        raise ConfigurationError(where, str(error), Sentence("expected.pem")) from error
-    if not 0 <= arguments.hsts <= _LONGEST_HSTS_S:
-        raise ConfigurationError(
-            "--hsts", arguments.hsts, Sentence("expected.range", lowest=0, largest=_LONGEST_HSTS_S)
-        )
-    if broker_tls is None and not is_loopback(arguments.broker_host):
+    own = own_tls(arguments.certificate, arguments.key) if arguments.certificate else None
+    to_broker = broker_tls(arguments.broker_ca) if arguments.broker_ca else None
+    if arguments.rights:
+        check_rights(arguments.rights)
+    if not 0 <= arguments.hsts <= LONGEST_HSTS_S:
+        raise ConfigurationError("--hsts", arguments.hsts, Sentence("expected.range", lowest=0, largest=LONGEST_HSTS_S))
+    if to_broker is None and not is_loopback(arguments.broker_host):
         raise ConfigurationError("--broker-host", arguments.broker_host, Sentence("expected.loopback_ca"))
     return ServerSettings(
         read_folder(arguments.page) if arguments.page else {},
         arguments.private,
         arguments.results,
-        BrokerAddress(arguments.broker_host, arguments.broker_port, broker_tls),
+        BrokerAddress(arguments.broker_host, arguments.broker_port, to_broker),
         frozenset(arguments.origin),
         own,
         _names(arguments),

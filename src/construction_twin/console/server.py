@@ -22,7 +22,6 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from construction_twin.console.camera import Camera, CameraLimits
-from construction_twin.console.camera_address import CameraAddress
 from construction_twin.console.camera_delivery import deliver_pictures
 from construction_twin.console.camera_rights import CameraRights, TopicScanner
 from construction_twin.console.connection_limits import ConnectionLimits, OpenConnections
@@ -39,6 +38,7 @@ from construction_twin.console.plain_http import answer as plain_answer
 from construction_twin.console.recordings import listing, recordings
 from construction_twin.console.static_files import FileCache, StaticFile, names
 from construction_twin.console.tickets import Tickets
+from construction_twin.core.camera_address import CameraAddress
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 
 if TYPE_CHECKING:

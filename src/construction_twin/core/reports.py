@@ -153,6 +153,23 @@ class SessionRequest:
 
 
 @dataclass(frozen=True)
+class SpeedChange:
+    """A person has set the speed limit of people: `SpeedChange.msg`.
+
+    Attributes:
+        limit, before: Fractions of the planned speed: what is set now, and what was set before.
+        whose: Who had set what was before; empty: nobody, or it is not known.
+        stamp: When it was set [ns].
+    """
+
+    person: str
+    limit: float
+    before: float
+    whose: str
+    stamp: int = 0
+
+
+@dataclass(frozen=True)
 class ExecutionReport:
     """The executor's report: `Execution.msg`.
 

@@ -270,6 +270,13 @@ def _object_names(names: Sequence[str]) -> list[str]:
     return found if len(names) <= _MOST_OBJECTS else [*found, f"and {len(names) - _MOST_OBJECTS} more"]
 
 
+def kept_points(count: int, points: int, keep: Sequence[int] = ()) -> list[int]:
+    """Return the numbers of at most `points` of `count` points, evenly and with both ends, and besides those of `keep`."""
+    if count <= points:
+        return list(range(count))
+    return sorted({round(k * (count - 1) / (points - 1)) for k in range(points)} | set(keep))
+
+
 def thinned(path: Sequence[Point], points: int, keep: Sequence[int] = ()) -> tuple[list[Point], float, list[int]]:
     """Return at most `points` of a path, evenly by their number and with both ends, and how much was lost.
 
@@ -283,10 +290,7 @@ def thinned(path: Sequence[Point], points: int, keep: Sequence[int] = ()) -> tup
         deviation: Largest distance of a point left out from the line between its kept neighbours [m].
         places: Where in `kept` the points of `keep` are.
     """
-    last = len(path) - 1
-    if last < points:
-        return list(path), 0.0, list(keep)
-    indices = sorted({round(k * last / (points - 1)) for k in range(points)} | set(keep))
+    indices = kept_points(len(path), points, keep)
     deviation = 0.0
     for begin, end in zip(indices, indices[1:]):
         for k in range(begin + 1, end):

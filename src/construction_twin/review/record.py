@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RecordError
-from construction_twin.core.reports import SessionRequest
+from construction_twin.core.reports import SessionRequest, SpeedChange
 from construction_twin.core.sentences import Sentence
 from construction_twin.review.chained_file import ChainedFile, LogState, read_whole, verify
 from construction_twin.review.plan_under_review import APPROVED, Ending, Verdict
@@ -60,7 +60,7 @@ class Release:
 
 
 #: What is recorded.
-Record = Verdict | Ending | Responsibility | Release | SessionRequest
+Record = Verdict | Ending | Responsibility | Release | SessionRequest | SpeedChange
 
 
 @dataclass(frozen=True)
@@ -223,6 +223,9 @@ def _fields(record: Record, responsibility: Responsibility | None) -> dict:
         return {"record": "responsibility", "session": record.session} | _responsibility_fields(record)
     if isinstance(record, SessionRequest):
         return {"record": "session", "verb": record.verb, "person": record.person, "lifts": record.lifts}
+    if isinstance(record, SpeedChange):
+        named = {"record": "speed", "person": record.person, "limit": record.limit}
+        return named | {"before": record.before, "whose": record.whose}
     if isinstance(record, Release):
         return {"record": "release"} | asdict(record)
     if isinstance(record, Ending):

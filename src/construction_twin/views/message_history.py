@@ -6,7 +6,7 @@ UTC.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +14,9 @@ import pydantic
 
 from construction_twin.core.errors import ConfigurationError, RequestRefused
 from construction_twin.core.records import dumped
+from construction_twin.core.reports import SpeedChange
 from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.views.status_line import Level, Line
 
 #: Messages that are kept, the newest.
@@ -30,6 +32,9 @@ ORDINARY = (
 )  # fmt: skip
 #: Acts of people, beside the verb of a `SessionRequest`: their words are ``line.person.<act>``.
 RESET, APPROVED, REJECTED = "reset", "approved", "rejected"
+RAISED, LOWERED = "raised", "lowered"
+#: Who drags the limit down lowers it several times a second: what follows the last step within this time is the same message [s].
+DRAGGED = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,11 +104,20 @@ class MessageHistory:
 
     def on_act(self, act: str, at: float, **values: str) -> None:
         """Take what a person did: ``line.person.<act>`` of the sentences, with its values. One that is told again is not new."""
-        words = f"{PERSON}.{act}"
-        if any(message.at == at and message.line.words == words for message in self.messages):
+        line = _act(act, values)
+        if any(message.at == at and message.line.words == line.words for message in self.messages):
             return
-        sentence = Sentence(f"line.{words}.sentence", **values)
-        self._add(Line(topic=PERSON, state=act, words=words, values=values, sentence=sentence), at, until=at)
+        self._add(line, at, until=at)
+
+    def on_speed(self, change: SpeedChange) -> None:
+        """Take that a person has set the speed limit of people; what one person drags it down is one message."""
+        at, act = change.stamp / NANOSECONDS, RAISED if change.limit > change.before else LOWERED
+        values = {"person": change.person, "percent": _percent(change.limit), "before": _percent(change.before)}
+        last = self.messages[-1] if self.messages else None
+        if last is None or act != LOWERED or not _is_dragged(last, change.person, at):
+            self.on_act(act, at, **values)
+            return
+        self._replace(last.id, at=at, until=at, line=_act(act, values | {"before": last.line.values["before"]}))
 
     def acknowledge(self, id_: str, account: str, now: float) -> Sentence:
         """Take that a person has read a message; return a sentence.
@@ -132,6 +146,21 @@ class MessageHistory:
         self.messages = tuple(
             replace(message, **changes) if message.id == id_ else message for message in self.messages
         )
+
+
+def _act(act: str, values: Mapping[str, str]) -> Line:
+    words = f"{PERSON}.{act}"
+    sentence = Sentence(f"line.{words}.sentence", **values)
+    return Line(topic=PERSON, state=act, words=words, values=values, sentence=sentence)
+
+
+def _is_dragged(last: Message, person: str, at: float) -> bool:
+    same = last.line.words == f"{PERSON}.{LOWERED}" and last.line.values.get("person") == person
+    return same and last.at <= at < last.at + DRAGGED
+
+
+def _percent(fraction: float) -> str:
+    return f"{100 * fraction:.4g}"
 
 
 def _is_message(line: Line) -> bool:

@@ -20,10 +20,10 @@ from site_broker import Listener, SiteBroker, free_ports
 from websockets.sync.client import connect as websocket
 
 from construction_twin.console.camera import CameraLimits
-from construction_twin.console.camera_address import cameras_of
 from construction_twin.console.camera_delivery import HEAD
 from construction_twin.console.pipe import BrokerAddress, PipeLimits
 from construction_twin.console.server import ConsoleServer, ServerSettings
+from construction_twin.core.camera_address import cameras_of
 
 PEOPLE = {"viewers": ("vic",), "reviewers": ("ada",)}
 TOPIC = "twin/one/camera/front"

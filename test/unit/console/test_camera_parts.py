@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from mqtt_packets import packet, text
 from sentence_checks import expects, says
 
-from construction_twin.console.camera_address import MOST, CameraAddress, camera_of, cameras_of
 from construction_twin.console.camera_rights import CameraRights, TopicScanner
 from construction_twin.console.mjpeg import PictureReader, boundary_of
+from construction_twin.core.camera_address import MOST, CameraAddress, camera_of, cameras_of
 from construction_twin.core.errors import ConfigurationError, PayloadError
 
 FRAME = b"\xff\xd8picture\xff\xd9"

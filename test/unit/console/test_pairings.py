@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 import secrets
 import stat
 import threading
@@ -13,8 +15,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from sentence_checks import expects
 
+from construction_twin.console import pairings_folder
 from construction_twin.console.paired import COOKIE_S, DeviceCookie, PairingError, is_marked
 from construction_twin.console.pairings import INVITED_S, MOST_WRONG, Device, Pairings, Person, hash_of
+from construction_twin.console.pairings_folder import check_pairings_folder
 from construction_twin.console.pin import DIFFERENT, LONGEST, SHORTEST, refusal
 from construction_twin.console.sealing import Cost, key_of_device, key_of_pin, seal, unseal
 from construction_twin.core.errors import ConfigurationError
@@ -236,6 +240,34 @@ def test_a_folder_that_cannot_be_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigurationError, check=expects("expected.pairings.folder", "--pairings")):
         Pairings(tmp_path / "file" / "pairings", Clock())
+
+
+def test_a_folder_of_somebody_else_is_refused_with_whose_it_should_be(folder, monkeypatch):
+    Pairings(folder, Clock())
+    other = os.geteuid() + 1
+    monkeypatch.setattr(pairings_folder.os, "geteuid", lambda: other)
+    with pytest.raises(ConfigurationError, check=expects("expected.pairings.owner", "--pairings")):
+        Pairings(folder, Clock())
+
+
+@pytest.mark.parametrize("name", ("secret", "lock", "invitations", "devices", "devices/1.json"))
+def test_a_folder_with_something_that_cannot_be_used_is_refused_with_what(folder, monkeypatch, name):
+    Pairings(folder, Clock())
+    (folder / "devices/1.json").write_text("{}")
+    check_pairings_folder(folder)
+    monkeypatch.setattr(pairings_folder.os, "access", lambda path, mode: path != folder / name)
+    with pytest.raises(ConfigurationError, match=re.escape(str(folder / name))) as caught:
+        Pairings(folder, Clock())
+    assert expects("expected.pairings.usable", "--pairings")(caught.value)
+
+
+def test_looking_at_a_folder_makes_and_changes_nothing(folder):
+    check_pairings_folder(folder)
+    assert not folder.exists()
+    Pairings(folder, Clock())
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    check_pairings_folder(folder)
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
 
 
 # -- devices

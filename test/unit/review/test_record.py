@@ -16,6 +16,7 @@ from plan_samples import make_plan
 from sentence_checks import expects, holds, says
 
 from construction_twin.core.errors import ConfigurationError, RecordError
+from construction_twin.core.reports import SessionRequest, SpeedChange
 from construction_twin.review import record as review_log
 from construction_twin.review.chained_file import BEGIN, verify
 from construction_twin.review.plan_under_review import APPROVED, REFUSED, Ending, Verdict
@@ -125,6 +126,15 @@ class TestContent:
             assert line["responsible"] == "Grace" and line["not_checked"] == list(bare.not_checked)
         assert not {"responsible", "not_checked"} & {*before, *after} and verify(path).lines == 4
 
+    def test_who_has_asked_for_a_session_or_set_the_speed_limit_is_recorded(self, log, path):
+        log.defer(SessionRequest("reset", "ada", "stop 3", 7))
+        log.defer(SpeedChange("dora", 0.5, 0.3, "bob", 8))
+        log.flush()
+        told = ("record", "verb", "person", "lifts", "limit", "before", "whose")
+        session, speed = ({key: line[key] for key in told if key in line} for line in lines(path))
+        assert session == {"record": "session", "verb": "reset", "person": "ada", "lifts": "stop 3"}
+        assert speed == {"record": "speed", "person": "dora", "limit": 0.5, "before": 0.3, "whose": "bob"}
+
 
 class TestContinuation:
     def test_an_existing_file_is_continued(self, written):
@@ -157,13 +167,17 @@ class TestContinuation:
         log.append(verdict("p0"))
         log.append(Ending(PLAN, "finished", "goal reached"))
         log.append(verdict("p1"))
+        # what people did meanwhile is of no plan
+        log.defer(SpeedChange("dora", 0.3, 1.0, ""))
+        log.defer(SessionRequest("reset", "ada", "stop 3"))
+        log.flush()
         log.close()
         ReviewLog(path, lambda: NOW + 1).close()
         record = lines(path)[-1]
         assert (record["record"], record["plan"], record["outcome"]) == ("execution", "p1", "dropped")
         assert record["time_ns"] == NOW + 1 and "the executor ended" in record["reason"]
         ReviewLog(path, lambda: NOW).close()
-        assert verify(path).lines == 4
+        assert verify(path).lines == 6
 
     def test_an_execution_that_has_its_end_gets_no_other(self, path):
         log = ReviewLog(path, lambda: NOW)

@@ -7,19 +7,23 @@ import json
 from pathlib import Path
 from xml.etree import ElementTree
 
+import genpy
 import numpy as np
 import pytest
 import rospy
-from construction_twin.msg import Execution, Hold, Link, Plan, Review, Sync, WorkTask, WorkTasks
+from construction_twin.msg import Execution, Hold, Link, Plan, Review, Segment, SpeedChange, Sync, WorkTask, WorkTasks
+from geometry_msgs.msg import Point
 from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.reports import ExecutionReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.shown_urdf import shown_urdf
 from construction_twin.ros.messages.scene_convert import scene_to_msg
-from construction_twin.ros.shared.console_feed import ConsoleFeed, deployment_of
+from construction_twin.ros.shared.console_feed import PATH_POINTS, ConsoleFeed, deployment_of
 from construction_twin.ros.shared.pose_judge import PoseJudge
 from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.scene.mesh_file import binary_stl, parse_mesh
@@ -204,6 +208,60 @@ def test_the_plan_under_review_is_known_until_it_is_decided_or_void(broker):
     assert made.plan == ""
 
 
+def plan(name: str, rows: int = 3, ends: tuple[float, ...] = ()) -> Plan:
+    """Return a plan of one second per waypoint, whose tool goes along x."""
+    points = [JointTrajectoryPoint(time_from_start=rospy.Duration(k)) for k in range(rows)]
+    path = [Point(float(k), 0.0, 1.0) for k in range(rows)]
+    trajectory = JointTrajectory(points=points)
+    return Plan(id=name, trajectory=trajectory, tool_path=path, segments=[Segment(end=end) for end in ends])
+
+
+def playing(name: str, state: str = "PLAYING") -> ExecutionReport:
+    return ExecutionReport(state, "", name)
+
+
+def test_the_path_of_what_is_played_is_retained_until_it_has_ended(broker):
+    made = feed(broker)
+    made.on_plan(plan("p1"))
+    assert broker.published == []
+    made.on_execution(playing("p1"))
+    path = {"plan_id": "p1", "times": [0.0, 1.0, 2.0], "tool_path": [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [2.0, 0.0, 1.0]]}
+    assert broker.published == [(TOPICS.path, path, 1, True)]
+    # another plan may be under review meanwhile, and the executor reports each change of its rate
+    made.on_plan(plan("p2"))
+    for state in ("PAUSING", "PAUSED", "HELD", "AT_BOUNDARY", "PLAYING", "STOPPING"):
+        made.on_execution(playing("p1", state))
+    assert len(broker.published) == 1
+    made.on_execution(playing("p1", "IDLE"))
+    assert broker.published[1:] == [(TOPICS.path, None, 1, True)]
+
+
+def test_a_node_that_is_started_in_a_motion_tells_its_path_whatever_it_hears_first(broker):
+    made = feed(broker)
+    made.on_execution(playing("p1"))
+    made.on_plan(plan("p2"))
+    assert broker.published == []
+    made.on_plan(plan("p1"))
+    assert broker.newest(TOPICS.path)["plan_id"] == "p1"
+
+
+def test_a_long_path_is_thinned_and_keeps_the_ends_of_its_segments(broker):
+    made = feed(broker)
+    made.on_plan(plan("p1", 2001, (777.0, 2000.0)))
+    made.on_execution(playing("p1"))
+    path = broker.newest(TOPICS.path)
+    assert len(path["times"]) == PATH_POINTS + 1 and 777.0 in path["times"] and path["times"][-1] == 2000.0
+    assert [point[0] for point in path["tool_path"]] == path["times"]
+
+
+def test_a_plan_whose_tool_path_is_not_that_of_its_waypoints_has_no_path(broker):
+    made, odd = feed(broker), plan("p1")
+    odd.tool_path.pop()
+    made.on_plan(odd)
+    made.on_execution(playing("p1"))
+    assert broker.published == []
+
+
 def test_a_new_connection_gets_everything_again_and_a_farewell_takes_it_away(tmp_path, broker):
     made = feed(broker)
     made.on_scene(message(scene(tmp_path)))
@@ -288,3 +346,11 @@ def test_cameras_are_announced_retained_and_again_and_again_and_taken_away(broke
     assert [topic for topic, *_ in broker.published] == [front, "twin/kr120/camera/side"] * 2
     made.publish_offline()
     assert broker.newest(front) is None and broker.published[-1][3]
+
+
+def test_who_has_set_the_speed_limit_is_among_the_messages(broker):
+    made = feed(broker)
+    made.on_speed_change(SpeedChange(stamp=genpy.Time(7), person="dora", limit=0.6, before=0.3, whose="bob"))
+    ((message,),) = [content for topic, content, *_ in broker.published if topic == TOPICS.messages]
+    assert message["line"]["values"] == {"person": "dora", "percent": "60", "before": "30"}
+    assert (message["line"]["words"], message["at"], message["until"]) == ("person.raised", 7.0, 7.0)

@@ -8,7 +8,17 @@ import numpy as np
 import pydantic
 import pytest
 import rospy
-from construction_twin.msg import Conflict, Execution, Link, Scene, SpeedLimitInForce, ToolCommand, ToolState
+from construction_twin.msg import (
+    Conflict,
+    Execution,
+    Link,
+    Scene,
+    SessionRequest,
+    SpeedChange,
+    SpeedLimitInForce,
+    ToolCommand,
+    ToolState,
+)
 from construction_twin.srv import (
     ReleaseEngagementRequest,
     ResumeFromScreenRequest,
@@ -76,6 +86,19 @@ def test_who_has_armed_a_bare_plc_is_recorded_once_and_with_the_verdict(world, t
     node.on_link(Link(state=Link.ARMED, session="t", **bare))
     node.do_background_work(True)
     assert [line["session"] for line in records(tmp_path) if line["record"] == "responsibility"] == ["s", "t"]
+
+
+def test_who_has_asked_for_a_session_or_set_the_speed_limit_is_recorded(world, tmp_path):
+    world.node.on_session_request(SessionRequest(verb="reset", person="ada", lifts="stop 3"))
+    world.node.on_speed_change(SpeedChange(person="dora", limit=0.6, before=0.3, whose="bob"))
+    world.node.do_background_work(True)
+    session, speed = records(tmp_path)
+    assert (session["record"], session["verb"], session["person"], session["lifts"]) == (
+        "session", "reset", "ada", "stop 3",
+    )  # fmt: skip
+    assert (speed["record"], speed["person"], speed["limit"], speed["before"], speed["whose"]) == (
+        "speed", "dora", 0.6, 0.3, "bob",
+    )  # fmt: skip
 
 
 def test_why_the_plan_under_review_could_not_be_approved_is_told_as_soon_as_it_is_so(world):

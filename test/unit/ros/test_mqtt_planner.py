@@ -367,6 +367,9 @@ class Feed:
     def on_link(self, message):
         self.heard.append(("link", message.text))
 
+    def on_execution(self, report):
+        self.heard.append(("execution", report.text))
+
     def publish_retained(self):
         self.heard.append("publish_retained")
 
@@ -492,7 +495,8 @@ def test_the_view_has_what_feed_and_desk_know(bench, consoles):
     made.node.on_link(Link(text="GATEWAY_OFFLINE"))
     assert view(made)["link"]["late"] is None
     made.node.publish_status_line()
-    assert ("link", "ARMED") in feed.heard and feed.heard[-1] == ("tell", "GATEWAY_OFFLINE", "IN_SYNC", "IDLE")
+    assert ("link", "ARMED") in feed.heard and ("execution", "AT_BOUNDARY") in feed.heard
+    assert feed.heard[-1] == ("tell", "GATEWAY_OFFLINE", "IN_SYNC", "IDLE")
     assert "publish_cameras" in feed.heard
     bench.steady += 10.0
     made.node.publish_status_line()

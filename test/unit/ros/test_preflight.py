@@ -337,6 +337,67 @@ def test_a_console_without_its_package_or_its_page_is_refused_with_what_to_do(mo
     assert preflight.contents_problem(given | {"console": "false"}) == ""
 
 
+@pytest.mark.parametrize(
+    ("names", "sentence"),
+    (
+        (("console_certificate", "console_key"), "console:=true: --certificate and --key: found '[SSL] PEM lib"),
+        (("console_broker_ca",), "console:=true: --broker-ca: found "),
+        (("console_rights",), "console:=true: --rights: found "),
+    ),
+)
+def test_a_file_that_the_console_could_not_use_is_refused_by_the_name_of_its_option(tmp_path, names, sentence):
+    wrong = tmp_path / "wrong"
+    wrong.write_text("no PEM, and no JSON\n")
+    given = KR120 | {"console": "true", "console_page": "none", "console_files": "false"}
+    given |= dict.fromkeys(names, str(wrong))
+    said = preflight.contents_problem(given)
+    assert said.startswith(sentence) and "expected " in said
+    assert preflight.contents_problem(given | {"console": "false"}) == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "is_one"), (('{"robots": {}}', True), ("[]", False), ("{}", False), ('{"robots": []}', False))
+)
+def test_a_list_of_rights_is_what_make_site_writes(tmp_path, text, is_one):
+    (tmp_path / "rights.json").write_text(text)
+    given = {"console": "true", "console_page": "none", "console_files": "false"}
+    said = preflight.contents_problem(KR120 | given | {"console_rights": str(tmp_path / "rights.json")})
+    assert (said == "") == is_one and (is_one or "as make_site writes it" in said)
+
+
+def test_a_folder_of_paired_devices_that_the_console_could_not_use_is_refused(monkeypatch, tmp_path):
+    given = KR120 | {"console": "true", "console_page": "none", "console_files": "false"}
+
+    def said(folder, **more):
+        return preflight.contents_problem(given | {"console_pairings": str(folder)} | more)
+
+    folder = tmp_path / "site/pairings"
+    assert said("") == "" and said(folder) == "" and not folder.parent.exists(), "nothing is made"
+    folder.mkdir(mode=0o750, parents=True)
+    expected = "expected a folder that its owner alone may read: chmod 700"
+    assert said(folder) == f"console_pairings:={folder}: --pairings: found '{folder}, mode 750', {expected}"
+    assert said(folder, console="false") == "", "another launch's console has it"
+    folder.chmod(0o700)
+    assert said(folder) == ""
+    (tmp_path / "file").write_text("")
+    for wrong, expected in (
+        (tmp_path / "file", "expected a folder, or a place for one"),
+        (tmp_path / "file/pairings", "expected a folder, or a place for one"),
+        ("pairings", "expected the absolute path of a folder"),
+        ("~/pairings", "expected the absolute path of a folder"),
+    ):
+        assert expected in said(wrong)
+    monkeypatch.setattr(preflight.importlib.util, "find_spec", lambda name: None if name == "cryptography" else name)
+    assert "cryptography: found 'missing'" in said(folder)
+
+
+def test_cameras_of_several_robots_name_their_robot():
+    camera = "front=http://10.0.0.7/stream"
+    for words, several, refused in ((camera, False, False), (camera, True, True), (f"{camera}@kr120", True, False)):
+        given = KR120 | {"console": "false", "console_cameras": words, "cameras_name_robots": str(several).lower()}
+        assert bool(preflight.contents_problem(given)) == refused
+
+
 def test_a_taken_port_of_the_console_is_refused():
     with socket.socket() as tcp:
         tcp.bind(("127.0.0.1", 0))

@@ -149,6 +149,19 @@ def test_raising_is_sent_with_a_moment_and_names_whose_limit_it_replaces(bench):
     assert [reason for reason, _ in bench.made.refused] == ["moment"]
 
 
+def test_each_limit_that_a_person_has_set_is_told_for_the_record(bench):
+    bench.sets(0.3)
+    bench.later(1.0)
+    bench.sets(0.6, "bob", bench.shown())
+    # the same again, and what is refused, has changed nothing
+    bench.sets(0.6, "ada")
+    bench.sets(0.9, "ada")
+    told = bench.made.published["speed_change"]
+    assert [(each.person, each.limit, each.before, each.whose, each.stamp.to_sec()) for each in told] == [
+        ("dora", 0.3, 1.0, "", 100.0), ("bob", 0.6, 0.3, "dora", 101.0),
+    ]  # fmt: skip
+
+
 def test_a_raise_that_is_too_old_is_refused_counted_and_said(bench):
     bench.sets(0.3)
     bench.later(1.0)

@@ -9,7 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from construction_twin.core.errors import ConfigurationError, RequestRefused
-from construction_twin.views.message_history import MOST, ORDINARY, RESET, MessageHistory
+from construction_twin.core.reports import SpeedChange
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.views.message_history import DRAGGED, MOST, ORDINARY, RESET, MessageHistory
 from construction_twin.views.startup import Word
 from construction_twin.views.status_line import TABLE, Level, ReportsNow, status_lines
 
@@ -129,3 +131,41 @@ def test_whatever_comes_each_message_stood_for_a_second_and_at_most_one_of_a_kin
         assert len(lasting) == len(set(lasting))
         assert all(each.until is None or each.until >= each.at + 1.0 for each in made.messages)
         assert history(made.text).text is not None
+
+
+def speed(made: MessageHistory, person: str, before: float, limit: float, at: float) -> None:
+    made.on_speed(SpeedChange(person, limit, before, "bob", round(at * NANOSECONDS)))
+
+
+def told(made: MessageHistory) -> list[tuple]:
+    return [(each.line.words, *each.line.values.values(), each.at, each.until) for each in made.messages]
+
+
+def test_who_has_raised_or_lowered_the_speed_limit_is_a_message_that_needs_nobody_s_note():
+    made = history()
+    speed(made, "dora", 1.0, 0.3, 5.0)
+    speed(made, "ada", 0.3, 0.555, 6.0)
+    assert told(made) == [
+        ("person.lowered", "dora", "30", "100", 5.0, 5.0), ("person.raised", "ada", "55.5", "30", 6.0, 6.0),
+    ]  # fmt: skip
+    assert made.messages[1].line.sentence == "ada raised the speed limit of people from 30% to 55.5%."
+    assert history(made.text).messages == made.messages
+
+
+def test_what_one_person_drags_the_limit_down_is_one_message():
+    made = history()
+    for k, at in enumerate((5.0, 5.2, 5.4)):
+        speed(made, "dora", 1.0 - 0.1 * k, 0.9 - 0.1 * k, at)
+    assert told(made) == [("person.lowered", "dora", "70", "100", 5.4, 5.4)]
+    (first,) = made.messages
+    speed(made, "bob", 0.7, 0.6, 5.6)
+    speed(made, "bob", 0.6, 0.5, 5.6 + DRAGGED)
+    speed(made, "bob", 0.5, 0.6, 16.0)
+    speed(made, "bob", 0.6, 0.7, 16.1)
+    assert told(made)[1:] == [
+        ("person.lowered", "bob", "60", "70", 5.6, 5.6),
+        ("person.lowered", "bob", "50", "60", 15.6, 15.6),
+        ("person.raised", "bob", "60", "50", 16.0, 16.0),
+        ("person.raised", "bob", "70", "60", 16.1, 16.1),
+    ]
+    assert made.messages[0] == first and len({each.id for each in made.messages}) == 5

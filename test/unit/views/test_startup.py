@@ -208,8 +208,8 @@ def test_each_line_is_said_once_and_ready_at_the_end():
         (
             "NEEDS_RESET",
             "gateway was stopped and is holding: stop: ada stopped it; call reset",
-            "waiting for a reset: holding: stop: ada stopped it; remove the cause, then on the robot's PC: "
-            "rosrun construction_twin twin --robot kr120 reset",
+            "waiting for a reset: holding: stop: ada stopped it; remove the cause, then reset: on the console with the right to, "
+            "or on the robot's PC: rosrun construction_twin twin --robot kr120 reset",
         ),
     ],
 )

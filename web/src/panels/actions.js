@@ -10,9 +10,11 @@ import {browser} from "./clock.js";
 const VERBS = ["reset", "arm"];
 const BAD = ["refused", "expired", "silent", "not_sent", "no_right", "unknown"];
 
-/** Whether there is anything to lift or to arm: the link waits for a person. */
-export function isWaiting(view) {
-  return view?.link?.state === "NEEDS_RESET";
+/** What a person can do: the link waits for a reset or to be armed, or the gate does not go on without a reset. */
+export function waitsFor(view) {
+  if (view?.link?.state === "NEEDS_RESET") return VERBS;
+  // an armed link has nothing to arm
+  return view?.link?.state === "ARMED" && view.sync?.state === "STOPPED" ? ["reset"] : [];
 }
 
 /** Make the panel. */
@@ -25,7 +27,7 @@ export function make(parent, store, connection, texts, clock = browser) {
   const buttons = Object.fromEntries(VERBS.map((verb) => [verb, holdButton(box, {
     text: texts(`actions.${verb}`), className: `action action-${verb}`, onHeld: () => send(verb),
     // another stop meanwhile is another thing to lift
-    key: () => JSON.stringify([store.selected, link()?.reason, link()?.state]),
+    key: () => JSON.stringify([store.selected, link()?.reason, link()?.state, waitsFor(store.robot(store.selected)?.view)]),
   }, clock)]));
 
   const link = () => store.robot(store.selected)?.view?.link ?? null;
@@ -52,14 +54,15 @@ export function make(parent, store, connection, texts, clock = browser) {
     const robot = store.robot(store.selected);
     const press = pressOf(store.selected);
     const found = outcome(press);
-    const waits = isWaiting(robot?.view) && !robot.old && connection.state === "connected";
+    const open = robot?.old === false && connection.state === "connected" ? waitsFor(robot.view) : [];
+    const waits = open.length > 0;
     const may = (verb) => store.rightsOf.may(store.selected, verb);
     box.hidden = !waits && !BAD.includes(found);
     for (const verb of VERBS) {
-      buttons[verb].hidden = !waits || may(verb) === false;
-      buttons[verb].disabled = !waits || found === "sending" || found === "waiting";
+      buttons[verb].hidden = !open.includes(verb) || may(verb) === false;
+      buttons[verb].disabled = !open.includes(verb) || found === "sending" || found === "waiting";
     }
-    const none = waits && VERBS.every((verb) => may(verb) === false);
+    const none = waits && open.every((verb) => may(verb) === false);
     whose.hidden = !none;
     const who = none ? store.rightsOf.who(store.selected, "reset") : [];
     setText(whose, none ? texts(who.length ? "actions.who" : "actions.nobody", {who: who.join(", ")}) : "");

@@ -1,8 +1,8 @@
 /**
  * Plan a motion: joint sliders, saved poses, the tool dragged by its handle in the picture, a straight line.
  *
- * Nothing moves by it: what is asked for becomes a plan under review. Whether this account may ask, the broker says: the panel asks
- * it once per connection and robot, with a harmless question (`ik` for where the tool is), and tells a refusal in place of sliders.
+ * Nothing moves by it: what is asked for becomes a plan under review. Who may ask stands in the list of rights (rights.js); who may
+ * not reads who can, in place of sliders. Where there is no list, everything is drawn, and a refusal of the broker is told.
  */
 import {add, button, clear, setText} from "../dom.js";
 import {Asking, jointsRequest, lineRequest, topic} from "../planning/asking.js";
@@ -19,18 +19,13 @@ const SPEEDS = [0, 0.1, 0.25, 0.5, 1];
 /** How often it is looked whether an answer is overdue [ms]. */
 const LOOK_EVERY = 500;
 
-/** Shortest time between two questions for the right, where the broker has not answered the first [s]. */
-const ASK_AGAIN_S = 5;
-
 /** What the panel knows of one robot. */
 class Desk {
   constructor(run) {
     this.follower = new IkFollower(run);
     this.asking = new Asking(run);
-    // "unknown", "asked", "granted", "refused"
-    this.right = "unknown";
-    // not asked again before [s]
-    this.askAgain = -Infinity;
+    // what the broker has said to what a person asked for on this connection: "", "taken", "refused"
+    this.broker = "";
     // null until the model was read; then {joints, pose, poses}
     this.model = null;
     this.trouble = "";
@@ -61,6 +56,7 @@ export function make(parent, store, connection, texts, means = {}) {
   const desks = new Map();
   let timer = null;
   let shownJoints = null;
+  let hasPose = false;
 
   const told = add(parent, "p", {className: "plan-told", role: "status"});
   const begin = button(parent, texts("plan.begin"), onBegin, {className: "plan-begin"});
@@ -110,10 +106,7 @@ export function make(parent, store, connection, texts, means = {}) {
     const view = store.robot(robot)?.view;
     const mine = desk(robot);
     if (!view || connection.state !== "connected" || mine.loading) return;
-    if (mine.model !== null && sameNames(mine.model.joints, view.joints.names)) {
-      askRight(robot);
-      return;
-    }
+    if (mine.model !== null && sameNames(mine.model.joints, view.joints.names)) return;
     if (mine.trouble !== "") return;
     mine.loading = true;
     mine.model = null;
@@ -130,28 +123,11 @@ export function make(parent, store, connection, texts, means = {}) {
     } finally {
       mine.loading = false;
     }
-    if (mine.model !== null) askRight(robot);
     show();
   }
 
-  /** Ask the broker whether this account may plan: where the tool is now is a question that harms nobody. */
-  function askRight(robot) {
-    const mine = desk(robot);
-    const present = presentJoints(robot);
-    if (mine.right !== "unknown" || present === null || now() < mine.askAgain) return;
-    mine.right = "asked";
-    mine.askAgain = now() + ASK_AGAIN_S;
-    const {position, quaternion} = mine.model.pose(present);
-    const question = {id: `${crypto.randomUUID().slice(0, 13)}-right`, position, orientation: quaternion};
-    connection.publish(topic("ik", connection.account), robot, question).then(
-      () => setRight(mine, "granted"),
-      (error) => setRight(mine, error.reason === "refused" ? "refused" : "unknown"),
-    );
-  }
-
-  function setRight(mine, right) {
-    mine.right = right;
-    show();
+  function mayPlan(robot) {
+    return store.rightsOf.may(robot, "plan_request") !== false && desk(robot).broker !== "refused";
   }
 
   function presentJoints(robot) {
@@ -200,7 +176,7 @@ export function make(parent, store, connection, texts, means = {}) {
 
   function onDrag(robot, {position, quaternion}) {
     const mine = desk(robot);
-    if (mine.goal === null || mine.goal.values === null || mine.right === "refused") return;
+    if (mine.goal === null || mine.goal.values === null || !mayPlan(robot)) return;
     mine.dragged = {position: [...position], quaternion: [...quaternion]};
     mine.follower.drag({position: mine.dragged.position, orientation: mine.dragged.quaternion});
     follow(robot);
@@ -220,7 +196,14 @@ export function make(parent, store, connection, texts, means = {}) {
     if (question !== null) {
       mine.asked.set(question.id, {position: question.position, quaternion: question.orientation});
       while (mine.asked.size > 8) mine.asked.delete(mine.asked.keys().next().value);
-      connection.publish(topic("ik", connection.account), robot, question, {qos: 0}).catch((error) => onUnsent(mine, error));
+      // one with QoS 0 that the broker's rules refuse disappears without a word
+      const qos = mine.broker === "taken" || store.rightsOf.may(robot, "plan_request") ? 0 : 1;
+      connection.publish(topic("ik", connection.account), robot, question, {qos}).then(
+        () => {
+          if (qos === 1) mine.broker = "taken";
+        },
+        (error) => onUnsent(mine, error),
+      );
     }
     const wait = mine.follower.wait(now());
     if (wait !== null && timer === null) {
@@ -233,7 +216,7 @@ export function make(parent, store, connection, texts, means = {}) {
 
   function onUnsent(mine, error) {
     mine.follower.drop();
-    if (error.reason === "refused") mine.right = "refused";
+    if (error.reason === "refused") mine.broker = "refused";
     else mine.goal.setAnswer(mine.dragged, {reach: "unknown", joints: null, sentence: texts("plan.reach.unsent")});
     show();
   }
@@ -285,7 +268,7 @@ export function make(parent, store, connection, texts, means = {}) {
       (code) => mine.asking.onTaken(message.id, code),
       (error) => {
         mine.asking.onFailed(message.id, error);
-        if (mine.asking.state === "forbidden") mine.right = "refused";
+        if (mine.asking.state === "forbidden") mine.broker = "refused";
       },
     ).finally(show);
     show();
@@ -302,11 +285,12 @@ export function make(parent, store, connection, texts, means = {}) {
     const robot = store.selected;
     const mine = selected();
     const connected = connection.state === "connected";
-    const isPlanner = mine !== null && mine.model !== null && mine.right !== "refused";
+    const isPlanner = mine !== null && mine.model !== null && mayPlan(robot);
     const hasGoal = isPlanner && mine.goal.values !== null;
     work.hidden = !hasGoal;
     begin.hidden = !isPlanner || hasGoal;
-    begin.disabled = !connected || mine === null || presentJoints(robot) === null || mine.right !== "granted";
+    hasPose = mine !== null && presentJoints(robot) !== null;
+    begin.disabled = !connected || !hasPose;
     setText(told, sentence(robot, mine, connected));
     told.hidden = told.textContent === "";
     if (!hasGoal) return;
@@ -322,11 +306,17 @@ export function make(parent, store, connection, texts, means = {}) {
 
   function sentence(robot, mine, connected) {
     if (mine === null || !connected) return texts("plan.not_connected");
-    if (mine.right === "refused") return texts("plan.forbidden", {account: connection.account || "-"});
+    if (!mayPlan(robot)) return whoPlans(robot);
     if (mine.trouble !== "") return texts("plan.no_model", {why: mine.trouble});
     if (mine.model === null) return texts("plan.loading");
-    if (presentJoints(robot) === null) return texts("plan.no_pose");
-    return mine.right === "granted" ? "" : texts("plan.asking_right");
+    return hasPose ? "" : texts("plan.no_pose");
+  }
+
+  function whoPlans(robot) {
+    const who = store.rightsOf.who(robot, "plan_request");
+    if (who.length > 0) return texts("plan.who", {who: who.join(", ")});
+    if (store.rightsOf.may(robot, "plan_request") === false) return texts("plan.nobody");
+    return texts("plan.forbidden", {account: connection.account || "-"});
   }
 
   function showSliders(mine) {
@@ -396,11 +386,10 @@ export function make(parent, store, connection, texts, means = {}) {
   // -- what the others tell
 
   store.on("view", (robot) => {
-    const mine = desk(robot);
-    if (mine.model === null || mine.right === "unknown") prepare(robot);
+    prepare(robot);
+    if (robot === store.selected && hasPose !== (presentJoints(robot) !== null)) show();
   });
-  store.on("selected", show);
-  store.on("old", show);
+  for (const kind of ["selected", "old", "rights"]) store.on(kind, show);
   store.on("drag", onDrag);
   store.on("ik_ack", onIkAnswer);
   store.on("plan_request_ack", (robot, message) => {
@@ -413,8 +402,7 @@ export function make(parent, store, connection, texts, means = {}) {
   store.on("connection", (_, state) => {
     for (const mine of desks.values()) {
       mine.follower.drop();
-      mine.right = "unknown";
-      mine.askAgain = -Infinity;
+      mine.broker = "";
       mine.trouble = "";
       if (state !== "connected") mine.asking.onLost();
     }

@@ -40,12 +40,13 @@ export function make(parent, store, connection, texts, {now = () => performance.
   const askNext = button(next, texts("tasks.ask_next"), () => onAsk(taskRequest("")), {className: "plan-ask"});
   const back = button(next, texts("tasks.way_back"), () => onAsk(wayBackRequest()), {className: "plan-ask"});
   const answer = add(root, "p", {className: "plan-answer", role: "status"});
-  const list = add(root, "ul", {className: "tasks-list"});
-  const detail = add(root, "div", {className: "tasks-detail", role: "status", hidden: true});
   const question = add(root, "div", {className: "tasks-asks", hidden: true});
   const ask = add(question, "p", {className: "tasks-question"});
   const choices = add(question, "div", {className: "tasks-answers"});
   const answered = add(question, "p", {className: "tasks-answered", role: "alert"});
+  const list = add(root, "ul", {className: "tasks-list"});
+  // below its task in the list: a list of many is longer than the screen
+  const detail = add(root, "div", {className: "tasks-detail", role: "status", hidden: true});
   const notes = add(root, "ul", {className: "tasks-notes"});
 
   function asking(robot) {
@@ -81,7 +82,10 @@ export function make(parent, store, connection, texts, {now = () => performance.
     const task = taskOfElement(tasks, element);
     if (task === null) return;
     pick(task);
-    list.querySelector('[aria-pressed="true"]')?.scrollIntoView?.({block: "nearest"});
+    parent.tab?.open();
+    const choose = list.querySelector('[aria-pressed="true"]');
+    // all that is said of it; its name in any case
+    for (const each of [choose?.parentElement, choose]) each?.scrollIntoView?.({block: "nearest"});
   }
 
   function show() {
@@ -122,6 +126,7 @@ export function make(parent, store, connection, texts, {now = () => performance.
     const picked = picks.get(store.selected) ?? null;
     if (drawn !== tasks) {
       drawn = tasks;
+      root.insertBefore(detail, notes);
       clear(list);
       for (const task of tasks.tasks) {
         const item = add(list, "li");
@@ -151,7 +156,8 @@ export function make(parent, store, connection, texts, {now = () => performance.
     detail.hidden = task === null;
     clear(detail);
     if (task === null) return;
-    add(detail, "h3", {text: task.name});
+    const item = list.children[tasks.tasks.indexOf(task)];
+    if (detail.parentElement !== item) item.append(detail);
     const element = task.element_name || task.element;
     const lines = [texts("tasks.element", {element}), texts("tasks.state", {state: stateText(task)})];
     if (task.reason) lines.push(texts.reason(task.reason));

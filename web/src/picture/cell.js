@@ -7,15 +7,17 @@
 import {Box3, DirectionalLight, HemisphereLight, Object3D, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3} from "three";
 import {OrbitControls} from "three/addons/controls/OrbitControls.js";
 import {TransformControls} from "three/addons/controls/TransformControls.js";
+import {clock} from "../progress.js";
 import {closestOf, millimetres, otherPoint} from "./closest.js";
 import * as colours from "./colours.js";
 import {around, clipped, corners, fit} from "./fit.js";
 import {makeFloor} from "./floor.js";
 import {floorOf} from "./grid.js";
 import {measured, onFloor} from "./measuring.js";
+import {playedOf} from "./played.js";
 import {ghostOf, loadRobot, mainColour, ModelError, reachOf, setJoints, toolOf} from "./robot_model.js";
 import {
-  axes, closestMarker, colourBuilding, dispose, ghostMaterial, isEngaged, loadBuilding, pathLine, reachMarker, sceneBody, span,
+  axes, closestMarker, colourBuilding, dispose, ghostMaterial, isEngaged, loadBuilding, pathLine, playedPath, reachMarker, sceneBody, span,
 } from "./shapes.js";
 
 /** Directions from which the cell is looked at: towards the camera. */
@@ -26,6 +28,8 @@ const FOV = 38;
 const FAR = 2.2;
 /** Reach of an arm whose model has not come yet [m]. */
 const REACH = 2.5;
+/** So much is shown on all sides of an element that is brought into view, as a part of the arm's reach. */
+const AROUND = 0.2;
 /** Length of the tool frame's axes, as a part of the arm's reach. */
 const AXES = 0.1;
 /** A body has its name beside it where it is at least so large on the screen [px]; so many have at most. */
@@ -117,7 +121,10 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   const closest = closestMarker();
   const reach = reachMarker();
   const rule = span(colours.MEASURE, 3);
-  scene.add(closest, reach, rule);
+  const playedLine = playedPath();
+  scene.add(closest, reach, rule, playedLine);
+  let played = null;
+  let playedId = "";
   let measuring = [];
   let ended = false;
 
@@ -266,10 +273,11 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       there.arm = bodies.arm.visible = false;
     }
     showClosest();
+    showPlayed();
     if (chosen !== "" && isOutside()) refit();
     // views come 25 times a second; while the robot stands still they all show the same picture
     const shown = view === null ? "" : JSON.stringify(
-      [view.twin?.positions, view.arm?.positions, view.sync?.state, view.closest, bodies !== null], rounded);
+      [view.twin?.positions, view.arm?.positions, view.sync?.state, view.closest, bodies !== null, played?.travelled.at(-1), played?.remaining], rounded);
     const at = performance.now();
     if (shown === drawnView && at - drawnAt < AT_LEAST_EVERY) return;
     drawnView = shown;
@@ -285,6 +293,19 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     near = found;
     other = near === null ? null : otherPoint(near, robot().scene?.objects ?? []);
     closest.show(near, other);
+  }
+
+  /** Show where the tool goes by the plan that is played. */
+  function showPlayed() {
+    const before = played;
+    played = replayed() === null ? playedOf(robot()) : null;
+    if (played === null && before === null) return;
+    playedLine.show(played);
+    const id = played === null ? "" : robot().path.plan_id;
+    // who comes in the middle of a motion has seen no plan that the camera was fitted to
+    if (id !== playedId && id !== "") refit();
+    if (id !== playedId) redraw();
+    playedId = id;
   }
 
   function showPlan() {
@@ -361,6 +382,16 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     redraw();
   }
 
+  /** Show which element is worked on, in view: who has chosen it in the list may look somewhere else. */
+  function showPicked(picked) {
+    showTasks();
+    const node = building?.elements.get(picked?.element ?? "")?.node;
+    // what was tapped in the picture is in view
+    if (node === undefined || tapping) return;
+    const centre = new Box3().setFromObject(node).getCenter(new Vector3());
+    if (!isInView(centre)) lookAt(cornersOf(node), centre);
+  }
+
   function showTasks() {
     const tasks = robot()?.tasks ?? null;
     if (tasks === null) {
@@ -410,6 +441,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   function showAll() {
     if (replayed() !== null) showReplay(replayed());
     showView(robot()?.view ?? null);
+    showPlayed();
     showPlan();
     showPlayback();
     showScene();
@@ -421,14 +453,15 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     if (whose === name) listener(value);
   };
   const ends = [
-    store.on("view", mine(showView)), store.on("plan", mine(showPlan)), store.on("goal", mine(showGoal)),
+    store.on("view", mine(showView)), store.on("plan", mine(showPlan)), store.on("path", mine(showPlayed)), store.on("goal", mine(showGoal)),
     store.on("playback", mine(showPlayback)), store.on("scene", mine(showScene)), store.on("tasks", mine(showTasks)),
-    store.on("picked", mine(showTasks)), store.on("handle", mine(showHandle)), store.on("replay", mine(showReplay)),
+    store.on("picked", mine(showPicked)), store.on("handle", mine(showHandle)), store.on("replay", mine(showReplay)),
   ];
 
   // -- taps
 
   let pressed = null;
+  let tapping = false;
   overlay.addEventListener("pointerdown", (event) => {
     pressed = event.isPrimary ? [event.clientX, event.clientY] : null;
   });
@@ -452,7 +485,9 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     let object = "";
     for (let each = hit.object; each !== null; each = each.parent) object ||= each.userData.object ?? "";
     tapped = {object, element: hit.object.userData.tapped ?? ""};
+    tapping = true;
     store.set("tap", name, {element: tapped.element, object});
+    tapping = false;
   }
 
   /** Return the nearest point of a surface that is drawn, on a ray; null: none. */
@@ -486,6 +521,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     if (bodies === null) points.push([0, 0, 0.9 * reachable]);
     else for (const body of Object.values(bodies)) if (body.visible) points.push(...cornersOf(body));
     if (path !== null) points.push(...robot().plan.tool_path);
+    if (played !== null) points.push(...robot().path.tool_path);
     for (const body of objects) if (body.visible) points.push(...cornersOf(body));
     if (building !== null) points.push(...cornersOf(building.group));
     return clipped(points, FAR * reachable);
@@ -537,6 +573,26 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     } else {
       place = fit(points, direction, FOV, camera.aspect, inset);
     }
+    goTo(place);
+  }
+
+  /** Whether a point is in the part of the picture that is not covered. */
+  function isInView(point) {
+    camera.updateMatrixWorld();
+    const {x, y, z} = point.clone().project(camera);
+    const {left, right, top, bottom} = inset ?? {left: 0, right: 0, top: 0, bottom: 0};
+    return z < 1 && x > 2 * left - 1 && x < 1 - 2 * right && y > 2 * bottom - 1 && y < 1 - 2 * top;
+  }
+
+  /** Look at what has these corners from where the camera is now, with some of what is around it. */
+  function lookAt(points, centre) {
+    chosen = "";
+    const size = AROUND * reachable;
+    const box = corners(centre.clone().subScalar(size).toArray(), centre.clone().addScalar(size).toArray());
+    goTo(fit([...points, ...box], camera.position.clone().sub(controls.target).toArray(), FOV, camera.aspect, inset));
+  }
+
+  function goTo(place) {
     const [position, target] = [new Vector3(...place.position), new Vector3(...place.target)];
     gliding = null;
     if (glides && camera.position.lengthSq() > 0) {
@@ -581,6 +637,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       const point = new Vector3(...near.point);
       at(other === null ? point : point.add(new Vector3(...other)).divideScalar(2), `${millimetres(near.distance)} mm`, "closest", 90);
     }
+    if (played !== null && played.remaining !== null) at(new Vector3(...played.end), clock(played.remaining), "left", 95);
     const names = [];
     const name = (object, text, isTapped) => {
       const box = new Box3().setFromObject(object);
@@ -700,6 +757,8 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
         goal: is("goal") ? {colour: ghosts.goal.color.getHex(), reach: goal?.reach || null} : null,
         path: path !== null && engaged.includes(false) ? colours.PATH : null,
         engaged: engaged.includes(true) ? colours.PATH_ENGAGED : null,
+        ahead: played?.ahead.length ? colours.AHEAD : null,
+        travelled: played?.travelled.length ? colours.TRAVELLED : null,
         closest: closest.visible ? {...near, colour: colours.CLOSEST} : null,
         tool: is("twin") ? colours.AXES[0] : null,
         carried: some(true) ? colours.CARRIED : null,
@@ -718,10 +777,13 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       for (const body of ["twin", "arm", "plan", "goal"]) result[body] = {joints: values(body), tool: toolPosition(body)};
       result.path = path === null ? null : robot()?.plan?.tool_path ?? null;
       result.waypoints = path === null ? 0 : path.userData.waypoints;
+      result.played = played;
       result.armColour = ghosts.arm.color.getHex();
       result.goalColour = ghosts.goal.color.getHex();
       result.objects = objects.map((each) => each.name);
       result.elements = building === null ? [] : [...building.elements].map(([element, {material}]) => [element, material.color.getHex()]);
+      result.places = building === null ? {} : Object.fromEntries([...building.elements].map(
+        ([element, {node}]) => [element, onScreen(new Box3().setFromObject(node).getCenter(new Vector3()))]));
       result.handle = gizmo.object === undefined ? null
         : {position: handle.position.toArray(), screen: onScreen(handle.position), axis: screenAxis(), mode: gizmo.mode};
       result.camera = {position: camera.position.toArray(), target: controls.target.toArray(), chosen};

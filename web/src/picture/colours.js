@@ -37,6 +37,9 @@ export const goalColour = (reach) => (reach ? BY_REACH[reach] ?? BY_REACH.unknow
 export const PLAN = 0x2f7df6;
 export const GOAL = 0x0e9aa7;
 export const PATH = 0x2f7df6;
+/** While a plan is played: what is still ahead of the tool is drawn as the planned path was. */
+export const AHEAD = PATH;
+export const TRAVELLED = 0x8696b0;
 export const PATH_ENGAGED = 0xf29a1a;
 export const CLOSEST = 0xd946ef;
 export const STANDING = 0xaab2be;

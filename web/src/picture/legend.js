@@ -23,7 +23,7 @@ export function goalKey(reach) {
  * Return the entries.
  *
  * @param {object} drawn what a cell draws (`drawn()` of cell.js): a colour, or null for what is not drawn
- * @returns {{id: string, key: string, colour: number, form: string}[]} `form`: how it is drawn, `body`, `ghost`, `line`, `point`, `axes`
+ * @returns {{id: string, key: string, colour: number, form: string}[]} `form`: how it is drawn, `body`, `ghost`, `line`, `thin`, `point`, `axes`
  */
 export function entriesOf(drawn) {
   const entries = [];
@@ -37,6 +37,8 @@ export function entriesOf(drawn) {
   add("goal", drawn.goal?.colour, "ghost", goalKey(drawn.goal?.reach ?? null));
   add("path", drawn.path, "line");
   add("engaged", drawn.engaged, "line");
+  add("ahead", drawn.ahead, "line");
+  add("travelled", drawn.travelled, "thin");
   add("closest", drawn.closest?.colour, "point", drawn.closest?.ofPlan ? "picture.legend.closest_of_plan" : "picture.legend.closest");
   add("tool", drawn.tool, "axes");
   add("carried", drawn.carried, "body");

@@ -179,6 +179,33 @@ export function pathLine(points, segments = [], ratio = 1) {
   return group;
 }
 
+/** Widths of a path that is played, ahead of the tool and behind it [px]. */
+const AHEAD = 4;
+const TRAVELLED = 2;
+
+/** Return the path of a plan that is played; `show(played)` (played.js) sets it, null hides it. */
+export function playedPath() {
+  const group = new Group();
+  const lines = [["travelled", colours.TRAVELLED, TRAVELLED], ["ahead", colours.AHEAD, AHEAD]].map(([part, colour, width]) => {
+    const line = new Line2(new LineGeometry(), new LineMaterial({color: colour, linewidth: width}));
+    group.add(line);
+    return [part, line];
+  });
+  group.show = (played) => {
+    group.visible = played !== null;
+    for (const [part, line] of lines) {
+      const points = played?.[part] ?? [];
+      line.visible = points.length > 1;
+      if (!line.visible) continue;
+      // it changes with each view: what the graphics card had of the one before goes
+      line.geometry.dispose();
+      line.geometry.setPositions(points.flat());
+    }
+  };
+  group.show(null);
+  return group;
+}
+
 /** Whether the tool is engaged at a point of a path. */
 export function isEngaged(segments, k) {
   return Boolean(segments.find((each) => k <= each.tool_path_end)?.engaged);

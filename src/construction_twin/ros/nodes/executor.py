@@ -28,7 +28,7 @@ from construction_twin.core.errors import (
     ReviewError,
 )
 from construction_twin.core.freshness import LIFETIME, Moment, is_newer, parse_moment, staleness
-from construction_twin.core.reports import ExecutionReport, SessionRequest, ToolReport
+from construction_twin.core.reports import ExecutionReport, SessionRequest, SpeedChange, ToolReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
@@ -56,6 +56,7 @@ from construction_twin.msg import (
     ToolState,
 )
 from construction_twin.msg import SessionRequest as SessionRequestMessage
+from construction_twin.msg import SpeedChange as SpeedChangeMessage
 from construction_twin.review.plan_under_review import EXECUTOR, REJECTED, Verdict
 from construction_twin.review.record import Release, Responsibility, ReviewLog
 from construction_twin.robot.description import RobotModel
@@ -373,6 +374,10 @@ class ExecutorNode:
     def on_session_request(self, message: SessionRequestMessage) -> None:
         """Record who has lifted a stop or fault, or armed."""
         self._log.defer(from_msg(SessionRequest, message))
+
+    def on_speed_change(self, message: SpeedChangeMessage) -> None:
+        """Record who has set the speed limit of people."""
+        self._log.defer(from_msg(SpeedChange, message))
 
     # -- services
 
@@ -794,6 +799,7 @@ INTERFACE = Interface(
         Subscription(
             "speed_limit_in_force", SpeedLimitInForce, ExecutorNode.on_limit, queue_size=5, tcp_nodelay=True
         ),
+        Subscription("speed_change", SpeedChangeMessage, ExecutorNode.on_speed_change, queue_size=50),
         Subscription(
             "conflict", Conflict, ExecutorNode.on_conflict, queue_size=20, tcp_nodelay=True,
             when=lambda settings: bool(settings.neighbour),

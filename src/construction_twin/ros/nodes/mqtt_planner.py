@@ -21,7 +21,7 @@ import rospy
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from construction_twin.console.camera_address import cameras_of
+from construction_twin.core.camera_address import cameras_of
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
 from construction_twin.core.units import NANOSECONDS
@@ -38,6 +38,7 @@ from construction_twin.msg import (
     Plan,
     Review,
     SessionRequest,
+    SpeedChange,
     SpeedLimitInForce,
     Sync,
     WorkTasks,
@@ -328,6 +329,8 @@ class MqttPlanner:
         with self._lock:
             self._progress.on_report(report)
             self._execution = message, time.monotonic()
+        if self._feed is not None:
+            self._feed.on_execution(report)
 
     def on_speed(self, message: SpeedLimitInForce) -> None:
         """Take which speed limit is in force."""
@@ -540,6 +543,7 @@ INTERFACE = Interface(
         Subscription("approval_obstacle", String, _fed(ConsoleFeed.on_approval_obstacle), queue_size=1),
         Subscription("link", Link, MqttPlanner.on_link, queue_size=1),
         Subscription("session_request", SessionRequest, _fed(ConsoleFeed.on_session_request), queue_size=10),
+        Subscription("speed_change", SpeedChange, _fed(ConsoleFeed.on_speed_change), queue_size=50),
         Subscription("speed_limit_in_force", SpeedLimitInForce, MqttPlanner.on_speed, queue_size=1),
     ),
 )

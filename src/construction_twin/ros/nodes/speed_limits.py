@@ -18,10 +18,11 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
 from construction_twin.core.files import read_file, write_whole
-from construction_twin.core.reports import SpeedReport
+from construction_twin.core.reports import SpeedChange, SpeedReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.link.speed_limits import PeopleLimit, SpeedLimits, kept, program_text, remembered, unreadable
+from construction_twin.msg import SpeedChange as SpeedChangeMessage
 from construction_twin.msg import SpeedLimit as SpeedLimitMessage
 from construction_twin.msg import SpeedLimitInForce
 from construction_twin.robot.description import RobotModel
@@ -115,16 +116,23 @@ class SpeedLimitsNode:
     Args:
         file: Keeps what people set.
         memory: Keeps which program was heard.
+        in_force, changes: Get what is in force, and what a person has set, for the record.
         diagnostics: Counts what is refused.
     """
 
     def __init__(
-        self, limits: SpeedLimits, file: LimitFile, memory: StopMemory, in_force: Sink, diagnostics: NodeDiagnostics
+        self,
+        limits: SpeedLimits,
+        file: LimitFile,
+        memory: StopMemory,
+        in_force: Sink,
+        changes: Sink,
+        diagnostics: NodeDiagnostics,
     ):
         self._limits = limits
         self._file, self._kept, self._problem = file, limits.people, ""
         self._memory = memory
-        self._publisher = in_force
+        self._publisher, self._changes = in_force, changes
         self._diagnostics = diagnostics
         # also orders what is published: the last message is what was decided last
         self._lock = threading.Lock()
@@ -167,8 +175,11 @@ class SpeedLimitsNode:
         """Take what a person sets: it is in force before the answer, and before anything is written."""
         try:
             with self._lock:
+                before = self._limits.people
                 sentence = self._limits.set(request.limit, request.person, request.moment, present(), now_ns())
                 self._publish()
+                if self._limits.people != before:
+                    self._tell_change(self._limits.people)
         except (PayloadError, ExpiredError) as error:
             expired = isinstance(error, ExpiredError)
             self._diagnostics.refuse(error.reason if isinstance(error, PayloadError) else TOO_OLD, str(error))
@@ -193,6 +204,10 @@ class SpeedLimitsNode:
         self._told = report = self._limits.report(time.monotonic_ns())
         if report is not None:
             self._publisher.publish(to_msg(replace(report, stamp=now_ns()), SpeedLimitInForce))
+
+    def _tell_change(self, people: PeopleLimit) -> None:
+        change = SpeedChange(people.person, people.limit, people.replaced, people.replaced_person, people.since)
+        self._changes.publish(to_msg(change, SpeedChangeMessage))
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
@@ -248,7 +263,8 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> SpeedLimitsNod
     if limits.people != PeopleLimit():
         rospy.loginfo("%s", limits.people.reason)
     memory = StopMemory(before, ports.keeper(PROGRAM), PROGRAM)
-    return SpeedLimitsNode(limits, file, memory, ports.publishers["speed_limit_in_force"], ports.diagnostics)
+    in_force, changes = (ports.publishers[name] for name in ("speed_limit_in_force", "speed_change"))
+    return SpeedLimitsNode(limits, file, memory, in_force, changes, ports.diagnostics)
 
 
 INTERFACE = Interface(
@@ -258,7 +274,10 @@ INTERFACE = Interface(
         SharedParameter("gateway"),
         SharedParameter(PROGRAM, "", kept=True),
     ),
-    publishes=(Publication("speed_limit_in_force", SpeedLimitInForce, queue_size=5, latch=True, tcp_nodelay=True),),
+    publishes=(
+        Publication("speed_limit_in_force", SpeedLimitInForce, queue_size=5, latch=True, tcp_nodelay=True),
+        Publication("speed_change", SpeedChangeMessage, queue_size=50),
+    ),
     hears=(Subscription("speed_limit", SpeedLimitMessage, SpeedLimitsNode.on_program, queue_size=5, tcp_nodelay=True),),
     serves=(Served("limit_speed", LimitSpeed, SpeedLimitsNode.on_limit_speed),),
     every=(Every(lambda settings: 1.0 / settings.rate, lambda node, _ports: node.repeat()),),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 
@@ -15,12 +16,16 @@ from std_msgs.msg import String
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.records import SPACED, dumped
-from construction_twin.core.reports import HoldReport, WorkReport
+from construction_twin.core.reports import ExecutionReport, HoldReport, SpeedChange, WorkReport
 from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.execution.states import ACTIVE
+from construction_twin.link.path_view import PathView
 from construction_twin.link.remote_review import PlanBoard
 from construction_twin.mqtt.messages import Topics
 from construction_twin.msg import Execution, Hold, Link, Plan, Review, SessionRequest, Sync, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
+from construction_twin.msg import SpeedChange as SpeedChangeMessage
 from construction_twin.review.plan_under_review import EXECUTOR
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
@@ -38,6 +43,9 @@ from construction_twin.views.status_line import Line, ReportsNow, status_lines
 LOOK, REPEAT = 0.2, 1.0
 #: A camera is announced so often [s]: the console takes each message that the broker passes on for the broker's word, for 30 s.
 ANNOUNCE = 10.0
+#: A tool's path is thinned to so many points, beside the ends of its segments; of so many plans it is kept until one is played.
+PATH_POINTS, PATHS = 200, 8
+_UNDER_WAY = frozenset(state.name for state in ACTIVE)
 
 
 class ConsoleFeed:
@@ -71,6 +79,10 @@ class ConsoleFeed:
         self._deployment, self._files = deployment, files
         self._lock = threading.Lock()
         self._board = PlanBoard()
+        #: Of the newest plans, by id: the payload of `path` while that plan is played.
+        self._paths: dict[str, bytes] = {}
+        self._playing = ""
+        self._telling = threading.Lock()
         self._session = ""
         self._cameras = {topics.camera(name): dumped({"name": name}) for name in cameras}
         self._announced = float("-inf")
@@ -90,6 +102,11 @@ class ConsoleFeed:
         """Take a plan for review."""
         with self._lock:
             self._board.on_plan(message.id, message.id.encode())
+            self._paths.pop(message.id, None)
+            self._paths[message.id] = _path_of(message)
+            while len(self._paths) > PATHS:
+                del self._paths[next(iter(self._paths))]
+        self._tell_path()
 
     def on_review(self, message: Review) -> None:
         """Take a verdict."""
@@ -99,10 +116,28 @@ class ConsoleFeed:
             act, at = APPROVED if message.approved else REJECTED, message.header.stamp
             self.messages.on_act(act, at, person=message.reviewer, reason=message.reason)
 
+    def on_execution(self, report: ExecutionReport) -> None:
+        """Tell the tool's path of the plan that is under way; none once it has ended."""
+        self._playing = report.plan_id if report.text in _UNDER_WAY else ""
+        self._tell_path()
+
+    def _tell_path(self) -> None:
+        # a node that was started in the middle of a motion may hear of the plan after it has heard that it is played
+        with self._telling:
+            with self._lock:
+                payload = self._paths.get(self._playing, b"")
+                told = self._retained.get(self._topics.path, b"")
+            if payload != told:
+                self._keep(self._topics.path, payload)
+
     def on_session_request(self, message: SessionRequest) -> None:
         """Take that a person has lifted a stop or fault, or armed."""
         person = message.person or Sentence("line.person.somebody")
         self.messages.on_act(message.verb, message.stamp, person=person, lifts=message.lifts)
+
+    def on_speed_change(self, message: SpeedChangeMessage) -> None:
+        """Take that a person has set the speed limit of people."""
+        self.messages.on_speed(from_msg(SpeedChange, message))
 
     def on_hold(self, message: Hold) -> None:
         """Take why the gate is closed."""
@@ -236,6 +271,16 @@ class ConsoleFeed:
             missing = first_missing(seen, deployment)
             heard = replace(heard, started=True, missing=missing, arm=deployment.arm != "none")
         return status_lines(heard)
+
+
+def _path_of(message: Plan) -> bytes:
+    """Return where the tool goes by a plan, as it is told while that is played; nothing where its planner has not said it."""
+    times = [point.time_from_start.to_nsec() for point in message.trajectory.points]
+    if not message.tool_path or len(message.tool_path) != len(times):
+        return b""
+    path = [(point.x, point.y, point.z) for point in message.tool_path]
+    rests = [min(bisect_left(times, round(each.end * NANOSECONDS)), len(times) - 1) for each in message.segments]
+    return PathView(message.id, [time / NANOSECONDS for time in times], path).to_json(PATH_POINTS, rests)
 
 
 def _word(report: Link | Sync | Execution | None) -> Word | None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 import genpy
 
 from construction_twin.core.errors import RequestRefused
+from construction_twin.core.reports import SpeedChange
 from construction_twin.link.remote_answer import MAX_BYTES, parse_acknowledgement
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import ACKNOWLEDGE
@@ -55,6 +56,12 @@ class MessageBoard:
         """Take what a person did, as `MessageHistory.on_act`."""
         with self._lock:
             self._history.on_act(act, at.to_sec(), **values)
+            self._publish()
+
+    def on_speed(self, change: SpeedChange) -> None:
+        """Take that a person has set the speed limit, as `MessageHistory.on_speed`."""
+        with self._lock:
+            self._history.on_speed(change)
             self._publish()
 
     def endpoint(self, topics: Topics, counts: RequestCounts, outlets: Outlets) -> Endpoint[tuple[str, str]]:

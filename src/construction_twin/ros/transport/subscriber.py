@@ -42,6 +42,7 @@ PUBLISHERS = {
     "transitions": "pca_monitor",
     "velocities/joint_states": "joint_velocities",
     "speed_limit_in_force": "speed_limits",
+    "speed_change": "speed_limits",
 }
 #: Requests that other programs may make: heard from everybody, unless `publishers` names one node.
 FOR_ANYBODY = ("joint_trajectory", "speed_limit")

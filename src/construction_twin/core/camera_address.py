@@ -36,6 +36,11 @@ class CameraAddress:
     port: int
     path: str
 
+    def __str__(self) -> str:
+        """Return what `camera_of` reads."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.name}=http://{host}:{self.port}{self.path}@{self.robot}"
+
     def topic(self, prefix: str) -> str:
         """Return the topic on which the robot's programs announce it: whoever may read that may see the camera."""
         return f"{prefix}/{self.robot}/camera/{self.name}"
@@ -55,11 +60,11 @@ def camera_of(words: str, robot: str = "") -> CameraAddress:
     expected = Sentence("expected.camera")
     try:
         parts = urlsplit(address)
-        host, port = parts.hostname or "", parts.port or 80
+        host, port = parts.hostname or "", 80 if parts.port is None else parts.port
     except ValueError as error:
         raise ConfigurationError("--camera", words, expected) from error
     path = parts.path + (f"?{parts.query}" if parts.query else "")
-    plain = parts.scheme == "http" and host and not parts.fragment and "@" not in parts.netloc
+    plain = parts.scheme == "http" and host and port > 0 and not parts.fragment and "@" not in parts.netloc
     if not (plain and _PATH.fullmatch(path) and _NAME.fullmatch(name) and _NAME.fullmatch(own)):
         raise ConfigurationError("--camera", words, expected)
     return CameraAddress(name, own, host, port, path or "/")
