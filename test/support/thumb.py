@@ -85,10 +85,10 @@ class Thumb:
         self._send("touchStart", (x, y))
         self.slide((x, y), (x, y - way))
         self.up()
+        self.touches.append(Touch("a swipe", REACH))
 
     def place(self, target: Locator, what: str, least: int) -> tuple[float, float]:
         """Return the middle of a target, which must be large enough, in view, and under nothing else."""
-        # it may still be where the page was before what came last
         expect(target).to_be_in_viewport(ratio=0.99)
         box = target.bounding_box()
         assert box is not None, what
