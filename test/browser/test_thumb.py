@@ -138,8 +138,11 @@ def test_a_thumb_that_scrolls_presses_nothing(page_of, site, robot):
     for name in (".playback-play", ".verdict-checks summary"):
         # in the middle of what is left above the approve button
         panel.evaluate(
-            """(it, name) => { it.scrollTop = 0; const above = it.querySelector(".verdict-act").offsetHeight;
-              it.scrollTop = it.querySelector(name).getBoundingClientRect().top - it.getBoundingClientRect().top - (it.clientHeight - above) / 3; }""",
+            """(it, name) => {
+              it.scrollTop = 0;
+              const height = it.clientHeight - it.querySelector(".verdict-act").offsetHeight;
+              it.scrollTop = it.querySelector(name).getBoundingClientRect().top - it.getBoundingClientRect().top - height / 3;
+            }""",
             name,
         )
         before = panel.evaluate("(it) => it.scrollTop")

@@ -1,4 +1,4 @@
-"""A thumb on a page for tests: real touches through the browser's own input, each on what a person sees, and the time that they take.
+"""A thumb on a page, for tests: real touches by the browser's own input, on what a person sees, and the time that they take.
 
 A thumb in a glove needs `REACH` to find and touch a place; a hold takes as long as the page wants it to. How fast this machine is
 stands in neither.
