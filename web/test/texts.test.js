@@ -26,7 +26,7 @@ test("a program's own word in a reason is what a person calls it, and a name tha
   const said = "gateway was stopped (stop 3) and is holding: asked for by account stopped";
   assert.equal(textsIn("de").reason(said), "das Gateway wurde angehalten (Halt 3) und ist angehalten: verlangt von Konto stopped");
   assert.equal(textsIn("en").reason(said), said);
-  assert.equal(textsIn("de").reason("re-plan after HOLDING"), "neu geplant, denn der Monitor war angehalten");
+  assert.equal(textsIn("de").reason("re-plan after HOLDING"), "Neuplanung, weil der Monitor angehalten war");
 });
 
 test("the language is the chosen one, else the browser's, else English", () => {
