@@ -24,7 +24,7 @@ export function tableOf(sentences, language) {
  * Return a template with its places filled in.
  *
  * @param values by name: texts, numbers, quantities `{value, unit}`; what is not given leaves its place as it is
- * @param said turns any other value into text, and a unit into the language's word for it
+ * @param said turns any other value into text, by its place's name, and a unit into the language's word for it
  */
 export function fill(template, values, said = {value: String, unit: (unit) => unit}) {
   return template.replace(PLACE, (place, name, decimals, form) => {
@@ -32,7 +32,7 @@ export function fill(template, values, said = {value: String, unit: (unit) => un
     if (value === undefined) return place;
     if (form === "f") return fixed(value, decimals);
     if (form === "g") return general(value);
-    if (form !== "p" && form !== "q") return said.value(value);
+    if (form !== "p" && form !== "q") return said.value(value, name);
     const [number, unit] = form === "p" ? forPeople(value) : [value.value, value.unit];
     return `${decimals === undefined ? short(number, unit) : fixed(number, decimals)} ${said.unit(unit)}`.trim();
   });

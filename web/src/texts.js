@@ -1,6 +1,9 @@
 /** The page's words in the person's language. */
 import {fill, makeSentences} from "./sentences.js";
 
+/** Places of a sentence that hold a program's own word, such as a state: `word.` and it are the key of what a person calls it. */
+const PROGRAMS_WORDS = new Set(["state", "outcome"]);
+
 /** Return which of the languages to use: the one that was chosen before, else the first of the browser's that there is, else English. */
 export function languageOf(languages, chosen, wanted) {
   if (languages.includes(chosen)) return chosen;
@@ -28,7 +31,11 @@ export function makeTexts(language, table) {
     if (words === undefined) throw new RangeError(`no text ${key} in ${language}`);
     return fill(words, values, {value, unit});
   };
-  const value = (each) => (typeof each === "object" && each !== null ? texts(each.key, each.values) : String(each));
+  const value = (each, place) => {
+    if (typeof each === "object" && each !== null) return texts(each.key, each.values);
+    const word = `word.${String(each).toLowerCase()}`;
+    return language !== "en" && PROGRAMS_WORDS.has(place) && texts.has(word) ? texts(word) : String(each);
+  };
   const unit = (name) => {
     const [base, ...per] = name.split("/");
     return [texts.has(`unit.${base}`) ? texts(`unit.${base}`) : base, ...per].join("/");

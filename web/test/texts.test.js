@@ -22,6 +22,13 @@ test("a key that is missing is an error, and values are filled in as text", () =
   assert.equal(texts("page.account", {account: "<b>$&"}), "Logged in as <b>$&");
 });
 
+test("a program's own word in a reason is what a person calls it, and a name that is such a word stays", () => {
+  const said = "gateway was stopped (stop 3) and is holding: asked for by account stopped";
+  assert.equal(textsIn("de").reason(said), "das Gateway wurde angehalten (Halt 3) und ist angehalten: verlangt von Konto stopped");
+  assert.equal(textsIn("en").reason(said), said);
+  assert.equal(textsIn("de").reason("re-plan after HOLDING"), "Neuplanung, weil der Monitor angehalten war");
+});
+
 test("the language is the chosen one, else the browser's, else English", () => {
   assert.equal(languageOf(["en", "de"], "de", ["en"]), "de");
   assert.equal(languageOf(["en", "de"], null, ["fr-CH", "de-CH"]), "de");

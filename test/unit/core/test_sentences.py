@@ -20,6 +20,12 @@ from construction_twin.core.sentences import (
     replaced,
     understood,
 )
+from construction_twin.execution.goal_states import GoalState
+from construction_twin.execution.states import ExecutorState
+from construction_twin.gateway.states import State as GatewayState
+from construction_twin.link.states import LinkState
+from construction_twin.monitor.states import SyncState
+from construction_twin.work.task_states import TaskState
 
 ROOT = Path(__file__).parents[3]
 SENTENCES = json.loads((ROOT / "src/construction_twin/core/sentences.json").read_text())
@@ -88,6 +94,16 @@ def test_a_note_with_the_names_that_it_holds_for_is_found_in_its_text_again(key)
     note = Sentence("ifc.note.of", note=Sentence(key, **values), names="wall (0000000000000000000008), #12=IFCWALL")
     found = understood(str(note))
     assert found is not None and (found.key, found.values["note"].key) == ("ifc.note.of", key)
+
+
+@pytest.mark.parametrize(
+    "states",
+    (GatewayState, LinkState, SyncState, ExecutorState, TaskState, GoalState),
+    ids=lambda each: each.__module__,
+)
+def test_every_state_that_a_reason_may_name_has_a_word_for_people(states):
+    words = [str(state.value if isinstance(state.value, str) else state.name).lower() for state in states]
+    assert [word for word in words if f"word.{word}" not in SENTENCES] == []
 
 
 def value_of(value: object) -> object:

@@ -150,7 +150,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   /** A task is named as in the list of tasks, where it is known; its id and the whole of who asks are among the checks. */
   const showTitle = (plan, tasks) => {
     const name = tasks?.tasks.find(({id}) => id === plan.task)?.name || plan.task;
-    setText(title, plan.task ? texts("verdict.title_task", {task: name}) : texts("verdict.title", {source: plan.source}));
+    setText(title, plan.task ? texts("verdict.title_task", {task: name}) : texts("verdict.title", {source: texts.reason(plan.source)}));
   };
 
   const step = (element, done, text) => {

@@ -258,7 +258,7 @@ class PcaMonitorNode:
                 start=held,
                 speed_scale=wanted.speed_scale,
                 acceleration_scale=wanted.acceleration_scale,
-                source=f"re-plan after {cause}",
+                source=Sentence("reason.replan_source", state=cause),
                 # not now: a person may have called `stop` since then, which this node has not heard of
                 asked=to_time(wanted.seen),
             )
