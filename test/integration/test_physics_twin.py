@@ -61,24 +61,24 @@ class PhysicsTwinTest(RobotTest):
 
     def test_a_plan_is_played_to_its_end_and_twin_and_arm_agree(self):
         client = self.client
-        since = len(client.syncs)
         with (
             Stream("twin/joint_states") as twin,
             Stream("twin/commanded") as commanded,
             Stream("mock_rsi/joint_states") as arm,
+            Stream("sync", Sync) as syncs,
         ):
             plan = client.start(LEFT, duration=3.0)
             client.wait_for_outcome(plan.plan_id, "finished")
             client.assert_at(LEFT, commanded, arm)
             self.assert_close(radians(LEFT), twin)
             self.assert_stands_still(commanded)
-            # the simulated arm trails what is commanded, as the arm does
-            self.assertGreater(np.abs(twin.positions() - radians(HOME)).max(), 0.1)
-        states = {sync.text for sync in client.syncs[since:]}
-        self.assertEqual(states, {"IN_SYNC"})
-        errors = [max(sync.error) for sync in client.syncs[since:] if sync.error]
-        self.assertTrue(max(errors) < 0.01, max(errors))
-        rospy.loginfo("largest difference of twin and arm: %.2e rad; servo lag %s", max(errors), client.sync.servo_lag)
+        self.assertEqual({sync.text for sync in syncs.messages}, {"IN_SYNC"})
+        worst = max(max(sync.error) for sync in syncs.messages)
+        print(
+            f"largest difference of twin and arm: {worst:.2e} rad; servo lag {client.sync.servo_lag:.6f} s", flush=True
+        )
+        # what the servo's lag would be between them at 0.6 rad/s
+        self.assertLess(worst, 0.01)
 
     def test_a_stalled_axis_holds_both_and_a_new_plan_ends_at_the_goal(self):
         client = self.client
@@ -119,7 +119,7 @@ class PhysicsTwinTest(RobotTest):
         answer = rospy.ServiceProxy("add_object", AddObject)(object=cube, replace=True)
         self.assertTrue(answer.success, answer.message)
         held = Pose(orientation=Quaternion(w=1.0))
-        held.position.z = 0.17
+        held.position.z = 0.25
         try:
             with Stream("twin/commanded") as commanded, Stream("twin/joint_states") as twin:
                 before = commanded.positions(-1)[0]
