@@ -65,6 +65,7 @@ for _module in sorted((ROOT / "src/construction_twin/ros/nodes").glob("*.py")):
 #: What neither a configuration file nor a launch argument explains; `*` stands for every node.
 _EXPLAINED = {
     ("*", "realtime_priority"): "SCHED_FIFO priority of all threads where permitted; 0: none",
+    ("virtual_robot", "drives"): "YAML of the arm's drives: absolute path; empty: what the URDF says",
     ("*", "self_collision"): "YAML of the link pairs that are not checked: absolute path",
     ("*", "tf_prefix"): "stands before the names of the robot's frames in tf; empty: nothing",
     ("scene", "check_rate"): "how often the present pose is checked [Hz]",

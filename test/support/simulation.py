@@ -40,6 +40,7 @@ from construction_twin.mqtt.messages import CommandProperties, StateProperties
 from construction_twin.review.plan_under_review import Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
+from construction_twin.twin.backend import KinematicBackend, TwinBackend
 from construction_twin.twin.virtual_robot import VirtualRobot
 
 #: Simulated time begins here [ns]: stamps as large as real ones, so that rounding is as real.
@@ -72,6 +73,7 @@ class SimulatedChain:
 
     Args:
         planner: Makes a plan from a pose to another [rad]: asked when the gate closes during a plan and the policy is to re-plan.
+        backend: What simulates the twin.
         restart_after: A controller that has stopped starts a new RSI session after this time [s]; 0: it stays stopped.
 
     Attributes:
@@ -88,6 +90,7 @@ class SimulatedChain:
         link: SimulatedLink = SimulatedLink(),
         planner: Callable[[tuple[float, ...], tuple[float, ...]], Plan] | None = None,
         restart_after: float = 0.0,
+        backend: TwinBackend = KinematicBackend(),
     ):
         self.robot = robot
         self.now = EPOCH
@@ -105,6 +108,7 @@ class SimulatedChain:
         self.transitions: list[Transition] = []
         self.planner = planner
         self.twin = VirtualRobot(None, robot.linear)
+        self.backend = backend
         ids = map(str, itertools.count(1))
         self.supervisor = LinkSupervisor.of(config, lambda: next(ids))
         #: What the gateway answered [rad]: (IPOC, correction).
@@ -217,9 +221,10 @@ class SimulatedChain:
         if command is not None and self.twin.execute(stamp, command):
             self._send(stamp, command)
         if self.twin.pose is not None:
-            self.twin_poses.append((stamp, self.twin.pose))
+            simulated = self.backend.cycle(self.twin.pose)
+            self.twin_poses.append((stamp, simulated))
             self.executor.on_twin(stamp, self.twin.pose, stamp)
-            self.gate.on_twin(stamp, self.twin.pose)
+            self.gate.on_twin(stamp, simulated)
 
     def _note_transitions(self) -> None:
         """What the monitor does about each change: note it, and ask for a new plan, which then waits for review."""
@@ -365,6 +370,7 @@ class SimulatedChain:
                 self._note_transitions()
                 if self.supervisor.state is not LinkState.MIRROR:
                     self.twin.restart()
+                    self.backend.restart()
             self._session = self.supervisor.session
         mirrors = self.supervisor.state is LinkState.MIRROR
         self.gate.mirror(mirrors, self.now)

@@ -15,6 +15,7 @@ from construction_twin.core.sentences import Sentence
 CHOICES = {
     "arm": ("mock", "real", "none"),
     "servo": ("ideal", "realistic"),
+    "twin": ("kinematic", "mujoco"),
     "protocol": ("5", "3.1.1"),
     "gateway_kind": ("rsi", "plc"),
 }
@@ -54,6 +55,7 @@ OPTIONAL_FILES = (
     "scene",
     "cell",
     "tool",
+    "twin_drives",
     "bridge_account",
     "gateway_account",
     "console_certificate",

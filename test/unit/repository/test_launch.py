@@ -15,10 +15,12 @@ from xml.etree import ElementTree
 
 import pytest
 import yaml
-from launch_files import Reader, asked, node_arguments, node_names, parameters, refusal
+from launch_files import Reader, asked, node_arguments, node_names, parameters, read_launch, refusal
 from roslaunch import arg_dump, rlutil
 
 from construction_twin.console.plain_http import HSTS_S, LONGEST_HSTS_S
+from construction_twin.core import extras
+from construction_twin.ros.commands.node_files import node_shells
 from construction_twin.views.preflight import NUMBERS, notes
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -133,7 +135,57 @@ def test_what_takes_the_commands_is_started_and_nothing_else_of_it(arguments, no
     )
 
 
+#: Those that compare or draw the simulated pose, or only wait for it.
+SIMULATED = {"pca_monitor", "joint_velocities", "startup"}
+
+
+def test_who_decides_what_is_commanded_never_reads_a_simulated_pose():
+    words = ("twin:=mujoco", "tool_marker:=true", "work_model:=/house.ifc", "work_cell:=/cell.yaml")
+    readers = {
+        shell.name
+        for shell in node_shells()
+        if "twin/joint_states" in {each.topic for each in (*shell.interface.reads, *shell.interface.hears)}
+    }
+    assert {"executor", "planner", "work", "mqtt_planner", "scene"} <= readers
+    remapped = {
+        node.name: ["twin/joint_states", "twin/commanded"] in node.remap_args
+        for node in read_launch("bringup", *words).nodes
+    }
+    assert {name for name in readers if not remapped[name]} == SIMULATED
+    # and the twin itself publishes both
+    assert not remapped["virtual_robot"]
+
+
+def test_a_kinematic_twin_has_one_pose_and_nobody_reads_another():
+    assert not any("twin/commanded" in str(node.remap_args) for node in read_launch("bringup").nodes)
+
+
+@pytest.mark.parametrize(
+    "words, drives",
+    [
+        ((), "config/kr120_drives.yaml"),
+        (("track:=true",), ""),
+        (("robot:=another",), ""),
+        (("robot_xacro:=/an/arm.xacro",), ""),
+    ],
+)
+def test_only_the_kr_120_has_drives_by_default(words, drives):
+    known = parameters("bringup", "twin:=mujoco", *words)
+    (value,) = (value for name, value in known.items() if name.endswith("/virtual_robot/drives"))
+    assert str(value).endswith(drives) and bool(value) == bool(drives)
+
+
+def test_a_twin_with_mass_is_refused_where_its_packages_are_missing(monkeypatch):
+    assert refusal("bringup", "twin:=mujoco") == ""
+    monkeypatch.setitem(extras.PACKAGES, "physics", ("no_such_engine",))
+    missing = refusal("bringup", "twin:=mujoco")
+    assert missing.startswith("twin:=mujoco: no_such_engine: ") and "setup/setup.sh physics" in missing
+    assert refusal("bringup") == ""
+
+
 REFUSED = {
+    "twin:=bullet": "twin:=bullet: expected kinematic or mujoco",
+    "twin_drives:=/none.yaml": "twin_drives:=/none.yaml: expected ",
     "arm:=foo": "arm:=foo: expected mock, real or none",
     "controller_make:=fanuc": "controller_make:=fanuc: expected rsi",
     "rsi_cycle:=8": "rsi_cycle:=8: expected 4 or 12",

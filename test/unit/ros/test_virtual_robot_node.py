@@ -9,12 +9,16 @@ import pytest
 import rospy
 from construction_twin.msg import Link
 from executor_bench import ROBOT
+from unplugged import Unplugged
 
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.executor import TWIN_TIMEOUT
+from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import virtual_robot as module
 from construction_twin.ros.transport import cycle
+from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.twin.virtual_robot import SILENCE, VirtualRobot
 
 HOME = ROBOT.home
@@ -212,3 +216,148 @@ def test_commands_that_were_held_up_are_of_the_same_clock(world):
     began = world.play(2 * NANOSECONDS, [(500, 2000)])
     stamps = [stamp for _, stamp in world.published]
     assert stamps == sorted(set(stamps)) and world.between(began + 1000 * MS, world.steady)
+
+
+# -- a twin with mass
+
+
+class Falling:
+    """A simulated arm that is a little lower in every cycle, whatever it is told."""
+
+    def __init__(self):
+        self.problem, self.contacts, self.effort, self.remarks = "", (), (1.0,) * 6, ()
+        self.fallen, self.restarts, self.models = 0, 0, []
+
+    def cycle(self, commanded):
+        self.fallen += 1
+        return (commanded[0] - self.fallen * 1e-3, *commanded[1:])
+
+    def restart(self):
+        self.fallen, self.restarts = 0, self.restarts + 1
+
+    def take_model(self, model):
+        self.models.append(model)
+
+
+class Massive:
+    """The node around it, without ROS."""
+
+    def __init__(self, monkeypatch):
+        self.told: list[tuple[str, int, tuple]] = []
+        self.live, self.refused = Falling(), []
+        self.built: list[Scene] = []
+        self.failure = ""
+        monkeypatch.setattr(rospy, "loginfo", lambda *_: None)
+        self.node = module.VirtualRobotNode(
+            VirtualRobot(None, ROBOT.linear),
+            MotionLimits.of(ROBOT),
+            SimpleNamespace(publish=lambda stamp, q: self.told.append(("simulated", stamp, q))),
+            SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
+            threading.Event(),
+            module.Simulation(
+                self.live,
+                self.build,
+                ROBOT.joint_names,
+                SimpleNamespace(publish=lambda stamp, q: self.told.append(("commanded", stamp, q))),
+                SimpleNamespace(
+                    publish=lambda message: self.told.append(("effort", message.header.stamp.to_nsec(), ()))
+                ),
+            ),
+        )
+        self.node.on_link(Link(session="s1", state=Link.ARMED))
+        # long ago: the node's thread does not wait for the next one
+        self.node.on_physical(1, HOME)
+
+    def build(self, scene: Scene):
+        if self.failure:
+            raise ConstructionTwinError(self.failure)
+        self.built.append(scene)
+        return SimpleNamespace(remarks=())
+
+    def of(self, topic: str) -> list[tuple[int, tuple]]:
+        return [(stamp, q) for name, stamp, q in self.told if name == topic]
+
+
+@pytest.fixture
+def massive(monkeypatch):
+    return Massive(monkeypatch)
+
+
+STAMPS = [1000 * NANOSECONDS + number * CYCLE_NS for number in range(50)]
+
+
+def test_a_simulated_arm_that_falls_changes_nothing_of_what_is_commanded(massive):
+    for stamp in STAMPS:
+        massive.node.on_command(stamp, HOME)
+    assert massive.of("commanded") == [(stamp, HOME) for stamp in STAMPS]
+    simulated = massive.of("simulated")
+    assert [stamp for stamp, _ in simulated] == STAMPS
+    assert simulated[-1][1][0] == pytest.approx(HOME[0] - 0.05)
+    # one cycle per command, and what is commanded is told before it is simulated
+    assert massive.live.fallen == 50 and massive.told[0][0] == "commanded"
+    assert massive.refused == []
+
+
+def test_efforts_are_told_at_50_hz(massive):
+    for stamp in STAMPS:
+        massive.node.on_command(stamp, HOME)
+    assert [stamp for stamp, _ in massive.of("effort")] == STAMPS[::5]
+
+
+def test_a_new_session_begins_the_simulation_anew(massive):
+    massive.node.on_command(STAMPS[0], HOME)
+    massive.node.on_link(Link(session="s2", state=Link.ARMED))
+    assert massive.live.restarts == 1
+    # and a command of the stream before is neither executed nor simulated
+    massive.node.on_command(STAMPS[1], HOME)
+    assert massive.live.fallen == 0
+
+
+def test_each_scene_is_built_once_and_one_that_cannot_be_built_leaves_the_one_before(massive):
+    scene = Scene((SceneObject("cube", "box", (0.1,) * 3, (1.0, 1.0, 1.0)),))
+    massive.node.on_scene(scene_to_msg(scene, rospy.Time(1), "base_link"))
+    massive.node.on_scene(scene_to_msg(scene, rospy.Time(2), "base_link"))
+    assert massive.built == [scene] and len(massive.live.models) == 1
+    massive.failure = "no inertia"
+    massive.node.on_scene(scene_to_msg(Scene(), rospy.Time(3), "base_link"))
+    assert len(massive.live.models) == 1 and massive.refused == [("scene", "no inertia")]
+    assert massive.node.report().sentence == "no inertia"
+    massive.failure = ""
+    massive.node.on_scene(scene_to_msg(Scene(), rospy.Time(4), "base_link"))
+    report = massive.node.report()
+    assert len(massive.live.models) == 2 and report.sentence == "executing"
+    assert report.values["simulated scene"] == Scene().hash
+
+
+def test_contacts_of_the_simulated_arm_are_a_warning(massive):
+    massive.live.contacts = (("link_3", "wall"),)
+    report = massive.node.report()
+    assert report.sentence == "the simulated arm touches: link_3 and wall"
+
+
+def test_the_simulation_goes_on_while_no_commands_come(world):
+    """By the clock, with the stamps of now: the world's node, with an arm that falls."""
+    live, commanded = Falling(), []
+    world.node = module.VirtualRobotNode(
+        VirtualRobot(HOME, ROBOT.linear),
+        MotionLimits.of(ROBOT),
+        SimpleNamespace(publish=lambda stamp, q: world.published.append((world.steady, stamp))),
+        SimpleNamespace(refuse=lambda *_: None),
+        SimpleNamespace(clear=world.clear, set=world.wake, wait=world.wait),
+        module.Simulation(
+            live, lambda _: None, ROBOT.joint_names,
+            SimpleNamespace(publish=lambda _stamp, q: commanded.append(q)), SimpleNamespace(publish=lambda _: None),
+        ),
+    )  # fmt: skip
+    began = world.play(NANOSECONDS, [(0, 100)])
+    silent = world.between(began + 400 * MS, began + NANOSECONDS)
+    assert len(silent) >= 148 and live.fallen == len(world.published)
+    assert set(commanded) == {HOME}
+
+
+def test_only_a_twin_with_mass_has_its_topics(monkeypatch):
+    def topics(twin: str) -> set[str]:
+        settings = module.Settings(arm="none", twin=twin, self_collision="", drives="")
+        return {name for _, name in Unplugged(monkeypatch, module.NODE, settings, ROBOT).opened}
+
+    assert topics("mujoco") - topics("kinematic") == {"twin/commanded", "twin/effort", "scene"}

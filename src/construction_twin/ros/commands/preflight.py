@@ -32,6 +32,7 @@ from construction_twin.core.network import port_is_free, reaches_itself
 from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.trace import room as trace_room
 from construction_twin.mqtt.account import load_account
+from construction_twin.physics.drive import read_drives
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
 from construction_twin.robot.tool import read_tool
 from construction_twin.robot.urdf import expand_xacro, xacro_arguments
@@ -109,6 +110,14 @@ def _check_tool(given: Given, _robot: RobotModel) -> None:
     """Check the tool file; whether the controller's file fits it is asked with that."""
     if given["tool"]:
         read_tool(given["tool"])
+
+
+def _check_twin(given: Given, robot: RobotModel) -> None:
+    """Check that a twin with mass can be simulated: packages, and drives of this arm."""
+    if given["twin"] == "mujoco":
+        check_extras("physics")
+        if given.get("twin_drives"):
+            read_drives(given["twin_drives"], robot)
 
 
 def _check_work(given: Given, robot: RobotModel) -> None:
@@ -253,6 +262,7 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("robot_config", _check_estimates),
     ("self_collision", _check_self_collision),
     ("tool", _check_tool),
+    ("twin", _check_twin),
     ("ethernet_xml", _check_controller_file),
     ("work_model", _check_work),
     ("scene", _check_scene),

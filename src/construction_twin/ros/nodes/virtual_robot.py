@@ -1,17 +1,27 @@
-"""virtual_robot: the kinematic twin. Executes `command/joint_states`, publishes `twin/joint_states`."""
+"""virtual_robot: the twin. Executes `command/joint_states`, publishes `twin/joint_states`: where it is told to be, or, with
+`twin:=mujoco`, where an arm with mass would be. What is commanded is `twin/commanded` then.
+"""
 
 from __future__ import annotations
 
 import threading
-from typing import Literal
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import rospy
+from sensor_msgs.msg import JointState
 
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.extras import check_extras
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.msg import Link
+from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
+from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.model_builder import ModelBuilder
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import NodeSettings
 from construction_twin.ros.shared.ports import (
@@ -19,22 +29,64 @@ from construction_twin.ros.shared.ports import (
     Ports,
     PosePublication,
     PoseSubscription,
+    Publication,
     Subscription,
     has_arm,
 )
 from construction_twin.ros.transport.cycle import Cycles
-from construction_twin.ros.transport.joint_stream import now_ns
+from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.publisher import Sink
+from construction_twin.scene.objects import Scene
+from construction_twin.twin.backend import KinematicBackend, TwinBackend
 from construction_twin.twin.virtual_robot import TwinClock, VirtualRobot
+
+if TYPE_CHECKING:
+    from construction_twin.physics.live_twin import LiveTwin
+    from construction_twin.physics.model import PhysicsModel
 
 #: Between two reads of the arm's stream while the twin needs nothing from it [s].
 PAUSE = 0.02
+#: Between two messages with efforts [ns]: a joint state that has them is read field by field, which 250 Hz have no time for.
+EFFORT_PERIOD = NANOSECONDS // 50
 
 
 class Settings(NodeSettings):
-    """Private parameters, given in launch/gate.launch: the physical arm."""
+    """Private parameters, given in launch/gate.launch.
+
+    Attributes:
+        arm: The physical arm.
+        twin: What simulates.
+        self_collision: YAML of the link pairs that are not checked; with mujoco alone.
+        drives: YAML of the arm's drives; empty: what the URDF says; with mujoco alone.
+    """
 
     arm: Literal["mock", "real", "none"]
+    twin: Literal["kinematic", "mujoco"]
+    self_collision: str
+    drives: str
+
+
+def has_mass(settings: Settings) -> bool:
+    """Return whether the twin is an arm with mass."""
+    return settings.twin == "mujoco"
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """What a twin with mass has besides.
+
+    Attributes:
+        live: It.
+        build: Returns the arm in a scene; may take its time. Raises ConstructionTwinError.
+        names: Joint names.
+        commanded, effort: For what is commanded, and for what the axes give.
+    """
+
+    live: LiveTwin
+    build: Callable[[Scene], PhysicsModel]
+    names: tuple[str, ...]
+    commanded: Sink
+    effort: Sink
 
 
 class VirtualRobotNode:
@@ -45,6 +97,7 @@ class VirtualRobotNode:
         twin: For its pose.
         diagnostics: Counts what is refused.
         restarted: Ends the wait of `run` for a silence.
+        simulation: Of a twin with mass; None: it is where it is told to be.
     """
 
     def __init__(
@@ -54,8 +107,14 @@ class VirtualRobotNode:
         twin: Sink,
         diagnostics: NodeDiagnostics,
         restarted: threading.Event,
+        simulation: Simulation | None = None,
     ):
         self._robot = robot
+        self._simulation = simulation
+        self._backend: TwinBackend = KinematicBackend() if simulation is None else simulation.live
+        self._effort_at = 0
+        #: Hash of the scene that is simulated, and why the newest one is not.
+        self._scene, self._scene_problem = "", ""
         self._limits = limits
         self._twin = twin
         self._lock = threading.Lock()
@@ -77,12 +136,46 @@ class VirtualRobotNode:
                 # the grid may have gone back since
                 present = stamp <= self._cycles.now()
                 if self._robot.pose is not None and present and self._clock.on_cycle(stamp):
-                    self._twin.publish(stamp, self._robot.pose)
+                    self._advance(stamp, self._robot.pose, True)
                 idle = self._clock.idle(stamp)
             if idle > CYCLE_NS:
                 # commands come, and their poses are published with them
                 self._restarted.wait(idle / NANOSECONDS)
                 self._cycles.skip()
+
+    def _advance(self, stamp: int, commanded: tuple[float, ...], told: bool) -> None:
+        """Simulate one cycle, and publish its poses with a stamp [ns] if they are to be told; under the lock."""
+        if told and self._simulation is not None:
+            # first: who decides what is commanded next waits for no simulation
+            self._simulation.commanded.publish(stamp, commanded)
+        pose = self._backend.cycle(commanded)
+        if not told:
+            return
+        self._twin.publish(stamp, pose)
+        if self._simulation is not None and abs(stamp - self._effort_at) >= EFFORT_PERIOD and self._backend.effort:
+            self._effort_at = stamp
+            message = JointState(name=self._simulation.names, position=pose, effort=self._backend.effort)
+            message.header.stamp = to_time(stamp)
+            self._simulation.effort.publish(message)
+
+    def on_scene(self, message: SceneMsg) -> None:
+        """Take the scene: what is carried and what stands around. In rospy's thread of this connection, which may wait."""
+        simulation = self._simulation
+        if simulation is None or message.hash == self._scene:
+            return
+        try:
+            scene = scene_from_msg(message)
+            model = simulation.build(scene)
+        except ConstructionTwinError as error:
+            # the simulation goes on in the scene before
+            self._scene_problem = str(error)
+            self._diagnostics.refuse("scene", str(error))
+            return
+        simulation.live.take_model(model)
+        self._scene, self._scene_problem = scene.hash, ""
+        rospy.loginfo("simulates scene %s", scene.hash[:12])
+        for remark in model.remarks:
+            rospy.loginfo("%s", remark)
 
     def on_command(self, stamp: int, q: tuple[float, ...]) -> None:
         """Execute a command [rad] with its stamp [ns]."""
@@ -94,8 +187,7 @@ class VirtualRobotNode:
                 if earlier:
                     self._clock.restart()
                     self._cycles.begin_at(stamp)
-                if self._clock.on_command(stamp, self._cycles.reach(stamp)):
-                    self._twin.publish(stamp, q)
+                self._advance(stamp, q, self._clock.on_command(stamp, self._cycles.reach(stamp)))
                 return
         self._diagnostics.refuse(
             "order", "command before the arm's pose was taken over, away from it, or not newer than the last"
@@ -107,7 +199,7 @@ class VirtualRobotNode:
             if self._robot.mirrors:
                 follows = self._robot.follow(stamp, q) and self._clock.on_command(stamp, self._cycles.reach(stamp))
                 if follows and self._robot.pose is not None:
-                    self._twin.publish(stamp, self._robot.pose)
+                    self._advance(stamp, self._robot.pose, True)
             elif self._robot.take_over(q):
                 rospy.loginfo("took over the physical arm's pose")
                 if self._leads:
@@ -127,6 +219,7 @@ class VirtualRobotNode:
                 # to follow the arm the twin sets out from where it is; otherwise it takes the arm's pose
                 if self._session is not None and not leads:
                     self._robot.restart()
+                    self._backend.restart()
                     self._clock.restart()
                     self._restarted.set()
                     self._needs_arm.set()
@@ -145,7 +238,15 @@ class VirtualRobotNode:
         """Return the state for `/diagnostics`."""
         if self._robot.pose is None:
             return Report(WARN, "waiting for the physical arm's pose")
-        return Report(OK, "following the physical arm" if self._robot.mirrors else "executing")
+        said = "following the physical arm" if self._robot.mirrors else "executing"
+        if self._simulation is None:
+            return Report(OK, said)
+        contacts = ", ".join(f"{first} and {second}" for first, second in self._backend.contacts)
+        values = {"simulated scene": self._scene, "contacts": contacts or "none"}
+        problem = (
+            self._scene_problem or self._backend.problem or (contacts and f"the simulated arm touches: {contacts}")
+        )
+        return Report(WARN, problem, values) if problem else Report(OK, said, values)
 
 
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> VirtualRobotNode:
@@ -156,16 +257,36 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> VirtualRobotNo
         ports.publishers["twin/joint_states"],
         ports.diagnostics,
         threading.Event(),
+        _simulation(settings, robot, ports) if has_mass(settings) else None,
+    )
+
+
+def _simulation(settings: Settings, robot: RobotModel, ports: Ports) -> Simulation:
+    check_extras("physics")
+    # only here: what simulates is not everywhere
+    from construction_twin.physics.live_twin import LiveTwin
+
+    return Simulation(
+        LiveTwin(),
+        ModelBuilder(robot, settings.self_collision, settings.drives).build,
+        robot.joint_names,
+        ports.publishers["twin/commanded"],
+        ports.publishers["twin/effort"],
     )
 
 
 INTERFACE = Interface(
     report=VirtualRobotNode.report,
-    publishes=(PosePublication("twin/joint_states"),),
+    publishes=(
+        PosePublication("twin/joint_states"),
+        PosePublication("twin/commanded", when=has_mass),
+        Publication("twin/effort", JointState, queue_size=5, when=has_mass),
+    ),
     hears=(
         PoseSubscription("command/joint_states", VirtualRobotNode.on_command),
         Subscription("link", Link, VirtualRobotNode.on_link, queue_size=5, when=has_arm),
         PoseSubscription("physical/joint_states", VirtualRobotNode.on_physical, when=has_arm),
+        Subscription("scene", SceneMsg, VirtualRobotNode.on_scene, queue_size=1, when=has_mass),
     ),
 )
 NODE = NodeShell("virtual_robot", Settings, start, INTERFACE, fast=True)

@@ -64,6 +64,7 @@ class Publication:
     Attributes:
         kind: Of its messages; the name of one that need not be installed, as ``moveit_msgs/PlanningScene``: then there is no topic.
         queue_size: Messages kept for a subscriber that is too slow.
+        when: Whether there is such a topic.
     """
 
     topic: str
@@ -71,6 +72,7 @@ class Publication:
     queue_size: int
     latch: bool = False
     tcp_nodelay: bool = False
+    when: When = always
 
     def open(self, _robot: RobotModel) -> Sink | None:
         """Return the publisher; None where its kind is not installed."""
@@ -93,10 +95,15 @@ def installed(kind: str) -> type | None:
 
 @dataclass(frozen=True)
 class PosePublication:
-    """Poses of the robot that the node publishes, as joint states or as `Feedback`."""
+    """Poses of the robot that the node publishes, as joint states or as `Feedback`.
+
+    Attributes:
+        when: Whether there is such a topic.
+    """
 
     topic: str
     kind: type = JointState
+    when: When = always
 
     def open(self, robot: RobotModel) -> Sink:
         """Return the publisher."""
@@ -243,7 +250,7 @@ class Ports:
             each.name: rospy.get_param(each.name, each.default) for each in interface.parameters
         }
         self._diagnostics = None if interface.report is None else NodeDiagnostics(robot.name, self._report)
-        opened = ((each.topic, each.open(robot)) for each in interface.publishes)
+        opened = ((each.topic, each.open(robot)) for each in interface.publishes if each.when(settings))
         self.publishers: dict[str, Sink] = {topic: publisher for topic, publisher in opened if publisher is not None}
         self.poses = {
             each.topic: LatestPose(each.topic, robot.joint_names, self.diagnostics.refuse)

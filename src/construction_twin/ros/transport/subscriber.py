@@ -21,6 +21,7 @@ PUBLISHERS = {
     "next/joint_states": "executor",
     "command/joint_states": "pca_monitor",
     "twin/joint_states": "virtual_robot",
+    "twin/commanded": "virtual_robot",
     "physical/joint_states": "mqtt_bridge",
     "physical/feedback": "mqtt_bridge",
     "link": "mqtt_bridge",

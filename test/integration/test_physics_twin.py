@@ -1,0 +1,147 @@
+#!/usr/bin/env python3
+"""A twin with mass: it agrees with the arm, holds with it, carries what the scene says, and never decides what is commanded."""
+
+import sys
+
+import numpy as np
+import rospy
+import rostest
+from construction_twin.msg import SceneObject, Sync
+from construction_twin.srv import AddObject, AttachObject, DetachObject
+from geometry_msgs.msg import Pose, Quaternion
+from sensor_msgs.msg import JointState
+from test_bringup import Rate
+from twin_client import HOME, LEFT, RobotTest, Stream, TwinClient, wait
+
+from construction_twin.core.units import radians
+
+JOINT = "joint_a3"
+#: What is left of a simulated arm's approach, and of one that holds a load [rad].
+SETTLED = 1e-4
+#: Cycles over which a pose is watched.
+WATCH = 200
+
+
+class PhysicsTwinTest(RobotTest):
+    """Motions from home, one after the other."""
+
+    @classmethod
+    def setUpClass(cls):
+        rospy.init_node("test_physics_twin")
+        cls.client = TwinClient()
+
+    def setUp(self):
+        self.begin()
+        rospy.wait_for_service("plan_to_joints", 60.0)
+        # the first scene is compiled by a process of its own
+        self.client.wait(
+            lambda: self.client.diagnostics("virtual_robot").get("simulated scene", ""), "a scene to be simulated", 40.0
+        )
+        self.client.go_to(HOME)
+
+    def assert_stands_still(self, commanded: Stream):
+        since = len(commanded.messages)
+        commanded.wait_for_more(WATCH)
+        positions = commanded.positions(since)
+        np.testing.assert_array_equal(positions, np.broadcast_to(positions[0], positions.shape))
+
+    def assert_close(self, goal, stream: Stream):
+        """The newest pose comes within `SETTLED` of a goal [rad]."""
+        wait(lambda: np.abs(stream.positions(-1)[0] - goal).max() < SETTLED, f"{stream} to settle at {goal}")
+
+    def test_both_poses_come_at_250_hz_and_efforts_at_50(self):
+        expected = {"twin/joint_states": 250.0, "twin/commanded": 250.0, "twin/effort": 50.0}
+        rates = {topic: Rate(topic) for topic in expected}
+        for topic, rate in rates.items():
+            self.assertAlmostEqual(rate.value(5), expected[topic], delta=0.02 * expected[topic])
+        told = rospy.wait_for_message("twin/effort", JointState, 5.0)
+        self.assertEqual(tuple(told.name), self.client.robot.joint_names)
+        # the second axis holds the arm up
+        self.assertGreater(abs(told.effort[1]), 100.0)
+
+    def test_a_plan_is_played_to_its_end_and_twin_and_arm_agree(self):
+        client = self.client
+        with (
+            Stream("twin/joint_states") as twin,
+            Stream("twin/commanded") as commanded,
+            Stream("mock_rsi/joint_states") as arm,
+            Stream("sync", Sync) as syncs,
+        ):
+            plan = client.start(LEFT, duration=3.0)
+            client.wait_for_outcome(plan.plan_id, "finished")
+            client.assert_at(LEFT, commanded, arm)
+            self.assert_close(radians(LEFT), twin)
+            self.assert_stands_still(commanded)
+        self.assertEqual({sync.text for sync in syncs.messages}, {"IN_SYNC"})
+        worst = max(max(sync.error) for sync in syncs.messages)
+        print(
+            f"largest difference of twin and arm: {worst:.2e} rad; servo lag {client.sync.servo_lag:.6f} s", flush=True
+        )
+        # what the servo's lag would be between them at 0.6 rad/s
+        self.assertLess(worst, 0.01)
+
+    def test_a_stalled_axis_holds_both_and_a_new_plan_ends_at_the_goal(self):
+        client = self.client
+        plans = len(client.plans)
+        with (
+            Stream("twin/joint_states") as twin,
+            Stream("twin/commanded") as commanded,
+            Stream("mock_rsi/joint_states") as arm,
+        ):
+            plan = client.start(LEFT, duration=3.0)
+            wait(lambda: arm.moved(5.0), "the arm to move")
+            client.stall(JOINT, True)
+            client.wait(lambda: client.sync.state == Sync.REPLANNING, "the gate to hold")
+            client.wait_for_outcome(plan.plan_id, "held")
+            # setpoints that passed the gate before it closed may still be under way
+            wait(lambda: commanded.at_rest(3), "what is commanded to rest")
+            self.assert_stands_still(commanded)
+            self.assert_close(commanded.positions(-1)[0], twin)
+            client.wait(lambda: len(client.plans) > plans + 1, "a re-plan")
+            replan = client.plans[-1]
+            # from what is commanded, in every bit: not from where the simulated arm has settled
+            np.testing.assert_allclose(
+                replan.trajectory.points[0].positions, commanded.positions(-1)[0], rtol=0.0, atol=1e-12
+            )
+            client.stall(JOINT, False)
+            client.wait(client.in_sync, "the poses to agree again")
+            answer = client.review(replan.id, replan.hash)
+            self.assertTrue(answer.success, answer.message)
+            client.wait_for_outcome(replan.id, "finished")
+            client.assert_at(LEFT, commanded, arm)
+            self.assert_close(radians(LEFT), twin)
+
+    def test_what_the_scene_says_is_carried_weighs_on_the_axes_and_moves_nothing_that_is_commanded(self):
+        names = self.client.robot.joint_names
+        empty = rospy.wait_for_message("twin/effort", JointState, 5.0).effort[names.index(JOINT)]
+        cube = SceneObject(name="cube", shape="box", size=[0.3, 0.3, 0.3], pose=Pose(orientation=Quaternion(w=1.0)))
+        cube.pose.position.x, cube.pose.position.y, cube.pose.position.z = 0.0, -3.0, 1.0
+        answer = rospy.ServiceProxy("add_object", AddObject)(object=cube, replace=True)
+        self.assertTrue(answer.success, answer.message)
+        held = Pose(orientation=Quaternion(w=1.0))
+        held.position.z = 0.25
+        try:
+            with Stream("twin/commanded") as commanded, Stream("twin/joint_states") as twin:
+                before = commanded.positions(-1)[0]
+                attach = rospy.ServiceProxy("attach_object", AttachObject)
+                answer = attach(name="cube", use_pose=True, pose=held)
+                self.assertTrue(answer.success, answer.message)
+
+                def weighs() -> bool:
+                    told = rospy.wait_for_message("twin/effort", JointState, 5.0)
+                    return abs(told.effort[names.index(JOINT)] - empty) > 50.0
+
+                self.client.wait(weighs, "the load to weigh on the axes", 30.0)
+                commanded.wait_for_more(WATCH)
+                np.testing.assert_array_equal(commanded.positions()[-1], before)
+                self.assert_close(before, twin)
+                # neither was there a gap of the streams
+                stamps = np.diff([message.header.stamp.to_sec() for message in twin.messages])
+                self.assertLess(stamps.max(), 0.1)
+        finally:
+            rospy.ServiceProxy("detach_object", DetachObject)(name="cube")
+            self.client.call("clear_scene")
+
+
+if __name__ == "__main__":
+    rostest.rosrun("construction_twin", "physics_twin", PhysicsTwinTest, sys.argv)
