@@ -34,6 +34,16 @@ FRICTION = 0.4
 _CONTACT = (0.004, 1.0)
 
 
+@dataclass(frozen=True)
+class Follower:
+    """A joint that follows another: ``factor`` times its value, plus ``offset`` [rad] or [m]."""
+
+    place: int
+    leader: int
+    factor: float
+    offset: float
+
+
 @dataclass(frozen=True, eq=False)
 class PhysicsModel:
     """A compiled model and where its numbers are.
@@ -44,6 +54,7 @@ class PhysicsModel:
         drives: Torques, inertias and friction of the axes.
         owners: Of each geom: the link or scene object that it belongs to.
         loose: Position of each loose object in MuJoCo's arrays of positions: 7 numbers from there.
+        followers: Of each joint that follows one of the chain: its place and its leader's in MuJoCo's arrays, factor, offset.
         unplanned: Shape (geoms, geoms), true or false. Which contacts the planner would have refused.
         payload: What the flange carries, tool and objects, in the frame of the last joint; None: nothing.
         remarks: What is simulated otherwise than the planner checks it, and what is an estimate, one sentence each.
@@ -55,6 +66,7 @@ class PhysicsModel:
     drives: ArmDrives
     owners: tuple[str, ...]
     loose: Mapping[str, int]
+    followers: tuple[Follower, ...]
     unplanned: np.ndarray
     payload: MassProperties | None
     remarks: tuple[str, ...]
@@ -63,9 +75,29 @@ class PhysicsModel:
         """Return a state at rest with the arm at `q`, shape (n,) [rad] or [m]."""
         data = mujoco.MjData(self.model)
         data.qpos[self.joints] = q
-        _follow(self.model, data)
+        self.follow(data)
         mujoco.mj_forward(self.model, data)
         return data
+
+    def follow(self, data: mujoco.MjData) -> None:
+        """Put the joints that follow another where the arm's pose and speed have them."""
+        for one in self.followers:
+            data.qpos[one.place] = one.offset + one.factor * data.qpos[one.leader]
+            data.qvel[one.place] = one.factor * data.qvel[one.leader]
+
+    def lead(self, rates: np.ndarray) -> None:
+        """Give the joints that follow the rates that those of their leaders mean, shape (nv,)."""
+        for one in self.followers:
+            rates[one.place] = one.factor * rates[one.leader]
+
+    def of_joints(self, forces: np.ndarray) -> np.ndarray:
+        """Return what `forces`, shape (nv,), ask of the chain's joints, shape (n,): a leader also carries what follows it.
+
+        Changes `forces`, which are calculated anew in each step.
+        """
+        for one in self.followers:
+            forces[one.leader] += one.factor * forces[one.place]
+        return forces[self.joints]
 
 
 @dataclass(frozen=True)
@@ -133,8 +165,11 @@ class _Builder:
         joints = self._add_arm(model)
         carried = self._add_objects(joints)
         payload = self._add_flange_load(joints, carried)
+        if self._drives.estimates:
+            keys = ", ".join(self._drives.estimates)
+            self._remarks.append(Sentence("physics.remark.drives", keys=keys, source=self._drives.source))
         self._exclude_pairs()
-        self._add_followers(model)
+        self._add_followers()
         compiled = self._spec.compile()
         for name, armature, damping, friction in zip(
             self._robot_bodies.robot.joint_names, self._drives.armature, self._drives.damping, self._drives.friction
@@ -154,7 +189,7 @@ class _Builder:
         }
         return PhysicsModel(
             self._robot_bodies.robot, compiled, places, self._drives, tuple(owners), loose,
-            self._unplanned(owners), payload, tuple(dict.fromkeys(self._remarks)),
+            self._followers(compiled), self._unplanned(owners), payload, tuple(dict.fromkeys(self._remarks)),
         )  # fmt: skip
 
     def _add_arm(self, model: pinocchio.Model) -> list:
@@ -167,6 +202,9 @@ class _Builder:
             body = made[model.parents[index]].add_body(
                 name=f"joint\n{model.names[index]}", pos=placement.translation, quat=_quaternion(placement.rotation)
             )
+            if not model.parents[index]:
+                # an arm that rests inside a plan goes on when the plan does
+                body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
             axis = np.array(data.joints[index].S, dtype=float).ravel()
             slides = np.any(axis[:3])
             body.add_joint(
@@ -291,23 +329,25 @@ class _Builder:
                 found[one, other] = found[other, one] = True
         return found
 
-    def _add_followers(self, model: pinocchio.Model) -> None:
+    def _followers(self, compiled: mujoco.MjModel) -> tuple[Follower, ...]:
+        places = self._names_of_places()
+        return tuple(
+            Follower(int(compiled.joint(places[at]).dofadr[0]), int(compiled.joint(places[leader]).dofadr[0]), factor, offset)
+            for at, leader, factor, offset in self._robot_bodies.followers
+        )  # fmt: skip
+
+    def _names_of_places(self) -> dict[int, str]:
+        model = self._robot_bodies.model
+        return {model.joints[index].idx_q: model.names[index] for index in range(1, model.njoints)}
+
+    def _add_followers(self) -> None:
         """Tie the joints that follow one of the chain to their leaders."""
-        places = {model.joints[index].idx_q: model.names[index] for index in range(1, model.njoints)}
+        places = self._names_of_places()
         for at, leader, factor, offset in self._robot_bodies.followers:
             self._spec.add_equality(
                 type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=places[at], name2=places[leader],
                 data=[offset, factor, 0.0, 0.0, 0.0] + [0.0] * 6,
             )  # fmt: skip
-
-
-def _follow(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Put the joints that follow another where the arm's pose has them."""
-    for number in range(model.neq):
-        if model.eq_type[number] == mujoco.mjtEq.mjEQ_JOINT:
-            follower, leader = model.eq_obj1id[number], model.eq_obj2id[number]
-            offset, factor = model.eq_data[number][:2]
-            data.qpos[model.jnt_qposadr[follower]] = offset + factor * data.qpos[model.jnt_qposadr[leader]]
 
 
 def _shape(spec: mujoco.MjSpec, name: str, geometry: coal.CollisionGeometry) -> tuple | None:
