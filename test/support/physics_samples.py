@@ -9,19 +9,18 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio
-from scene_samples import kr120, kr120_pairs, track7, track7_pairs, ur_like, ur_like_pairs
+from scene_samples import kr120, kr120_pairs, track7, track7_pairs, ur_like_pairs
 
-from construction_twin.core.errors import ConfigurationError
 from construction_twin.physics.drive import ArmDrives, drives_of, read_drives
 from construction_twin.physics.model import Load, PhysicsModel, build_model
 from construction_twin.physics.rehearsal import Rehearsal
 from construction_twin.physics.report import RehearsalReport
 from construction_twin.robot.description import RobotModel, read_robot_files
-from construction_twin.robot.plan import Plan, PlanReport, Clearance, LimitUsage, content_hash
+from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport, content_hash
 from construction_twin.robot.segments import Segment
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import SelfCollision
 
 ROOT = Path(__file__).parents[2]
@@ -61,7 +60,9 @@ def drives(name: str = "kr120") -> ArmDrives:
     return read_drives(DRIVES, kr120()) if name == "kr120" else drives_of(robot_of(name))
 
 
-def model_of(name: str = "kr120", scene: Scene = Scene(), load: Load = Load(), of: ArmDrives | None = None) -> PhysicsModel:
+def model_of(
+    name: str = "kr120", scene: Scene = Scene(), load: Load = Load(), of: ArmDrives | None = None
+) -> PhysicsModel:
     """Return the model of an arm, of one that has no other drives with those of its URDF."""
     return build_model(bodies_of(name), scene, pairs_of(name), drives_of(robot_of(name)) if of is None else of, load)
 
@@ -77,7 +78,9 @@ def dynamics_of(name: str) -> tuple[pinocchio.Model, np.ndarray]:
 def between(start: Sequence[float], goal: Sequence[float], duration: float, name: str = "kr120") -> Trajectory:
     """Return a quintic motion from rest to rest."""
     ends = np.array((start, goal), dtype=float)
-    return Trajectory(robot_of(name).joint_names, np.array((0.0, duration)), ends, np.zeros_like(ends), np.zeros_like(ends))
+    return Trajectory(
+        robot_of(name).joint_names, np.array((0.0, duration)), ends, np.zeros_like(ends), np.zeros_like(ends)
+    )
 
 
 def plan_of(trajectory: Trajectory, scene: Scene, segments: tuple[Segment, ...] = ()) -> Plan:

@@ -34,6 +34,14 @@ FRICTION = 0.4
 _CONTACT = (0.004, 1.0)
 
 
+def _unsaid(_message: object) -> None:
+    """Take a warning of MuJoCo, which counts it in the state as well: `rehearsal` reads the counters."""
+
+
+# without it MuJoCo writes MUJOCO_LOG.TXT into whatever folder the process was started in
+mujoco.set_mju_user_warning(_unsaid)
+
+
 @dataclass(frozen=True)
 class Follower:
     """A joint that follows another: ``factor`` times its value, plus ``offset`` [rad] or [m]."""

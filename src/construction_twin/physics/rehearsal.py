@@ -160,8 +160,9 @@ class _Run:
         self._after = after
         self._progress = progress
         carried = [{item.name for item in scene.objects if item.link} for scene in (*(p.scene for p in parts), after)]
-        #: What is picked up or let go: the tool is in every scene on the arm, and is neither.
-        self._handled = set.union(*carried) - set.intersection(*carried)
+        self._carried = set.union(*carried)
+        # what is picked up or let go: the tool is in every scene on the arm, and is neither
+        self._handled = self._carried - set.intersection(*carried)
         self._torques: list[np.ndarray] = []
         self._speeds: list[np.ndarray] = []
         self._poses: list[np.ndarray] = []
@@ -262,9 +263,8 @@ class _Run:
         forces: dict[tuple[str, str], float] = {}
         force = np.zeros(6)
         for number in np.flatnonzero(physics.unplanned[geoms[:, 0], geoms[:, 1]]).tolist():
-            # of a model's geoms those of the links come first, and reports name a link first
-            first, second = sorted(geoms[number].tolist())
-            names = physics.owners[first], physics.owners[second]
+            first, second = sorted((physics.owners[geom] for geom in geoms[number].tolist()), key=self._named_first)
+            names = first, second
             if without.isdisjoint(names):
                 mujoco.mj_contactForce(physics.model, data, number, force)
                 forces[names] = forces.get(names, 0.0) + float(np.linalg.norm(force[:3]))
@@ -274,6 +274,10 @@ class _Run:
                 self._contacts[names] = replace(
                     known, force=max(known.force, size), seconds=known.seconds + physics.model.opt.timestep
                 )
+
+    def _named_first(self, owner: str) -> tuple[bool, bool, str]:
+        """Return the order in which reports name two bodies: a link, what is carried sometime, what stands."""
+        return owner not in self._of.bodies.link_joints, owner not in self._carried, owner
 
     def _settled(self, arm: SimulatedArm, setpoint: np.ndarray) -> tuple[LooseObject, ...]:
         """Let the arm and everything that can move come to rest, nothing asleep, and return what became of it."""
@@ -508,5 +512,6 @@ def _is_broken(data: mujoco.MjData) -> bool:
     """Return whether the numbers are no motion any more; MuJoCo itself starts anew then, and counts."""
     warnings = mujoco.mjtWarning
     return not np.isfinite(data.qpos).all() or any(
-        data.warning[kind].number for kind in (warnings.mjWARN_BADQPOS, warnings.mjWARN_BADQVEL, warnings.mjWARN_BADQACC)
+        data.warning[kind].number
+        for kind in (warnings.mjWARN_BADQPOS, warnings.mjWARN_BADQVEL, warnings.mjWARN_BADQACC)
     )

@@ -12,8 +12,8 @@ from physics_samples import READY, between, bodies_of, drives, dynamics_of, mode
 from construction_twin.core.units import CYCLE
 from construction_twin.mock.servo import RealisticServo
 from construction_twin.physics.arm import Servo, SimulatedArm
-from construction_twin.physics.model import Load
 from construction_twin.physics.mass import of_shape
+from construction_twin.physics.model import Load
 from construction_twin.scene.objects import Scene, SceneObject
 
 FAR = READY + np.array((1.0, 0.3, -0.4, 0.8, -0.6, 1.2))
@@ -28,7 +28,7 @@ def test_the_arm_answers_as_the_mock_s_realistic_servo_does_two_milliseconds_lat
     arm, servo = SimulatedArm(model_of(), READY), RealisticServo(resolution=0.0)
     servo.reset(READY)
     worst = 0.0
-    setpoints, speeds = motion.sample_many(cycles(2.5))
+    setpoints, speeds, *_ = motion.sample_many(cycles(2.5))
     for setpoint in setpoints:
         arm.cycle(setpoint)
         worst = max(worst, np.abs(arm.q - servo.step(setpoint.tolist())).max())

@@ -209,7 +209,18 @@ def test_a_mesh_that_is_not_convex_is_its_hull_and_says_so(tmp_path):
 
 def test_a_convex_mesh_has_no_remark(tmp_path):
     corners = np.array([(x, y, z) for x in (0.0, 0.2) for y in (0.0, 0.2) for z in (0.0, 0.2)])
-    faces = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4)]
+    faces = [
+        (0, 1, 3),
+        (0, 3, 2),
+        (4, 6, 7),
+        (4, 7, 5),
+        (0, 4, 5),
+        (0, 5, 1),
+        (2, 3, 7),
+        (2, 7, 6),
+        (0, 2, 6),
+        (0, 6, 4),
+    ]
     faces += [(1, 5, 7), (1, 7, 3)]
     mesh = write_stl(tmp_path / "cube.stl", corners[np.array(faces)])
     physics = model_of(scene=Scene((SceneObject("cube", "mesh", (), (1.5, 0.0, 1.0), mesh=mesh),)))

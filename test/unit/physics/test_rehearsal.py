@@ -284,3 +284,9 @@ def test_who_watches_sees_every_cycle_of_the_plan():
     assert times[250] == pytest.approx(1.0)
     at = min(range(len(times)), key=lambda row: abs(times[row] - report.worst_time))
     np.testing.assert_allclose(seen[at][1], report.worst_pose)
+
+
+def test_a_simulation_that_comes_apart_leaves_no_file_where_it_was_started(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert rehearse(SMALL, gravity=(0.0, 0.0, -1e13)).state == FAILED
+    assert list(tmp_path.iterdir()) == []
