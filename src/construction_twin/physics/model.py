@@ -61,6 +61,7 @@ class PhysicsModel:
         joints: Shape (n,), integers. Position and velocity of each of ``robot.joint_names`` in MuJoCo's arrays.
         drives: Torques, inertias and friction of the axes.
         owners: Of each geom: the link or scene object that it belongs to.
+        links: Which names are those of links.
         loose: Position of each loose object in MuJoCo's arrays of positions: 7 numbers from there.
         followers: Of each joint that follows one of the chain: its place and its leader's in MuJoCo's arrays, factor, offset.
         unplanned: Shape (geoms, geoms), true or false. Which contacts the planner would have refused.
@@ -73,6 +74,7 @@ class PhysicsModel:
     joints: np.ndarray
     drives: ArmDrives
     owners: tuple[str, ...]
+    links: frozenset[str]
     loose: Mapping[str, int]
     followers: tuple[Follower, ...]
     unplanned: np.ndarray
@@ -164,6 +166,11 @@ class _Builder:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.compiler.degree = False
+        # a bright sky behind what a film draws
+        spec.add_texture(
+            name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+            rgb1=[0.95, 0.97, 1.0], rgb2=[0.7, 0.8, 0.9], width=16, height=96,
+        )  # fmt: skip
         # which bodies may touch is said pair by pair below
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
 
@@ -196,7 +203,8 @@ class _Builder:
             if name in self._load.loose and not self._scene.get(name).link
         }
         return PhysicsModel(
-            self._robot_bodies.robot, compiled, places, self._drives, tuple(owners), loose,
+            self._robot_bodies.robot, compiled, places, self._drives, tuple(owners),
+            frozenset(self._robot_bodies.link_joints), loose,
             self._followers(compiled), self._unplanned(owners), payload, tuple(dict.fromkeys(self._remarks)),
         )  # fmt: skip
 
