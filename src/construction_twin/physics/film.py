@@ -23,7 +23,7 @@ from construction_twin.physics.model import PhysicsModel
 #: Pixels of a picture, even, as video encoders ask.
 WIDTH, HEIGHT = 960, 720
 #: How OpenGL is reached without a screen, the preferred way first.
-_WAYS = ("egl", "osmesa")
+WAYS = ("egl", "osmesa")
 #: Colours: links, what the arm carries or may move, what stands, what touches although the plan has no contact.
 _LINK, _LOAD, _STANDS, _TOUCHES = (
     (1.0, 0.45, 0.05), (0.2, 0.45, 0.75), (0.65, 0.65, 0.62), (0.9, 0.05, 0.1),
@@ -91,7 +91,7 @@ class _Artist:
 
     def __init__(self, frames: list[_Frame], touching: Set[str]):
         self._touching = touching
-        self._gl = _context()
+        self._gl = open_context()
         self._physics: PhysicsModel | None = None
         self._context: mujoco.MjrContext | None = None
         self._camera = _camera(frames)
@@ -127,16 +127,20 @@ class _Artist:
         self._gl.free()
 
 
-def _context():
-    """Return a context of OpenGL that is current."""
+def open_context():
+    """Return a context of OpenGL that is current, for pictures of `WIDTH` and `HEIGHT`; ``free`` gives it back.
+
+    Raises:
+        ConstructionTwinError: If there is no way to draw here: what each one said.
+    """
     chosen = os.environ.get("MUJOCO_GL", "").lower()
     problems = []
-    for way in [chosen] if chosen in _WAYS else _WAYS:
+    for way in [chosen] if chosen in WAYS else WAYS:
         try:
             context = importlib.import_module(f"mujoco.{way}").GLContext(WIDTH, HEIGHT)
             context.make_current()
         # drivers fail in ways of their own: a missing library, no device, a call that is not there
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:
             problems.append(f"{way}: {' '.join(str(error).split())}")
             # PyOpenGL keeps the first way for good otherwise
             os.environ.pop("PYOPENGL_PLATFORM", None)

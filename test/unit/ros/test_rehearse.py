@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.physics import film
 from construction_twin.ros.commands.rehearse import BROKEN, FAILED, PASSED, main
 
@@ -40,8 +41,8 @@ def wall(tmp_path):
 @pytest.fixture
 def with_graphics():
     try:
-        film._context().free()
-    except Exception as error:  # noqa: BLE001
+        film.open_context().free()
+    except ConstructionTwinError as error:
         pytest.skip(f"nothing draws here: {error}")
 
 
@@ -130,7 +131,7 @@ def test_the_video_lasts_as_long_as_the_rehearsal(plan, tmp_path, with_graphics,
 
 
 def test_without_graphics_everything_but_the_picture_is_there(plan, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(film, "_WAYS", ("no_such_way",))
+    monkeypatch.setattr(film, "WAYS", ("no_such_way",))
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     picture = tmp_path / "out.png"
     assert main([str(plan), "--picture", str(picture)]) == PASSED

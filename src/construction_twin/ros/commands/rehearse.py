@@ -13,7 +13,7 @@ import rospy
 from rich.console import Console
 from rich.progress import track
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.extras import check_extras
 from construction_twin.core.records import document
 from construction_twin.core.sentences import Sentence
@@ -173,7 +173,7 @@ def _numbers(option: str, text: str, expected: str) -> list[float]:
     return numbers
 
 
-def _wrong(option: str, found: str, expected: str) -> ConfigurationError | ConstructionTwinError:
+def _wrong(option: str, found: str, expected: str) -> ConstructionTwinError:
     return ConstructionTwinError(Sentence("rehearsal.option", option=option, found=repr(found), expected=expected))
 
 
