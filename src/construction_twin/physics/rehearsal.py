@@ -160,9 +160,9 @@ class _Run:
         self._after = after
         self._progress = progress
         carried = [{item.name for item in scene.objects if item.link} for scene in (*(p.scene for p in parts), after)]
-        self._carried = set.union(*carried)
+        self._carried = frozenset[str]().union(*carried)
         # what is picked up or let go: the tool is in every scene on the arm, and is neither
-        self._handled = self._carried - set.intersection(*carried)
+        self._handled = self._carried - carried[0].intersection(*carried)
         self._torques: list[np.ndarray] = []
         self._speeds: list[np.ndarray] = []
         self._poses: list[np.ndarray] = []

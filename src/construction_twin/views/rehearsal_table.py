@@ -63,8 +63,8 @@ def _say_load(report: RehearsalReport, console: Console) -> None:
         console.print(f"payload     none; {rated}")
     if braking.joint:
         console.print(
-            f"braking     worst at {braking.time:.2f} s: {braking.seconds:.2f} s, the flange goes on {braking.distance * 1e3:.0f} mm, "
-            f"{braking.usage:.0%} of a torque",
+            f"braking     worst at {braking.time:.2f} s: {braking.seconds:.2f} s, "
+            f"the flange goes on {braking.distance * 1e3:.0f} mm, {braking.usage:.0%} of a torque",
             soft_wrap=True,
         )
     console.print(f"energy      {report.energy / 1e3:.2f} kJ")
