@@ -103,6 +103,7 @@ COMMANDS: list[tuple[str, str, list[str]]] = [
     ("export_gateway_config", "nodes/export_gateway_config", []),
     ("python -m construction_twin.mock", "construction_twin.mock", []),
     ("ik_report", "nodes/ik_report", []),
+    ("rehearse", "nodes/rehearse", []),
     ("new_arm", "nodes/new_arm", []),
     ("self_collision", "nodes/self_collision", []),
     ("srdf", "nodes/srdf", []),

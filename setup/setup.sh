@@ -223,7 +223,10 @@ case "${1:-}" in
   work | tests) add_packages work "work from a building model" ;;&
   physics | tests) add_packages physics "the twin with physics" ;;&
   console | tests) add_packages console "the console" ;;&
-  tests) make_browser_venv ;;
+  tests)
+    add_packages tests "second opinions of tests"
+    make_browser_venv
+    ;;
 esac
 link_repository
 provide_control_msgs

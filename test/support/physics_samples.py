@@ -1,31 +1,111 @@
-"""The shipped arm with mass, in the shipped scene, and with something in its hand."""
+"""Arms with mass, plans and scenes that the tests of the simulation share."""
 
 from __future__ import annotations
 
-import functools
+import itertools
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
 
-from chain_samples import ROBOT, ROOT
+import numpy as np
+import pinocchio
+from scene_samples import kr120, kr120_pairs, track7, track7_pairs, ur_like_pairs
 
-from construction_twin.physics.drive import read_drives
-from construction_twin.physics.model import PhysicsModel, build_model
+from construction_twin.physics.drive import ArmDrives, drives_of, read_drives
+from construction_twin.physics.model import Load, PhysicsModel, build_model
+from construction_twin.physics.rehearsal import Rehearsal
+from construction_twin.physics.report import RehearsalReport
+from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport, content_hash
+from construction_twin.robot.segments import Segment
+from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.objects import Scene, SceneObject
-from construction_twin.scene.scene_yaml import read_scene
-from construction_twin.scene.self_collision import read_self_collision
+from construction_twin.scene.objects import Scene
+from construction_twin.scene.self_collision import SelfCollision
 
-SELF_COLLISION = str(ROOT / "config" / "kr120_self_collision.yaml")
-DRIVES = str(ROOT / "config" / "kr120_drives.yaml")
-FLOOR = read_scene(ROOT / "config" / "scene.yaml")
-
-
-def carrying(size: float) -> Scene:
-    """Return the scene with a cube of that size [m] at the flange, of 1000 kg/m^3."""
-    cube = SceneObject("cube", "box", (size,) * 3, (0.0, 0.0, size / 2.0 + 0.01), link=ROBOT.tip_link)
-    return FLOOR.add(cube)
+ROOT = Path(__file__).parents[2]
+DRIVES = ROOT / "config/kr120_drives.yaml"
+#: Robots of test/data, beside those of the package.
+OTHERS = ("iiwa_like", "panda_like", "ur_like")
+#: A pose of the KR 120 in which it stands well away from the floor [rad].
+READY = np.radians((0.0, -90.0, 90.0, 0.0, 45.0, 0.0))
 
 
-@functools.cache
-def model_in(scene: Scene = FLOOR) -> PhysicsModel:
-    """Return the arm in a scene."""
-    drives, pairs = read_drives(DRIVES, ROBOT), read_self_collision(SELF_COLLISION, ROBOT)
-    return build_model(RobotBodies(ROBOT), scene, pairs, drives)
+@cache
+def robot_of(name: str) -> RobotModel:
+    if name in ("kr120", "kr120_track"):
+        return kr120() if name == "kr120" else track7()
+    if name == "ur_like_gripper":
+        return read_robot_files(ROOT / f"test/data/{name}.urdf.xacro", ROOT / f"test/data/{name}.yaml")
+    return read_robot_files(ROOT / f"test/data/{name}.urdf", ROOT / f"test/data/{name}.yaml")
+
+
+@cache
+def bodies_of(name: str) -> RobotBodies:
+    return RobotBodies(robot_of(name))
+
+
+@cache
+def pairs_of(name: str) -> SelfCollision:
+    known = {"kr120": kr120_pairs, "kr120_track": track7_pairs, "ur_like": ur_like_pairs}
+    if name in known:
+        return known[name]()
+    links = {body.owner for body in bodies_of(name).bodies}
+    # which links may touch is nothing that a mass depends on
+    return SelfCollision({frozenset(pair): "never" for pair in itertools.combinations(links, 2)}, "")
+
+
+def drives(name: str = "kr120") -> ArmDrives:
+    """Return the file's drives of the KR 120, of another arm what its URDF says."""
+    return read_drives(DRIVES, kr120()) if name == "kr120" else drives_of(robot_of(name))
+
+
+def model_of(
+    name: str = "kr120", scene: Scene = Scene(), load: Load = Load(), of: ArmDrives | None = None
+) -> PhysicsModel:
+    """Return the model of an arm, of one that has no other drives with those of its URDF."""
+    return build_model(bodies_of(name), scene, pairs_of(name), drives_of(robot_of(name)) if of is None else of, load)
+
+
+def dynamics_of(name: str) -> tuple[pinocchio.Model, np.ndarray]:
+    """Return Pinocchio's own model of an arm, and where each joint of the chain is in its arrays."""
+    bodies = bodies_of(name)
+    model = bodies.model
+    model.gravity.linear = np.array((0.0, 0.0, -9.80665))
+    return model, bodies.order
+
+
+def between(start: Sequence[float], goal: Sequence[float], duration: float, name: str = "kr120") -> Trajectory:
+    """Return a quintic motion from rest to rest."""
+    ends = np.array((start, goal), dtype=float)
+    return Trajectory(
+        robot_of(name).joint_names, np.array((0.0, duration)), ends, np.zeros_like(ends), np.zeros_like(ends)
+    )
+
+
+def plan_of(trajectory: Trajectory, scene: Scene, segments: tuple[Segment, ...] = ()) -> Plan:
+    """Return a plan as if checked in `scene`."""
+    zeros = (0.0,) * len(trajectory.joint_names)
+    report = PlanReport(Clearance(np.inf), LimitUsage(zeros, zeros, zeros), 0.0)
+    task = "task" if segments else ""
+    return Plan(
+        "p", content_hash(trajectory, task, segments), "test", "none", scene.hash, 0, 0.0, trajectory, report, task=task,
+        segments=segments,
+    )  # fmt: skip
+
+
+def rehearse(trajectory: Trajectory, *scenes: Scene, name: str = "kr120", **settings: object) -> RehearsalReport:
+    """Return the report of a motion: in one scene, or with equal parts in all but the last, which is there at the end."""
+    known = scenes or (Scene(),)
+    segments: tuple[Segment, ...] = ()
+    if len(known) > 1:
+        parts = list(itertools.pairwise(known))
+        ends = np.linspace(0.0, trajectory.duration, len(parts) + 1)[1:].tolist()
+        segments = tuple(
+            Segment(f"part {number}", end, False, (), (), one.hash, other.hash)
+            for number, (end, (one, other)) in enumerate(zip(ends, parts))
+        )
+    by_hash: Mapping[str, Scene] = {scene.hash: scene for scene in known}
+    settings = {"drives": drives(name)} | settings
+    rehearsal = Rehearsal(bodies_of(name), pairs_of(name), **settings)  # type: ignore[arg-type]
+    return rehearsal.of_plan(plan_of(trajectory, known[0], segments), by_hash, lambda: 0.0)

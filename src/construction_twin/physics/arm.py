@@ -1,8 +1,11 @@
 """A simulated arm: a servo per axis that calculates the torque its motion needs, stepped by MuJoCo. Joints as in `PhysicsModel`.
 
-The servo's answer to a setpoint is that of the mock controller's realistic servo: a lag of second order, exactly discretised. The
-torque that makes the arm follow this answer is calculated from the model (gravity, inertia, what is carried), plus a stiff
-correction for what the model does not know: a contact, a lost load.
+The servo's answer to a setpoint is that of the mock controller's realistic servo, a lag of second order, exactly discretised, but
+for one thing: between two setpoints the drives interpolate. A held setpoint jumps every 4 ms, and so would the torque, to several
+times what the motion takes. It costs half a cycle: the arm is 2 ms later than the mock's. The torque that makes the arm follow this
+answer is calculated from the model (gravity, inertia, friction, what is carried), plus a stiff correction for what the model does
+not know: a contact. Only the first part is what a motion needs: the correction of an arm that something holds grows as far as the
+drives let it.
 """
 
 from __future__ import annotations
@@ -22,6 +25,8 @@ from construction_twin.robot.description import JointValues
 OMEGA, ZETA = 60.0, 0.8
 #: Of the correction: natural frequency [rad/s]; it is damped critically.
 STIFFNESS = 150.0
+#: Below this speed friction is taken to grow with speed [rad/s], [m/s], so that an axis at rest has no torque that jumps.
+_CREEPING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -46,8 +51,8 @@ class SimulatedArm:
 
     Attributes:
         data: MuJoCo's state.
-        needed: Shape (n,). Torque that the motion needed in the last step [N m], [N].
-        torque: Shape (n,). What the axes gave of it [N m], [N].
+        needed: Shape (n,). Torque that the motion needed in the last step, without the correction [N m], [N].
+        torque: Shape (n,). What the axes gave, with the correction [N m], [N].
         answer: Shape (n,). Where the servo's lag alone would have the arm now [rad], [m].
         setpoint: Shape (n,). The last one [rad], [m].
         steps_per_cycle: Steps of the simulation in a cycle of 4 ms.
@@ -70,6 +75,8 @@ class SimulatedArm:
         self._servo = servo
         self._armature = np.array(physics.drives.armature)
         self._damping = np.array(physics.drives.damping)
+        self._friction = np.array(physics.drives.friction)
+        self._wanted = np.zeros(model.nv)
         self._forces = np.zeros(model.nv)
         self.needed = np.zeros(len(self._joints))
         self.torque = self.needed
@@ -86,32 +93,49 @@ class SimulatedArm:
         """Have the arm move already, shape (n,) [rad/s]."""
         self._speed = np.array(speed, dtype=float)
         self.data.qvel[self._joints] = speed
+        self.physics.follow(self.data)
 
     def go_on_as(self, before: SimulatedArm) -> None:
         """Take over pose, speed and the servo's state of an arm in another scene."""
         self.answer, self._speed, self.setpoint = before.answer.copy(), before._speed.copy(), before.setpoint.copy()
         self.data.qpos[self._joints] = before.q
         self.data.qvel[self._joints] = before.data.qvel[before._joints]
+        self.physics.follow(self.data)
 
     def cycle(self, setpoint: np.ndarray) -> None:
-        """Advance one cycle of 4 ms towards a setpoint, shape (n,) [rad] or [m], that is held during it."""
-        for _ in range(self.steps_per_cycle):
-            self.step(setpoint)
+        """Advance one cycle of 4 ms to a setpoint, shape (n,) [rad] or [m], in a straight line from the one before."""
+        for target in self.targets(setpoint):
+            self.step(target)
+
+    def targets(self, setpoint: np.ndarray) -> list[np.ndarray]:
+        """Return what `step` takes in one cycle to a setpoint, shape (n,)."""
+        begin, steps = self.setpoint, self.steps_per_cycle
+        return [begin + (setpoint - begin) * (number / steps) for number in range(1, steps + 1)]
 
     def step(self, setpoint: np.ndarray) -> None:
-        """Advance one step of the simulation."""
-        data, joints = self.data, self._joints
+        """Advance one step of the simulation, with the target of this step, shape (n,)."""
+        model, data, joints, physics = self._model, self.data, self._joints, self.physics
         self.setpoint = setpoint
         stiffness, damping = self._gains
         # where the arm should be now, before the answer moves on
         correction = stiffness * (self.answer - data.qpos[joints]) + damping * (self._speed - data.qvel[joints])
-        wanted = self._answer_to(setpoint) + correction
+        wanted = self._answer_to(setpoint)
+        # positions, inertias and contacts of this moment, which the torques below are calculated from
+        mujoco.mj_step1(model, data)
         data.qacc[joints] = wanted
-        mujoco.mj_rne(self._model, data, 1, self._forces)
-        self.needed = self._forces[joints] + self._armature * wanted + self._damping * data.qvel[joints]
-        self.torque = self.needed if self._limit is None else np.clip(self.needed, -self._limit, self._limit)
+        physics.lead(data.qacc)
+        mujoco.mj_rne(model, data, 1, self._forces)
+        speed = data.qvel[joints] + model.opt.timestep * wanted
+        rubbing = self._friction * np.clip(speed / _CREEPING, -1.0, 1.0)
+        self.needed = physics.of_joints(self._forces) + self._armature * wanted + self._damping * speed + rubbing
+        self._wanted[joints] = correction
+        physics.lead(self._wanted)
+        mujoco.mj_mulM(model, data, self._forces, self._wanted)
+        self.torque = self.needed + physics.of_joints(self._forces)
+        if self._limit is not None:
+            self.torque = np.clip(self.torque, -self._limit, self._limit)
         data.qfrc_applied[joints] = self.torque
-        mujoco.mj_step(self._model, data)
+        mujoco.mj_step2(model, data)
 
     def _answer_to(self, setpoint: np.ndarray) -> np.ndarray:
         """Move the lag's state over one step, and return its acceleration [rad/s^2]."""

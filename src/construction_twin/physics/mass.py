@@ -5,6 +5,7 @@ A number that nobody has said is calculated from a volume and a density, and is 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -65,10 +66,11 @@ def of_shape(geometry: coal.CollisionGeometry, density: float = UNKNOWN_DENSITY)
 
     A surface that encloses no volume weighs `LEAST_MASS`, spread as in the box around it.
     """
-    volume = abs(geometry.computeVolume())
-    mass = volume * density
+    volume = geometry.computeVolume()
+    mass = abs(volume) * density
     if mass > LEAST_MASS:
-        inertia = np.array(geometry.computeMomentofInertiaRelatedToCOM(), dtype=float) * density
+        # below 0: the mesh's triangles are turned inside out
+        inertia = np.array(geometry.computeMomentofInertiaRelatedToCOM(), dtype=float) * math.copysign(density, volume)
         if np.linalg.eigvalsh(inertia).min() > 0.0:
             return MassProperties(mass, np.array(geometry.computeCOM(), dtype=float).ravel(), inertia, True)
     geometry.computeLocalAABB()

@@ -34,6 +34,24 @@ FRICTION = 0.4
 _CONTACT = (0.004, 1.0)
 
 
+def _unsaid(_message: object) -> None:
+    """Take a warning of MuJoCo, which counts it in the state as well: `rehearsal` reads the counters."""
+
+
+# without it MuJoCo writes MUJOCO_LOG.TXT into whatever folder the process was started in
+mujoco.set_mju_user_warning(_unsaid)
+
+
+@dataclass(frozen=True)
+class Follower:
+    """A joint that follows another: ``factor`` times its value, plus ``offset`` [rad] or [m]."""
+
+    place: int
+    leader: int
+    factor: float
+    offset: float
+
+
 @dataclass(frozen=True, eq=False)
 class PhysicsModel:
     """A compiled model and where its numbers are.
@@ -43,7 +61,9 @@ class PhysicsModel:
         joints: Shape (n,), integers. Position and velocity of each of ``robot.joint_names`` in MuJoCo's arrays.
         drives: Torques, inertias and friction of the axes.
         owners: Of each geom: the link or scene object that it belongs to.
+        links: Which names are those of links.
         loose: Position of each loose object in MuJoCo's arrays of positions: 7 numbers from there.
+        followers: Of each joint that follows one of the chain: its place and its leader's in MuJoCo's arrays, factor, offset.
         unplanned: Shape (geoms, geoms), true or false. Which contacts the planner would have refused.
         payload: What the flange carries, tool and objects, in the frame of the last joint; None: nothing.
         remarks: What is simulated otherwise than the planner checks it, and what is an estimate, one sentence each.
@@ -54,7 +74,9 @@ class PhysicsModel:
     joints: np.ndarray
     drives: ArmDrives
     owners: tuple[str, ...]
+    links: frozenset[str]
     loose: Mapping[str, int]
+    followers: tuple[Follower, ...]
     unplanned: np.ndarray
     payload: MassProperties | None
     remarks: tuple[str, ...]
@@ -63,9 +85,29 @@ class PhysicsModel:
         """Return a state at rest with the arm at `q`, shape (n,) [rad] or [m]."""
         data = mujoco.MjData(self.model)
         data.qpos[self.joints] = q
-        _follow(self.model, data)
+        self.follow(data)
         mujoco.mj_forward(self.model, data)
         return data
+
+    def follow(self, data: mujoco.MjData) -> None:
+        """Put the joints that follow another where the arm's pose and speed have them."""
+        for one in self.followers:
+            data.qpos[one.place] = one.offset + one.factor * data.qpos[one.leader]
+            data.qvel[one.place] = one.factor * data.qvel[one.leader]
+
+    def lead(self, rates: np.ndarray) -> None:
+        """Give the joints that follow the rates that those of their leaders mean, shape (nv,)."""
+        for one in self.followers:
+            rates[one.place] = one.factor * rates[one.leader]
+
+    def of_joints(self, forces: np.ndarray) -> np.ndarray:
+        """Return what `forces`, shape (nv,), ask of the chain's joints, shape (n,): a leader also carries what follows it.
+
+        Changes `forces`, which are calculated anew in each step.
+        """
+        for one in self.followers:
+            forces[one.leader] += one.factor * forces[one.place]
+        return forces[self.joints]
 
 
 @dataclass(frozen=True)
@@ -124,6 +166,11 @@ class _Builder:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.compiler.degree = False
+        # a bright sky behind what a film draws
+        spec.add_texture(
+            name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+            rgb1=[0.95, 0.97, 1.0], rgb2=[0.7, 0.8, 0.9], width=16, height=96,
+        )  # fmt: skip
         # which bodies may touch is said pair by pair below
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
 
@@ -133,8 +180,11 @@ class _Builder:
         joints = self._add_arm(model)
         carried = self._add_objects(joints)
         payload = self._add_flange_load(joints, carried)
+        if self._drives.estimates:
+            keys = ", ".join(self._drives.estimates)
+            self._remarks.append(Sentence("physics.remark.drives", keys=keys, source=self._drives.source))
         self._exclude_pairs()
-        self._add_followers(model)
+        self._add_followers()
         compiled = self._spec.compile()
         for name, armature, damping, friction in zip(
             self._robot_bodies.robot.joint_names, self._drives.armature, self._drives.damping, self._drives.friction
@@ -153,8 +203,9 @@ class _Builder:
             if name in self._load.loose and not self._scene.get(name).link
         }
         return PhysicsModel(
-            self._robot_bodies.robot, compiled, places, self._drives, tuple(owners), loose,
-            self._unplanned(owners), payload, tuple(dict.fromkeys(self._remarks)),
+            self._robot_bodies.robot, compiled, places, self._drives, tuple(owners),
+            frozenset(self._robot_bodies.link_joints), loose,
+            self._followers(compiled), self._unplanned(owners), payload, tuple(dict.fromkeys(self._remarks)),
         )  # fmt: skip
 
     def _add_arm(self, model: pinocchio.Model) -> list:
@@ -167,6 +218,9 @@ class _Builder:
             body = made[model.parents[index]].add_body(
                 name=f"joint\n{model.names[index]}", pos=placement.translation, quat=_quaternion(placement.rotation)
             )
+            if not model.parents[index]:
+                # an arm that rests inside a plan goes on when the plan does
+                body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
             axis = np.array(data.joints[index].S, dtype=float).ravel()
             slides = np.any(axis[:3])
             body.add_joint(
@@ -291,23 +345,25 @@ class _Builder:
                 found[one, other] = found[other, one] = True
         return found
 
-    def _add_followers(self, model: pinocchio.Model) -> None:
+    def _followers(self, compiled: mujoco.MjModel) -> tuple[Follower, ...]:
+        places = self._names_of_places()
+        return tuple(
+            Follower(int(compiled.joint(places[at]).dofadr[0]), int(compiled.joint(places[leader]).dofadr[0]), factor, offset)
+            for at, leader, factor, offset in self._robot_bodies.followers
+        )  # fmt: skip
+
+    def _names_of_places(self) -> dict[int, str]:
+        model = self._robot_bodies.model
+        return {model.joints[index].idx_q: model.names[index] for index in range(1, model.njoints)}
+
+    def _add_followers(self) -> None:
         """Tie the joints that follow one of the chain to their leaders."""
-        places = {model.joints[index].idx_q: model.names[index] for index in range(1, model.njoints)}
+        places = self._names_of_places()
         for at, leader, factor, offset in self._robot_bodies.followers:
             self._spec.add_equality(
                 type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=places[at], name2=places[leader],
                 data=[offset, factor, 0.0, 0.0, 0.0] + [0.0] * 6,
             )  # fmt: skip
-
-
-def _follow(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Put the joints that follow another where the arm's pose has them."""
-    for number in range(model.neq):
-        if model.eq_type[number] == mujoco.mjtEq.mjEQ_JOINT:
-            follower, leader = model.eq_obj1id[number], model.eq_obj2id[number]
-            offset, factor = model.eq_data[number][:2]
-            data.qpos[model.jnt_qposadr[follower]] = offset + factor * data.qpos[model.jnt_qposadr[leader]]
 
 
 def _shape(spec: mujoco.MjSpec, name: str, geometry: coal.CollisionGeometry) -> tuple | None:

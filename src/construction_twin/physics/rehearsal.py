@@ -10,13 +10,13 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
 
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.records import document
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import CYCLE
@@ -50,6 +50,8 @@ SETTLING = 2.0
 STILL = 0.01
 #: The arm is off its setpoint by more than this, beyond its lag, when something holds it [rad], [m].
 LARGEST_TRACKING = math.radians(0.5)
+#: For so long the arm, whose servo lags, is watched after the end of a plan that leaves nothing loose [s].
+_COMING_TO_REST = 0.2
 #: Longest time that braking may take [s].
 _LONGEST_BRAKING = 10.0
 
@@ -100,30 +102,36 @@ class Rehearsal:
     gravity: tuple[float, float, float] = (0.0, 0.0, -GRAVITY)
 
     def of_plan(
-        self, plan: Plan, scenes: Mapping[str, Scene], clock: Callable[[], float] = time.perf_counter
+        self,
+        plan: Plan,
+        scenes: Mapping[str, Scene],
+        clock: Callable[[], float],
+        progress: Callable[[float, SimulatedArm], None] | None = None,
     ) -> RehearsalReport:
         """Rehearse a plan.
 
         Args:
             scenes: By hash: that of the plan, and those of its segments.
-            clock: For how long it took [s].
+            clock: For how long it took, e.g. ``time.perf_counter`` [s].
+            progress: Called after each cycle with the time in the plan [s] and the arm as it is then.
         """
         begin = clock()
         named = RehearsalReport(plan_id=plan.id, plan_hash=plan.hash, scene=plan.scene, tool=self.tool, engine=ENGINE)
         wanted = [segment.scene for segment in plan.segments] or [plan.scene]
-        missing = sorted({each for each in wanted if each not in scenes})
+        last = plan.segments[-1].scene_after if plan.segments else plan.scene
+        missing = [each for each in (*wanted, last) if each not in scenes]
         if missing:
             return _finished(
                 replace(named, reasons=(Sentence("rehearsal.no_scene", scene=missing[0][:12]),)), clock() - begin
             )
         ends = [segment.end for segment in plan.segments] or [plan.trajectory.duration]
         parts = [Part(scenes[scene], end) for scene, end in zip(wanted, ends)]
-        after = scenes.get(plan.segments[-1].scene_after) if plan.segments else None
-        run = _Run(self, plan.trajectory, parts, after)
+        run = _Run(self, plan.trajectory, parts, scenes[last], progress)
         try:
             found = run.report(named, clock)
-        except mujoco.FatalError as error:
-            found = replace(named, reasons=(Sentence("rehearsal.engine", problem=str(error)),))
+        # ValueError: MuJoCo's compiler refuses a model
+        except (ConstructionTwinError, mujoco.FatalError, ValueError) as error:
+            found = replace(named, reasons=(Sentence("rehearsal.engine", problem=" ".join(str(error).split())),))
         return _finished(found, clock() - begin)
 
 
@@ -139,13 +147,22 @@ def _finished(report: RehearsalReport, took: float) -> RehearsalReport:
 
 
 class _Run:
-    """One rehearsal: it steps the arm through the parts, and notes."""
+    """One rehearsal: it steps the arm through the parts, and notes.
 
-    def __init__(self, of: Rehearsal, trajectory: Trajectory, parts: Sequence[Part], after: Scene | None):
+    Args:
+        after: The scene at the end, when the last tool has switched.
+    """
+
+    def __init__(self, of: Rehearsal, trajectory: Trajectory, parts: Sequence[Part], after: Scene, progress=None):
         self._of = of
         self._trajectory = trajectory
         self._parts = parts
         self._after = after
+        self._progress = progress
+        carried = [{item.name for item in scene.objects if item.link} for scene in (*(p.scene for p in parts), after)]
+        self._carried = frozenset[str]().union(*carried)
+        # what is picked up or let go: the tool is in every scene on the arm, and is neither
+        self._handled = self._carried - carried[0].intersection(*carried)
         self._torques: list[np.ndarray] = []
         self._speeds: list[np.ndarray] = []
         self._poses: list[np.ndarray] = []
@@ -157,83 +174,77 @@ class _Run:
         self._payloads: list[MassProperties] = []
         self._released: dict[str, float] = {}
         self._before: dict[str, np.ndarray] = {}
+        self._displaced: dict[str, LooseObject] = {}
         self._remarks: list[str] = []
-        self._diverged: float | None = None
 
     def report(self, named: RehearsalReport, clock: Callable[[], float]) -> RehearsalReport:
-        times = np.arange(round(self._trajectory.duration / CYCLE) + 1) * CYCLE
+        times = np.arange(math.ceil(self._trajectory.duration / CYCLE - 1e-9) + 1) * CYCLE
         setpoints = self._trajectory.sample_many(times)[0]
         arm: SimulatedArm | None = None
-        states: dict[str, np.ndarray] = {}
-        first = 0
+        first, begin = 0, 0.0
         for number, part in enumerate(self._parts):
             last = len(times) if number == len(self._parts) - 1 else round(part.end / CYCLE)
-            arm = self._arm(part.scene, setpoints[first] if arm is None else None, arm, states, asleep=True)
-            self._play(arm, times[first:last], setpoints[first:last])
-            states = _loose_states(arm)
-            first = last
-            if self._diverged is not None:
-                reason = Sentence("rehearsal.diverged", time=self._diverged)
-                return replace(named, state=FAILED, reasons=(reason,), remarks=tuple(dict.fromkeys(self._remarks)))
+            arm = self._arm(part.scene, setpoints[first], arm, begin)
+            # what lies still, far from the arm, costs nothing
+            arm.physics.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+            diverged = self._play(arm, times[first:last], setpoints[first:last])
+            if diverged is not None:
+                return self._diverged(named, diverged)
+            first, begin = last, part.end
         assert arm is not None
-        begin = clock()
+        started = clock()
+        arm = self._arm(self._after, setpoints[-1], arm, begin)
         objects = self._settled(arm, setpoints[-1])
-        settle = clock() - begin
-        return self._judged(named, times, objects, arm, settle)
+        settle = clock() - started
+        if _is_broken(arm.data):
+            return self._diverged(named, self._trajectory.duration)
+        return self._judged(named, times, objects, settle)
 
-    def _arm(self, scene, pose, before, states, asleep: bool) -> SimulatedArm:
-        """Return the arm in a scene, where it stood; what was let go lies where it lay."""
-        carried = {item.name for part in self._parts for item in part.scene.objects if item.link}
-        tool_of_all = set.intersection(
-            *({item.name for item in part.scene.objects if item.link} for part in self._parts)
-        )
-        loose = frozenset(({*self._of.masses} | (carried - tool_of_all)) & set(scene.names))
+    def _diverged(self, named: RehearsalReport, time: float) -> RehearsalReport:
+        reason = Sentence("rehearsal.diverged", time=time)
+        return replace(named, state=FAILED, reasons=(reason,), remarks=tuple(dict.fromkeys(self._remarks)))
+
+    def _arm(self, scene: Scene, pose: np.ndarray, before: SimulatedArm | None, begin: float) -> SimulatedArm:
+        """Return the arm in a scene, from `begin` [s] on; what was let go goes on from where it is."""
+        loose = frozenset((self._handled | {*self._of.masses}) & set(scene.names))
         physics = build_model(
             self._of.bodies, scene, self._of.self_collision, self._of.drives,
             Load(self._of.masses, loose, self._of.flange), self._of.gravity,
         )  # fmt: skip
-        if asleep:
-            physics.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
         self._remarks += physics.remarks
         if physics.payload is not None:
             self._payloads.append(physics.payload)
         arm = SimulatedArm(physics, pose if before is None else before.setpoint, self._of.servo)
         if before is not None:
-            for name in set(physics.loose) - set(before.physics.loose):
-                self._released[name] = self._time
             arm.go_on_as(before)
-        for name, state in states.items():
-            if name in physics.loose:
-                at = physics.loose[name]
-                arm.data.qpos[at : at + 7] = state
+            for name in before.physics.loose:
+                if name in physics.loose:
+                    _set_loose(arm, name, *_loose_state(before, name))
+                elif (displaced := self._found(before, name)).moved > self._of.limits.stays:
+                    # the arm picks up where the plan has it, but it is not there any more
+                    self._displaced[name] = displaced
+            for name in sorted(physics.loose.keys() - before.physics.loose.keys()):
+                self._released[name] = begin
+                self._before.pop(name, None)
         mujoco.mj_forward(physics.model, arm.data)
         for name in physics.loose:
-            self._before.setdefault(name, _pose_of(arm, name))
-            if name in self._released and self._released[name] == self._time:
-                self._before[name] = _pose_of(arm, name)
+            self._before.setdefault(name, _loose_state(arm, name)[0])
         return arm
 
-    _time = 0.0
-
-    def _play(self, arm: SimulatedArm, times: np.ndarray, setpoints: np.ndarray) -> None:
-        """Play setpoints; note each cycle's torques, and every step's contacts."""
+    def _play(self, arm: SimulatedArm, times: np.ndarray, setpoints: np.ndarray) -> float | None:
+        """Play setpoints; note each cycle's torques, and every step's contacts; return when it came apart [s], None if not."""
         physics, data = arm.physics, arm.data
         limit = np.array([torque or math.inf for torque in self._of.drives.torque])
         gravity = _GravityTorque(physics)
-        substeps = arm.steps_per_cycle
         for at, setpoint in zip(times.tolist(), setpoints):
-            self._time = at
             peak = np.zeros(len(limit))
-            for _ in range(substeps):
-                arm.step(setpoint)
-                # an arm that pushes against something pushes as hard as it can: that is the contact's, not the plan's
-                needed = arm.torque if self._contacts else arm.needed
-                peak = np.where(np.abs(needed) > np.abs(peak), needed, peak)
+            for target in arm.targets(setpoint):
+                arm.step(target)
+                peak = np.where(np.abs(arm.needed) > np.abs(peak), arm.needed, peak)
                 if data.ncon:
-                    self._note_contacts(physics, data, at)
-            if not np.isfinite(data.qpos).all() or data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
-                self._diverged = at
-                return
+                    self._note_contacts(physics, data, at, frozenset())
+            if _is_broken(data):
+                return at
             q = arm.q
             self._torques.append(peak)
             self._speeds.append(data.qvel[physics.joints])
@@ -242,50 +253,68 @@ class _Run:
             self._usages.append(float((np.abs(peak) / limit).max()))
             self._kinetic.append(gravity.kinetic(data))
             np.maximum(self._off, np.abs(q - arm.answer), out=self._off)
+            if self._progress is not None:
+                self._progress(at, arm)
+        return None
 
-    def _note_contacts(self, physics: PhysicsModel, data: mujoco.MjData, at: float) -> None:
+    def _note_contacts(self, physics: PhysicsModel, data: mujoco.MjData, at: float, without: Set[str]) -> None:
+        """Note what touches in this step; of two bodies that touch at several points the forces are added up."""
         geoms = data.contact.geom
-        wrong = np.flatnonzero(physics.unplanned[geoms[:, 0], geoms[:, 1]])
+        forces: dict[tuple[str, str], float] = {}
         force = np.zeros(6)
-        for number in wrong.tolist():
-            mujoco.mj_contactForce(physics.model, data, number, force)
-            size = float(np.linalg.norm(force[:3]))
-            if size < LEAST_FORCE:
-                continue
-            names = physics.owners[geoms[number, 0]], physics.owners[geoms[number, 1]]
-            known = self._contacts.get(names) or RehearsedContact(*names, at, 0.0, 0.0)
-            self._contacts[names] = replace(
-                known, force=max(known.force, size), seconds=known.seconds + physics.model.opt.timestep
-            )
+        for number in np.flatnonzero(physics.unplanned[geoms[:, 0], geoms[:, 1]]).tolist():
+            first, second = sorted((physics.owners[geom] for geom in geoms[number].tolist()), key=self._named_first)
+            names = first, second
+            if without.isdisjoint(names):
+                mujoco.mj_contactForce(physics.model, data, number, force)
+                forces[names] = forces.get(names, 0.0) + float(np.linalg.norm(force[:3]))
+        for names, size in forces.items():
+            if size >= LEAST_FORCE:
+                known = self._contacts.get(names) or RehearsedContact(*names, at, 0.0, 0.0)
+                self._contacts[names] = replace(
+                    known, force=max(known.force, size), seconds=known.seconds + physics.model.opt.timestep
+                )
+
+    def _named_first(self, owner: str) -> tuple[bool, bool, str]:
+        """Return the order in which reports name two bodies: a link, what is carried sometime, what stands."""
+        return owner not in self._of.bodies.link_joints, owner not in self._carried, owner
 
     def _settled(self, arm: SimulatedArm, setpoint: np.ndarray) -> tuple[LooseObject, ...]:
-        """Let everything that can move come to rest, nothing asleep, and return what became of it."""
-        if self._after is not None:
-            arm = self._arm(self._after, None, arm, _loose_states(arm), asleep=False)
-        else:
-            arm.physics.model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-            data = arm.data
-            data.qvel[:] = 0.0
-            mujoco.mj_forward(arm.physics.model, data)
-        if not arm.physics.loose:
-            return ()
-        for _ in range(round(self._of.limits.settling / CYCLE)):
-            arm.cycle(setpoint)
-        found = []
-        for name, at in arm.physics.loose.items():
-            before, now = self._before[name], _pose_of(arm, name)
-            dof = arm.physics.model.jnt_dofadr[arm.physics.model.joint(f"free\n{name}").id]
-            speed = np.abs(arm.data.qvel[dof : dof + 6]).max()
-            turned = 2.0 * math.acos(min(1.0, abs(float(before[3:] @ now[3:]))))
-            moved = float(np.linalg.norm(now[:3] - before[:3]))
-            one = LooseObject(
-                name, self._released.get(name, math.nan), moved, turned, float(before[2] - now[2]), bool(speed < STILL)
-            )
-            if name in self._released or moved > self._of.limits.stays or turned > self._of.limits.stays_turned:
-                found.append(one)
-        return tuple(found)
+        """Let the arm and everything that can move come to rest, nothing asleep, and return what became of it."""
+        duration = self._trajectory.duration
+        # nobody has planned how far the tool is from what it has let go of at the very end
+        without = {name for name, released in self._released.items() if released >= duration}
+        for _ in range(round((self._of.limits.settling if arm.physics.loose else _COMING_TO_REST) / CYCLE)):
+            for target in arm.targets(setpoint):
+                arm.step(target)
+                if arm.data.ncon:
+                    self._note_contacts(arm.physics, arm.data, duration, without)
+            if self._progress is not None:
+                duration += CYCLE
+                self._progress(duration, arm)
+        found = dict(self._displaced)
+        for name in arm.physics.loose:
+            one = self._found(arm, name)
+            limits = self._of.limits
+            if name in self._released or one.moved > limits.stays or one.turned > limits.stays_turned:
+                found.setdefault(name, one)
+        return tuple(found.values())
 
-    def _judged(self, named, times, objects, arm, settle) -> RehearsalReport:
+    def _found(self, arm: SimulatedArm, name: str) -> LooseObject:
+        """Return what has become of a loose object until now."""
+        before = self._before[name]
+        now, speed = _loose_state(arm, name)
+        turned = 2.0 * math.acos(min(1.0, abs(float(before[3:] @ now[3:]))))
+        return LooseObject(
+            name,
+            self._released.get(name, math.nan),
+            float(np.linalg.norm(now[:3] - before[:3])),
+            turned,
+            float(before[2] - now[2]),
+            bool(np.abs(speed).max() < STILL),
+        )
+
+    def _judged(self, named, times, objects, settle) -> RehearsalReport:
         torques, speeds, gravity = np.array(self._torques), np.array(self._speeds), np.array(self._gravity)
         limits = self._of.drives.torque
         names = self._trajectory.joint_names
@@ -315,7 +344,9 @@ class _Run:
             contacts=tuple(self._contacts.values()), objects=objects, energy=energy, duration=self._trajectory.duration,
             settle_took=settle, remarks=tuple(dict.fromkeys(self._remarks)),
         )  # fmt: skip
-        reasons = tuple(_reasons(report, self._of.limits))
+        robot = self._of.bodies.robot
+        linear = {name for name, slides in zip(robot.joint_names, robot.linear) if slides}
+        reasons = tuple(_reasons(report, self._of.limits, linear))
         return replace(report, state=FAILED if reasons else PASSED, reasons=reasons)
 
     def _braking(self) -> Braking:
@@ -328,11 +359,13 @@ class _Run:
         if seconds <= 0.0 or not math.isfinite(seconds):
             return Braking(time=number * CYCLE)
         part = next(part for part in self._parts if part is self._parts[-1] or number * CYCLE < part.end)
+        # how far the arm goes on, whatever stands in the way
         physics = build_model(
             self._of.bodies, part.scene, self._of.self_collision, self._of.drives,
             Load(self._of.masses, frozenset(), self._of.flange), self._of.gravity,
         )  # fmt: skip
-        arm = SimulatedArm(physics, self._poses[number], Servo(omega=0.0))
+        physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+        arm = SimulatedArm(physics, self._poses[number], Servo(omega=0.0, saturates=False))
         arm.begin_with(speed)
         begin = self._poses[number]
         flange = _flange(arm)
@@ -361,7 +394,7 @@ class _GravityTorque:
     def __init__(self, physics: PhysicsModel):
         self._physics = physics
         self._data = mujoco.MjData(physics.model)
-        self._product = np.zeros(physics.model.nv)
+        self._product, self._speed = np.zeros(physics.model.nv), np.zeros(physics.model.nv)
 
     def at(self, data: mujoco.MjData) -> np.ndarray:
         """Return the torques, shape (n,)."""
@@ -371,28 +404,34 @@ class _GravityTorque:
         mujoco.mj_comPos(model, own)
         mujoco.mj_comVel(model, own)
         mujoco.mj_rne(model, own, 0, self._product)
-        return self._product[self._physics.joints].copy()
+        return self._physics.of_joints(self._product)
 
     def kinetic(self, data: mujoco.MjData) -> float:
-        """Return the kinetic energy of everything that moves [J]."""
-        mujoco.mj_mulM(self._physics.model, data, self._product, data.qvel)
-        return 0.5 * float(data.qvel @ self._product)
+        """Return the kinetic energy of the arm with what it carries [J]; what falls or is pushed is none of it."""
+        self._speed[self._physics.joints] = data.qvel[self._physics.joints]
+        self._physics.lead(self._speed)
+        mujoco.mj_mulM(self._physics.model, data, self._product, self._speed)
+        return 0.5 * float(self._speed @ self._product)
 
 
-def _reasons(report: RehearsalReport, limits: Limits):
-    """Yield why a rehearsal has failed."""
+def _reasons(report: RehearsalReport, limits: Limits, linear: Set[str]) -> Iterator[Sentence]:
+    """Yield why a rehearsal has failed; `linear`: names of prismatic joints."""
     load = report.payload
     if load.rated_mass and load.mass > load.rated_mass:
         yield Sentence("rehearsal.mass", mass=load.mass, rated=load.rated_mass)
     if load.rated_inertia and load.inertia > load.rated_inertia:
         yield Sentence("rehearsal.inertia", inertia=load.inertia, rated=load.rated_inertia)
+    for place, rated in ((load.across, load.rated_across), (load.along, load.rated_along)):
+        if rated and abs(place) > rated:
+            yield Sentence("rehearsal.distance", distance=Quantity(place, "m"), rated=Quantity(rated, "m"))
     for axis in report.axes:
         if axis.limit and axis.usage > limits.torque:
+            unit = "N" if axis.joint in linear else "Nm"
             yield Sentence(
                 "rehearsal.torque",
                 joint=axis.joint,
-                peak=axis.peak,
-                limit=axis.limit,
+                peak=Quantity(axis.peak, unit),
+                limit=Quantity(axis.limit, unit),
                 percent=axis.usage * 100.0,
                 time=axis.time,
             )
@@ -419,7 +458,8 @@ def _reasons(report: RehearsalReport, limits: Limits):
                 "rehearsal.moved", object=one.name, distance=one.moved * 1e3, angle=Quantity(one.turned, "rad")
             )
     if report.tracking > LARGEST_TRACKING and not report.contacts:
-        yield Sentence("rehearsal.tracking", joint=report.tracking_joint, error=Quantity(report.tracking, "rad"))
+        error = Quantity(report.tracking, "m" if report.tracking_joint in linear else "rad")
+        yield Sentence("rehearsal.tracking", joint=report.tracking_joint, error=error)
 
 
 def _heaviest(payloads: Sequence[MassProperties], of: Rehearsal) -> PayloadLoad:
@@ -452,11 +492,26 @@ def _flange(arm: SimulatedArm) -> np.ndarray:
     return arm.data.body(f"joint\n{joint}").xpos.copy()
 
 
-def _loose_states(arm: SimulatedArm) -> dict[str, np.ndarray]:
-    """Return positions of what is loose, by name: x, y, z, and the quaternion w, x, y, z."""
-    return {name: arm.data.qpos[at : at + 7].copy() for name, at in arm.physics.loose.items()}
+def _loose_state(arm: SimulatedArm, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return position (x, y, z, and the quaternion w, x, y, z) and speed of what is loose."""
+    at, dof = arm.physics.loose[name], _speed_place(arm, name)
+    return arm.data.qpos[at : at + 7].copy(), arm.data.qvel[dof : dof + 6].copy()
 
 
-def _pose_of(arm: SimulatedArm, name: str) -> np.ndarray:
-    at = arm.physics.loose[name]
-    return arm.data.qpos[at : at + 7].copy()
+def _set_loose(arm: SimulatedArm, name: str, position: np.ndarray, speed: np.ndarray) -> None:
+    at, dof = arm.physics.loose[name], _speed_place(arm, name)
+    arm.data.qpos[at : at + 7], arm.data.qvel[dof : dof + 6] = position, speed
+
+
+def _speed_place(arm: SimulatedArm, name: str) -> int:
+    model = arm.physics.model
+    return int(model.jnt_dofadr[model.joint(f"free\n{name}").id])
+
+
+def _is_broken(data: mujoco.MjData) -> bool:
+    """Return whether the numbers are no motion any more; MuJoCo itself starts anew then, and counts."""
+    warnings = mujoco.mjtWarning
+    return not np.isfinite(data.qpos).all() or any(
+        data.warning[kind].number
+        for kind in (warnings.mjWARN_BADQPOS, warnings.mjWARN_BADQVEL, warnings.mjWARN_BADQACC)
+    )

@@ -18,7 +18,7 @@ class AxisLoad:
 
     Attributes:
         joint: Its name.
-        peak: Largest torque that its drive gives [N m], of a linear axis force [N]; `time` is when [s].
+        peak: Largest torque that the motion needs of its drive [N m], of a linear axis force [N]; `time` is when [s].
         rms: Root of the mean square over the plan.
         gravity: What holding the arm still at that moment would need, as a share of `peak`; above 1 where the motion helps.
         limit: What the drive can give; 0: nobody says.

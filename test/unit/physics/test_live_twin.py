@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 from chain_samples import REACH, ROBOT
-from physics_samples import FLOOR, carrying, model_in
+from live_twin_samples import FLOOR, carrying, model_in
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.servo_lag import transition_matrix

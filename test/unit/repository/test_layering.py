@@ -159,9 +159,11 @@ def test_every_public_name_has_a_docstring(path):
 #: - SideEffects': what reports, records or predicts a stop, a pause, a halt or a rejection must not be able to fail it, and a node
 #:   that ends while the arm brakes along its path would fail it. It counts, keeps the exception until it is in the log, and shows
 #:   it on `/diagnostics`; it runs no act.
+#: - The film's: what draws without a screen fails in ways of each driver's own. What was said is part of the refusal.
 BROAD = {
     "src/construction_twin/core/side_effects.py": "run",
     "src/construction_twin/gateway/service.py": "guarded",
+    "src/construction_twin/physics/film.py": "open_context",
     "src/construction_twin/ros/transport/subscriber.py": "_receive",
 }
 

@@ -29,6 +29,7 @@ FOLDERS = {
         "scene", "planning", "coordination", "review", "twin", "monitor", "execution", "mock", "scenario", "views",
     },
     "work": {"work"},
+    "physics": {"physics"},
     "console": {"console", "broker"},
 }
 # fmt: on

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from chain_samples import ROBOT
-from physics_samples import DRIVES, FLOOR, SELF_COLLISION, carrying, model_in
+from live_twin_samples import DRIVES, FLOOR, SELF_COLLISION, carrying, model_in
 
 from construction_twin.physics.live_twin import LiveTwin
 from construction_twin.ros.shared.model_builder import ModelBuilder

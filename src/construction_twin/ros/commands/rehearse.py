@@ -1,0 +1,218 @@
+"""Command line: rehearses a plan with the simulated arm that has mass, and says what it found. Runs without a ROS master."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import rospy
+from rich.console import Console
+from rich.progress import track
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.extras import check_extras
+from construction_twin.core.records import document
+from construction_twin.core.sentences import Sentence
+from construction_twin.planning.waypoint_file import parse_waypoints
+from construction_twin.planning.waypoints import plan_waypoints
+from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
+from construction_twin.robot.trajectory import Trajectory
+from construction_twin.ros.commands.bag import read_plans
+from construction_twin.ros.commands.evaluate import package_file
+from construction_twin.scene.collision_bodies import RobotBodies
+from construction_twin.scene.objects import Scene
+from construction_twin.scene.scene_yaml import read_scene
+from construction_twin.scene.self_collision import read_self_collision
+
+#: Exit codes: the rehearsal passed, failed, or could not be made.
+PASSED, FAILED, BROKEN = 0, 1, 2
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Rehearse the plan named on the command line.
+
+    Args:
+        arguments: Default: the process's, without what roslaunch adds.
+
+    Returns:
+        0 if it passed, 1 if it failed, 2 after a sentence on standard error if it could not be made.
+    """
+    options = _parser().parse_args(rospy.myargv()[1:] if arguments is None else arguments)
+    try:
+        check_extras("physics")
+        return _rehearse(options)
+    except (ConstructionTwinError, OSError, UnicodeDecodeError) as error:
+        print(f"rehearse: {error}", file=sys.stderr)
+        return BROKEN
+
+
+def _rehearse(options: argparse.Namespace) -> int:
+    # what follows needs the packages of the set-up's group
+    from construction_twin.physics import report as states
+    from construction_twin.physics.drive import drives_of, read_drives
+    from construction_twin.physics.film import Film
+    from construction_twin.physics.rehearsal import Rehearsal
+    from construction_twin.views.rehearsal_table import print_report
+
+    robot = read_robot_files(options.robot_xacro, options.robot_config, options.robot_xacro_args)
+    scene = read_scene(options.scene)
+    drives = drives_of(robot) if options.drives == "none" else read_drives(options.drives, robot)
+    rehearsal = Rehearsal(
+        RobotBodies(robot), read_self_collision(options.self_collision, robot), drives,
+        masses=dict(map(_mass, options.mass)), flange=_payload(options.payload),
+    )  # fmt: skip
+    plan = _plan(_trajectory(options, robot), scene)
+    film = Film() if options.picture or options.video else None
+    report = rehearsal.of_plan(plan, {scene.hash: scene}, time.perf_counter, film.watch if film else None)
+    console = Console(highlight=False, stderr=bool(options.json))
+    if options.json:
+        print(json.dumps(document(report), indent=2, sort_keys=True))
+    else:
+        linear = {name for name, slides in zip(robot.joint_names, robot.linear) if slides}
+        print_report(report, console, linear)
+    if film is not None and report.axes:
+        _draw(options, film, report, console)
+    return {states.PASSED: PASSED, states.FAILED: FAILED}.get(report.state, BROKEN)
+
+
+def _draw(options: argparse.Namespace, film, report, console: Console) -> None:
+    """Write picture and video; that they cannot be drawn here changes nothing of the result."""
+    touching = frozenset(name for one in report.contacts for name in (one.first, one.second))
+    worst = report.contacts[0].time if report.contacts else report.worst_time
+    try:
+        if options.picture:
+            # matplotlib takes a second to import
+            from matplotlib.image import imsave
+
+            imsave(options.picture, np.ascontiguousarray(film.picture(worst, touching)))
+            console.print(f"{options.picture}: after {worst:.2f} s", soft_wrap=True)
+        if options.video:
+            _write_video(options, film, touching, console)
+    except ConstructionTwinError as error:
+        print(f"rehearse: {error}", file=sys.stderr)
+
+
+def _write_video(options: argparse.Namespace, film, touching, console: Console) -> None:
+    import imageio_ffmpeg
+
+    from construction_twin.physics.film import HEIGHT, WIDTH
+
+    pictures = film.pictures(options.rate, touching)
+    try:
+        writer = imageio_ffmpeg.write_frames(str(options.video), (WIDTH, HEIGHT), fps=options.rate, codec="libx264")
+        writer.send(None)
+        for picture in track(pictures, "video", film.count(options.rate), console=console, transient=True):
+            writer.send(np.ascontiguousarray(picture))
+        writer.close()
+    # what imageio-ffmpeg raises where its program ends early: for an unwritable file, an unknown ending
+    except (OSError, RuntimeError) as error:
+        problem = " ".join(str(error).split()[-30:])
+        raise ConstructionTwinError(Sentence("rehearsal.no_video", problem=problem)) from error
+    version = imageio_ffmpeg.get_ffmpeg_version()
+    console.print(f"{options.video}: {options.rate:g} pictures/s, H.264 by ffmpeg {version}", soft_wrap=True)
+
+
+def _trajectory(options: argparse.Namespace, robot: RobotModel) -> Trajectory:
+    if options.plan.suffix == ".bag":
+        plans = read_plans(options.plan, options.robot)
+        if options.plan_id:
+            plans = [plan for plan in plans if plan.id == options.plan_id]
+        if not plans:
+            raise ConstructionTwinError(Sentence("rehearsal.no_plan", file=str(options.plan)))
+        plan = plans[-1]
+        if plan.trajectory.joint_names != robot.joint_names:
+            raise ConstructionTwinError(Sentence("view.evaluate.joints", plan=plan.id, robot=robot.name))
+        return plan.trajectory
+    waypoints = parse_waypoints(options.plan.read_text(), robot)
+    start = waypoints.positions[0] if len(waypoints.positions) > 1 else np.array(robot.home)
+    return plan_waypoints(waypoints, start, robot)
+
+
+def _plan(trajectory: Trajectory, scene: Scene) -> Plan:
+    """Return a plan that nobody has checked for contacts: that is what the rehearsal does."""
+    unknown = (float("nan"),) * len(trajectory.joint_names)
+    report = PlanReport(Clearance(float("nan")), LimitUsage(unknown, unknown, unknown), 0.0)
+    found = trajectory.content_hash()
+    return Plan(found[:12], found, "rehearse", "waypoints", scene.hash, 0, 0.0, trajectory, report)
+
+
+def _payload(text: str):
+    """Return the load that `--payload` says: ``MASS`` or ``MASS,X,Y,Z``."""
+    from construction_twin.physics.mass import MassProperties
+
+    if not text:
+        return None
+    numbers = _numbers("--payload", text, "MASS or MASS,X,Y,Z [kg], [m]")
+    if len(numbers) not in (1, 4) or not numbers[0] > 0.0:
+        raise _wrong("--payload", text, "MASS or MASS,X,Y,Z [kg], [m]")
+    mass, *centre = numbers
+    # a cube of 20 cm, when nobody says more
+    return MassProperties(mass, np.array(centre or (0.0, 0.0, 0.0)), np.eye(3) * mass * 0.04 / 6.0)
+
+
+def _mass(text: str) -> tuple[str, float]:
+    name, equals, mass = text.rpartition("=")
+    numbers = _numbers("--mass", mass, "NAME=KG") if equals else []
+    if not name or not numbers[0] > 0.0:
+        raise _wrong("--mass", text, "NAME=KG")
+    return name, numbers[0]
+
+
+def _numbers(option: str, text: str, expected: str) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise _wrong(option, text, expected) from error
+    if not np.isfinite(numbers).all():
+        raise _wrong(option, text, expected)
+    return numbers
+
+
+def _wrong(option: str, found: str, expected: str) -> ConstructionTwinError:
+    return ConstructionTwinError(Sentence("rehearsal.option", option=option, found=repr(found), expected=expected))
+
+
+def _rate(text: str) -> float:
+    rate = float(text)
+    if not 1.0 <= rate <= 250.0:
+        raise ValueError(text)
+    return rate
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="rehearse",
+        description="Rehearse a plan with a simulated arm that has mass: torques, payload, contacts, braking. "
+        "Exit code 0: passed, 1: failed, 2: the rehearsal could not be made.",
+    )
+    parser.add_argument(
+        "plan", type=Path, help="CSV file of waypoints, or a bag with a plan (the newest; its path alone)"
+    )
+    parser.add_argument("--plan-id", default="", metavar="ID", help="which plan of the bag")
+    parser.add_argument("--robot", metavar="NAMESPACE", help="which robot, when the bag holds several, e.g. /kr120")
+    parser.add_argument("--scene", default="none", metavar="FILE", help="scene YAML (default: nothing stands around)")
+    parser.add_argument("--payload", default="", metavar="KG[,X,Y,Z]", help="mass at the flange, and its centre [m]")
+    parser.add_argument(
+        "--mass", action="append", default=[], metavar="NAME=KG", help="mass of an object, which can then be moved"
+    )
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the worst moment: .png")
+    parser.add_argument("--video", type=Path, metavar="FILE", help="draw the whole rehearsal: .mp4")
+    parser.add_argument("--rate", type=_rate, default=25.0, metavar="HZ", help="pictures per second [%(default)g]")
+    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    files = {
+        "--robot-xacro": ("urdf/kr120r2500.urdf.xacro", "URDF or xacro"),
+        "--robot-config": ("config/kr120.yaml", "robot YAML"),
+        "--self-collision": ("config/kr120_self_collision.yaml", "YAML of the link pairs that are not checked"),
+        "--drives": ("config/kr120_drives.yaml", "YAML of the drives; none: what the URDF says"),
+    }
+    for option, (file, meaning) in files.items():
+        parser.add_argument(
+            option, default=str(package_file(file)), metavar="FILE", help=f"{meaning} (default: {Path(file).name})"
+        )
+    parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
+    return parser

@@ -1,0 +1,227 @@
+import math
+
+import mujoco
+import numpy as np
+import pinocchio
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from physics_samples import OTHERS, READY, bodies_of, dynamics_of, model_of, pairs_of, robot_of
+from scene_samples import FLOOR, clutter, random_poses, write_stl
+
+from construction_twin.kinematics.chain import Chain
+from construction_twin.physics.model import GRAVITY, Load
+from construction_twin.scene.collision_world import CollisionWorld
+from construction_twin.scene.objects import Scene, SceneObject
+
+ARMS = ("kr120", "kr120_track", *OTHERS, "ur_like_gripper")
+#: Those of the URDFs that say what their links weigh.
+WEIGHED = ("kr120", "kr120_track", "ur_like", "ur_like_gripper")
+TABLE = SceneObject("table", "box", (1.0, 1.0, 0.6), (1.6, 0.0, 0.3))
+
+
+@pytest.mark.parametrize("name", WEIGHED)
+def test_gravity_and_masses_are_those_of_pinocchio(name):
+    physics, (model, order) = model_of(name), dynamics_of(name)
+    data, own = model.createData(), physics.at_rest(np.zeros(len(order)))
+    gravity, inertia, product = [], [], np.zeros(physics.model.nv)
+    for q in random_poses(robot_of(name), 1000):
+        row = bodies_of(name).rows(q[None])[0]
+        own.qpos[physics.joints] = q
+        mujoco.mj_fwdPosition(physics.model, own)
+        mujoco.mj_fwdVelocity(physics.model, own)
+        mass = pinocchio.crba(model, data, row)
+        mass = np.triu(mass) + np.triu(mass, 1).T
+        direction = np.linspace(1.0, -1.0, len(order))
+        whole = np.zeros(physics.model.nv)
+        whole[physics.joints] = direction
+        mujoco.mj_mulM(physics.model, own, product, whole)
+        expected = mass[np.ix_(order, order)] @ direction
+        inertia.append(np.abs(product[physics.joints] - expected).max() / np.abs(expected).max())
+        torque = pinocchio.computeGeneralizedGravity(model, data, row)[order]
+        gravity.append(np.abs(own.qfrc_bias[physics.joints] - torque).max())
+        scale = max(np.abs(torque).max(), 1.0)
+        gravity[-1] /= scale
+    assert max(gravity) < 1e-6
+    assert max(inertia) < 1e-6
+
+
+@pytest.mark.parametrize("name", ARMS)
+@given(data=st.data())
+@settings(deadline=None, max_examples=50)
+def test_the_flange_is_where_kdl_has_it(name, data):
+    robot = robot_of(name)
+    q = np.array([data.draw(st.floats(low, high)) for low, high in zip(robot.lower, robot.upper)])
+    expected = Chain(robot).forward(q)
+    bodies = bodies_of(name)
+    frame = bodies.model.frames[bodies.model.getFrameId(robot.tip_link, pinocchio.FrameType.BODY)]
+    found = model_of(name).at_rest(q).body(f"joint\n{bodies.model.names[frame.parentJoint]}")
+    root_T_tip = pinocchio.SE3(found.xmat.reshape(3, 3), found.xpos) * frame.placement
+    base_T_tip = bodies.root_T_base.actInv(root_T_tip)
+    np.testing.assert_allclose(base_T_tip.translation, expected.position, atol=1e-9)
+    np.testing.assert_allclose(base_T_tip.rotation, expected.rotation, atol=1e-9)
+
+
+def test_a_link_without_a_mass_is_named_as_an_estimate():
+    keys = [remark.key for remark in model_of("panda_like").remarks]
+    assert keys.count("physics.remark.link_mass") == 7
+    assert "physics.remark.link_mass" not in [remark.key for remark in model_of("kr120").remarks]
+
+
+def test_estimates_of_the_drives_are_named():
+    (remark,) = [one for one in model_of("kr120").remarks if one.key == "physics.remark.drives"]
+    assert remark.values["keys"] == "torque, armature, friction"
+
+
+def test_a_body_falls_as_galilei_says():
+    scene = Scene((SceneObject("ball", "sphere", (0.05,), (1.5, 0.0, 3.0)),))
+    physics = model_of(scene=scene, load=Load({"ball": 2.0}, frozenset({"ball"})))
+    data = physics.at_rest(READY)
+    for _ in range(500):
+        mujoco.mj_step(physics.model, data)
+    fallen = 3.0 - data.qpos[physics.loose["ball"] + 2] + bodies_of("kr120").root_T_base.translation[2]
+    # a step of the semi-implicit Euler method falls g dt^2 too far each time, half of it on average
+    assert fallen == pytest.approx(GRAVITY * 0.5**2 / 2.0, abs=GRAVITY * 0.5 * 0.001)
+
+
+def test_an_axis_that_swings_freely_has_the_period_of_a_pendulum():
+    scene = Scene((SceneObject("bob", "sphere", (0.05,), (0.5, 0.0, 0.0), link=robot_of("kr120").tip_link),))
+    physics = model_of(scene=scene, load=Load({"bob": 40.0}))
+    data = physics.at_rest(READY)
+    last, held = physics.joints[-1], physics.joints[:-1]
+    upright, product = np.zeros(physics.model.nv), np.zeros(physics.model.nv)
+    upright[last] = 1.0
+    mujoco.mj_mulM(physics.model, data, product, upright)
+    # torque and pull of the bob, a sine of the angle: 90 deg apart they say where it hangs
+    torques = []
+    for angle in (0.0, math.pi / 2.0):
+        data.qpos[last] = angle
+        mujoco.mj_forward(physics.model, data)
+        torques.append(data.qfrc_bias[last])
+    strength, hanging = math.hypot(*torques), -math.atan2(torques[0], torques[1])
+    # the other axes are so heavy that they stand still
+    physics.model.dof_armature[held] = 1e9
+    data.qpos[last], data.qvel[:] = hanging + 0.02, 0.0
+    crossings, before = [], 0.02
+    for step in range(4000):
+        mujoco.mj_step(physics.model, data)
+        now = data.qpos[last] - hanging
+        if before < 0.0 <= now:
+            crossings.append(step * physics.model.opt.timestep)
+        before = now
+    assert len(crossings) > 1
+    assert np.diff(crossings).mean() == pytest.approx(2.0 * math.pi * math.sqrt(product[last] / strength), rel=2e-3)
+
+
+def test_an_arm_that_nothing_drives_keeps_its_energy():
+    physics = model_of()
+    physics.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    data = physics.at_rest(READY)
+    mujoco.mj_step(physics.model, data)
+    begin, largest, moving = sum(data.energy), 0.0, 0.0
+    for _ in range(1000):
+        mujoco.mj_step(physics.model, data)
+        largest = max(largest, abs(sum(data.energy) - begin))
+        moving = max(moving, data.energy[1])
+    assert moving > 1000.0
+    assert largest < 0.02 * moving
+
+
+def test_a_block_at_rest_presses_with_its_weight():
+    block = SceneObject("block", "box", (0.2, 0.2, 0.2), (1.6, 0.0, 0.7))
+    physics = model_of(scene=Scene((TABLE, block)), load=Load({"block": 12.0}, frozenset({"block"})))
+    data = physics.at_rest(READY)
+    for _ in range(1000):
+        data.qfrc_applied[physics.joints] = data.qfrc_bias[physics.joints]
+        mujoco.mj_step(physics.model, data)
+    pressed, force = 0.0, np.zeros(6)
+    for number in range(data.ncon):
+        if {physics.owners[geom] for geom in data.contact.geom[number]} == {"table", "block"}:
+            mujoco.mj_contactForce(physics.model, data, number, force)
+            pressed += force[0]
+    assert pressed == pytest.approx(12.0 * GRAVITY, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_the_planner_calls_free_touches_nothing(seed):
+    scene = clutter(seed)
+    world = CollisionWorld(robot_of("kr120"), scene, pairs_of("kr120"))
+    physics = model_of(scene=scene)
+    free = [q for q in random_poses(robot_of("kr120"), 400, seed) if world.is_free(q)]
+    assert len(free) > 20
+    for q in free:
+        data = physics.at_rest(q)
+        touching = [tuple(geoms) for geoms in data.contact.geom if physics.unplanned[tuple(geoms)]]
+        assert touching == []
+
+
+def test_what_the_planner_calls_a_contact_touches_here_too():
+    scene = Scene((FLOOR, TABLE))
+    world = CollisionWorld(robot_of("kr120"), scene, pairs_of("kr120"))
+    physics = model_of(scene=scene)
+    seen = 0
+    for q in random_poses(robot_of("kr120"), 200):
+        deep = {frozenset(pair.between) for pair in world.distances(q) if pair.distance < -0.01}
+        data = physics.at_rest(q)
+        found = {frozenset(physics.owners[geom] for geom in geoms) for geoms in data.contact.geom}
+        seen += len(deep)
+        assert deep <= found
+    assert seen > 20
+
+
+def test_what_a_workpiece_may_touch_is_no_contact():
+    tile = SceneObject("tile", "box", (0.3, 0.3, 0.1), (0.0, 0.0, 0.06), link="tool0", touch=("table",))
+    flange = Chain(robot_of("kr120")).forward(READY).position
+    high = SceneObject("table", "box", (0.6, 0.6, 0.1), tuple(flange))
+    touching = model_of(scene=Scene((high, tile))).at_rest(READY)
+    owners = model_of(scene=Scene((high, tile))).owners
+    assert {"tile", "table"} not in [{owners[geom] for geom in geoms} for geoms in touching.contact.geom]
+
+
+def corner_mesh(path) -> str:
+    """Write an L of two boxes, which is not convex, and return its path."""
+    triangles = []
+    outline = [(0.0, 0.0), (0.4, 0.0), (0.4, 0.1), (0.1, 0.1), (0.1, 0.4), (0.0, 0.4)]
+    for low, high in zip(outline, outline[1:] + outline[:1]):
+        a, b = (*low, 0.0), (*high, 0.0)
+        c, d = (*high, 0.1), (*low, 0.1)
+        triangles += [(a, b, c), (a, c, d)]
+    for one, two, three in ((0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)):
+        triangles.append([(*outline[corner], 0.1) for corner in (one, two, three)])
+        triangles.append([(*outline[corner], 0.0) for corner in (three, two, one)])
+    return write_stl(path, np.array(triangles))
+
+
+def test_a_mesh_that_is_not_convex_is_its_hull_and_says_so(tmp_path):
+    corner = SceneObject("corner", "mesh", (), (1.5, 0.0, 1.0), mesh=corner_mesh(tmp_path / "l.stl"))
+    physics = model_of(scene=Scene((corner,)))
+    assert [remark.values["object"] for remark in physics.remarks if remark.key == "physics.remark.hull"] == ["corner"]
+    # its mass is that of the mesh, not of the hull
+    loose = model_of(scene=Scene((corner,)), load=Load({}, frozenset({"corner"})))
+    assert loose.model.body("corner").mass[0] == pytest.approx(1000.0 * (0.4 * 0.1 + 0.3 * 0.1) * 0.1, rel=1e-6)
+    # a probe in the notch, where only the hull is
+    probe = SceneObject("probe", "sphere", (0.03,), (1.65, 0.15, 1.05))
+    beside = model_of(scene=Scene((corner, probe)), load=Load({"probe": 1.0}, frozenset({"probe"})))
+    owners = [{beside.owners[geom] for geom in geoms} for geoms in beside.at_rest(READY).contact.geom]
+    assert {"corner", "probe"} in owners
+
+
+def test_a_convex_mesh_has_no_remark(tmp_path):
+    corners = np.array([(x, y, z) for x in (0.0, 0.2) for y in (0.0, 0.2) for z in (0.0, 0.2)])
+    faces = [
+        (0, 1, 3),
+        (0, 3, 2),
+        (4, 6, 7),
+        (4, 7, 5),
+        (0, 4, 5),
+        (0, 5, 1),
+        (2, 3, 7),
+        (2, 7, 6),
+        (0, 2, 6),
+        (0, 6, 4),
+    ]
+    faces += [(1, 5, 7), (1, 7, 3)]
+    mesh = write_stl(tmp_path / "cube.stl", corners[np.array(faces)])
+    physics = model_of(scene=Scene((SceneObject("cube", "mesh", (), (1.5, 0.0, 1.0), mesh=mesh),)))
+    assert "physics.remark.hull" not in [remark.key for remark in physics.remarks]

@@ -1,0 +1,292 @@
+import math
+from dataclasses import replace
+
+import coal
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from physics_samples import READY, between, bodies_of, drives, pairs_of, plan_of, rehearse, robot_of
+from scene_samples import FLOOR
+
+from construction_twin.kinematics.chain import Chain
+from construction_twin.physics.arm import SimulatedArm
+from construction_twin.physics.drive import PayloadRating, drives_of
+from construction_twin.physics.mass import of_shape
+from construction_twin.physics.rehearsal import Limits, Rehearsal
+from construction_twin.physics.report import BROKEN, FAILED, PASSED
+from construction_twin.robot.segments import Segment
+from construction_twin.scene.objects import Scene, SceneObject
+
+ASIDE = READY + np.array((0.6, 0.0, 0.0, 0.0, 0.0, 0.0))
+SMALL = between(READY, READY + 0.1, 1.0)
+TIP = robot_of("kr120").tip_link
+
+
+def tip(q: np.ndarray) -> np.ndarray:
+    return Chain(robot_of("kr120")).forward(q).position
+
+
+def tile(link: bool, q: np.ndarray = READY, beyond: float = 0.15) -> SceneObject:
+    """Return a tile at the flange in pose `q`: carried, or where it stands then."""
+    if link:
+        return SceneObject("tile", "box", (0.3, 0.3, 0.04), (0.0, 0.0, beyond), link=TIP)
+    pose = Chain(robot_of("kr120")).forward(q)
+    x, y, z = pose.position + pose.rotation @ (0.0, 0.0, beyond)
+    return SceneObject("tile", "box", (0.3, 0.3, 0.04), (x, y, z))
+
+
+def reasons(report) -> list[str]:
+    return [reason.key for reason in report.reasons]
+
+
+def test_a_motion_in_the_open_passes():
+    report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR,)))
+    assert (report.state, report.reasons) == (PASSED, ())
+    assert [axis.joint for axis in report.axes] == list(robot_of("kr120").joint_names)
+    assert all(0.0 < axis.rms <= axis.peak < axis.limit for axis in report.axes)
+    assert report.contacts == report.objects == ()
+    assert report.axes[1].gravity > 0.5 > report.axes[0].gravity
+    assert report.duration == 2.0
+
+
+def test_a_wall_in_the_way_is_named_with_the_time():
+    wall = SceneObject("wall", "box", (1.5, 0.05, 1.5), (1.6, -0.7, 1.5))
+    report = rehearse(between(READY, READY + np.array((1.2, 0, 0, 0, 0, 0)), 3.0), Scene((FLOOR, wall)))
+    assert report.state == FAILED
+    assert "rehearsal.contact" in reasons(report)
+    assert all(contact.second == "wall" for contact in report.contacts)
+    assert all(0.2 < contact.time < 2.8 and contact.force > 100.0 for contact in report.contacts)
+    # the wall's push is none of the plan's torques
+    assert "rehearsal.torque" not in reasons(report)
+    # two links that press for two seconds do so for no longer than the rehearsal lasts
+    assert all(contact.seconds <= report.duration + 2.0 for contact in report.contacts)
+
+
+def test_a_load_beyond_the_rating_fails():
+    load = of_shape(coal.Box(0.3, 0.3, 0.3)).scaled_to(130.0)
+    report = rehearse(SMALL, flange=load)
+    assert reasons(report) == ["rehearsal.mass"]
+    assert (report.payload.mass, report.payload.rated_mass) == (130.0, 120.0)
+    assert not report.payload.estimated
+    assert rehearse(SMALL, flange=of_shape(coal.Box(0.3, 0.3, 0.3)).scaled_to(119.0)).state == PASSED
+
+
+@pytest.mark.parametrize(
+    "rating, reason",
+    [
+        (PayloadRating(120.0, 0.5, None, "test"), "rehearsal.inertia"),
+        (PayloadRating(120.0, None, (0.2, 0.1), "test"), "rehearsal.distance"),
+        (PayloadRating(120.0, None, (0.05, 0.5), "test"), "rehearsal.distance"),
+    ],
+)
+def test_a_load_that_is_spread_too_far_fails(rating, reason):
+    load = replace(of_shape(coal.Box(0.3, 0.3, 0.3)).scaled_to(50.0), centre=np.array((0.1, 0.0, 0.3)))
+    assert reasons(rehearse(SMALL, flange=load, drives=replace(drives(), rating=rating))) == [reason]
+
+
+def test_a_motion_that_is_too_fast_for_a_drive_names_axis_and_time():
+    weak = replace(drives(), torque=(7290.0, 8910.0, 7759.0, 2462.0, 1492.0, 20.0))
+    report = rehearse(between(READY, READY + np.array((0, 0, 0, 0, 0, 3.0)), 1.0), drives=weak)
+    assert report.state == FAILED
+    (torque,) = [one for one in report.reasons if one.key == "rehearsal.torque"]
+    assert torque.values["joint"] == "joint_a6"
+    assert report.axes[5].usage > 1.0
+    assert torque.values["peak"].value == report.axes[5].peak
+    assert report.worst_time == report.axes[5].time
+
+
+def test_a_force_of_a_linear_axis_is_said_in_newtons():
+    robot = robot_of("kr120_track")
+    assert robot.linear[0]
+    home = np.array(robot.home)
+    goal = home + np.array((1.0, 0, 0, 0, 0, 0, 0))
+    weak = replace(drives_of(robot), torque=(10.0, *[None] * 6))
+    report = rehearse(between(home, goal, 2.0, "kr120_track"), name="kr120_track", drives=weak)
+    (torque,) = [one for one in report.reasons if one.key == "rehearsal.torque"]
+    assert (torque.values["joint"], torque.values["peak"].unit) == (robot.joint_names[0], "N")
+
+
+def test_a_tile_that_is_let_go_in_mid_air_falls():
+    report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR, tile(True))), Scene((FLOOR, tile(False, ASIDE))))
+    assert "rehearsal.fell" in reasons(report)
+    (found,) = report.objects
+    assert found.name == "tile"
+    assert found.released == 2.0
+    assert found.fell == pytest.approx(tile(False, ASIDE).position[2] - 0.02, abs=0.01)
+
+
+def test_a_tile_that_is_let_go_inside_the_plan_is_followed_on():
+    other = Scene((FLOOR, tile(False, 0.5 * (READY + ASIDE))))
+    report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR, tile(True))), other, other)
+    (found,) = report.objects
+    assert found.released == 1.0
+    assert found.fell > 0.5
+
+
+def test_a_tile_that_is_let_go_on_a_table_stays():
+    stands = tile(False, ASIDE)
+    x, y, z = stands.position
+    table = SceneObject("table", "box", (0.6, 0.6, z - 0.02), (x, y, (z - 0.02) / 2.0), touch=("tile",))
+    report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR, table, tile(True))), Scene((FLOOR, table, stands)))
+    assert report.state == PASSED, report.reasons
+    (found,) = report.objects
+    assert found.resting
+    assert found.moved < 0.002
+
+
+def test_a_tile_on_the_edge_of_a_table_does_not_stay():
+    stands = tile(False, ASIDE)
+    x, y, z = stands.position
+    away = 0.18
+    table = SceneObject("table", "box", (0.3, 0.3, z - 0.02), (x + away, y, (z - 0.02) / 2.0), touch=("tile",))
+    report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR, table, tile(True))), Scene((FLOOR, table, stands)))
+    assert report.state == FAILED
+
+
+def neighbour() -> SceneObject:
+    x, y, z = tip(0.5 * (READY + ASIDE))
+    return SceneObject("neighbour", "box", (0.12, 0.12, z + 0.15), (x, y, (z + 0.15) / 2.0))
+
+
+def test_a_neighbour_that_stands_in_the_way_is_knocked_over():
+    report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR, neighbour())), masses={"neighbour": 20.0})
+    assert {"rehearsal.contact", "rehearsal.moved"} <= set(reasons(report))
+    (found,) = report.objects
+    assert found.name == "neighbour"
+    assert math.isnan(found.released)
+    assert found.turned > math.radians(45.0)
+
+
+def test_a_neighbour_that_slept_for_long_wakes_when_it_is_hit():
+    lower = replace(neighbour(), name="other", position=(2.4, -1.5, neighbour().position[2]))
+    # the arm stands still for four seconds first
+    trajectory = between(READY, ASIDE, 2.0)
+    still = np.vstack((READY, trajectory.positions))
+    zeros = np.zeros_like(still)
+    late = type(trajectory)(trajectory.joint_names, np.array((0.0, 4.0, 6.0)), still, zeros, zeros)
+    report = rehearse(late, Scene((FLOOR, neighbour(), lower)), masses={"neighbour": 20.0, "other": 20.0})
+    assert [one.name for one in report.objects] == ["neighbour"]
+    assert report.contacts[0].time > 4.0
+
+
+def test_a_scene_that_is_not_known_breaks_the_rehearsal():
+    scene = Scene((FLOOR, tile(True)))
+    rehearsal = Rehearsal(bodies_of("kr120"), pairs_of("kr120"), drives())
+    report = rehearsal.of_plan(plan_of(SMALL, scene), {}, lambda: 0.0)
+    assert report.state == BROKEN
+    assert report.reasons[0].values["scene"] == scene.hash[:12]
+    # nor may the one be missing in which what was let go has to lie
+    after = Scene((FLOOR, tile(False)))
+    segment = Segment("set down", SMALL.duration, False, (), (), scene.hash, after.hash)
+    report = rehearsal.of_plan(plan_of(SMALL, scene, (segment,)), {scene.hash: scene}, lambda: 0.0)
+    assert report.state == BROKEN
+    assert report.reasons[0].values["scene"] == after.hash[:12]
+
+
+def test_a_scene_of_another_arm_breaks_the_rehearsal_with_the_reason():
+    report = rehearse(SMALL, Scene((SceneObject("tool", "sphere", (0.1,), link="no_such_link"),)))
+    assert (report.state, reasons(report)) == (BROKEN, ["rehearsal.engine"])
+    assert "no_such_link" in report.reasons[0]
+
+
+def test_a_simulation_that_comes_apart_has_failed():
+    report = rehearse(SMALL, gravity=(0.0, 0.0, -1e13))
+    assert (report.state, reasons(report)) == (FAILED, ["rehearsal.diverged"])
+
+
+def test_an_estimated_mass_is_named_and_one_that_is_said_is_not():
+    scene = Scene((FLOOR, tile(True)))
+    guessed = rehearse(SMALL, scene)
+    said = rehearse(SMALL, scene, masses={"tile": 4.0})
+    assert guessed.payload.estimated and not said.payload.estimated
+    assert guessed.payload.mass == pytest.approx(3.6)
+    assert said.payload.mass == 4.0
+    names = [one.values["object"] for one in guessed.remarks if one.key == "physics.remark.object_mass"]
+    assert names == ["tile"]
+    assert "physics.remark.object_mass" not in [one.key for one in said.remarks]
+
+
+def test_a_remark_is_made_once_however_many_scenes_there_are():
+    scene = Scene((FLOOR, tile(True)))
+    report = rehearse(SMALL, *[replace(scene, padding=0.001 * number) for number in range(4)])
+    assert len(report.remarks) == len(set(report.remarks)) > 1
+
+
+def test_a_tool_that_stays_on_the_arm_is_never_loose():
+    tool = SceneObject("tool", "cylinder", (0.05, 0.1), (0.0, 0.0, 0.05), link=TIP)
+    report = rehearse(SMALL, Scene((tool, tile(True))), Scene((tool, tile(False, READY + 0.1))), masses={"tool": 10.0})
+    assert [one.name for one in report.objects] == ["tile"]
+    assert report.payload.mass == pytest.approx(13.6)
+
+
+def test_the_same_plan_gives_the_same_bytes_twice_and_another_one_another_hash():
+    scene = Scene((FLOOR, neighbour()))
+    motion = between(READY, ASIDE, 2.0)
+    first, second = (rehearse(motion, scene, masses={"neighbour": 20.0}) for _ in range(2))
+    # repr: a nan is no other nan's equal
+    assert repr(first) == repr(second)
+    hashes = {
+        rehearse(motion, scene, masses={"neighbour": mass}, limits=limits, tool=tool).hash
+        for mass in (20.0, 21.0)
+        for limits in (Limits(), Limits(settling=1.0))
+        for tool in ("", "other")
+    }
+    assert len(hashes) == 8
+    assert first.hash in hashes
+
+
+def test_the_time_it_takes_is_no_part_of_the_hash():
+    rehearsal = Rehearsal(bodies_of("kr120"), pairs_of("kr120"), drives())
+    plan = plan_of(SMALL, Scene())
+    ticks = iter(range(100))
+    slow = rehearsal.of_plan(plan, {Scene().hash: Scene()}, lambda: float(next(ticks)))
+    assert slow.took > 0.0
+    assert slow.hash == rehearsal.of_plan(plan, {Scene().hash: Scene()}, lambda: 0.0).hash
+
+
+@given(st.integers(0, 5), st.floats(0.3, 1.5), st.sampled_from((-1.0, 1.0)))
+@settings(deadline=None, max_examples=15)
+def test_the_arm_brakes_within_half_the_square_of_its_speed(joint, angle, sign):
+    goal = READY.copy()
+    goal[joint] += sign * min(angle, 0.6 if joint in (1, 2, 4) else 1.5)
+    report = rehearse(between(READY, goal, 2.0))
+    robot = robot_of("kr120")
+    # at its fastest a quintic motion has 15/8 of its mean speed
+    fastest = abs(goal[joint] - READY[joint]) * 15.0 / 8.0 / 2.0
+    braking = report.braking
+    assert braking.joint == robot.joint_names[joint]
+    assert braking.angle == pytest.approx(fastest**2 / (2.0 * robot.acceleration[joint]), rel=0.02)
+    assert braking.seconds == pytest.approx(fastest / robot.acceleration[joint], rel=0.02)
+
+
+def test_what_stands_in_the_way_does_not_shorten_the_way_of_braking():
+    motion = between(READY, ASIDE, 1.0)
+    x, y, z = tip(READY + 0.85 * (ASIDE - READY))
+    # the arm meets it after its fastest moment, and before it could have stopped
+    post = SceneObject("post", "box", (0.1, 0.1, z + 0.15), (x, y, (z + 0.15) / 2.0))
+    alone, narrow = rehearse(motion), rehearse(motion, Scene((post,)))
+    assert narrow.contacts
+    assert narrow.contacts[0].time > narrow.braking.time
+    assert narrow.braking == alone.braking
+
+
+def test_who_watches_sees_every_cycle_of_the_plan():
+    seen: list[tuple[float, np.ndarray]] = []
+
+    def watch(time: float, arm: SimulatedArm) -> None:
+        seen.append((time, arm.q))
+
+    rehearsal = Rehearsal(bodies_of("kr120"), pairs_of("kr120"), drives())
+    report = rehearsal.of_plan(plan_of(SMALL, Scene()), {Scene().hash: Scene()}, lambda: 0.0, watch)
+    times = [time for time, _ in seen]
+    assert times == sorted(times)
+    assert times[250] == pytest.approx(1.0)
+    at = min(range(len(times)), key=lambda row: abs(times[row] - report.worst_time))
+    np.testing.assert_allclose(seen[at][1], report.worst_pose)
+
+
+def test_a_simulation_that_comes_apart_leaves_no_file_where_it_was_started(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert rehearse(SMALL, gravity=(0.0, 0.0, -1e13)).state == FAILED
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,151 @@
+"""ros.commands.rehearse: a plan from a file, rehearsed without a ROS master."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.physics import film
+from construction_twin.ros.commands.rehearse import BROKEN, FAILED, PASSED, main
+
+NAMES = ",".join(["time_s", *(f"joint_a{number}_deg" for number in range(1, 7))])
+WALL = """
+padding: 0.0
+objects:
+  wall: {shape: box, size: [1.0, 0.05, 2.2], position: [1.6, 0.6, 1.1]}
+"""
+
+
+@pytest.fixture
+def plan(tmp_path):
+    file = tmp_path / "plan.csv"
+    file.write_text(f"{NAMES}\n0,0,-90,90,0,45,0\n2,-40,-90,90,0,45,10\n")
+    return file
+
+
+@pytest.fixture
+def wall(tmp_path):
+    file = tmp_path / "scene.yaml"
+    file.write_text(WALL)
+    return file
+
+
+@pytest.fixture
+def with_graphics():
+    try:
+        film.open_context().free()
+    except ConstructionTwinError as error:
+        pytest.skip(f"nothing draws here: {error}")
+
+
+def test_a_plan_that_passes_ends_with_0_and_names_axes_load_and_estimates(plan, capsys):
+    assert main([str(plan), "--payload", "40,0,0,0.2"]) == PASSED
+    said = capsys.readouterr().out
+    assert said.startswith("passed")
+    for words in ("joint_a1", "joint_a6", "40.0 kg", "200 mm", "120 kg", "* an estimate", "armature"):
+        assert words in said
+
+
+def test_a_wall_in_the_way_ends_with_1_and_is_named(plan, wall, capsys):
+    assert main([str(plan), "--scene", str(wall)]) == FAILED
+    said = capsys.readouterr().out
+    assert said.startswith("failed")
+    assert "touches wall after" in said
+
+
+def test_a_load_beyond_the_rating_ends_with_1(plan, capsys):
+    assert main([str(plan), "--payload", "140"]) == FAILED
+    assert "140.0 kg" in capsys.readouterr().out
+
+
+def test_json_is_the_whole_report(plan, wall, capsys):
+    assert main([str(plan), "--scene", str(wall), "--json"]) == FAILED
+    report = json.loads(capsys.readouterr().out)
+    assert report["state"] == "failed"
+    assert report["contacts"][0]["second"] == "wall"
+    assert [axis["joint"] for axis in report["axes"]] == [f"joint_a{number}" for number in range(1, 7)]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--payload", "heavy"),
+        ("--payload", "1,2"),
+        ("--payload", "-1"),
+        ("--payload", "inf"),
+        ("--mass", "wall"),
+        ("--mass", "wall=nothing"),
+        ("--mass", "wall=0"),
+        ("--scene", "/no/such/scene.yaml"),
+        ("--drives", "/no/such/drives.yaml"),
+    ],
+)
+def test_what_cannot_be_rehearsed_ends_with_2_and_one_sentence(plan, options, capsys):
+    assert main([str(plan), *options]) == BROKEN
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("rehearse: ")
+    assert said.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("text", ["", "1,2,3\n", f"{NAMES}\n0,0,0,0,0,0,9999\n1,0,0,0,0,0,0\n"])
+def test_a_file_that_is_no_plan_ends_with_2(plan, text, capsys):
+    plan.write_text(text)
+    assert main([str(plan)]) == BROKEN
+    assert capsys.readouterr().err.startswith("rehearse: ")
+
+
+def test_an_object_with_a_mass_can_be_pushed(plan, wall, capsys):
+    assert main([str(plan), "--scene", str(wall), "--mass", "wall=30"]) == FAILED
+    assert "never held" in capsys.readouterr().out
+
+
+def test_the_picture_shows_the_arm_and_in_red_what_touches(plan, wall, tmp_path, with_graphics):
+    picture = tmp_path / "out.png"
+    assert main([str(plan), "--scene", str(wall), "--picture", str(picture)]) == FAILED
+    pixels = imread(picture)[..., :3]
+    assert pixels.shape == (film.HEIGHT, film.WIDTH, 3)
+    red, green, blue = np.moveaxis(pixels, -1, 0)
+    orange = (red > 0.6) & (green > 0.2) & (green < 0.6) & (blue < 0.2)
+    touching = (red > 0.4) & (green < 0.6 * red) & (blue < 0.7 * red) & ~orange
+    assert orange.mean() > 0.01
+    assert touching.mean() > 0.01
+
+
+def test_the_video_lasts_as_long_as_the_rehearsal(plan, tmp_path, with_graphics, capsys):
+    video = tmp_path / "out.mp4"
+    assert main([str(plan), "--video", str(video), "--rate", "5"]) == PASSED
+    assert "5 pictures/s, H.264" in capsys.readouterr().out
+    frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(video))
+    # 2 s of plan, and what the arm takes to come to rest
+    assert 10 <= frames <= 13
+    assert seconds == pytest.approx(frames / 5.0, abs=0.3)
+
+
+def test_without_graphics_everything_but_the_picture_is_there(plan, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(film, "WAYS", ("no_such_way",))
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    picture = tmp_path / "out.png"
+    assert main([str(plan), "--picture", str(picture)]) == PASSED
+    said = capsys.readouterr()
+    assert said.out.startswith("passed")
+    assert said.err.startswith("rehearse: no picture can be drawn here: no_such_way")
+    assert not picture.exists()
+
+
+def test_it_needs_no_ros_master(plan):
+    environment = {name: value for name, value in os.environ.items() if name != "ROS_MASTER_URI"}
+    program = "import sys; from construction_twin.ros.commands.rehearse import main; sys.exit(main(sys.argv[1:]))"
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(plan)], env=environment, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == PASSED, done.stderr
+    assert done.stdout.startswith("passed")
