@@ -5,11 +5,16 @@ Each field has the name that it has in `Rehearsal.msg`. Joints in the order of t
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+from construction_twin.core.records import document
 
 #: How a rehearsal ended.
 PASSED, FAILED, BROKEN = "passed", "failed", "broken"
+STATES = (PASSED, FAILED, BROKEN)
 
 
 @dataclass(frozen=True)
@@ -164,3 +169,10 @@ class RehearsalReport:
     remarks: tuple[str, ...] = ()
     hash: str = ""
     stamp: int = 0
+
+
+def finished(report: RehearsalReport, took: float) -> RehearsalReport:
+    """Return a report with its hash and the time it took [s]."""
+    content = document(replace(report, took=0.0, settle_took=0.0, hash="", stamp=0))
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    return replace(report, took=took, hash=digest)

@@ -17,6 +17,7 @@ CHOICES = {
     "servo": ("ideal", "realistic"),
     "protocol": ("5", "3.1.1"),
     "gateway_kind": ("rsi", "plc"),
+    "rehearsal": ("auto", "advise", "require", "off"),
 }
 SWITCHES = (
     "auto_approve",
@@ -54,6 +55,7 @@ OPTIONAL_FILES = (
     "scene",
     "cell",
     "tool",
+    "drives",
     "bridge_account",
     "gateway_account",
     "console_certificate",

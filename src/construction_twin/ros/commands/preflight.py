@@ -32,6 +32,7 @@ from construction_twin.core.network import port_is_free, reaches_itself
 from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.trace import room as trace_room
 from construction_twin.mqtt.account import load_account
+from construction_twin.physics.drive import read_drives
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
 from construction_twin.robot.tool import read_tool
 from construction_twin.robot.urdf import expand_xacro, xacro_arguments
@@ -131,6 +132,17 @@ def _check_work(given: Given, robot: RobotModel) -> None:
                 given_path,
                 Sentence("expected.as_cell", wanted=str(wanted), cell=cell, name=name, path=str(wanted)),
             )
+
+
+def _check_rehearsal(given: Given, robot: RobotModel) -> None:
+    """Find MuJoCo where a rehearsal is asked for, and check the drives' file."""
+    if given["rehearsal"] in ("advise", "require"):
+        check_extras("physics")
+
+
+def _check_drives(given: Given, robot: RobotModel) -> None:
+    if given["drives"] and given.get("rehearsal") != "off":
+        read_drives(given["drives"], robot)
 
 
 def _check_scene(given: Given, robot: RobotModel) -> None:
@@ -255,6 +267,8 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("tool", _check_tool),
     ("ethernet_xml", _check_controller_file),
     ("work_model", _check_work),
+    ("rehearsal", _check_rehearsal),
+    ("drives", _check_drives),
     ("scene", _check_scene),
     ("cell", _check_cell),
     ("bridge_account", _check_account("bridge_account")),
