@@ -37,10 +37,10 @@ HAVE = {
     "review": ("reviewer",),
     "plan_request": ("planner",),
     "trajectory": ("planner",),
-    **dict.fromkeys(("reset", "arm", "answer", "acknowledge", "speed"), ("lead",)),
+    **dict.fromkeys(("reset", "arm", "answer", "acknowledge", "speed", "override_rehearsal"), ("lead",)),
 }
 PEOPLE = ("viewer", "reviewer", "stopper", "planner", "lead")
-OF_PERSONS = ("reset", "arm", "answer", "acknowledge", "speed")
+OF_PERSONS = ("reset", "arm", "answer", "acknowledge", "speed", "override_rehearsal")
 OF_PEOPLE = {f"{act}/{ACCOUNTS[role]}" for acts in ACTS.values() for act in acts for role in PEOPLE}
 TOPICS = (
     "command", "state", "status", "bridge/status", "control", "control/ack", "plan", "review", "scene", "screen", "work/tasks",

@@ -625,3 +625,40 @@ def test_a_speed_limit_that_is_not_as_described_is_refused_counted_and_answered(
     pressing.deliver("speed/dora", payload, retain)
     assert [(answer["ok"], answer["limit"]) for answer in acks(pressing, "speed")] == [(False, 0.0)]
     assert asked == [] and pressing.made.refused == {reason: 1}
+
+
+OVERRIDE = {
+    "plan_id": "p1",
+    "plan_hash": "cafe",
+    "verdict": "approved",
+    "moment": MOMENT,
+    "reason": "seen by the crane's driver",
+}
+
+
+def test_an_override_is_given_to_the_executor_in_the_name_of_its_account(bench):
+    bench.deliver("override_rehearsal/kr120-lead-eva", json.dumps(OVERRIDE).encode())
+    bench.node.approvals.run()
+    (asked,) = bench.asked
+    assert (asked["override_rehearsal"], asked["reviewer"], asked["approve"]) == (True, "kr120-lead-eva", True)
+    assert OVERRIDE["reason"] in asked["reason"]
+    (answer,) = [json.loads(sent) for topic, sent in bench.client.published if topic.endswith("override_rehearsal/ack")]
+    assert answer["ok"] and answer["account"] == "kr120-lead-eva"
+
+
+@pytest.mark.parametrize("changes", [{"reason": " "}, {"reason": None}, {"verdict": "rejected"}])
+def test_an_override_without_a_reason_or_that_is_no_approval_is_refused(bench, changes):
+    content = {key: value for key, value in (OVERRIDE | changes).items() if value is not None}
+    bench.deliver("override_rehearsal/kr120-lead-eva", json.dumps(content).encode())
+    bench.node.approvals.run(0.0)
+    bench.node.rejections.run(0.0)
+    assert bench.asked == [] and bench.made.refused == {"review": 1}
+
+
+def test_what_comes_on_review_overrides_nothing(bench):
+    bench.deliver("review/kr120-reviewer-ada", json.dumps(OVERRIDE).encode())
+    bench.node.approvals.run()
+    bench.deliver("review/kr120-reviewer-ada", json.dumps(OVERRIDE | {"override_rehearsal": True}).encode())
+    bench.node.approvals.run(0.0)
+    (asked,) = bench.asked
+    assert asked["override_rehearsal"] is False and bench.made.refused == {"review": 1}

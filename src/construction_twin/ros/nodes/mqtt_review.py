@@ -31,6 +31,7 @@ from construction_twin.link.remote_review import (
     SegmentView,
     SwitchView,
     UseView,
+    parse_override,
     parse_review,
     recorded_reason,
 )
@@ -38,7 +39,7 @@ from construction_twin.link.remote_speed import SpeedRequest, parse_speed
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
-from construction_twin.mqtt.requests import ANSWER, BRIDGE, NAMELESS_REVIEW, PRESSED, REVIEW, SPEED, RequestKind
+from construction_twin.mqtt.requests import ANSWER, BRIDGE, NAMELESS_REVIEW, OVERRIDE, PRESSED, REVIEW, SPEED, RequestKind
 from construction_twin.msg import Link, Plan, PlanCaller, Review
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.segments import segments_content
@@ -133,6 +134,7 @@ class MqttReview:
         self.endpoints: tuple[Endpoint, ...] = (
             self._verdict_endpoint(NAMELESS_REVIEW),
             self._verdict_endpoint(REVIEW),
+            self._verdict_endpoint(OVERRIDE),
             *self.interventions.endpoints,
             Endpoint(
                 ANSWER, topics, _read_answer, self._give_answer, RequestCounts("answers"), self.outlets,
@@ -150,7 +152,7 @@ class MqttReview:
         # where the broker knows accounts, one in no name is refused where it arrives
         nameless = kind is NAMELESS_REVIEW and bool(self._settings.account)
         return Endpoint(
-            kind, self._topics, _read_verdict, _refuse_nameless if nameless else self._call_executor,
+            kind, self._topics, _read_override if kind is OVERRIDE else _read_verdict, _refuse_nameless if nameless else self._call_executor,
             self._verdicts, self.outlets, _describe,
             None if nameless else lambda review: self.approvals if review.approve else self.rejections,
         )  # fmt: skip
@@ -332,8 +334,15 @@ def _run_queue(queue: RequestQueue) -> None:
         queue.run(0.2)
 
 
+def _read_override(incoming: Incoming) -> ReviewRequest:
+    return _echoed(incoming, parse_override(incoming.payload, incoming.retained, incoming.account))
+
+
 def _read_verdict(incoming: Incoming) -> ReviewRequest:
-    review = parse_review(incoming.payload, incoming.retained, incoming.account)
+    return _echoed(incoming, parse_review(incoming.payload, incoming.retained, incoming.account))
+
+
+def _echoed(incoming: Incoming, review: ReviewRequest) -> ReviewRequest:
     incoming.echo |= {name: getattr(review, name) for name in ("plan_id", "plan_hash", "verdict", "reviewer")}
     return review
 
@@ -353,7 +362,8 @@ def _read_speed(incoming: Incoming) -> tuple[SpeedRequest, str]:
 
 
 def _describe(review: ReviewRequest) -> str:
-    return f"{review.verdict} of plan {review.plan_id} by {review.reviewer}"
+    spite = " in spite of its rehearsal" if review.override_rehearsal else ""
+    return f"{review.verdict} of plan {review.plan_id} by {review.reviewer}{spite}"
 
 
 def plan_view(message: Plan) -> PlanView:

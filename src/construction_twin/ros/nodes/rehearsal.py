@@ -175,6 +175,7 @@ class RehearsalNode:
 
     def run(self) -> None:
         """Rehearse one plan after the other until shutdown, in the main thread."""
+        rospy.on_shutdown(self._process.interrupt)
         try:
             while not rospy.is_shutdown():
                 self.work(_AWAKE)
@@ -212,6 +213,8 @@ class RehearsalNode:
         if interrupted:
             # the process may still be ending: the next question goes to another one
             self._process.close()
+        if rospy.is_shutdown():
+            return
         if superseded:
             self._dropped += 1
             return

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -102,4 +103,6 @@ def _rehearse(question: Question) -> RehearsalReport:
 
 
 if __name__ == "__main__":
+    # Ctrl-C reaches the whole group: the node ends this process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     serve_parent({"prepare": _prepare, "rehearse": _rehearse})
