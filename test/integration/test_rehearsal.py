@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""With a rehearsal required: plan, rehearse, approve; overload is refused, overridden by name; a stranger's result counts for nothing."""
+"""With a rehearsal required: plan, rehearse, approve; overload is refused, or overridden by name; strangers count for nothing."""
 
 import json
 import sys

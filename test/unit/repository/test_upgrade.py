@@ -80,7 +80,7 @@ class TestFiles:
         given = ("reset", "arm", "answer", "acknowledge", "speed", "override_rehearsal")
         asked = [f"topic read twin/kr120/{verb}/+" for verb in given]
         answered = [f"topic write twin/kr120/{verb}/ack" for verb in given]
-        kept_ones = [f"topic readwrite twin/kr120/{topic}" for topic in ("path", "messages", "camera/+")]
+        kept_ones = [f"topic readwrite twin/kr120/{topic}" for topic in ("rehearsal", "path", "messages", "camera/+")]
         new = [*kept_ones, *asked, *answered]
         kept = [line for line in made if line not in new and not line.startswith("#")]
         assert kept == [line for line in rules.splitlines() if not line.startswith("#")] and set(new) <= set(made)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import threading
 from types import SimpleNamespace
 
 import pytest
 import rospy
 from bridge_bench import Client, Refusals
-from construction_twin.msg import Plan, PlanCaller, Review
+from construction_twin.msg import Plan, PlanCaller, Rehearsal, Review
 from construction_twin.srv import (
     LimitSpeedResponse,
     ResumeFromScreenResponse,
@@ -662,3 +663,28 @@ def test_what_comes_on_review_overrides_nothing(bench):
     bench.node.approvals.run(0.0)
     (asked,) = bench.asked
     assert asked["override_rehearsal"] is False and bench.made.refused == {"review": 1}
+
+
+def shown_rehearsals(bench) -> list[bytes]:
+    return [payload for topic, payload in bench.client.published if topic == "twin/kr120/rehearsal"]
+
+
+def test_what_a_rehearsal_has_found_is_shown_until_its_plan_is_decided(bench):
+    bench.node.on_rehearsal(Rehearsal(plan_id="p1", state="failed", reasons=["too heavy"], tracking=math.nan))
+    (shown,) = map(json.loads, shown_rehearsals(bench))
+    assert (shown["plan_id"], shown["state"], shown["reasons"], shown["tracking"]) == (
+        "p1",
+        "failed",
+        ["too heavy"],
+        None,
+    )
+    bench.node.on_verdict(Review(plan_id="another"))
+    assert shown_rehearsals(bench)[-1] != b""
+    bench.node.on_verdict(Review(plan_id="p1"))
+    assert shown_rehearsals(bench)[-1] == b""
+
+
+def test_a_rehearsal_that_comes_after_the_verdict_is_not_shown(bench):
+    bench.node.on_verdict(Review(plan_id="p1"))
+    bench.node.on_rehearsal(Rehearsal(plan_id="p1", state="passed"))
+    assert shown_rehearsals(bench)[-1] == b""

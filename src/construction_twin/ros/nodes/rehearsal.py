@@ -102,7 +102,7 @@ class RehearsalNode:
     """Plans and scenes in, what their rehearsal found out; `start` gives it parameters, topics and a process.
 
     Args:
-        masses: Bodies of the tool.
+        tool: What it weighs; None: no tool.
         constant: Hash of what decides a result beside plan, scene and masses of elements.
         absent: Why nothing is rehearsed; empty: everything is.
     """
