@@ -32,6 +32,7 @@ from construction_twin.mqtt.requests import (
     Answer,
     RequestKind,
 )
+from construction_twin.physics.report import RehearsalReport
 from construction_twin.views.message_history import Message
 from construction_twin.views.scene_view import SceneView
 from construction_twin.views.status_line import Line
@@ -48,6 +49,7 @@ CHECKED: dict[str, Any] = {
     "SCREEN": Sequence[Line],
     "PLAN": PlanView,
     "PATH": PathView,
+    "REHEARSAL": RehearsalReport,
     "REVIEW_ACK": REVIEW,
     "STOP_ACK": STOP,
     "PLAN_REQUEST_ACK": PLAN_REQUEST,

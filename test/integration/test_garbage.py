@@ -67,6 +67,7 @@ HEARD_BY = {
     "scene": {"executor", "planner"},
     "plan_outcome": set(),
     "plan_caller": set(),
+    "rehearsal": {"executor"},
     "transitions": set(),
     "velocities/joint_states": set(),
 }

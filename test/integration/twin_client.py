@@ -215,14 +215,14 @@ class TwinClient:
         return answer
 
     def review(
-        self, plan_id: str, plan_hash: str, approve: bool = True, reviewer: str = "tester"
+        self, plan_id: str, plan_hash: str, approve: bool = True, reviewer: str = "tester", override: bool = False
     ) -> ReviewPlanResponse:
         """Give a verdict; repeated while the plan, which travels on a topic of its own, has not reached the executor."""
         service = rospy.ServiceProxy("review_plan", ReviewPlan)
         answers = []
 
         def answered() -> bool:
-            answers.append(service(plan_id, plan_hash, approve, reviewer, "integration test"))
+            answers.append(service(plan_id, plan_hash, approve, reviewer, "integration test", override))
             return answers[-1].success or "is not under review" not in answers[-1].message
 
         self.wait(answered, "the executor to know the plan", 2.0)

@@ -356,6 +356,110 @@ export const PATH = {
   }
 };
 
+/** The result of one rehearsal: `Rehearsal. */
+export const REHEARSAL = {
+  "type": "object",
+  "additionalProperties": false,
+  "required": [],
+  "properties": {
+    "plan_id": {"type": "string"},
+    "plan_hash": {"type": "string"},
+    "scene": {"type": "string"},
+    "tool": {"type": "string"},
+    "state": {"type": "string"},
+    "reasons": {"type": "array", "items": {"type": "string"}},
+    "axes": {
+      "type": "array",
+      "items": {
+        "type": "object",
+        "additionalProperties": false,
+        "required": ["joint", "peak", "time", "rms", "gravity", "limit", "estimated"],
+        "properties": {
+          "joint": {"type": "string"},
+          "peak": {"type": "number"},
+          "time": {"type": "number"},
+          "rms": {"type": "number"},
+          "gravity": {"type": "number"},
+          "limit": {"type": "number"},
+          "estimated": {"type": "boolean"}
+        }
+      }
+    },
+    "payload": {
+      "type": "object",
+      "additionalProperties": false,
+      "required": [],
+      "properties": {
+        "mass": {"type": "number"},
+        "estimated": {"type": "boolean"},
+        "across": {"type": "number"},
+        "along": {"type": "number"},
+        "inertia": {"type": "number"},
+        "rated_mass": {"type": "number"},
+        "rated_inertia": {"type": "number"},
+        "rated_across": {"type": "number"},
+        "rated_along": {"type": "number"}
+      }
+    },
+    "tracking": {"type": ["number", "null"]},
+    "tracking_joint": {"type": "string"},
+    "braking": {
+      "type": "object",
+      "additionalProperties": false,
+      "required": [],
+      "properties": {
+        "time": {"type": "number"},
+        "seconds": {"type": "number"},
+        "distance": {"type": "number"},
+        "joint": {"type": "string"},
+        "angle": {"type": "number"},
+        "usage": {"type": "number"}
+      }
+    },
+    "worst_time": {"type": "number"},
+    "worst_pose": {"type": "array", "items": {"type": "number"}},
+    "contacts": {
+      "type": "array",
+      "items": {
+        "type": "object",
+        "additionalProperties": false,
+        "required": ["first", "second", "time", "force", "seconds"],
+        "properties": {
+          "first": {"type": "string"},
+          "second": {"type": "string"},
+          "time": {"type": "number"},
+          "force": {"type": "number"},
+          "seconds": {"type": "number"}
+        }
+      }
+    },
+    "objects": {
+      "type": "array",
+      "items": {
+        "type": "object",
+        "additionalProperties": false,
+        "required": ["name", "released", "moved", "turned", "fell", "resting"],
+        "properties": {
+          "name": {"type": "string"},
+          "released": {"type": ["number", "null"]},
+          "moved": {"type": "number"},
+          "turned": {"type": "number"},
+          "fell": {"type": "number"},
+          "resting": {"type": "boolean"}
+        }
+      }
+    },
+    "energy": {"type": ["number", "null"]},
+    "duration": {"type": "number"},
+    "took": {"type": "number"},
+    "settle_took": {"type": "number"},
+    "engine": {"type": "string"},
+    "remarks": {"type": "array", "items": {"type": "string"}},
+    "hash": {"type": "string"},
+    "stamp": {"type": "number"}
+  }
+};
+
 /** A message on <prefix>/<robot>/review/ack. */
 export const REVIEW_ACK = {
   "type": "object",
@@ -501,4 +605,7 @@ export const MESSAGES = {
 };
 
 /** Beginnings of the keys of reasons and answers, as core/sentences.py has them. */
-export const REASONS = ["reason.", "executor.", "review.", "link.", "gateway.", "motion.", "work.", "startup.", "expected.", "telegram.", "ifc."];
+export const REASONS = [
+  "reason.", "executor.", "review.", "link.", "gateway.", "motion.", "work.", "startup.", "expected.", "telegram.", "ifc.",
+  "rehearsal.", "physics."
+];

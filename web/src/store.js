@@ -4,7 +4,7 @@
  * One store for all. Who wants to know registers with `on(kind, listener)`; a listener gets `(robot, value)`, robot "" where the
  * value is of no robot. An exception of one listener ends nothing but that call: the others are told, and it is `failed`.
  *
- * Kinds from the broker: view, screen, scene, plan, path, tasks, messages, cameras, and answers: review_ack, stop_ack, pause_ack, reset_ack,
+ * Kinds from the broker: view, screen, scene, plan, rehearsal, path, tasks, messages, cameras, and answers: review_ack, stop_ack, pause_ack, reset_ack,
  * arm_ack, speed_ack, answer_ack, acknowledge_ack, plan_request_ack, ik_ack. A value of null means: not known (any more). `cameras` is the list of
  * names that are announced on `camera/<name>`. `path` is where the tool goes by the plan that is played. `plan` is told once its hash was checked (plan_hash.js); a plan whose hash does not fit
  * has `refused`, a word of plan_hash.js, and nothing of it may be shown or approved.
@@ -39,7 +39,7 @@
  */
 import {check} from "./check.js";
 import {checkPlan} from "./plan_hash.js";
-import {ACKNOWLEDGE_ACK, ANSWER_ACK, IK_ACK, MESSAGES, PATH, PLAN, PLAN_REQUEST_ACK, REVIEW_ACK, SCENE, SCREEN, SPEED_ACK, STOP_ACK, VIEW, WORK} from "./schemas.js";
+import {ACKNOWLEDGE_ACK, ANSWER_ACK, IK_ACK, MESSAGES, PATH, PLAN, PLAN_REQUEST_ACK, REHEARSAL, REVIEW_ACK, SCENE, SCREEN, SPEED_ACK, STOP_ACK, VIEW, WORK} from "./schemas.js";
 
 /** A view is old after so long [ms]. */
 export const OLD_AFTER = 1000;
@@ -50,7 +50,7 @@ const TRANSITIONS_FOR = 600000;
 const MOST_ROBOTS = 32;
 /** The kind that a topic below `<prefix>/<robot>/` has. */
 const KINDS = {
-  "view": "view", "screen": "screen", "scene": "scene", "plan": "plan", "path": "path", "work/tasks": "tasks", "review/ack": "review_ack",
+  "view": "view", "screen": "screen", "scene": "scene", "plan": "plan", "rehearsal": "rehearsal", "path": "path", "work/tasks": "tasks", "review/ack": "review_ack",
   "stop/ack": "stop_ack", "pause/ack": "pause_ack", "plan_request/ack": "plan_request_ack", "messages": "messages",
   "reset/ack": "reset_ack", "arm/ack": "arm_ack", "answer/ack": "answer_ack", "acknowledge/ack": "acknowledge_ack", "speed/ack": "speed_ack",
 };
@@ -61,13 +61,13 @@ const MOST_CAMERAS = 16;
 /** Topics below `<prefix>/+/` that the page reads, with their quality of service. `ik/ack/<account>` comes on top. */
 export const TOPICS = [...Object.keys(KINDS).map((topic) => ({topic, qos: topic === "view" ? 0 : 1})), {topic: `${CAMERA}+`, qos: 0}];
 /** Kinds whose newest value is kept. An answer is told once. */
-const FROM_BROKER = ["view", "screen", "scene", "plan", "path", "tasks", "messages", "cameras"];
+const FROM_BROKER = ["view", "screen", "scene", "plan", "rehearsal", "path", "tasks", "messages", "cameras"];
 const KEPT = [...FROM_BROKER, "playback", "goal", "handle", "picked", "drawn", "said", "replay"];
 /** What the broker stores; without a value: there is none any more. Of anything else that it has stored the age is not known. */
-const STORED = ["plan", "path", "scene", "tasks", "messages", "cameras"];
+const STORED = ["plan", "rehearsal", "path", "scene", "tasks", "messages", "cameras"];
 /** What a message must be, but a view: of that by its version. */
 const SCHEMAS = {
-  screen: SCREEN, scene: SCENE, plan: PLAN, path: PATH, tasks: WORK,
+  screen: SCREEN, scene: SCENE, plan: PLAN, rehearsal: REHEARSAL, path: PATH, tasks: WORK,
   review_ack: REVIEW_ACK, stop_ack: STOP_ACK, pause_ack: STOP_ACK, plan_request_ack: PLAN_REQUEST_ACK, ik_ack: IK_ACK,
   messages: MESSAGES, reset_ack: STOP_ACK, arm_ack: STOP_ACK, answer_ack: ANSWER_ACK, acknowledge_ack: ACKNOWLEDGE_ACK, speed_ack: SPEED_ACK,
 };
@@ -223,7 +223,7 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
     },
 
     /**
-     * What is known of a robot: view, screen, scene, plan, path, tasks, messages, cameras, playback, goal, handle, picked, drawn, said, replay
+     * What is known of a robot: view, screen, scene, plan, rehearsal, path, tasks, messages, cameras, playback, goal, handle, picked, drawn, said, replay
      * (null: not known), transitions, `old`
      * (the view is not the present), `heard` [ms] per kind. Null for a robot that was never heard.
      */

@@ -21,8 +21,8 @@ _OF_ACCOUNTS = [kind for kind in REQUESTS if kind.right]
 #: topics of its own, so the broker alone decides.
 RIGHTS = ("view", *dict.fromkeys(kind.right for kind in _OF_ACCOUNTS))
 #: Whoever has one of these may set an arm in motion, let it go on or go faster, and so may stop it. Nobody has `reset`, `arm`,
-#: `answer`, `acknowledge` and `speed` but a `Person` for whom they are named.
-MOVING = ("review", "pause", "plan_request", "trajectory", "reset", "arm", "speed")
+#: `answer`, `acknowledge`, `speed` and `override_rehearsal` but a `Person` for whom they are named.
+MOVING = ("review", "pause", "plan_request", "trajectory", "reset", "arm", "speed", "override_rehearsal")
 
 
 def _seeing(*rights: str) -> tuple[str, ...]:

@@ -43,6 +43,8 @@ REASONS = (
     "expected.",
     "telegram.",
     "ifc.",
+    "rehearsal.",
+    "physics.",
 )
 
 

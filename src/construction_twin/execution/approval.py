@@ -96,11 +96,14 @@ class Approval:
         reviewer: str,
         reason: str = "",
         seen: Moment | None = None,
+        override: bool = False,
     ) -> Taken:
         """Carry out a verdict: an approval after it was recorded, a rejection at once.
 
         Args:
             seen: The newest that the reviewer's screen had received; without one this call counts.
+            override: Of an approval: although a rehearsal is required that is missing or was no pass. It needs a reason, and
+                something to override: whoever has this right alone approves nothing else by it.
 
         Raises:
             ReviewError: When it cannot be taken; a refused approval is recorded too.
@@ -120,7 +123,9 @@ class Approval:
                 self._demand_fresh(moment)
                 self._prove(plan_id)
                 with self._lock:
-                    verdict = self._examine(plan_id, plan_hash, True, reviewer, reason)
+                    verdict = self._examine(plan_id, plan_hash, True, reviewer, reason, override)
+                    if override:
+                        self._check_override(verdict)
             except ReviewError as error:
                 self._refuse(plan_id, plan_hash, reviewer, error.sentence)
                 raise
@@ -164,12 +169,23 @@ class Approval:
                 raise
             return None
 
-    def _examine(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "") -> Verdict:
+    def _examine(
+        self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "", override: bool = False
+    ) -> Verdict:
         """Return the verdict that could be carried out now; an approval at the wrong moment leaves the plan under review."""
         plan = self._executor.under_review.check(plan_id, plan_hash, reviewer)
         if approve:
-            self._executor.check_start(plan)
-        return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan)
+            self._executor.check_start(plan, override)
+        rehearsal = self._executor.rehearsal.on_record(plan, override)
+        return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan, rehearsal)
+
+    def _check_override(self, verdict: Verdict) -> None:
+        """Raise ReviewError when there is nothing to override, or the reviewer does not say why."""
+        assert verdict.plan is not None  # it was examined
+        if not self._executor.rehearsal_problem(verdict.plan):
+            raise ReviewError(Sentence("review.rehearsal.nothing", plan=verdict.plan_id))
+        if not verdict.reason.strip():
+            raise ReviewError(Sentence("review.rehearsal.unreasoned", plan=verdict.plan_id))
 
     def _demand_fresh(self, moment: Moment) -> int:
         """Return how long an approval may still wait for the first setpoint [ns]; ExpiredError when that is over."""
@@ -181,7 +197,8 @@ class Approval:
     def _begin_approved(self, verdict: Verdict, moment: Moment) -> str:
         """Begin what an approval that was recorded is for, if it still may; return a sentence."""
         left = self._demand_fresh(moment)
-        self._examine(verdict.plan_id, verdict.plan_hash, True, verdict.reviewer)
+        override = verdict.rehearsal is not None and verdict.rehearsal.overridden
+        self._examine(verdict.plan_id, verdict.plan_hash, True, verdict.reviewer, override=override)
         plan = self._executor.under_review.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
         who = {"reviewer": verdict.reviewer}
         self._executor.begin(plan, Sentence("executor.approved", **who), left)
@@ -203,5 +220,6 @@ class Approval:
     def _refuse(self, plan_id: str, plan_hash: str, reviewer: str, reason: str) -> None:
         with self._lock:
             plan = self._executor.under_review.plan
-        known = plan if plan is not None and plan.id == plan_id else None
-        self._record(Verdict(REFUSED, plan_id, plan_hash, reviewer, reason, known))
+            known = plan if plan is not None and plan.id == plan_id else None
+            rehearsal = self._executor.rehearsal.on_record(known, False) if known is not None else None
+        self._record(Verdict(REFUSED, plan_id, plan_hash, reviewer, reason, known, rehearsal))

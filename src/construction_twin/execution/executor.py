@@ -22,6 +22,7 @@ from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.engagement import Engagement, EngagementKeeper
 from construction_twin.execution.play_rate import PlayRate
 from construction_twin.execution.playback import Playback, StopForecaster
+from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.execution.segment_run import SegmentRun
 from construction_twin.execution.states import (
     ACTIVE,
@@ -80,6 +81,7 @@ class Executor:
     Attributes:
         lag: How long the arm trails the setpoints, as far as is known [s]; only stated, never acted upon.
         neighbour: Says whether another arm blocks the path of a plan; by default there is none.
+        rehearsal: Says whether a plan has passed its rehearsal; by default none is required.
         limit: How fast plans are played; set by `limit_rate`.
         engagement: Whether the arm was left inside an engaged segment, and what of it must be on the disk.
         tool: What is known of the tool; set by `on_tool`.
@@ -93,6 +95,7 @@ class Executor:
         self.side_effects = SideEffects()
         self.lag = 0.0
         self.neighbour = ConflictVerdicts()
+        self.rehearsal = RehearsalCheck()
         self.under_review = PlanUnderReview()
         self._machine = Machine(
             ROWS,
@@ -296,8 +299,15 @@ class Executor:
             raise ExecutionError(self._answer("executor.release.active", state=self.state.name))
         return present
 
-    def check_start(self, plan: Plan) -> None:
+    def rehearsal_problem(self, plan: Plan) -> str:
+        """Return why its rehearsal is against approving a plan; empty: it is not. The way back of an engaged arm needs none."""
+        return "" if self._is_way_back(plan) else self.rehearsal.problem(plan)
+
+    def check_start(self, plan: Plan, override: bool = False) -> None:
         """Check that the plan under review may start now.
+
+        Args:
+            override: Whatever its rehearsal has found.
 
         Raises:
             ReviewError: Naming what is against it.
@@ -320,6 +330,8 @@ class Executor:
         if problem:
             raise ReviewError(Sentence("executor.start.refused", plan=plan.id, reason=problem))
         self.under_review.check_scene()
+        if not override and (unrehearsed := self.rehearsal_problem(plan)):
+            raise ReviewError(unrehearsed)
         assert self._setpoint is not None  # in IDLE there always is one
         check_start_pose(plan, self._setpoint, self._robot)
 
@@ -340,7 +352,7 @@ class Executor:
         plan = self.under_review.plan
         if not ready or plan is None or not self.under_review.scene or not self.under_review.scene_alive:
             return False
-        if awaited(self.tool, plan):
+        if awaited(self.tool, plan) or (self.rehearsal.awaits(plan) and not self._is_way_back(plan)):
             return False
         return not self.neighbour.problem(plan.id)
 

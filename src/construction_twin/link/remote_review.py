@@ -43,6 +43,7 @@ class ReviewRequest:
         account: The topic's, which a site's broker has checked; "" on `review`.
         says: What a message of an account says of who gave it, where that is another name; proves nothing.
         moment: The newest that the screen had received; of a rejection it may be "".
+        override_rehearsal: It came on `override_rehearsal/<account>`: an approval in spite of the rehearsal, which needs a reason.
     """
 
     plan_id: str
@@ -53,6 +54,7 @@ class ReviewRequest:
     account: str = ""
     says: str = ""
     moment: str = ""
+    override_rehearsal: bool = False
 
     @property
     def approve(self) -> bool:
@@ -85,6 +87,18 @@ def parse_review(payload: bytes, retained: bool, account: str = "") -> ReviewReq
         return ReviewRequest(**fields)
     says = fields.pop("reviewer", account)
     return ReviewRequest(**fields, reviewer=account, account=account, says="" if says == account else says)
+
+
+def parse_override(payload: bytes, retained: bool, account: str) -> ReviewRequest:
+    """Return the approval in a message on `override_rehearsal/<account>`: as `parse_review`, with a reason.
+
+    Raises:
+        PayloadError: As `parse_review`; ``review`` for a rejection, or without a reason.
+    """
+    review = parse_review(payload, retained, account)
+    if not (review.approve and review.reason.strip()):
+        raise PayloadError("review", Sentence("link.payload.override"))
+    return replace(review, override_rehearsal=True)
 
 
 def _text(most: int, value: object, key: str) -> str:

@@ -89,6 +89,8 @@ class Topics:
     control, control_ack = _level("control"), _level("control/ack")
     #: Retained: the plan under review, what the arm must not touch, the tasks of the building model.
     plan, scene, work_tasks = _level("plan"), _level("scene"), _level("work/tasks")
+    #: Retained: what the rehearsal of that plan has found.
+    rehearsal = _level("rehearsal")
     #: Retained while a plan is played: where the tool goes.
     path = _level("path")
     #: Retained: what a person must not miss, and who has read it.

@@ -114,6 +114,10 @@ _CHECKED = ("id", "sender", "ok", "reason", "plan_id", "plan_hash", "duration", 
 #: A verdict in no name, on a broker without accounts.
 NAMELESS_REVIEW = RequestKind("review", "", "review", "review/ack", _VERDICT)
 REVIEW = RequestKind("review", "review", "review/{}", "review/ack", _VERDICT)
+#: An approval although a rehearsal is required that is missing or was no pass; it approves nothing else. A right of its own.
+OVERRIDE = RequestKind(
+    "override_rehearsal", "override_rehearsal", "override_rehearsal/{}", "override_rehearsal/ack", _VERDICT
+)
 STOP = RequestKind("stop", "stop", "stop/{}", "stop/ack", _PRESSED)
 PAUSE = RequestKind("pause", "pause", "pause/{}", "pause/ack", _PRESSED)
 RESUME = RequestKind("resume", "pause", "resume/{}", "pause/ack", _PRESSED, starts=True)
@@ -137,7 +141,7 @@ NAMELESS_TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory", "tra
 TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory/from/{}", "trajectory/ack", _CHECKED, pace=_PLANNING)
 #: In the order of the broker's rules.
 REQUESTS = (
-    NAMELESS_REVIEW, REVIEW, *PRESSED, ANSWER, ACKNOWLEDGE, SPEED, PLAN_REQUEST, IK, NAMELESS_TRAJECTORY, TRAJECTORY,
+    NAMELESS_REVIEW, REVIEW, OVERRIDE, *PRESSED, ANSWER, ACKNOWLEDGE, SPEED, PLAN_REQUEST, IK, NAMELESS_TRAJECTORY, TRAJECTORY,
 )  # fmt: skip
 
 #: Answers per second, and at once, to what an account sends that cannot be read, or that is a stop of what stands stopped. What can

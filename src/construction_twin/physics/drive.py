@@ -119,8 +119,6 @@ def load_drives(content: object, robot: RobotModel, where: str) -> ArmDrives:
         read = _DrivesFile.model_validate(content)
     except pydantic.ValidationError as error:
         raise configuration_error(error, _DrivesFile, where) from error
-    if read.robot != robot.name:
-        raise ConfigurationError(f"{where}/robot", read.robot, Sentence("expected.physics.robot", robot=robot.name))
     if set(read.joints) != set(robot.joint_names):
         raise ConfigurationError(
             f"{where}/joints",

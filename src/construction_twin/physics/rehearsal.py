@@ -7,8 +7,6 @@ scene for each; what was let go in one goes on lying where it lies in the next.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
@@ -17,7 +15,6 @@ import mujoco
 import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.records import document
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.physics.arm import Servo, SimulatedArm
@@ -33,6 +30,7 @@ from construction_twin.physics.report import (
     PayloadLoad,
     RehearsalReport,
     RehearsedContact,
+    finished,
 )
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.trajectory import Trajectory
@@ -121,7 +119,7 @@ class Rehearsal:
         last = plan.segments[-1].scene_after if plan.segments else plan.scene
         missing = [each for each in (*wanted, last) if each not in scenes]
         if missing:
-            return _finished(
+            return finished(
                 replace(named, reasons=(Sentence("rehearsal.no_scene", scene=missing[0][:12]),)), clock() - begin
             )
         ends = [segment.end for segment in plan.segments] or [plan.trajectory.duration]
@@ -132,18 +130,11 @@ class Rehearsal:
         # ValueError: MuJoCo's compiler refuses a model
         except (ConstructionTwinError, mujoco.FatalError, ValueError) as error:
             found = replace(named, reasons=(Sentence("rehearsal.engine", problem=" ".join(str(error).split())),))
-        return _finished(found, clock() - begin)
+        return finished(found, clock() - begin)
 
 
 #: What simulates.
 ENGINE = f"MuJoCo {mujoco.__version__}"
-
-
-def _finished(report: RehearsalReport, took: float) -> RehearsalReport:
-    """Return a report with its hash and the time it took [s]."""
-    content = document(replace(report, took=0.0, settle_took=0.0, hash="", stamp=0))
-    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-    return replace(report, took=took, hash=digest)
 
 
 class _Run:

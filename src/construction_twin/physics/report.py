@@ -5,11 +5,19 @@ Each field has the name that it has in `Rehearsal.msg`. Joints in the order of t
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Annotated
 
+from construction_twin.core.records import as_seconds, document
+
+#: A number that may be nan, which JSON has as null.
+_OrNan = Annotated[float, {"type": ["number", "null"]}]
 #: How a rehearsal ended.
 PASSED, FAILED, BROKEN = "passed", "failed", "broken"
+STATES = (PASSED, FAILED, BROKEN)
 
 
 @dataclass(frozen=True)
@@ -69,7 +77,7 @@ class LooseObject:
     """
 
     name: str
-    released: float
+    released: _OrNan
     moved: float
     turned: float
     fell: float
@@ -138,7 +146,7 @@ class RehearsalReport:
         engine: Name and version.
         remarks: What is an estimate, or is simulated otherwise than planned, one sentence each.
         hash: Of all of this but `took` and `settle_took`, as the record of a verdict has it.
-        stamp: [ns]
+        stamp: ROS time of its end; whole ns, in JSON [s].
     """
 
     plan_id: str = ""
@@ -149,18 +157,25 @@ class RehearsalReport:
     reasons: tuple[str, ...] = ()
     axes: tuple[AxisLoad, ...] = ()
     payload: PayloadLoad = PayloadLoad()
-    tracking: float = math.nan
+    tracking: _OrNan = math.nan
     tracking_joint: str = ""
     braking: Braking = Braking()
     worst_time: float = 0.0
     worst_pose: tuple[float, ...] = ()
     contacts: tuple[RehearsedContact, ...] = ()
     objects: tuple[LooseObject, ...] = ()
-    energy: float = math.nan
+    energy: _OrNan = math.nan
     duration: float = 0.0
     took: float = 0.0
     settle_took: float = 0.0
     engine: str = ""
     remarks: tuple[str, ...] = ()
     hash: str = ""
-    stamp: int = 0
+    stamp: int = as_seconds()
+
+
+def finished(report: RehearsalReport, took: float) -> RehearsalReport:
+    """Return a report with its hash and the time it took [s]."""
+    content = document(replace(report, took=0.0, settle_took=0.0, hash="", stamp=0))
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    return replace(report, took=took, hash=digest)

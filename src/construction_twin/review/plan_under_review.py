@@ -13,6 +13,25 @@ APPROVED, REJECTED, REFUSED, WITHDRAWN = "approved", "rejected", "refused", "wit
 EXECUTOR = "executor"
 
 
+#: State in the record of a plan that a rehearsal was required of, and that had none.
+NOT_REHEARSED = "none"
+
+
+@dataclass(frozen=True)
+class Rehearsed:
+    """What was known of a plan's rehearsal when it was decided.
+
+    Attributes:
+        state: ``passed``, ``failed``, ``broken``, or `NOT_REHEARSED`.
+        hash: Of the result; empty without one.
+        overridden: It was approved although a rehearsal was required and this is no pass, by the reviewer, for the reason given.
+    """
+
+    state: str
+    hash: str
+    overridden: bool = False
+
+
 @dataclass(frozen=True)
 class Verdict:
     """What was decided about a plan, by whom and why.
@@ -22,6 +41,7 @@ class Verdict:
         plan_id, plan_hash: As the reviewer named them; the hash may be empty in a refusal.
         reviewer, reason: The reviewer's words; of a refusal, why it was refused.
         plan: The plan, where it was known.
+        rehearsal: What its rehearsal had found; None: there was none, and none was required.
     """
 
     verdict: str
@@ -30,6 +50,7 @@ class Verdict:
     reviewer: str
     reason: str
     plan: Plan | None = None
+    rehearsal: Rehearsed | None = None
 
     @property
     def approved(self) -> bool:

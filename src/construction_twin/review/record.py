@@ -21,7 +21,7 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.reports import SessionRequest, SpeedChange
 from construction_twin.core.sentences import Sentence
 from construction_twin.review.chained_file import ChainedFile, LogState, read_whole, verify
-from construction_twin.review.plan_under_review import APPROVED, Ending, Verdict
+from construction_twin.review.plan_under_review import APPROVED, Ending, Rehearsed, Verdict
 from construction_twin.robot.plan import Plan
 
 #: Records that are kept while the file cannot be written; what comes then is counted, and the number is recorded later.
@@ -239,7 +239,14 @@ def _fields(record: Record, responsibility: Responsibility | None) -> dict:
     trajectory = record.plan_hash if record.plan is None else record.plan.hash
     named = {"record": "verdict", "verdict": record.verdict, "plan": record.plan_id, "trajectory": trajectory}
     named |= {"reviewer": record.reviewer, "reason": record.reason}
-    return named | _responsibility_fields(responsibility) | _plan_fields(record.plan)
+    return (
+        named | _rehearsal_fields(record.rehearsal) | _responsibility_fields(responsibility) | _plan_fields(record.plan)
+    )
+
+
+def _rehearsal_fields(rehearsal: Rehearsed | None) -> dict:
+    """Return what was known of the plan's rehearsal; nothing where there was none, and none was required."""
+    return {} if rehearsal is None else {"rehearsal": asdict(rehearsal)}
 
 
 def _responsibility_fields(responsibility: Responsibility | None) -> dict:

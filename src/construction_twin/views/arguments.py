@@ -118,6 +118,10 @@ def parser(robot: str) -> argparse.ArgumentParser:
     arm.add_argument("--responsible", default="", metavar="NAME", help="the person who is responsible; must be given")
     status = command("status", "say what link, gate and executor do")
     status.add_argument("--ready", action="store_true", help="end with 1 unless a plan could be approved now")
+    command(
+        "rehearsal",
+        "show what the simulated arm found when it carried out the newest plan; ends with 1 unless it passed",
+    )
     _add_scene(command("scene", "list what the arm must not touch, or write it for another planner"))
     _add_work(command("work", "work from a building model: its tasks, what comes next, what people say"), common)
     _add_pair(
@@ -237,6 +241,11 @@ def _add_approve(approve: argparse.ArgumentParser) -> None:
     _add_reviewer(approve)
     approve.add_argument("--yes", action="store_true", help="do not ask")
     approve.add_argument("--wait", action="store_true", help="wait until the motion has ended")
+    approve.add_argument(
+        "--override-rehearsal",
+        action="store_true",
+        help="although its rehearsal is required, and missing or no pass; give --reason too",
+    )
 
 
 def _add_scene(scene: argparse.ArgumentParser) -> None:

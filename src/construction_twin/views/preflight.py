@@ -18,6 +18,7 @@ CHOICES = {
     "twin": ("kinematic", "mujoco"),
     "protocol": ("5", "3.1.1"),
     "gateway_kind": ("rsi", "plc"),
+    "rehearsal": ("auto", "advise", "require", "off"),
 }
 SWITCHES = (
     "auto_approve",
@@ -55,7 +56,7 @@ OPTIONAL_FILES = (
     "scene",
     "cell",
     "tool",
-    "twin_drives",
+    "drives",
     "bridge_account",
     "gateway_account",
     "console_certificate",

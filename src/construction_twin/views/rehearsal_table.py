@@ -1,95 +1,89 @@
-"""The report of a rehearsal on the terminal: what it says first, then axes, load, contacts, objects, and what is an estimate."""
+"""What a rehearsal has found, for the terminal: a table of the axes, and a line for everything else that is known."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Set
 
 from rich import box
-from rich.console import Console
+from rich.console import Group
 from rich.table import Table
+from rich.text import Text
 
-from construction_twin.physics.report import PASSED, RehearsalReport
+from construction_twin.physics.report import PASSED, AxisLoad, RehearsalReport
 
-#: Marks a number that nobody has measured or published.
-_ESTIMATE = " (estimate)"
-
-
-def print_report(report: RehearsalReport, console: Console, linear: Set[str] = frozenset()) -> None:
-    """Print a report; `linear`: names of prismatic joints."""
-    console.print(f"{report.state}: plan {report.plan_id}, {report.duration:.2f} s, rehearsed in {report.took:.2f} s")
-    for reason in report.reasons:
-        console.print(f"  {reason}", soft_wrap=True)
-    if report.axes:
-        console.print(_axes(report, linear))
-        _say_load(report, console)
-    for table in (_contacts(report), _objects(report)):
-        if table is not None:
-            console.print(table)
-    if report.state == PASSED and not report.objects:
-        console.print("contacts    none that the plan does not have")
-    for remark in report.remarks:
-        console.print(f"note: {remark}", soft_wrap=True)
-    console.print(f"{report.engine}, report {report.hash[:12]}")
+#: Behind a number that is an estimate.
+ESTIMATE = "~"
+_STYLES = {PASSED: "bold green"}
 
 
-def _axes(report: RehearsalReport, linear: Set[str]) -> Table:
-    table = Table("axis", box=box.SIMPLE_HEAD)
-    for title in ("peak", "of limit", "limit", "at [s]", "rms", "gravity"):
-        table.add_column(title, justify="right")
-    for axis in report.axes:
-        unit = "N" if axis.joint in linear else "Nm"
-        limit = f"{axis.limit:.0f} {unit}{' *' if axis.estimated else ''}" if axis.limit else "nobody says"
-        usage = f"{axis.usage:.0%}" if axis.limit else "-"
-        table.add_row(
-            axis.joint, f"{axis.peak:.0f} {unit}", usage, limit, f"{axis.time:.2f}", f"{axis.rms:.0f} {unit}",
-            f"{axis.gravity:.0%}",
-        )  # fmt: skip
-    if any(axis.estimated for axis in report.axes):
-        table.caption = "* an estimate"
-    return table
+def worst_axis(report: RehearsalReport) -> AxisLoad | None:
+    """Return the axis that uses the largest fraction of what its drive gives; None: nobody says what any of them gives."""
+    known = [axis for axis in report.axes if axis.limit]
+    return max(known, key=lambda axis: axis.usage, default=None)
 
 
-def _say_load(report: RehearsalReport, console: Console) -> None:
+def headline(report: RehearsalReport) -> str:
+    """Return one line: how it ended, and the largest torque."""
+    worst = worst_axis(report)
+    largest = f", largest torque {worst.usage:.0%} ({worst.joint})" if worst is not None else ""
+    return f"rehearsal of plan {report.plan_id}: {report.state}{largest}"
+
+
+def rehearsal_lines(report: RehearsalReport) -> list[str]:
+    """Return what stands below the table of the axes, one line each."""
+    lines = [f"reason: {reason}" for reason in report.reasons]
     load, braking = report.payload, report.braking
-    rated = f"rated for {load.rated_mass:.0f} kg" if load.rated_mass else "nobody says what the arm is rated for"
-    if load.mass:
-        mass = f"{load.mass:.1f} kg{_ESTIMATE if load.estimated else ''}"
-        place = (
-            f"{load.across * 1e3:.0f} mm across, {load.along * 1e3:.0f} mm along the flange, {load.inertia:.2f} kg m^2"
+    if report.axes:
+        rated = f" of {load.rated_mass:.1f} kg" if load.rated_mass else ""
+        inertia = f" of {load.rated_inertia:.1f}" if load.rated_inertia else ""
+        mark = ESTIMATE if load.estimated else ""
+        lines.append(
+            f"payload: {load.mass:.1f}{mark} kg{rated}, inertia {load.inertia:.2f}{mark}{inertia} kg m^2, "
+            f"centre {load.across * 1e3:.0f} mm across and {load.along * 1e3:.0f} mm along the last axis"
         )
-        console.print(f"payload     {mass}, {place}; {rated}", soft_wrap=True)
-    else:
-        console.print(f"payload     none; {rated}")
-    if braking.joint:
-        console.print(
-            f"braking     worst at {braking.time:.2f} s: {braking.seconds:.2f} s, "
-            f"the flange goes on {braking.distance * 1e3:.0f} mm, {braking.usage:.0%} of a torque",
-            soft_wrap=True,
+        if braking.seconds:
+            lines.append(
+                f"braking at {braking.time:.2f} s: {braking.seconds:.2f} s, flange {braking.distance * 1e3:.0f} mm, "
+                f"most of {braking.joint}, {braking.usage:.0%} of an axis' torque"
+            )
+    lines += [
+        f"contact: {each.first} and {each.second} at {each.time:.2f} s, {each.force:.0f} N, for {each.seconds:.2f} s"
+        for each in report.contacts
+    ]
+    for each in report.objects:
+        since = "stands" if math.isnan(each.released) else f"let go at {each.released:.2f} s"
+        rest = "lies still" if each.resting else "still moves"
+        lines.append(
+            f"object {each.name}: {since}, moved {each.moved * 1e3:.1f} mm, turned {math.degrees(each.turned):.2f} deg, "
+            f"fell {each.fell * 1e3:.1f} mm, {rest}"
         )
-    console.print(f"energy      {report.energy / 1e3:.2f} kJ")
+    lines += [f"remark: {remark}" for remark in report.remarks]
+    took = f"{report.duration:.2f} s of a plan in {report.took:.2f} s" if report.axes else f"{report.took:.2f} s"
+    lines.append(f"{report.engine or 'no engine'}, {took}; hash {report.hash[:12]}")
+    return lines
 
 
-def _contacts(report: RehearsalReport) -> Table | None:
-    if not report.contacts:
-        return None
-    table = Table("contact", "with", box=box.SIMPLE_HEAD)
-    for title in ("at [s]", "force [N]", "for [s]"):
-        table.add_column(title, justify="right")
-    for one in report.contacts:
-        table.add_row(one.first, one.second, f"{one.time:.2f}", f"{one.force:.0f}", f"{one.seconds:.2f}")
-    return table
-
-
-def _objects(report: RehearsalReport) -> Table | None:
-    if not report.objects:
-        return None
-    table = Table("object", box=box.SIMPLE_HEAD)
-    for title in ("let go at [s]", "moved [mm]", "turned [deg]", "fell [mm]", "rests"):
-        table.add_column(title, justify="right")
-    for one in report.objects:
-        table.add_row(
-            one.name, "never held" if math.isnan(one.released) else f"{one.released:.2f}", f"{one.moved * 1e3:.0f}",
-            f"{math.degrees(one.turned):.1f}", f"{one.fell * 1e3:.0f}", "yes" if one.resting else "no",
-        )  # fmt: skip
-    return table
+def rehearsal_table(report: RehearsalReport) -> Group:
+    """Return all of it, for a rich console."""
+    style = _STYLES.get(report.state, "bold red")
+    parts: list[Text | Table] = [Text(headline(report), style=style)]
+    if report.axes:
+        table = Table(box=box.SIMPLE, caption=f"{ESTIMATE} an estimate", caption_justify="left")
+        for name in ("axis", "peak", "at [s]", "RMS", "limit", "used", "gravity"):
+            table.add_column(name, justify="left" if name == "axis" else "right")
+        for axis in report.axes:
+            mark = ESTIMATE if axis.estimated else ""
+            table.add_row(
+                axis.joint,
+                f"{axis.peak:.0f}",
+                f"{axis.time:.2f}",
+                f"{axis.rms:.0f}",
+                f"{axis.limit:.0f}{mark}" if axis.limit else "not known",
+                Text(f"{axis.usage:.0%}" if axis.limit else "", style="bold red" if axis.usage > 1.0 else ""),
+                f"{axis.gravity:.0%}",
+            )
+        parts.append(table)
+    parts += [
+        Text(line, style="red" if line.startswith(("reason", "contact")) else "") for line in rehearsal_lines(report)
+    ]
+    return Group(*parts)

@@ -80,6 +80,15 @@ class Worker:
             raise WorkerError(*answer["failure"])
         return answer["result"]
 
+    def interrupt(self) -> None:
+        """End the process in the midst of a question: whoever waits for the answer gets a WorkerError. For another thread.
+
+        `close` it before the next question.
+        """
+        process = self._process
+        if process is not None:
+            process.kill()
+
     def close(self) -> None:
         """End the process, whatever it does."""
         self._end()

@@ -40,6 +40,7 @@ from construction_twin.execution.engagement import (
     to_text,
 )
 from construction_twin.execution.executor import ExecutorState
+from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.execution.way_back import check_way_back, follow
 from construction_twin.monitor.gate import SyncState
 from construction_twin.robot.executed_path import LARGEST_ENTRY, WAY_BACK_TOLERANCE, ExecutedPath
@@ -200,6 +201,16 @@ class TestEngaged:
         np.testing.assert_allclose(bench.twin, pose_at(0.3), atol=1e-9)
         bench.run(3)
         bench.executor.offer(make_plan("other", reach(bench.twin, ROBOT.home), LATER[0], bench.stamp))
+
+    def test_a_required_rehearsal_never_blocks_it(self, bench):
+        stopped_in(bench, 2)
+        bench.executor.rehearsal = RehearsalCheck(required=True)
+        plan = way_back(bench)
+        offer_back(bench, plan)
+        assert bench.executor.approval_obstacle() == ""
+        bench.review(plan.id, plan.hash, True, "Ada")
+        bench.run_until_idle()
+        assert bench.executor.outcome == "finished" and not bench.executor.engagement.engaged
 
     def test_stopped_on_the_way_back_it_stays_engaged_and_goes_back_from_there(self, bench):
         left = stopped_in(bench, 2)

@@ -185,7 +185,7 @@ def test_a_twin_with_mass_is_refused_where_its_packages_are_missing(monkeypatch)
 
 REFUSED = {
     "twin:=bullet": "twin:=bullet: expected kinematic or mujoco",
-    "twin_drives:=/none.yaml": "twin_drives:=/none.yaml: expected ",
+    "drives:=/none.yaml": "drives:=/none.yaml: expected ",
     "arm:=foo": "arm:=foo: expected mock, real or none",
     "controller_make:=fanuc": "controller_make:=fanuc: expected rsi",
     "rsi_cycle:=8": "rsi_cycle:=8: expected 4 or 12",

@@ -63,7 +63,15 @@ OPTIONAL = {
 GENERATED = {"msg", "srv", "action"}
 #: Given in the launch files: deployment, not behaviour.
 DEPLOYMENT = {
-    "executor": {"arm", "auto_approve", "auto_approve_sources", "review_file", "neighbour", "realtime_priority"},
+    "executor": {
+        "arm",
+        "auto_approve",
+        "auto_approve_sources",
+        "review_file",
+        "neighbour",
+        "rehearsal",
+        "realtime_priority",
+    },
     "follow_joint_trajectory": {"arm"},
     "separation": set(),
     "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority", "gateway_kind"},
@@ -86,6 +94,7 @@ DEPLOYMENT = {
     "gateway": {"decimals", "robot", "axes", "linear", "lower", "upper", "velocity", "acceleration", "layout", "tool"},
     "neighbour": {"name", "realtime_priority"},
     "planner": {"self_collision", "tf_prefix"},
+    "rehearsal": {"mode", "drives", "tool", "self_collision"},
     "tool_marker": {"self_collision", "tf_prefix", "reviewer"},
     "work": {"model", "cell", "self_collision", "tf_prefix", "review_file", "arm", "private"},
 }

@@ -77,10 +77,10 @@ class TestFiles:
         assert len(before) >= 10 and {path: path.read_bytes() for path in kept} == before
         # the path of what is played, the robot's messages and cameras, and what people may be given the right to, are new
         made = (site / "broker/access.acl").read_text().splitlines()
-        given = ("reset", "arm", "answer", "acknowledge", "speed")
+        given = ("reset", "arm", "answer", "acknowledge", "speed", "override_rehearsal")
         asked = [f"topic read twin/kr120/{verb}/+" for verb in given]
         answered = [f"topic write twin/kr120/{verb}/ack" for verb in given]
-        kept_ones = [f"topic readwrite twin/kr120/{topic}" for topic in ("path", "messages", "camera/+")]
+        kept_ones = [f"topic readwrite twin/kr120/{topic}" for topic in ("rehearsal", "path", "messages", "camera/+")]
         new = [*kept_ones, *asked, *answered]
         kept = [line for line in made if line not in new and not line.startswith("#")]
         assert kept == [line for line in rules.splitlines() if not line.startswith("#")] and set(new) <= set(made)

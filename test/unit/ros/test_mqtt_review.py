@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import threading
 from types import SimpleNamespace
 
 import pytest
 import rospy
 from bridge_bench import Client, Refusals
-from construction_twin.msg import Plan, PlanCaller, Review
+from construction_twin.msg import Plan, PlanCaller, Rehearsal, Review
 from construction_twin.srv import (
     LimitSpeedResponse,
     ResumeFromScreenResponse,
@@ -625,3 +626,65 @@ def test_a_speed_limit_that_is_not_as_described_is_refused_counted_and_answered(
     pressing.deliver("speed/dora", payload, retain)
     assert [(answer["ok"], answer["limit"]) for answer in acks(pressing, "speed")] == [(False, 0.0)]
     assert asked == [] and pressing.made.refused == {reason: 1}
+
+
+OVERRIDE = {
+    "plan_id": "p1",
+    "plan_hash": "cafe",
+    "verdict": "approved",
+    "moment": MOMENT,
+    "reason": "seen by the crane's driver",
+}
+
+
+def test_an_override_is_given_to_the_executor_in_the_name_of_its_account(bench):
+    bench.deliver("override_rehearsal/kr120-lead-eva", json.dumps(OVERRIDE).encode())
+    bench.node.approvals.run()
+    (asked,) = bench.asked
+    assert (asked["override_rehearsal"], asked["reviewer"], asked["approve"]) == (True, "kr120-lead-eva", True)
+    assert OVERRIDE["reason"] in asked["reason"]
+    (answer,) = [json.loads(sent) for topic, sent in bench.client.published if topic.endswith("override_rehearsal/ack")]
+    assert answer["ok"] and answer["account"] == "kr120-lead-eva"
+
+
+@pytest.mark.parametrize("changes", [{"reason": " "}, {"reason": None}, {"verdict": "rejected"}])
+def test_an_override_without_a_reason_or_that_is_no_approval_is_refused(bench, changes):
+    content = {key: value for key, value in (OVERRIDE | changes).items() if value is not None}
+    bench.deliver("override_rehearsal/kr120-lead-eva", json.dumps(content).encode())
+    bench.node.approvals.run(0.0)
+    bench.node.rejections.run(0.0)
+    assert bench.asked == [] and bench.made.refused == {"review": 1}
+
+
+def test_what_comes_on_review_overrides_nothing(bench):
+    bench.deliver("review/kr120-reviewer-ada", json.dumps(OVERRIDE).encode())
+    bench.node.approvals.run()
+    bench.deliver("review/kr120-reviewer-ada", json.dumps(OVERRIDE | {"override_rehearsal": True}).encode())
+    bench.node.approvals.run(0.0)
+    (asked,) = bench.asked
+    assert asked["override_rehearsal"] is False and bench.made.refused == {"review": 1}
+
+
+def shown_rehearsals(bench) -> list[bytes]:
+    return [payload for topic, payload in bench.client.published if topic == "twin/kr120/rehearsal"]
+
+
+def test_what_a_rehearsal_has_found_is_shown_until_its_plan_is_decided(bench):
+    bench.node.on_rehearsal(Rehearsal(plan_id="p1", state="failed", reasons=["too heavy"], tracking=math.nan))
+    (shown,) = map(json.loads, shown_rehearsals(bench))
+    assert (shown["plan_id"], shown["state"], shown["reasons"], shown["tracking"]) == (
+        "p1",
+        "failed",
+        ["too heavy"],
+        None,
+    )
+    bench.node.on_verdict(Review(plan_id="another"))
+    assert shown_rehearsals(bench)[-1] != b""
+    bench.node.on_verdict(Review(plan_id="p1"))
+    assert shown_rehearsals(bench)[-1] == b""
+
+
+def test_a_rehearsal_that_comes_after_the_verdict_is_not_shown(bench):
+    bench.node.on_verdict(Review(plan_id="p1"))
+    bench.node.on_rehearsal(Rehearsal(plan_id="p1", state="passed"))
+    assert shown_rehearsals(bench)[-1] == b""

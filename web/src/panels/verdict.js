@@ -9,6 +9,7 @@ import {onHold} from "../press.js";
 import * as verdict from "../verdict_state.js";
 import {browser} from "./clock.js";
 import {segmentsOf} from "./playback.js";
+import {make as makeRehearsal, rehearsalOf} from "./rehearsal.js";
 
 const TICK_EVERY = 50;
 /** Reasons of a rejection to pick from: `verdict.why.<word>`. */
@@ -81,6 +82,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   add(checks, "summary", {text: texts("verdict.checks")});
   const table = add(checks, "dl");
   const segments = add(checks, "ol", {className: "verdict-segments"});
+  const showRehearsal = makeRehearsal(area, texts);
   const steps = add(area, "ul", {className: "verdict-steps", "aria-label": texts("verdict.steps")});
   const stepLooked = add(steps, "li");
   const stepShown = add(steps, "li");
@@ -180,6 +182,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     } else {
       open = "";
     }
+    showRehearsal(area.hidden ? null : rehearsalOf(found, store.robot(robot).rehearsal));
     const named = reviewer() !== "";
     const may = store.rightsOf.may(robot, "review") !== false;
     const why = may ? verdict.blocked(machine) || (named ? "" : "name") : "right";
@@ -298,7 +301,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   });
   for (const kind of ["drawn", "said"]) store.on(kind, look);
   store.on("rights", show);
-  for (const kind of ["tasks", "drawn"]) {
+  for (const kind of ["tasks", "drawn", "rehearsal"]) {
     store.on(kind, (robot) => {
       if (robot === store.selected) show();
     });

@@ -113,11 +113,9 @@ def _check_tool(given: Given, _robot: RobotModel) -> None:
 
 
 def _check_twin(given: Given, robot: RobotModel) -> None:
-    """Check that a twin with mass can be simulated: packages, and drives of this arm."""
+    """Check that a twin with mass can be simulated."""
     if given["twin"] == "mujoco":
         check_extras("physics")
-        if given.get("twin_drives"):
-            read_drives(given["twin_drives"], robot)
 
 
 def _check_work(given: Given, robot: RobotModel) -> None:
@@ -140,6 +138,17 @@ def _check_work(given: Given, robot: RobotModel) -> None:
                 given_path,
                 Sentence("expected.as_cell", wanted=str(wanted), cell=cell, name=name, path=str(wanted)),
             )
+
+
+def _check_rehearsal(given: Given, robot: RobotModel) -> None:
+    """Find MuJoCo where a rehearsal is asked for, and check the drives' file."""
+    if given["rehearsal"] in ("advise", "require"):
+        check_extras("physics")
+
+
+def _check_drives(given: Given, robot: RobotModel) -> None:
+    if given["drives"]:
+        read_drives(given["drives"], robot)
 
 
 def _check_scene(given: Given, robot: RobotModel) -> None:
@@ -265,6 +274,8 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("twin", _check_twin),
     ("ethernet_xml", _check_controller_file),
     ("work_model", _check_work),
+    ("rehearsal", _check_rehearsal),
+    ("drives", _check_drives),
     ("scene", _check_scene),
     ("cell", _check_cell),
     ("bridge_account", _check_account("bridge_account")),

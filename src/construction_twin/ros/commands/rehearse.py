@@ -57,7 +57,7 @@ def _rehearse(options: argparse.Namespace) -> int:
     from construction_twin.physics.drive import drives_of, read_drives
     from construction_twin.physics.film import Film
     from construction_twin.physics.rehearsal import Rehearsal
-    from construction_twin.views.rehearsal_table import print_report
+    from construction_twin.views.rehearsal_table import rehearsal_table
 
     robot = read_robot_files(options.robot_xacro, options.robot_config, options.robot_xacro_args)
     scene = read_scene(options.scene)
@@ -73,8 +73,7 @@ def _rehearse(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(document(report), indent=2, sort_keys=True))
     else:
-        linear = {name for name, slides in zip(robot.joint_names, robot.linear) if slides}
-        print_report(report, console, linear)
+        console.print(rehearsal_table(report), soft_wrap=True)
     if film is not None and report.axes:
         _draw(options, film, report, console)
     return {states.PASSED: PASSED, states.FAILED: FAILED}.get(report.state, BROKEN)

@@ -181,7 +181,9 @@ class ScenarioDriver:
 
         def answered():
             # the plan travels to the executor on a topic of its own
-            answer = review(plan.id, plan.hash, True, "scenario", self._scenario.name)
+            answer = review(
+                plan_id=plan.id, plan_hash=plan.hash, approve=True, reviewer="scenario", reason=self._scenario.name
+            )
             return answer if answer.success or "is not under review" not in answer.message else None
 
         answer = self._wait(answered, Sentence("view.scenario.wait.known"), min(deadline, time.monotonic() + 2.0))

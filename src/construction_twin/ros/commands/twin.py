@@ -164,6 +164,11 @@ class Command:
 
         return SceneCommand(self._options, self._namespace).run()
 
+    def _rehearsal(self) -> Exit:
+        from construction_twin.ros.commands.twin_rehearsal import show_rehearsal
+
+        return show_rehearsal(self._namespace, self._options.timeout)
+
     # -- what several of them need
 
     def _robot(self) -> RobotModel:
@@ -224,7 +229,11 @@ class Command:
 
     def _review(self, plan: Plan, verdict: str) -> Exit:
         reviewer = self._options.reviewer or account_name()
-        return _print(self._client.review(ReviewRequest(plan.id, plan.hash, verdict, reviewer, self._options.reason)))
+        override = getattr(self._options, "override_rehearsal", False)
+        request = ReviewRequest(
+            plan.id, plan.hash, verdict, reviewer, self._options.reason, override_rehearsal=override
+        )
+        return _print(self._client.review(request))
 
     def _wait(self, listener: RobotListener, plan: Plan) -> Exit:
         """Wait for the motion's end, print it, and return its exit code."""

@@ -38,6 +38,7 @@ from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.execution.newest_reading import AHEAD, NewestReading
 from construction_twin.execution.playback import StopForecaster
+from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.execution.states import ACTIVE
 from construction_twin.execution.tool_report import NO_ARM
 from construction_twin.execution.way_back import check_way_back
@@ -48,6 +49,7 @@ from construction_twin.msg import (
     Execution,
     Link,
     Plan,
+    Rehearsal,
     Review,
     Scene,
     SpeedLimitInForce,
@@ -57,6 +59,7 @@ from construction_twin.msg import (
 )
 from construction_twin.msg import SessionRequest as SessionRequestMessage
 from construction_twin.msg import SpeedChange as SpeedChangeMessage
+from construction_twin.physics.report import STATES, RehearsalReport, finished
 from construction_twin.review.plan_under_review import EXECUTOR, REJECTED, Verdict
 from construction_twin.review.record import Release, Responsibility, ReviewLog
 from construction_twin.robot.description import RobotModel
@@ -124,6 +127,7 @@ class Settings(NodeSettings):
     auto_approve_sources: tuple[Annotated[str, pydantic.Field(min_length=1)], ...] = ()
     review_file: Annotated[str, pydantic.Field(min_length=1)]
     neighbour: str = ""
+    rehearsal: Literal["auto", "advise", "require", "off"] = "off"
     speed_limit_deadline: float = pydantic.Field(gt=0)
     speed_limit_silent: float = pydantic.Field(ge=0, le=1)
     speed_limit_required: bool
@@ -310,6 +314,15 @@ class ExecutorNode:
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
 
+    def on_rehearsal(self, message: Rehearsal) -> None:
+        """Take what the rehearsal of a plan has found."""
+        report = from_msg(RehearsalReport, message)
+        if report.state not in STATES or finished(report, report.took).hash != report.hash:
+            self._diagnostics.refuse("rehearsal", Sentence("reason.refused.rehearsal", plan=repr(report.plan_id)))
+            return
+        with self._lock:
+            self._executor.rehearsal.on_report(report)
+
     def on_plan(self, message: Plan) -> None:
         """Take a plan to be reviewed."""
         try:
@@ -403,7 +416,13 @@ class ExecutorNode:
                 with self._lock:
                     self._note_act()
             taken = self._approval.review(
-                request.plan_id, request.plan_hash, request.approve, request.reviewer, request.reason, seen
+                request.plan_id,
+                request.plan_hash,
+                request.approve,
+                request.reviewer,
+                request.reason,
+                seen,
+                request.override_rehearsal,
             )
         except ConstructionTwinError as error:
             return self._refused("review", error)
@@ -748,6 +767,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> ExecutorNode:
     """Return the executor with its parameters, topics and services."""
     executor = Executor(robot)
     executor.neighbour = ConflictVerdicts(settings.neighbour)
+    executor.rehearsal = RehearsalCheck(settings.rehearsal == "require")
     if settings.arm != "none":
         executor.on_link(False, Sentence("executor.no_link"))
     else:
@@ -796,6 +816,7 @@ INTERFACE = Interface(
         Subscription("sync", Sync, ExecutorNode.on_sync, queue_size=50, tcp_nodelay=True),
         Subscription("scene", Scene, ExecutorNode.on_scene, queue_size=5),
         Subscription("plan", Plan, ExecutorNode.on_plan, queue_size=5),
+        Subscription("rehearsal", Rehearsal, ExecutorNode.on_rehearsal, queue_size=5),
         Subscription(
             "speed_limit_in_force", SpeedLimitInForce, ExecutorNode.on_limit, queue_size=5, tcp_nodelay=True
         ),

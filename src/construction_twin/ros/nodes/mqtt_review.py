@@ -19,6 +19,7 @@ from std_srvs.srv import Trigger
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import staleness
 from construction_twin.core.motion_errors import PlanningError
+from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link import remote_speed
@@ -31,6 +32,7 @@ from construction_twin.link.remote_review import (
     SegmentView,
     SwitchView,
     UseView,
+    parse_override,
     parse_review,
     recorded_reason,
 )
@@ -38,12 +40,23 @@ from construction_twin.link.remote_speed import SpeedRequest, parse_speed
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
-from construction_twin.mqtt.requests import ANSWER, BRIDGE, NAMELESS_REVIEW, PRESSED, REVIEW, SPEED, RequestKind
-from construction_twin.msg import Link, Plan, PlanCaller, Review
+from construction_twin.mqtt.requests import (
+    ANSWER,
+    BRIDGE,
+    NAMELESS_REVIEW,
+    OVERRIDE,
+    PRESSED,
+    REVIEW,
+    SPEED,
+    RequestKind,
+)
+from construction_twin.msg import Link, Plan, PlanCaller, Rehearsal, Review
+from construction_twin.physics.report import RehearsalReport
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.segments import segments_content
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.messages.plan_services import request_fields
+from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.endpoint import TOO_OLD, Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.launch_arguments import BROKER, has_link
@@ -110,6 +123,7 @@ class MqttReview:
         self._settings = settings
         self._board = PlanBoard()
         self._view: PlanView | None = None
+        self._rehearsals = PlanBoard()
         self._gone = ""
         self._lock = threading.Lock()
         self._session: str | None = None
@@ -133,6 +147,7 @@ class MqttReview:
         self.endpoints: tuple[Endpoint, ...] = (
             self._verdict_endpoint(NAMELESS_REVIEW),
             self._verdict_endpoint(REVIEW),
+            self._verdict_endpoint(OVERRIDE),
             *self.interventions.endpoints,
             Endpoint(
                 ANSWER, topics, _read_answer, self._give_answer, RequestCounts("answers"), self.outlets,
@@ -149,8 +164,9 @@ class MqttReview:
     def _verdict_endpoint(self, kind: RequestKind) -> Endpoint[ReviewRequest]:
         # where the broker knows accounts, one in no name is refused where it arrives
         nameless = kind is NAMELESS_REVIEW and bool(self._settings.account)
+        read = _read_override if kind is OVERRIDE else _read_verdict
         return Endpoint(
-            kind, self._topics, _read_verdict, _refuse_nameless if nameless else self._call_executor,
+            kind, self._topics, read, _refuse_nameless if nameless else self._call_executor,
             self._verdicts, self.outlets, _describe,
             None if nameless else lambda review: self.approvals if review.approve else self.rejections,
         )  # fmt: skip
@@ -181,7 +197,8 @@ class MqttReview:
         while not rospy.is_shutdown():
             self.approvals.run(0.2)
             self._check_plan()
-        self._client.publish(self._topics.plan, b"", qos=1, retain=True)
+        for topic in (self._topics.plan, self._topics.rehearsal):
+            self._client.publish(topic, b"", qos=1, retain=True)
         self._client.disconnect()
         self._client.loop_stop()
 
@@ -212,6 +229,12 @@ class MqttReview:
             self._show()
         self._publish_plan()
 
+    def on_rehearsal(self, message: Rehearsal) -> None:
+        """Show what the rehearsal of a plan has found, until the plan is decided."""
+        with self._lock:
+            self._rehearsals.on_plan(message.plan_id, dumped(from_msg(RehearsalReport, message), marks=SPACED))
+        self._publish_rehearsal()
+
     def on_caller(self, message: PlanCaller) -> None:
         """Say of the plan under review whether the program that asked for it is still connected."""
         with self._lock:
@@ -234,7 +257,9 @@ class MqttReview:
         """Take a plan away that was approved or rejected."""
         with self._lock:
             self._board.on_verdict(message.plan_id)
+            self._rehearsals.on_verdict(message.plan_id)
         self._publish_plan()
+        self._publish_rehearsal()
 
     def on_link(self, message: Link) -> None:
         """Take the plan away when another session begins."""
@@ -242,12 +267,18 @@ class MqttReview:
             if self._session is not None:
                 with self._lock:
                     self._board.restart()
+                    self._rehearsals.restart()
                 self._publish_plan()
+                self._publish_rehearsal()
             self._session = message.session
 
     def _publish_plan(self) -> None:
         if self._client.is_connected():
             self._client.publish(self._topics.plan, self._board.payload, qos=1, retain=True)
+
+    def _publish_rehearsal(self) -> None:
+        if self._client.is_connected():
+            self._client.publish(self._topics.rehearsal, self._rehearsals.payload, qos=1, retain=True)
 
     def _check_plan(self) -> None:
         """Publish again when the broker holds something else: the late last will of a predecessor takes our plan away."""
@@ -271,6 +302,7 @@ class MqttReview:
         client.subscribe(subscriptions(client, [(topic, 1) for topic in topics]))
         info = client.publish(self._topics.plan, self._board.payload, qos=1, retain=True)
         self._connection.watch_publish(client, self._topics.plan, info.mid)
+        client.publish(self._topics.rehearsal, self._rehearsals.payload, qos=1, retain=True)
 
     def on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
         """Report the end of the connection."""
@@ -332,8 +364,15 @@ def _run_queue(queue: RequestQueue) -> None:
         queue.run(0.2)
 
 
+def _read_override(incoming: Incoming) -> ReviewRequest:
+    return _echoed(incoming, parse_override(incoming.payload, incoming.retained, incoming.account))
+
+
 def _read_verdict(incoming: Incoming) -> ReviewRequest:
-    review = parse_review(incoming.payload, incoming.retained, incoming.account)
+    return _echoed(incoming, parse_review(incoming.payload, incoming.retained, incoming.account))
+
+
+def _echoed(incoming: Incoming, review: ReviewRequest) -> ReviewRequest:
     incoming.echo |= {name: getattr(review, name) for name in ("plan_id", "plan_hash", "verdict", "reviewer")}
     return review
 
@@ -353,7 +392,8 @@ def _read_speed(incoming: Incoming) -> tuple[SpeedRequest, str]:
 
 
 def _describe(review: ReviewRequest) -> str:
-    return f"{review.verdict} of plan {review.plan_id} by {review.reviewer}"
+    spite = " in spite of its rehearsal" if review.override_rehearsal else ""
+    return f"{review.verdict} of plan {review.plan_id} by {review.reviewer}{spite}"
 
 
 def plan_view(message: Plan) -> PlanView:
@@ -473,6 +513,7 @@ INTERFACE = Interface(
     report=MqttReview.report,
     hears=(
         Subscription("plan", Plan, MqttReview.on_plan, queue_size=5),
+        Subscription("rehearsal", Rehearsal, MqttReview.on_rehearsal, queue_size=5),
         Subscription("plan_caller", PlanCaller, MqttReview.on_caller, queue_size=5),
         Subscription("review", Review, MqttReview.on_verdict, queue_size=10),
         Subscription("link", Link, MqttReview.on_link, queue_size=5),

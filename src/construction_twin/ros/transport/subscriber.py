@@ -30,6 +30,7 @@ PUBLISHERS = {
     "hold": "pca_monitor",
     "plan": "planner",
     "plan_caller": "follow_joint_trajectory",
+    "rehearsal": "rehearsal",
     "scene": "scene",
     "execution": "executor",
     "approval_obstacle": "executor",

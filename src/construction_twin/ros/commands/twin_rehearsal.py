@@ -1,0 +1,32 @@
+"""The command `twin rehearsal`: what the rehearsal of the newest plan has found."""
+
+from __future__ import annotations
+
+import rospy
+from rich.console import Console
+
+from construction_twin.core.errors import SilenceError
+from construction_twin.core.sentences import Sentence
+from construction_twin.msg import Rehearsal
+from construction_twin.physics.report import PASSED, RehearsalReport
+from construction_twin.ros.messages.records import from_msg
+from construction_twin.ros.shared.master import expect_publisher
+from construction_twin.views.arguments import Exit
+from construction_twin.views.rehearsal_table import rehearsal_table
+
+
+def show_rehearsal(namespace: str, timeout: float) -> Exit:
+    """Show it; a rehearsal that did not pass is told by the exit code.
+
+    Args:
+        namespace: Of the robot, absolute.
+        timeout: Longest wait for the first result [s].
+    """
+    topic = f"{namespace}/rehearsal"
+    expect_publisher(topic)
+    try:
+        report = from_msg(RehearsalReport, rospy.wait_for_message(topic, Rehearsal, timeout))
+    except rospy.ROSException as error:
+        raise SilenceError(topic, Sentence("view.silent.rehearsal"), Sentence("view.to_do.plan")) from error
+    Console(highlight=False, soft_wrap=True).print(rehearsal_table(report))
+    return Exit.DONE if report.state == PASSED else Exit.REFUSED

@@ -1,0 +1,368 @@
+"""rehearsal: has every plan carried out by the simulated arm as soon as it is made, and says what that found (`rehearsal`).
+
+It moves nothing and decides nothing. The simulation is a process of its own behind everything else (`rehearsal_process`), so that
+what happens to it is an answer: a rehearsal that breaks off, or takes too long, is published as `broken`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import threading
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal, Protocol
+
+import pydantic
+import rospy
+
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.extras import check_extras
+from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.sentences import Sentence
+from construction_twin.msg import Plan as PlanMsg
+from construction_twin.msg import Rehearsal, WorkTasks
+from construction_twin.msg import Scene as SceneMsg
+from construction_twin.physics.drive import read_drives
+from construction_twin.physics.report import BROKEN, PASSED, RehearsalReport, finished
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.plan import Plan
+from construction_twin.robot.tool import ToolFile, read_tool
+from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
+from construction_twin.ros.messages.records import to_msg
+from construction_twin.ros.messages.scene_convert import scene_from_msg
+from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.launch_arguments import Given, Values
+from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
+from construction_twin.ros.shared.ports import Interface, Ports, Publication, Subscription
+from construction_twin.ros.shared.rehearsal_process import PROGRAM, Body, Question
+from construction_twin.ros.transport.joint_stream import now_ns
+from construction_twin.ros.transport.publisher import Sink
+from construction_twin.scene.objects import Scene
+from construction_twin.scene.scene_change import SceneChange
+from construction_twin.scene.self_collision import read_self_collision
+from construction_twin.work.contacts import tool_objects
+from construction_twin.work.worker import Worker
+
+#: A plan may come so long before the scene that it begins in [s].
+SCENE_DELAY = 1.0
+#: Scenes and masses of tasks that are remembered.
+_KEPT = 12
+#: How often the main thread looks whether this process is to end [s].
+_AWAKE = 0.5
+
+
+class Settings(pydantic.BaseModel):
+    """Private parameters; see config/rehearsal.yaml, the others are given in launch/twin.launch.
+
+    Attributes:
+        mode: Of the launch argument `rehearsal`; with `auto` nothing is rehearsed where MuJoCo is not installed.
+        drives: YAML of the arm's drives; empty: what its URDF says, and nothing is known of motors and rating.
+        tool: Tool file; empty: no tool.
+        self_collision: YAML of the link pairs that are not checked.
+    """
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    mode: Literal["auto", "advise", "require"]
+    time_limit: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
+    drives: str
+    tool: str
+    self_collision: str
+
+
+class Rehearser(Protocol):
+    """What rehearses in another process: a `Worker`."""
+
+    def ask_first(self, name: str, **arguments: object) -> object:
+        """Prepare it."""
+
+    def ask(self, name: str, **arguments: object) -> RehearsalReport:
+        """Rehearse."""
+
+    def interrupt(self) -> None:
+        """End what it does now."""
+
+    def close(self) -> None:
+        """End it."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """A plan that is to be rehearsed, and what its segments make of the scene."""
+
+    plan: Plan
+    changes: tuple[SceneChange, ...]
+    mass: float
+
+
+class RehearsalNode:
+    """Plans and scenes in, what their rehearsal found out; `start` gives it parameters, topics and a process.
+
+    Args:
+        tool: What it weighs; None: no tool.
+        constant: Hash of what decides a result beside plan, scene and masses of elements.
+        absent: Why nothing is rehearsed; empty: everything is.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        robot: RobotModel,
+        process: Rehearser,
+        output: Sink,
+        diagnostics: NodeDiagnostics,
+        tool: Body | None,
+        constant: str,
+        absent: str = "",
+    ):
+        self._settings, self._robot = settings, robot
+        self._process, self._output, self._diagnostics = process, output, diagnostics
+        self._tool, self._constant, self._absent = tool, constant, absent
+        self._news = threading.Condition()
+        self._scenes: dict[str, Scene] = {}
+        self._masses: dict[str, float] = {}
+        self._waiting: _Job | None = None
+        self._running: _Job | None = None
+        self._newest: _Job | None = None
+        #: The plan that was interrupted, and why: it is late, or there is a newer one.
+        self._late = self._superseded = False
+        self._prepared = False
+        self._last: RehearsalReport | None = None
+        self._rehearsed = self._broken = self._dropped = 0
+
+    # -- subscriptions
+
+    def on_scene(self, message: SceneMsg) -> None:
+        """Take a scene in which a plan may begin."""
+        try:
+            scene = scene_from_msg(message)
+        except SceneError as error:
+            self._diagnostics.refuse("scene", str(error))
+            return
+        with self._news:
+            self._scenes.pop(scene.hash, None)
+            self._scenes[scene.hash] = scene
+            while len(self._scenes) > _KEPT:
+                del self._scenes[next(iter(self._scenes))]
+            self._news.notify_all()
+
+    def on_tasks(self, message: WorkTasks) -> None:
+        """Take what the elements of the tasks weigh."""
+        with self._news:
+            self._masses = {task.id: task.mass_kg for task in message.tasks if math.isfinite(task.mass_kg)}
+
+    def on_plan(self, message: PlanMsg) -> None:
+        """Take a plan; it supersedes what is being rehearsed."""
+        if self._absent:
+            return
+        try:
+            plan = plan_from_msg(message)
+            changes = tuple(map(change_from_msg, message.segments))
+        except ConstructionTwinError as error:
+            self._diagnostics.refuse("plan", str(error))
+            return
+        with self._news:
+            self._newest = self._waiting = _Job(plan, changes, self._masses.get(plan.task, math.nan))
+            if self._running is not None:
+                self._superseded = True
+                self._process.interrupt()
+            self._news.notify_all()
+
+    # -- the work
+
+    def run(self) -> None:
+        """Rehearse one plan after the other until shutdown, in the main thread."""
+        rospy.on_shutdown(self._process.interrupt)
+        try:
+            while not rospy.is_shutdown():
+                self.work(_AWAKE)
+        finally:
+            self._process.close()
+
+    def work(self, patience: float) -> None:
+        """Rehearse the plan that waits; return after `patience` [s] when none does."""
+        with self._news:
+            self._news.wait_for(lambda: self._waiting is not None, patience)
+            job, self._waiting = self._waiting, None
+            if job is None:
+                return
+            # after a start of this node the plan may come before the scene that it begins in
+            self._news.wait_for(
+                lambda: job.plan.scene in self._scenes or self._waiting is not None or rospy.is_shutdown(), SCENE_DELAY
+            )
+            if self._waiting is not None:
+                self._dropped += 1
+                return
+            scene = self._scenes.get(job.plan.scene)
+            self._running, self._late, self._superseded = job, False, False
+        began = time.monotonic()
+        bodies = self._bodies(job)
+        tool = _digest(self._constant, [[body.names, body.mass] for body in bodies])
+        report: RehearsalReport
+        try:
+            scenes = {} if scene is None else segment_scenes(scene, job.plan, job.changes)
+            report = self._ask(Question(job.plan, scenes, bodies, tool))
+        except ConstructionTwinError as error:
+            report = self._broke(job, tool, error.sentence, time.monotonic() - began)
+        with self._news:
+            self._running = None
+            superseded, interrupted = self._superseded, self._superseded or self._late
+        if interrupted:
+            # the process may still be ending: the next question goes to another one
+            self._process.close()
+        if rospy.is_shutdown():
+            return
+        if superseded:
+            self._dropped += 1
+            return
+        self._tell(replace(report, stamp=now_ns()))
+
+    def _ask(self, question: Question) -> RehearsalReport:
+        """Have a plan rehearsed, for as long as that may take."""
+        limit = threading.Timer(self._settings.time_limit, self._expire)
+        limit.daemon = True
+        limit.start()
+        try:
+            if not self._prepared:
+                self._process.ask_first(
+                    "prepare",
+                    robot=self._robot,
+                    self_collision=self._settings.self_collision,
+                    drives=self._settings.drives,
+                )
+                self._prepared = True
+            return self._process.ask("rehearse", question=question)
+        finally:
+            limit.cancel()
+
+    def _expire(self) -> None:
+        with self._news:
+            if self._running is not None:
+                self._late = True
+                self._process.interrupt()
+
+    def _broke(self, job: _Job, tool: str, reason: str, took: float) -> RehearsalReport:
+        if self._late:
+            reason = Sentence("rehearsal.late", limit=self._settings.time_limit)
+        plan = job.plan
+        report = RehearsalReport(
+            plan.id, plan.hash, plan.scene, tool, BROKEN, (Sentence("rehearsal.broke", problem=reason),)
+        )
+        return finished(report, took)
+
+    def _bodies(self, job: _Job) -> tuple[Body, ...]:
+        """Return whose mass somebody says: the tool, and what the plan's task carries."""
+        bodies: tuple[Body, ...] = () if self._tool is None else (self._tool,)
+        of_tool = self._tool.names if self._tool is not None else ()
+        carried = dict.fromkeys(item.name for change in job.changes for item in change.put if item.link)
+        names = tuple(name for name in carried if name not in of_tool)
+        if names and math.isfinite(job.mass) and job.mass > 0.0:
+            bodies += (Body(names, job.mass),)
+        return bodies
+
+    def _tell(self, report: RehearsalReport) -> None:
+        self._last = report
+        self._rehearsed += 1
+        self._broken += report.state == BROKEN
+        self._output.publish(to_msg(report, Rehearsal))
+        said = rospy.loginfo if report.state == PASSED else rospy.logwarn
+        why = "".join(f"; {reason}" for reason in report.reasons)
+        said("rehearsal of plan %s: %s in %.2f s%s", report.plan_id, report.state, report.took, why)
+
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
+        if self._absent:
+            return Report(OK, self._absent)
+        last, running = self._last, self._running
+        values: dict[str, object] = {"rehearsals": self._rehearsed, "broken": self._broken, "superseded": self._dropped}
+        if running is not None:
+            return Report(OK, f"rehearses plan {running.plan.id}", values)
+        if last is None:
+            return Report(OK, "no plan was rehearsed yet", values)
+        values |= {"took": f"{last.took:.2f}", "engine": last.engine}
+        why = "".join(f"; {reason}" for reason in last.reasons)
+        return Report(WARN if last.state == BROKEN else OK, f"plan {last.plan_id}: {last.state}{why}", values)
+
+
+def segment_scenes(scene: Scene, plan: Plan, changes: tuple[SceneChange, ...]) -> dict[str, Scene]:
+    """Return the scenes of a plan by hash: the one that it begins in, and what its segments make of it.
+
+    Raises:
+        SceneError: If a change does not lead to the scene that its segment names.
+    """
+    scenes = {scene.hash: scene}
+    for segment, change in zip(plan.segments, changes, strict=True):
+        scene = change.between(scene, segment.scene, segment.scene_after)
+        scenes[scene.hash] = scene
+    return scenes
+
+
+def tool_body(tool: ToolFile, link: str) -> Body:
+    """Return the objects that a tool is in the scene, with what it weighs."""
+    return Body(tuple(item.name for item in tool_objects(tool, link)), tool.tool.mass)
+
+
+def _digest(*parts: object) -> str:
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def _hash_of(path: str) -> str:
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest() if path else ""
+
+
+def check(settings: Settings, robot: RobotModel) -> None:
+    """Check packages and files before anything starts; see `NodeShell`."""
+    if settings.mode != "auto":
+        check_extras("physics")
+    if settings.drives:
+        read_drives(settings.drives, robot)
+    if settings.tool:
+        read_tool(settings.tool)
+
+
+def start(settings: Settings, robot: RobotModel, ports: Ports) -> RehearsalNode:
+    """Return the node with its parameters, topics and process."""
+    absent = ""
+    try:
+        check_extras("physics")
+    except ConfigurationError as error:
+        absent = str(Sentence("rehearsal.absent", problem=error.sentence))
+        rospy.loginfo("%s", absent)
+    # of the file: what it says decides the result
+    read_self_collision(settings.self_collision, robot)
+    constant = _digest(_hash_of(settings.drives), _hash_of(settings.tool), _hash_of(settings.self_collision))
+    tool = tool_body(read_tool(settings.tool), robot.tip_link) if settings.tool else None
+    return RehearsalNode(
+        settings, robot, Worker(PROGRAM), ports.publishers["rehearsal"], ports.diagnostics, tool, constant, absent
+    )
+
+
+def _launched(given: Given) -> Values:
+    mode = given.get("rehearsal", "auto")
+    return {
+        "mode": mode if mode != "off" else "auto",
+        "drives": given.get("drives", ""),
+        "tool": "",
+        "self_collision": "",
+    }
+
+
+INTERFACE = Interface(
+    report=RehearsalNode.report,
+    publishes=(Publication("rehearsal", Rehearsal, queue_size=2, latch=True),),
+    hears=(
+        Subscription("scene", SceneMsg, RehearsalNode.on_scene, queue_size=5),
+        Subscription("work/tasks", WorkTasks, RehearsalNode.on_tasks, queue_size=1),
+        Subscription("plan", PlanMsg, RehearsalNode.on_plan, queue_size=2),
+    ),
+)
+FILE = ConfigFile(_launched, lambda given: given.get("rehearsal", "auto") != "off")
+NODE = NodeShell("rehearsal", Settings, start, INTERFACE, check, FILE)
+
+
+def main() -> None:
+    """Run the node."""
+    NODE.run()

@@ -1,0 +1,171 @@
+"""A rehearsal that is required: what cannot be approved without it, who may override it, and what the record says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from executor_bench import SCENE, Bench, make_plan
+from sentence_checks import says
+
+from construction_twin.core.errors import ReviewError
+from construction_twin.core.sentences import Sentence
+from construction_twin.execution.approval import AUTO_APPROVE
+from construction_twin.execution.executor import ExecutorState
+from construction_twin.execution.rehearsal_check import RehearsalCheck
+from construction_twin.physics.report import BROKEN, FAILED, PASSED, RehearsalReport
+from construction_twin.review.plan_under_review import NOT_REHEARSED, Rehearsed
+
+WHY = Sentence("rehearsal.mass", mass=240.0, rated=120.0)
+
+
+def report_of(plan, state=PASSED, **changes) -> RehearsalReport:
+    reasons = () if state == PASSED else (WHY,)
+    return replace(RehearsalReport(plan.id, plan.hash, plan.scene, "t", state, reasons, hash="f00d"), **changes)
+
+
+@pytest.fixture
+def bench() -> Bench:
+    bench = Bench()
+    bench.executor.rehearsal = RehearsalCheck(required=True)
+    return bench.ready()
+
+
+def offered(bench, report=None):
+    plan = make_plan()
+    bench.executor.offer(plan)
+    if report is not None:
+        bench.executor.rehearsal.on_report(report(plan))
+    return plan
+
+
+def override(bench, plan, reason="seen by the crane's driver"):
+    return bench.approval.review(plan.id, plan.hash, True, "Ada", reason, override=True)
+
+
+class TestRequired:
+    def test_a_plan_that_has_passed_is_approved_and_the_record_says_by_which_rehearsal(self, bench):
+        plan = offered(bench, report_of)
+        bench.review(plan.id, plan.hash, True, "Ada")
+        assert bench.state is ExecutorState.PLAYING
+        assert bench.records[0].rehearsal == Rehearsed(PASSED, "f00d")
+
+    @pytest.mark.parametrize(
+        "report, key",
+        [
+            (None, "missing"),
+            (lambda plan: report_of(plan, FAILED), "failed"),
+            (lambda plan: report_of(plan, BROKEN), "broken"),
+            (lambda plan: report_of(plan, plan_hash="0" * 64), "missing"),
+            (lambda plan: report_of(plan, scene="another"), "missing"),
+            (lambda plan: report_of(plan, plan_id="another"), "missing"),
+        ],
+    )
+    def test_nothing_else_is_approved_and_the_refusal_is_on_record(self, bench, report, key):
+        plan = offered(bench, report)
+        obstacle = bench.executor.approval_obstacle()
+        assert isinstance(obstacle, Sentence) and obstacle.key == f"review.rehearsal.{key}"
+        with pytest.raises(ReviewError, check=says(f"review.rehearsal.{key}")):
+            bench.review(plan.id, plan.hash, True, "Ada")
+        assert bench.state is ExecutorState.IDLE and bench.executor.under_review.plan is plan
+        assert [(record.verdict, record.rehearsal.overridden) for record in bench.records] == [("refused", False)]
+
+    def test_the_newest_result_of_a_plan_counts(self, bench):
+        plan = offered(bench, report_of)
+        bench.executor.rehearsal.on_report(report_of(plan, FAILED))
+        with pytest.raises(ReviewError, check=says("review.rehearsal.failed")):
+            bench.review(plan.id, plan.hash, True, "Ada")
+
+    def test_one_that_fails_while_its_approval_is_written_down_starts_nothing(self, bench):
+        plan = offered(bench, report_of)
+
+        def disk(record):
+            bench.records.append(record)
+            bench.executor.rehearsal.on_report(report_of(plan, FAILED))
+
+        bench.record = disk
+        with pytest.raises(ReviewError, check=says("review.rehearsal.failed")):
+            bench.review(plan.id, plan.hash, True, "Ada")
+        assert bench.state is ExecutorState.IDLE
+
+    def test_a_rejection_needs_none(self, bench):
+        plan = offered(bench)
+        bench.review(plan.id, plan.hash, False, "Ada")
+        assert bench.executor.under_review.plan is None
+
+    def test_results_of_other_plans_are_forgotten_only_behind_the_newest(self, bench):
+        plan = offered(bench, report_of)
+        for number in range(3):
+            bench.executor.rehearsal.on_report(report_of(make_plan(f"q{number}")))
+        assert bench.executor.rehearsal.of(plan) is not None
+        bench.executor.rehearsal.on_report(report_of(make_plan("q4")))
+        assert bench.executor.rehearsal.of(plan) is None
+
+    def test_what_needs_no_person_waits_for_it_and_is_withdrawn_when_it_fails(self, bench):
+        plan = offered(bench)
+        assert bench.approval.approve_by_itself(bench.stamp) is None
+        assert bench.executor.under_review.plan is plan
+        bench.executor.rehearsal.on_report(report_of(plan, FAILED))
+        assert bench.approval.approve_by_itself(bench.stamp) is None
+        assert bench.executor.under_review.plan is None and bench.state is ExecutorState.IDLE
+        passed = make_plan("q")
+        bench.executor.offer(passed)
+        bench.executor.rehearsal.on_report(report_of(passed))
+        taken = bench.approval.approve_by_itself(bench.stamp)
+        assert taken is not None and taken.verdict.reviewer == AUTO_APPROVE
+
+
+class TestOverride:
+    @pytest.mark.parametrize("state", [FAILED, BROKEN])
+    def test_by_name_and_with_a_reason_it_starts_and_is_on_record(self, bench, state):
+        plan = offered(bench, lambda plan: report_of(plan, state))
+        override(bench, plan)
+        assert bench.state is ExecutorState.PLAYING
+        assert (bench.records[0].reviewer, bench.records[0].rehearsal) == ("Ada", Rehearsed(state, "f00d", True))
+
+    def test_also_without_any_result(self, bench):
+        override(bench, offered(bench))
+        assert bench.records[0].rehearsal == Rehearsed(NOT_REHEARSED, "", True)
+
+    @pytest.mark.parametrize("reason", ["", "  "])
+    def test_not_without_a_reason(self, bench, reason):
+        plan = offered(bench, lambda plan: report_of(plan, FAILED))
+        with pytest.raises(ReviewError, check=says("review.rehearsal.unreasoned")):
+            override(bench, plan, reason)
+        assert bench.state is ExecutorState.IDLE
+
+    def test_not_where_there_is_nothing_to_override(self, bench):
+        plan = offered(bench, report_of)
+        with pytest.raises(ReviewError, check=says("review.rehearsal.nothing")):
+            override(bench, plan)
+        assert bench.state is ExecutorState.IDLE
+
+    def test_it_overrides_nothing_else(self, bench):
+        plan = offered(bench)
+        bench.executor.on_scene("another scene")
+        bench.executor.offer(make_plan("q"))
+        with pytest.raises(ReviewError, check=says("review.other_scene")):
+            bench.approval.review("q", plan.hash, True, "Ada", "because", override=True)
+        bench.executor.on_scene(SCENE)
+        with pytest.raises(ReviewError, check=says("review.nameless")):
+            bench.approval.review("q", "", True, " ", "because", override=True)
+        assert bench.state is ExecutorState.IDLE
+
+
+class TestAdvised:
+    def test_a_failed_rehearsal_is_on_record_and_holds_nothing_back(self):
+        bench = Bench().ready()
+        plan = offered(bench, lambda plan: report_of(plan, FAILED))
+        bench.review(plan.id, plan.hash, True, "Ada")
+        assert bench.state is ExecutorState.PLAYING and bench.records[0].rehearsal == Rehearsed(FAILED, "f00d")
+
+    def test_without_one_the_record_says_nothing_of_it(self):
+        bench = Bench().ready()
+        plan = offered(bench)
+        bench.review(plan.id, plan.hash, True, "Ada")
+        assert bench.records[0].rehearsal is None
+
+    def test_and_there_is_nothing_to_override(self):
+        bench = Bench().ready()
+        with pytest.raises(ReviewError, check=says("review.rehearsal.nothing")):
+            override(bench, offered(bench))

@@ -1,0 +1,284 @@
+"""The node `rehearsal`: which plan it rehearses in which scenes and with which masses, and what it says when that breaks off."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import threading
+
+import numpy as np
+import pytest
+import rospy
+from construction_twin.msg import Rehearsal, WorkTask, WorkTasks
+from plan_samples import make_plan
+from planning_cell import HOME, LEFT, RIGHT, ROBOT, ROOT
+from unplugged import Unplugged
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.extras import check_extras
+from construction_twin.physics.report import BROKEN, FAILED, PASSED, RehearsalReport, finished
+from construction_twin.planning.timing import time_path
+from construction_twin.planning.work_plan import joined
+from construction_twin.robot.plan import Plan, content_hash
+from construction_twin.robot.segments import Segment
+from construction_twin.ros.messages.convert import plan_to_msg
+from construction_twin.ros.messages.records import from_msg, to_msg
+from construction_twin.ros.messages.scene_convert import scene_to_msg
+from construction_twin.ros.nodes import rehearsal as module
+from construction_twin.ros.nodes.rehearsal import NODE, Settings
+from construction_twin.ros.shared.rehearsal_process import PROGRAM, Body, Question
+from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.scene_change import SceneChange
+from construction_twin.work.worker import Worker, WorkerError
+
+STOCK = SceneObject("beam/0", "box", (0.1, 0.1, 1.0), (1.0, -1.0, 0.5))
+HELD = dataclasses.replace(STOCK, position=(0.0, 0.0, 0.55), link="tool0", touch=("link_6",))
+BUILT = dataclasses.replace(STOCK, position=(1.0, 1.0, 0.5))
+SCENES = [Scene((item,), 0.01) for item in (STOCK, HELD, BUILT)]
+CHANGES = (SceneChange((HELD,)), SceneChange((BUILT,)), SceneChange())
+SETTINGS = Settings(
+    mode="advise",
+    time_limit=60.0,
+    drives=str(ROOT / "config/kr120_drives.yaml"),
+    tool="",
+    self_collision=str(ROOT / "config/kr120_self_collision.yaml"),
+)
+#: No test waits longer than this for what must come [s].
+SOON = 60.0
+
+
+def plain_plan(name: str = "p") -> Plan:
+    return make_plan(time_path(np.array([HOME, RIGHT]), ROBOT), name, SCENES[0].hash)
+
+
+def work_plan() -> Plan:
+    motion, ends = joined([time_path(np.array(pair), ROBOT) for pair in ((HOME, RIGHT), (RIGHT, LEFT), (LEFT, HOME))])
+    hashes = [scene.hash for scene in (*SCENES, SCENES[2])]
+    segments = tuple(
+        Segment(name, end, name == "carry", (), (), *hashes[number : number + 2])
+        for number, (name, end) in enumerate(zip(("fetch", "carry", "home"), ends))
+    )
+    made = make_plan(motion, "w1", hashes[0])
+    return dataclasses.replace(made, hash=content_hash(motion, "t", segments), task="t", segments=segments)
+
+
+class Process:
+    """What rehearses, as the node sees it: it answers at once, or as a test says."""
+
+    def __init__(self):
+        self.questions: list[Question] = []
+        self.prepared = self.closed = 0
+        self.asked, self.interrupted = threading.Event(), threading.Event()
+        self.answers = True
+        self.error: WorkerError | None = None
+        self.interrupts = 0
+
+    def ask_first(self, name, **arguments):
+        assert name == "prepare"
+        self.prepared += 1
+
+    def ask(self, name, question: Question) -> RehearsalReport:
+        assert name == "rehearse"
+        self.questions.append(question)
+        self.asked.set()
+        if self.error is not None:
+            raise self.error
+        if not self.answers:
+            assert self.interrupted.wait(SOON)
+            raise WorkerError("", "signal 9")
+        plan = question.plan
+        return finished(RehearsalReport(plan.id, plan.hash, plan.scene, question.tool, PASSED), 0.1)
+
+    def interrupt(self) -> None:
+        self.interrupts += 1
+        self.interrupted.set()
+
+    def close(self) -> None:
+        self.closed += 1
+        self.interrupted.clear()
+        self.answers = True
+
+
+class Bench:
+    """The node without ROS."""
+
+    def __init__(self, monkeypatch, **changes):
+        self.process = Process()
+        monkeypatch.setattr(module, "Worker", lambda program: self.process)
+        monkeypatch.setattr(module, "check_extras", lambda group: None)
+        monkeypatch.setattr(module, "now_ns", lambda: 5)
+        monkeypatch.setattr(module, "SCENE_DELAY", 0.0)
+        monkeypatch.setattr(module.rospy, "is_shutdown", lambda: False)
+        self.plug = Unplugged(monkeypatch, NODE, SETTINGS.model_copy(update=changes), ROBOT)
+        self.node, self.published = self.plug.node, self.plug.published["rehearsal"]
+
+    def hear_plan(self, plan: Plan, changes=CHANGES) -> None:
+        path = np.zeros((len(plan.trajectory.times), 3))
+        self.plug.callbacks["plan"](plan_to_msg(plan, "base_link", path, changes if plan.segments else ()))
+
+    def hear_scene(self, scene: Scene = SCENES[0]) -> None:
+        self.plug.callbacks["scene"](scene_to_msg(scene, rospy.Time(1), "base_link"))
+
+    @property
+    def newest(self) -> RehearsalReport:
+        return from_msg(RehearsalReport, self.published[-1])
+
+
+@pytest.fixture
+def bench(monkeypatch) -> Bench:
+    return Bench(monkeypatch)
+
+
+class TestWhatIsRehearsed:
+    def test_each_plan_in_the_scene_that_it_begins_in(self, bench):
+        bench.hear_scene()
+        plan = plain_plan()
+        bench.hear_plan(plan)
+        bench.node.work(0.0)
+        (question,) = bench.process.questions
+        assert (question.plan.hash, set(question.scenes)) == (plan.hash, {SCENES[0].hash})
+        found = bench.newest
+        assert (found.plan_id, found.plan_hash, found.scene, found.state, found.stamp) == (
+            "p", plan.hash, SCENES[0].hash, PASSED, 5,
+        )  # fmt: skip
+
+    def test_of_a_work_plan_the_scenes_of_all_its_segments(self, bench):
+        bench.hear_scene()
+        bench.hear_plan(work_plan())
+        bench.node.work(0.0)
+        assert set(bench.process.questions[0].scenes) == {scene.hash for scene in SCENES}
+
+    def test_a_change_that_leads_elsewhere_is_a_broken_rehearsal(self, bench):
+        bench.hear_scene()
+        bench.hear_plan(work_plan(), (SceneChange((BUILT,)), *CHANGES[1:]))
+        bench.node.work(0.0)
+        assert bench.newest.state == BROKEN and SCENES[1].hash in bench.newest.reasons[0]
+        assert bench.process.questions == []
+
+    def test_the_process_is_prepared_once(self, bench):
+        bench.hear_scene()
+        for name in ("p1", "p2"):
+            bench.hear_plan(plain_plan(name))
+            bench.node.work(0.0)
+        assert (bench.process.prepared, len(bench.published)) == (1, 2)
+
+    def test_a_plan_that_is_replaced_before_its_turn_is_left_out(self, bench):
+        bench.hear_scene()
+        bench.hear_plan(plain_plan("p1"))
+        bench.hear_plan(plain_plan("p2"))
+        bench.node.work(0.0)
+        bench.node.work(0.0)
+        assert [question.plan.id for question in bench.process.questions] == ["p2"]
+
+
+class TestMasses:
+    def test_of_the_tool_and_of_what_its_task_carries(self, monkeypatch):
+        bench = Bench(monkeypatch, tool=str(ROOT / "config/tools/vacuum_frame.yaml"))
+        task = WorkTask(id="t", mass_kg=42.0)
+        bench.plug.callbacks["work/tasks"](WorkTasks(tasks=[task, WorkTask(id="u", mass_kg=math.nan)]))
+        bench.hear_scene()
+        bench.hear_plan(work_plan())
+        bench.node.work(0.0)
+        tool, element = bench.process.questions[0].bodies
+        assert tool.mass > 0.0 and all(name.startswith("tool/") for name in tool.names)
+        assert element == Body(("beam/0",), 42.0)
+
+    def test_a_mass_that_nobody_says_is_left_to_the_estimate(self, bench):
+        bench.plug.callbacks["work/tasks"](WorkTasks(tasks=[WorkTask(id="t", mass_kg=math.nan)]))
+        bench.hear_scene()
+        bench.hear_plan(work_plan())
+        bench.node.work(0.0)
+        assert bench.process.questions[0].bodies == ()
+
+    def test_another_mass_is_another_tool_hash(self, bench):
+        bench.hear_scene()
+        for mass in (42.0, 43.0):
+            bench.plug.callbacks["work/tasks"](WorkTasks(tasks=[WorkTask(id="t", mass_kg=mass)]))
+            bench.hear_plan(work_plan())
+            bench.node.work(0.0)
+        assert bench.published[0].tool != bench.published[1].tool
+
+
+class TestBroken:
+    def test_a_process_that_ends_is_an_answer_and_the_next_plan_has_its_own(self, bench):
+        bench.hear_scene()
+        bench.process.error = WorkerError("", "signal 11")
+        bench.hear_plan(plain_plan("p1"))
+        bench.node.work(0.0)
+        assert bench.newest.state == BROKEN and "signal 11" in bench.newest.reasons[0]
+        bench.process.error = None
+        bench.hear_plan(plain_plan("p2"))
+        bench.node.work(0.0)
+        assert (bench.newest.plan_id, bench.newest.state) == ("p2", PASSED)
+
+    def test_one_that_is_late_is_broken_off_and_says_so(self, monkeypatch):
+        bench = Bench(monkeypatch, time_limit=0.01)
+        bench.process.answers = False
+        bench.hear_scene()
+        bench.hear_plan(plain_plan())
+        bench.node.work(0.0)
+        assert bench.newest.state == BROKEN and "0.01 s" in bench.newest.reasons[0]
+        assert bench.process.closed == 1
+
+    def test_a_newer_plan_supersedes_the_one_that_runs(self, bench):
+        bench.process.answers = False
+        bench.hear_scene()
+        bench.hear_plan(plain_plan("p1"))
+        running = threading.Thread(target=bench.node.work, args=(0.0,))
+        running.start()
+        assert bench.process.asked.wait(SOON)
+        bench.hear_plan(plain_plan("p2"))
+        running.join(SOON)
+        assert not running.is_alive() and bench.published == []
+        bench.node.work(0.0)
+        assert (bench.newest.plan_id, bench.newest.state) == ("p2", PASSED)
+
+    def test_a_plan_whose_scene_does_not_come_is_passed_on_without_it(self, bench):
+        bench.hear_plan(plain_plan())
+        bench.node.work(0.0)
+        assert bench.process.questions[0].scenes == {}
+
+    def test_a_message_that_is_no_plan_is_refused_and_counted(self, bench):
+        message = plan_to_msg(plain_plan(), "base_link", np.zeros((2, 3)))
+        message.hash = "0" * 64
+        bench.plug.callbacks["plan"](message)
+        assert [reason for reason, _ in bench.plug.refused] == ["plan"]
+
+
+def test_without_mujoco_it_rests_where_nobody_asked_for_it_and_else_does_not_start(monkeypatch):
+    def missing(group):
+        raise ConfigurationError("mujoco", None, "that it is installed")
+
+    bench = Bench(monkeypatch, mode="auto")
+    monkeypatch.setattr(module, "check_extras", missing)
+    rests = Unplugged(monkeypatch, NODE, SETTINGS.model_copy(update={"mode": "auto"}), ROBOT)
+    rests.callbacks["plan"](plan_to_msg(plain_plan(), "base_link", np.zeros((2, 3))))
+    rests.node.work(0.0)
+    assert rests.published["rehearsal"] == [] and bench.process.questions == []
+    assert "mujoco" in rests.node.report().sentence
+    NODE.check(SETTINGS.model_copy(update={"mode": "auto"}), ROBOT)
+    with pytest.raises(ConfigurationError):
+        NODE.check(SETTINGS, ROBOT)
+
+
+def test_the_process_rehearses_a_plan_and_its_result_crosses_the_topic_unchanged():
+    check_extras("physics")
+    process = Worker(PROGRAM)
+    try:
+        process.ask_first("prepare", robot=ROBOT, self_collision=SETTINGS.self_collision, drives=SETTINGS.drives)
+        plan = plain_plan()
+        question = Question(plan, {SCENES[0].hash: SCENES[0]}, (), "t")
+        report = process.ask("rehearse", question=question)
+        assert (report.state, report.plan_hash, report.tool) == (PASSED, plan.hash, "t"), report.reasons
+        assert [axis.joint for axis in report.axes] == list(ROBOT.joint_names)
+        back = from_msg(RehearsalReport, to_msg(report, Rehearsal))
+        assert finished(back, back.took).hash == report.hash == back.hash
+        assert back == report
+        # a held beam that weighs far more than the arm may carry
+        work = work_plan()
+        scenes = {scene.hash: scene for scene in SCENES}
+        heavy = process.ask("rehearse", question=Question(work, scenes, (Body(("beam/0",), 240.0),), "t"))
+        assert heavy.state == FAILED and heavy.payload.mass == pytest.approx(240.0)
+        assert not heavy.payload.estimated and "240.0 kg" in heavy.reasons[0]
+    finally:
+        process.close()
