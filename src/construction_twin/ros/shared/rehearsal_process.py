@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import signal
+import time
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -91,7 +92,9 @@ def shares(bodies: tuple[Body, ...], scenes: Mapping[str, Scene], robot: RobotBo
 def answer(rehearsal: Rehearsal, question: Question) -> RehearsalReport:
     """Return what a rehearsal finds."""
     masses = shares(question.bodies, question.scenes, rehearsal.bodies)
-    return replace(rehearsal, masses=masses, tool=question.tool).of_plan(question.plan, question.scenes)
+    return replace(rehearsal, masses=masses, tool=question.tool).of_plan(
+        question.plan, question.scenes, time.perf_counter
+    )
 
 
 def _prepare(robot: RobotModel, self_collision: str, drives: str) -> None:
