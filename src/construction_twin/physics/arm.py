@@ -36,11 +36,14 @@ class Servo:
     Attributes:
         omega, zeta: Of the lag [rad/s], [1]; omega 0: none, the arm is where it is told to be.
         saturates: An axis gives no more than its torque; False: what it needs is applied, whatever that is.
+        holds: A setpoint stands for its whole cycle, as the mock's servo has it; False: the drives go to it in a straight line from
+            the one before, which takes 2 ms longer and has no jumps of torque.
     """
 
     omega: float = OMEGA
     zeta: float = ZETA
     saturates: bool = True
+    holds: bool = False
 
 
 class SimulatedArm:
@@ -103,13 +106,15 @@ class SimulatedArm:
         self.physics.follow(self.data)
 
     def cycle(self, setpoint: np.ndarray) -> None:
-        """Advance one cycle of 4 ms to a setpoint, shape (n,) [rad] or [m], in a straight line from the one before."""
+        """Advance one cycle of 4 ms to a setpoint, shape (n,) [rad] or [m]; see `Servo.holds`."""
         for target in self.targets(setpoint):
             self.step(target)
 
     def targets(self, setpoint: np.ndarray) -> list[np.ndarray]:
         """Return what `step` takes in one cycle to a setpoint, shape (n,)."""
         begin, steps = self.setpoint, self.steps_per_cycle
+        if self._servo.holds:
+            return [setpoint] * steps
         return [begin + (setpoint - begin) * (number / steps) for number in range(1, steps + 1)]
 
     def step(self, setpoint: np.ndarray) -> None:

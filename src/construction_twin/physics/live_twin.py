@@ -28,7 +28,7 @@ class LiveTwin:
         diverged: How often the state became useless and the arm was put at rest where it was commanded to be.
     """
 
-    def __init__(self, servo: Servo = Servo()):
+    def __init__(self, servo: Servo = Servo(holds=True)):
         self._servo = servo
         self._arm: SimulatedArm | None = None
         self._model: PhysicsModel | None = None

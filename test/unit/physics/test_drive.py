@@ -34,7 +34,7 @@ def test_the_file_of_the_kr120_is_read_in_the_order_of_its_joints():
 @pytest.mark.parametrize(
     "path, value",
     [
-        ("robot", "kr210"),
+        ("robot", None),
         ("source", None),
         ("joints/joint_a3", None),
         ("joints/joint_a7", {"torque_nm": 1.0}),

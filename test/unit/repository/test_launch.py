@@ -165,7 +165,7 @@ def test_a_kinematic_twin_has_one_pose_and_nobody_reads_another():
     [
         ((), "config/kr120_drives.yaml"),
         (("track:=true",), ""),
-        (("robot:=another",), ""),
+        (("robot:=another",), "config/kr120_drives.yaml"),
         (("robot_xacro:=/an/arm.xacro",), ""),
     ],
 )

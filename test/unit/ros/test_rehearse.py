@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -49,15 +50,15 @@ def with_graphics():
 def test_a_plan_that_passes_ends_with_0_and_names_axes_load_and_estimates(plan, capsys):
     assert main([str(plan), "--payload", "40,0,0,0.2"]) == PASSED
     said = capsys.readouterr().out
-    assert said.startswith("passed")
-    for words in ("joint_a1", "joint_a6", "40.0 kg", "200 mm", "120 kg", "* an estimate", "armature"):
+    assert re.match(r"rehearsal of plan \w+: passed", said)
+    for words in ("joint_a1", "joint_a6", "40.0 kg", "200 mm", "120.0 kg", "~ an estimate", "armature"):
         assert words in said
 
 
 def test_a_wall_in_the_way_ends_with_1_and_is_named(plan, wall, capsys):
     assert main([str(plan), "--scene", str(wall)]) == FAILED
     said = capsys.readouterr().out
-    assert said.startswith("failed")
+    assert re.match(r"rehearsal of plan \w+: failed", said)
     assert "touches wall after" in said
 
 
@@ -105,7 +106,7 @@ def test_a_file_that_is_no_plan_ends_with_2(plan, text, capsys):
 
 def test_an_object_with_a_mass_can_be_pushed(plan, wall, capsys):
     assert main([str(plan), "--scene", str(wall), "--mass", "wall=30"]) == FAILED
-    assert "never held" in capsys.readouterr().out
+    assert "object wall: stands, moved" in capsys.readouterr().out
 
 
 def test_the_picture_shows_the_arm_and_in_red_what_touches(plan, wall, tmp_path, with_graphics):
@@ -136,7 +137,7 @@ def test_without_graphics_everything_but_the_picture_is_there(plan, tmp_path, mo
     picture = tmp_path / "out.png"
     assert main([str(plan), "--picture", str(picture)]) == PASSED
     said = capsys.readouterr()
-    assert said.out.startswith("passed")
+    assert re.match(r"rehearsal of plan \w+: passed", said.out)
     assert said.err.startswith("rehearse: no picture can be drawn here: no_such_way")
     assert not picture.exists()
 
@@ -148,4 +149,4 @@ def test_it_needs_no_ros_master(plan):
         [sys.executable, "-c", program, str(plan)], env=environment, capture_output=True, text=True, timeout=120
     )
     assert done.returncode == PASSED, done.stderr
-    assert done.stdout.startswith("passed")
+    assert re.match(r"rehearsal of plan \w+: passed", done.stdout)

@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import signal
-import time
 import sys
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
