@@ -54,8 +54,10 @@ def expect_open(page: Page) -> None:
     expect(page.locator("body.is-locked")).to_have_count(0)
 
 
-def may_scroll(page: Page) -> int:
-    return page.locator("#verdict").evaluate("(it) => it.scrollHeight - it.clientHeight")
+def open_checks(thumb: Thumb) -> None:
+    """Bring the checks into view and open them: without a picture they are what a person looks at."""
+    thumb.swipe(thumb.page.locator(".playback-play"), 100)
+    thumb.tap(thumb.page.locator(".verdict-checks summary"), "checks")
 
 
 @pytest.mark.parametrize("language", ("en", "de"))
@@ -84,3 +86,83 @@ def test_from_the_pin_to_an_approved_plan_a_thumb_needs_less_than_fifteen_second
     for touch in thumb.touches:
         print(f"  {touch.seconds:.1f} s {touch.what}")
     assert thumb.seconds < LONGEST
+
+
+def test_a_finger_that_slides_off_approves_nothing(phone_of, robot):
+    console = phone_of(UPRIGHT, picture=False)
+    thumb = Thumb(console.page)
+    robot.show_plan()
+    open_checks(thumb)
+    x, y = thumb.down(console.approve_button, "approve", LARGE)
+    expect(console.approve_button).to_have_class("verdict-approve is-pressing")
+    # to the sentence at the top, with the finger still down
+    thumb.slide((x, y), (x, 120))
+    expect(console.notice).to_contain_text("released before the second was over")
+    expect(console.notice).to_be_in_viewport()
+    # nor when it comes back
+    thumb.slide((x, 120), (x, y))
+    expect(console.approve_button).to_have_class("verdict-approve")
+    thumb.up()
+    assert not robot.payloads("review") and robot.plan is not None
+
+
+def test_a_hold_of_less_than_a_second_approves_nothing(phone_of, robot):
+    console = phone_of(UPRIGHT, picture=False)
+    page, thumb = console.page, Thumb(console.page)
+    robot.show_plan()
+    open_checks(thumb)
+    page.evaluate(
+        """() => { for (const kind of ["pointerdown", "pointerup"]) {
+          document.addEventListener(kind, () => { window[kind] = performance.now(); }, {capture: true}); } }"""
+    )
+    # again, with another plan, where this machine was too busy to lift the finger in time
+    for _ in range(5):
+        thumb.down(console.approve_button, "approve", LARGE)
+        console.wait_for("() => Number(document.querySelector('.verdict-approve').style.getPropertyValue('--held')) >= 0.5")
+        thumb.up()
+        if page.evaluate("window.pointerup - window.pointerdown") < 990:
+            break
+        robot.show_plan()
+        open_checks(thumb)
+    expect(console.notice).to_contain_text("released before the second was over")
+    expect(console.notice).to_be_in_viewport()
+    assert not robot.payloads("review") and robot.plan is not None
+
+
+def test_a_thumb_that_scrolls_presses_nothing(page_of, site, robot):
+    console = page_of(size=UPRIGHT, has_touch=True, is_mobile=True)
+    console.login("dora", site.password("dora"))
+    page, thumb = console.page, Thumb(console.page)
+    robot.show_plan()
+    panel = page.locator("#verdict")
+    expect(panel.locator(".verdict")).to_be_visible()
+
+    def swipe_over(name: str) -> None:
+        """Bring what has a name to the middle of what can be seen of the panel, and scroll with the thumb on it."""
+        target = panel.locator(name).first
+        # half of what stands above the approve button, which covers the rest
+        panel.evaluate(
+            """(it, name) => { const above = it.querySelector(".verdict-act").offsetHeight;
+              it.scrollTop += it.querySelector(name).getBoundingClientRect().top - it.getBoundingClientRect().top - (it.clientHeight - above) / 3; }""",
+            name,
+        )
+        before = panel.evaluate("(it) => it.scrollTop")
+        thumb.swipe(target, 60)
+        wait_until(lambda: panel.evaluate("(it) => it.scrollTop") > before, PATIENCE_S, f"scrolling over {name}")
+
+    for name in (".playback-play", ".playback-slider", ".verdict-checks summary", ".speed-slider", ".speed-step"):
+        swipe_over(name)
+    expect(panel.locator(".playback-play")).to_have_text("Play")
+    expect(panel.locator(".verdict-checks[open]")).to_have_count(0)
+    expect(panel.locator(".speed-slider")).to_have_value("100")
+    expect(panel.locator(".speed-result")).to_have_text("")
+    assert not robot.payloads("speed") and not robot.payloads("review")
+    # and who means the slider is heard: a finger that goes along it
+    at = panel.locator(".speed-slider").bounding_box()
+    assert at is not None
+    panel.locator(".speed-slider").scroll_into_view_if_needed()
+    x, y = thumb.down(panel.locator(".speed-slider"), "the slider")
+    thumb.slide((x, y), (x + at["width"] / 5, y))
+    thumb.up()
+    expect(panel.locator(".speed-result")).to_contain_text("done")
+    assert robot.payloads("speed")

@@ -202,6 +202,10 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     reject.disabled = !free || !named || reason() === "";
     pick.disabled = words.disabled = !free;
     showNotice(machine);
+    // what became of a press stands where it was pressed, in view as the button is; its place is the hint's, so that nothing moves
+    if (area.hidden || act.hidden) area.after(notice);
+    else if (notice.parentElement !== act) hint.before(notice);
+    hint.hidden = why === "" && !notice.hidden && notice.parentElement === act;
   };
 
   const showNotice = ({notice: said, state, sent}) => {
