@@ -78,7 +78,9 @@ def test_from_the_pin_to_an_approved_plan_a_thumb_needs_less_than_fifteen_second
         thumb.hold(console.approve_button, "approve", console.notice)
         if not console.is_disturbed():
             break
-    expect(console.notice).to_contain_text(words(language, "verdict.accepted", verdict=words(language, "verdict.word.approved"), reason="").strip())
+    expect(console.notice).to_contain_text(
+        words(language, "verdict.accepted", verdict=words(language, "verdict.word.approved"), reason="").strip()
+    )
     expect(console.notice).to_be_in_viewport()
     wait_until(lambda: robot.verdicts, PATIENCE_S, "the verdict")
     assert robot.verdicts == [(PERSON, "approved", plan.id)]
@@ -118,7 +120,9 @@ def test_a_hold_of_less_than_a_second_approves_nothing(phone_of, robot):
     # again, with another plan, where this machine was too busy to lift the finger in time
     for _ in range(5):
         thumb.down(console.approve_button, "approve", LARGE)
-        console.wait_for("() => Number(document.querySelector('.verdict-approve').style.getPropertyValue('--held')) >= 0.5")
+        console.wait_for(
+            "() => Number(document.querySelector('.verdict-approve').style.getPropertyValue('--held')) >= 0.5"
+        )
         thumb.up()
         if page.evaluate("window.pointerup - window.pointerdown") < 990:
             break
@@ -142,13 +146,16 @@ def test_a_thumb_that_scrolls_presses_nothing(page_of, site, robot):
         target = panel.locator(name).first
         # half of what stands above the approve button, which covers the rest
         panel.evaluate(
-            """(it, name) => { const above = it.querySelector(".verdict-act").offsetHeight;
-              it.scrollTop += it.querySelector(name).getBoundingClientRect().top - it.getBoundingClientRect().top - (it.clientHeight - above) / 3; }""",
+            """(it, name) => {
+              const above = it.querySelector(".verdict-act").offsetHeight;
+              const top = it.querySelector(name).getBoundingClientRect().top - it.getBoundingClientRect().top;
+              it.scrollTop += top - (it.clientHeight - above) / 3;
+            }""",
             name,
         )
-        before = panel.evaluate("(it) => it.scrollTop")
-        thumb.swipe(target, 60)
-        wait_until(lambda: panel.evaluate("(it) => it.scrollTop") > before, PATIENCE_S, f"scrolling over {name}")
+        before, most = panel.evaluate("(it) => [it.scrollTop, it.scrollHeight - it.clientHeight]")
+        thumb.swipe(target, 60 if before < most - 60 else -60)
+        wait_until(lambda: panel.evaluate("(it) => it.scrollTop") != before, PATIENCE_S, f"scrolling over {name}")
 
     for name in (".playback-play", ".playback-slider", ".verdict-checks summary", ".speed-slider", ".speed-step"):
         swipe_over(name)

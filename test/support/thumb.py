@@ -1,4 +1,4 @@
-"""A thumb on a page for tests: real touches through the browser's own input, each on what a person sees, and the time that they take.
+"""A thumb on a page for tests: real touches through the browser's own input, on what a person sees, and the time that they take.
 
 A thumb in a glove needs `REACH` to find and touch a place; a hold takes as long as the page wants it to. How fast this machine is
 stands in neither.
@@ -93,7 +93,7 @@ class Thumb:
         self._input.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": [], **more})
 
     def swipe(self, target: Locator, way: float) -> None:
-        """Scroll as a thumb does that begins on a target: `way` pixels up, and it rests before it is lifted, so that nothing goes on."""
+        """Scroll by `way` pixels up, as a thumb does that begins on a target and rests before it is lifted."""
         x, y = self.place(target, "a swipe", 0)
         steps, begin = 10, time.time() - 1.0
         self._send("touchStart", (x, y), timestamp=begin)
