@@ -209,6 +209,11 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   };
 
   const showNotice = ({notice: said, state, sent}) => {
+    // what was said before a press is void with it; its place stays, so that the button does not move under the finger
+    if (state === "pressing" && !notice.hidden) {
+      notice.classList.add("is-void");
+      return;
+    }
     const sending = state === "sending" || state === "waiting";
     notice.hidden = said === null && !sending;
     if (notice.hidden) {
