@@ -54,10 +54,10 @@ def expect_open(page: Page) -> None:
     expect(page.locator("body.is-locked")).to_have_count(0)
 
 
-def play_to_the_end(console: ConsolePage, thumb: Thumb) -> None:
-    console.wait_drawn("one")
-    thumb.tap(console.page.locator(".playback-play"), "play")
-    expect(console.approve_button).to_be_enabled()
+def open_checks(thumb: Thumb) -> None:
+    """Bring the checks into view and open them: without a picture they are what a person looks at."""
+    thumb.swipe(thumb.page.locator(".playback-play"), 100)
+    thumb.tap(thumb.page.locator(".verdict-checks summary"), "checks")
 
 
 @pytest.mark.parametrize("language", ("en", "de"))
@@ -71,8 +71,9 @@ def test_from_the_pin_to_an_approved_plan_a_thumb_needs_less_than_fifteen_second
     thumb = Thumb(page)
     type_pin(thumb)
     expect_open(page)
+    console.wait_drawn("one")
     # what the second of "shown" and the plan's playing take is the plan's own time: it plays for longer than that
-    play_to_the_end(console, thumb)
+    thumb.tap(page.locator(".playback-play"), "play")
     while not robot.verdicts:
         thumb.hold(console.approve_button, "approve", console.notice)
         if not console.is_disturbed():
@@ -90,15 +91,16 @@ def test_from_the_pin_to_an_approved_plan_a_thumb_needs_less_than_fifteen_second
 
 
 def test_a_finger_that_slides_off_approves_nothing(phone_of, robot):
-    console = phone_of(UPRIGHT)
+    console = phone_of(UPRIGHT, picture=False)
     thumb = Thumb(console.page)
     robot.show_plan()
-    play_to_the_end(console, thumb)
+    open_checks(thumb)
     x, y = thumb.down(console.approve_button, "approve", LARGE)
     expect(console.approve_button).to_have_class("verdict-approve is-pressing")
     # to the sentence at the top, with the finger still down
     thumb.slide((x, y), (x, 120))
     expect(console.notice).to_contain_text("released before the second was over")
+    expect(console.notice).to_be_in_viewport()
     # nor when it comes back
     thumb.slide((x, 120), (x, y))
     expect(console.approve_button).to_have_class("verdict-approve")
@@ -107,24 +109,27 @@ def test_a_finger_that_slides_off_approves_nothing(phone_of, robot):
 
 
 def test_a_hold_of_less_than_a_second_approves_nothing(phone_of, robot):
-    console = phone_of(UPRIGHT)
+    console = phone_of(UPRIGHT, picture=False)
     page, thumb = console.page, Thumb(console.page)
     robot.show_plan()
-    play_to_the_end(console, thumb)
+    open_checks(thumb)
     page.evaluate(
-        """() => {
-          window.presses = [];
-          addEventListener("pointerdown", () => window.presses.push({down: performance.now()}), true);
-          addEventListener("pointerup", () => { window.presses.at(-1).up = performance.now(); }, true);
-        }"""
+        """() => { for (const kind of ["pointerdown", "pointerup"]) {
+          document.addEventListener(kind, () => { window[kind] = performance.now(); }, {capture: true}); } }"""
     )
-    place = thumb.down(console.approve_button, "approve", LARGE)
-    thumb.up()
-    press = page.evaluate("window.presses.at(-1)")
-    # on a machine that was busy meanwhile it was a hold, which says nothing here
-    if press["up"] - press["down"] >= 1000.0:
-        pytest.skip(f"the touch at {place} took {press['up'] - press['down']:.0f} ms")
+    # again, with another plan, where this machine was too busy to lift the finger in time
+    for _ in range(5):
+        thumb.down(console.approve_button, "approve", LARGE)
+        console.wait_for(
+            "() => Number(document.querySelector('.verdict-approve').style.getPropertyValue('--held')) >= 0.5"
+        )
+        thumb.up()
+        if page.evaluate("window.pointerup - window.pointerdown") < 990:
+            break
+        robot.show_plan()
+        open_checks(thumb)
     expect(console.notice).to_contain_text("released before the second was over")
+    expect(console.notice).to_be_in_viewport()
     assert not robot.payloads("review") and robot.plan is not None
 
 
@@ -135,19 +140,36 @@ def test_a_thumb_that_scrolls_presses_nothing(page_of, site, robot):
     robot.show_plan()
     panel = page.locator("#verdict")
     expect(panel.locator(".verdict")).to_be_visible()
-    for name in (".playback-play", ".verdict-checks summary"):
-        # in the middle of what is left above the approve button
+
+    def swipe_over(name: str) -> None:
+        """Bring what has a name to the middle of what can be seen of the panel, and scroll with the thumb on it."""
+        target = panel.locator(name).first
+        # half of what stands above the approve button, which covers the rest
         panel.evaluate(
             """(it, name) => {
-              it.scrollTop = 0;
-              const height = it.clientHeight - it.querySelector(".verdict-act").offsetHeight;
-              it.scrollTop = it.querySelector(name).getBoundingClientRect().top - it.getBoundingClientRect().top - height / 3;
+              const above = it.querySelector(".verdict-act").offsetHeight;
+              const top = it.querySelector(name).getBoundingClientRect().top - it.getBoundingClientRect().top;
+              it.scrollTop += top - (it.clientHeight - above) / 3;
             }""",
             name,
         )
-        before = panel.evaluate("(it) => it.scrollTop")
-        thumb.swipe(panel.locator(name).first, 60)
-        wait_until(lambda: panel.evaluate("(it) => it.scrollTop") > before, PATIENCE_S, f"scrolling over {name}")  # noqa: B023
-    assert page.locator(".verdict-checks").get_attribute("open") is None
-    expect(page.locator(".playback-play")).to_have_text("Play")
-    assert not robot.payloads("review")
+        before, most = panel.evaluate("(it) => [it.scrollTop, it.scrollHeight - it.clientHeight]")
+        thumb.swipe(target, 60 if before < most - 60 else -60)
+        wait_until(lambda: panel.evaluate("(it) => it.scrollTop") != before, PATIENCE_S, f"scrolling over {name}")
+
+    for name in (".playback-play", ".playback-slider", ".verdict-checks summary", ".speed-slider", ".speed-step"):
+        swipe_over(name)
+    expect(panel.locator(".playback-play")).to_have_text("Play")
+    expect(panel.locator(".verdict-checks[open]")).to_have_count(0)
+    expect(panel.locator(".speed-slider")).to_have_value("100")
+    expect(panel.locator(".speed-result")).to_have_text("")
+    assert not robot.payloads("speed") and not robot.payloads("review")
+    # and who means the slider is heard: a finger that goes along it
+    at = panel.locator(".speed-slider").bounding_box()
+    assert at is not None
+    panel.locator(".speed-slider").scroll_into_view_if_needed()
+    x, y = thumb.down(panel.locator(".speed-slider"), "the slider")
+    thumb.slide((x, y), (x + at["width"] / 5, y))
+    thumb.up()
+    expect(panel.locator(".speed-result")).to_contain_text("done")
+    assert robot.payloads("speed")

@@ -6,6 +6,7 @@ stands in neither.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 
 from playwright.sync_api import Locator, Page, expect
@@ -16,6 +17,18 @@ REACH = 0.8
 HOLD = 1.0
 #: Least side of a target [px], and of stop, pause and approve.
 LEAST, LARGE = 44, 64
+#: Resolves once an element has stood still for some frames.
+_AT_REST = """(it) => new Promise((resolve) => {
+  let [last, still] = [NaN, 0];
+  const look = () => {
+    const {top} = it.getBoundingClientRect();
+    still = top === last ? still + 1 : 0;
+    last = top;
+    if (still > 5) resolve();
+    else requestAnimationFrame(look);
+  };
+  look();
+})"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,15 +89,18 @@ class Thumb:
         for k in range(1, steps + 1):
             self._send("touchMove", tuple(a + (b - a) * k / steps for a, b in zip(begin, end)))
 
-    def up(self) -> None:
-        self._input.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    def up(self, **more: float) -> None:
+        self._input.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": [], **more})
 
     def swipe(self, target: Locator, way: float) -> None:
-        """Scroll as a thumb does that begins on a target: `way` pixels up."""
+        """Scroll by `way` pixels up, as a thumb does that begins on a target and rests before it is lifted."""
         x, y = self.place(target, "a swipe", 0)
-        self._send("touchStart", (x, y))
-        self.slide((x, y), (x, y - way))
-        self.up()
+        steps, begin = 10, time.time() - 1.0
+        self._send("touchStart", (x, y), timestamp=begin)
+        for k in range(1, steps + 1):
+            self._send("touchMove", (x, y - way * k / steps), timestamp=begin + 0.02 * k)
+        self.up(timestamp=begin + 0.9)
+        target.evaluate(_AT_REST)
         self.touches.append(Touch("a swipe", REACH))
 
     def place(self, target: Locator, what: str, least: int) -> tuple[float, float]:
@@ -98,6 +114,6 @@ class Thumb:
         assert target.evaluate(hit, [x, y]), f"{what} is covered at {x}, {y}"
         return x, y
 
-    def _send(self, kind: str, place: tuple[float, ...]) -> None:
+    def _send(self, kind: str, place: tuple[float, ...], **more: float) -> None:
         x, y = place
-        self._input.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": x, "y": y}]})
+        self._input.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": x, "y": y}], **more})

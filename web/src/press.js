@@ -11,8 +11,8 @@
  */
 export function onHold(element, press, release) {
   element.addEventListener("pointerdown", (event) => {
-    // the browser keeps a touch for the element that it began on, and would not tell that the finger has left it
-    if (event.target.hasPointerCapture?.(event.pointerId)) event.target.releasePointerCapture(event.pointerId);
+    // a browser keeps a touch for what it began on, the words in the button maybe, and would not tell that the finger has left it
+    if (event.target?.hasPointerCapture?.(event.pointerId)) event.target.releasePointerCapture(event.pointerId);
     if (event.button === 0 || event.button === undefined) press();
   });
   for (const kind of ["pointerup", "pointercancel", "pointerleave", "blur"]) element.addEventListener(kind, () => release());

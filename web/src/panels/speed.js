@@ -8,6 +8,8 @@ import * as speed from "../speed_state.js";
 import {browser} from "./clock.js";
 
 const TICK_EVERY = 50;
+/** A finger that has gone so far along the slider drags it [px]. */
+const ALONG = 10;
 const BAD = ["refused", "expired", "silent", "not_sent", "no_right", "unknown"];
 
 /** Return what the robot says of the limit in force, as sentences. */
@@ -103,7 +105,7 @@ export function make(parent, store, connection, texts, {now, every, time = brows
     who.hidden = second === "";
     setText(who, second);
     const at = speed.handle(record, people);
-    if (Number(slider.value) !== at) slider.value = String(at);
+    if (finger === null && Number(slider.value) !== at) slider.value = String(at);
     slider.setAttribute("aria-valuetext", texts("speed.percent", {percent: String(at)}));
     setText(shown, texts("speed.percent", {percent: String(at)}));
     slider.disabled = less.disabled = more.disabled = reason !== "";
@@ -126,11 +128,28 @@ export function make(parent, store, connection, texts, {now, every, time = brows
 
   // -- the person
 
-  for (const kind of ["input", "change"]) {
-    slider.addEventListener(kind, () => {
-      if (Number(slider.value) !== place()) move(Number(slider.value));
-    });
-  }
+  // a finger that begins to scroll on the slider moves its handle at once: what it means is known when it moves along, or is lifted
+  let finger = null;
+  const slide = () => {
+    if (finger === null && Number(slider.value) !== place()) move(Number(slider.value));
+  };
+  for (const kind of ["input", "change"]) slider.addEventListener(kind, slide);
+  slider.addEventListener("pointerdown", (event) => {
+    finger = event.pointerType === "touch" ? event.clientX : null;
+  });
+  slider.addEventListener("pointermove", (event) => {
+    if (finger === null || Math.abs(event.clientX - finger) < ALONG) return;
+    finger = null;
+    slide();
+  });
+  slider.addEventListener("pointerup", () => {
+    finger = null;
+    slide();
+  });
+  slider.addEventListener("pointercancel", () => {
+    finger = null;
+    slider.value = String(place());
+  });
   const press = () => {
     const robot = store.selected;
     if (robot !== "" && why(robot) === "") take(robot, speed.held(recordOf(robot), peopleOf(robot), now()));

@@ -205,9 +205,18 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     reject.disabled = !free || !named || reason() === "";
     pick.disabled = words.disabled = !free;
     showNotice(machine);
+    // what became of a press stands where it was pressed, in view as the button is; its place is the hint's, so that nothing moves
+    if (area.hidden || act.hidden) area.after(notice);
+    else if (notice.parentElement !== act) hint.before(notice);
+    hint.hidden = why === "" && !notice.hidden && notice.parentElement === act;
   };
 
   const showNotice = ({notice: said, state, sent}) => {
+    // what was said before a press is void with it; its place stays, so that the button does not move under the finger
+    if (state === "pressing" && !notice.hidden) {
+      notice.classList.add("is-void");
+      return;
+    }
     const sending = state === "sending" || state === "waiting";
     notice.hidden = said === null && !sending;
     if (notice.hidden) {
