@@ -39,7 +39,9 @@ def test_a_field_reaches_the_services_field_of_its_name_and_a_goal_is_formed():
 
 def test_a_verdict_has_the_same_fields_from_a_terminal_and_from_a_tablet():
     verdict = ReviewRequest("p", "h", "approved", "Ada", "fine", moment="c0ffee00-5000")
-    given = {"plan_id": "p", "plan_hash": "h", "approve": True, "reviewer": "Ada", "reason": "fine"}
+    given = {
+        "plan_id": "p", "plan_hash": "h", "approve": True, "reviewer": "Ada", "reason": "fine", "override_rehearsal": False,
+    }  # fmt: skip
     assert request_fields(ReviewPlan, verdict) == given
     assert request_fields(ReviewFromScreen, verdict) == given | {"moment": "c0ffee00-5000"}
 

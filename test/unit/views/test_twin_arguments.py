@@ -265,7 +265,7 @@ def completed(tmp_path, capsys):
     "line, offers",
     [
         ("twin st", ["status", "stop"]),
-        ("twin --robot a re", ["reject", "reset", "resume"]),
+        ("twin --robot a re", ["rehearsal", "reject", "reset", "resume"]),
         ("twin plan --j", ["--joints"]),
         ("twin approve --w", ["--wait"]),
         ("twin --completion ", ["bash", "zsh"]),
