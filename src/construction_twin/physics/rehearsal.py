@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import mujoco
 import numpy as np
 
+from construction_twin.core.axis_name import axis_name
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import CYCLE
@@ -169,6 +170,7 @@ class _Run:
         self._remarks: list[str] = []
 
     def report(self, named: RehearsalReport, clock: Callable[[], float]) -> RehearsalReport:
+        """Play the whole plan, let everything come to rest, and return `named` with what was found."""
         times = np.arange(math.ceil(self._trajectory.duration / CYCLE - 1e-9) + 1) * CYCLE
         setpoints = self._trajectory.sample_many(times)[0]
         arm: SimulatedArm | None = None
@@ -197,11 +199,7 @@ class _Run:
 
     def _arm(self, scene: Scene, pose: np.ndarray, before: SimulatedArm | None, begin: float) -> SimulatedArm:
         """Return the arm in a scene, from `begin` [s] on; what was let go goes on from where it is."""
-        loose = frozenset((self._handled | {*self._of.masses}) & set(scene.names))
-        physics = build_model(
-            self._of.bodies, scene, self._of.self_collision, self._of.drives,
-            Load(self._of.masses, loose, self._of.flange), self._of.gravity,
-        )  # fmt: skip
+        physics = self._model(scene, frozenset((self._handled | {*self._of.masses}) & set(scene.names)))
         self._remarks += physics.remarks
         if physics.payload is not None:
             self._payloads.append(physics.payload)
@@ -221,6 +219,11 @@ class _Run:
         for name in physics.loose:
             self._before.setdefault(name, _loose_state(arm, name)[0])
         return arm
+
+    def _model(self, scene: Scene, loose: frozenset[str]) -> PhysicsModel:
+        of = self._of
+        load = Load(of.masses, loose, of.flange)
+        return build_model(of.bodies, scene, of.self_collision, of.drives, load, of.gravity)
 
     def _play(self, arm: SimulatedArm, times: np.ndarray, setpoints: np.ndarray) -> float | None:
         """Play setpoints; note each cycle's torques, and every step's contacts; return when it came apart [s], None if not."""
@@ -323,7 +326,7 @@ class _Run:
                     float(abs(gravity[at, joint]) / peak) if peak else 0.0,
                     limits[joint] or 0.0,
                     "torque" in self._of.drives.estimates,
-                )  # fmt: skip
+                )
             )
         payload = _heaviest(self._payloads, self._of)
         off = int(np.argmax(self._off))
@@ -351,10 +354,7 @@ class _Run:
             return Braking(time=number * CYCLE)
         part = next(part for part in self._parts if part is self._parts[-1] or number * CYCLE < part.end)
         # how far the arm goes on, whatever stands in the way
-        physics = build_model(
-            self._of.bodies, part.scene, self._of.self_collision, self._of.drives,
-            Load(self._of.masses, frozenset(), self._of.flange), self._of.gravity,
-        )  # fmt: skip
+        physics = self._model(part.scene, frozenset())
         physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         arm = SimulatedArm(physics, self._poses[number], Servo(omega=0.0, saturates=False))
         arm.begin_with(speed)
@@ -420,7 +420,7 @@ def _reasons(report: RehearsalReport, limits: Limits, linear: Set[str]) -> Itera
             unit = "N" if axis.joint in linear else "Nm"
             yield Sentence(
                 "rehearsal.torque",
-                joint=axis.joint,
+                joint=axis_name(axis.joint),
                 peak=Quantity(axis.peak, unit),
                 limit=Quantity(axis.limit, unit),
                 percent=axis.usage * 100.0,
@@ -450,7 +450,7 @@ def _reasons(report: RehearsalReport, limits: Limits, linear: Set[str]) -> Itera
             )
     if report.tracking > LARGEST_TRACKING and not report.contacts:
         error = Quantity(report.tracking, "m" if report.tracking_joint in linear else "rad")
-        yield Sentence("rehearsal.tracking", joint=report.tracking_joint, error=error)
+        yield Sentence("rehearsal.tracking", joint=axis_name(report.tracking_joint), error=error)
 
 
 def _heaviest(payloads: Sequence[MassProperties], of: Rehearsal) -> PayloadLoad:

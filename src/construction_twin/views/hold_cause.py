@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-import re
 import time
 
+from construction_twin.core.axis_name import axis_name
 from construction_twin.core.reports import HoldReport
 from construction_twin.core.sentences import Sentence, understood
 from construction_twin.core.units import NANOSECONDS
-
-#: An axis as KUKA and ROS-Industrial name it.
-_AXIS = re.compile(r"joint_([ae][1-9])")
-
-
-def axis_name(joint: str) -> str:
-    """Return what a person at the arm calls a joint: ``A3`` for ``joint_a3``; another name stays."""
-    found = _AXIS.fullmatch(joint)
-    return found[1].upper() if found else joint
 
 
 def hold_cause(hold: HoldReport | None) -> str:

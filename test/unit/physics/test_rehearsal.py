@@ -90,7 +90,7 @@ def test_a_motion_that_is_too_fast_for_a_drive_names_axis_and_time():
     report = rehearse(between(READY, READY + np.array((0, 0, 0, 0, 0, 3.0)), 1.0), drives=weak)
     assert report.state == FAILED
     (torque,) = [one for one in report.reasons if one.key == "rehearsal.torque"]
-    assert torque.values["joint"] == "joint_a6"
+    assert torque.values["joint"] == "A6"
     assert report.axes[5].usage > 1.0
     assert torque.values["peak"].value == report.axes[5].peak
     assert report.worst_time == report.axes[5].time

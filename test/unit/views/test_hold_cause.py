@@ -6,9 +6,10 @@ import time
 
 import pytest
 
+from construction_twin.core.axis_name import axis_name
 from construction_twin.core.reports import HoldReport
 from construction_twin.core.sentences import Quantity, Sentence
-from construction_twin.views.hold_cause import axis_name, hold_cause
+from construction_twin.views.hold_cause import hold_cause
 
 SINCE = 1_795_369_597_396_012_345
 

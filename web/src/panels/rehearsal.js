@@ -5,6 +5,8 @@
  */
 import {add, clear, setText} from "../dom.js";
 
+/** What a person at the arm calls a joint, as core/axis_name.py says it in sentences: A3 for joint_a3. */
+const axisName = (joint) => /^joint_([ae][1-9])$/.exec(joint)?.[1].toUpperCase() ?? joint;
 const percentOf = (fraction) => (100 * fraction).toFixed(0);
 const usage = ({peak, limit}) => (limit > 0 ? peak / limit : 0);
 
@@ -20,7 +22,7 @@ export function headline(rehearsal, texts) {
   if (rehearsal.state !== "passed") return texts(rehearsal.state === "failed" ? "verdict.rehearsal.line.failed" : "verdict.rehearsal.line.broken");
   if (known.length === 0) return texts("verdict.rehearsal.line.passed");
   const worst = known.reduce((most, axis) => (usage(axis) > usage(most) ? axis : most));
-  return texts("verdict.rehearsal.line.largest", {percent: percentOf(usage(worst)), joint: worst.joint});
+  return texts("verdict.rehearsal.line.largest", {percent: percentOf(usage(worst)), joint: axisName(worst.joint)});
 }
 
 /** Return what else was found, one sentence each. */
@@ -64,7 +66,7 @@ export function make(parent, texts) {
     for (const reason of rehearsal.reasons) add(why, "li", {text: texts.reason(reason)});
     for (const axis of rehearsal.axes) {
       const item = add(bars, "li", {className: usage(axis) > 1 ? "is-bad" : ""});
-      const values = {joint: axis.joint, peak: axis.peak.toFixed(0), gravity: percentOf(axis.gravity)};
+      const values = {joint: axisName(axis.joint), peak: axis.peak.toFixed(0), gravity: percentOf(axis.gravity)};
       const limit = `${axis.limit.toFixed(0)}${axis.estimated ? "~" : ""}`;
       add(item, "span", {text: axis.limit > 0 ? texts("verdict.rehearsal.axis", {...values, limit, percent: percentOf(usage(axis))})
         : texts("verdict.rehearsal.axis_unknown", values)});
