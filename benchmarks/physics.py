@@ -118,10 +118,11 @@ class Bench:
         model, arm = self._pinocchio(), SimulatedArm(physics, START, Servo(saturates=False))
         data, found, path = model.createData(), [], []
         for setpoint in self.motion(2.0).sample_many(np.arange(0.0, 2.0, CYCLE))[0]:
-            for target in arm.targets(setpoint):
-                path.append(arm.q)
-                arm.step(target)
+            path.append(arm.q)
+            for _step in arm.steps(setpoint):
                 found.append(arm.needed)
+                path.append(arm.q)
+            path.pop()
         step = physics.model.opt.timestep
         speed = np.gradient(path, step, axis=0)
         states = np.stack((path, speed, np.gradient(speed, step, axis=0)))[:, :, np.argsort(self.bodies.order)]

@@ -11,6 +11,7 @@ drives let it.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -24,7 +25,8 @@ from construction_twin.robot.description import JointValues
 #: Of the lag, as of `mock.servo.RealisticServo`: natural frequency [rad/s] and damping.
 OMEGA, ZETA = 60.0, 0.8
 #: Of the correction: natural frequency [rad/s]; it is damped critically.
-STIFFNESS = 150.0
+_FREQUENCY = 150.0
+_STIFFNESS, _DAMPING = _FREQUENCY**2, 2.0 * _FREQUENCY
 #: Below this speed friction is taken to grow with speed [rad/s], [m/s], so that an axis at rest has no torque that jumps.
 _CREEPING = 1e-3
 
@@ -58,39 +60,31 @@ class SimulatedArm:
         torque: Shape (n,). What the axes gave, with the correction [N m], [N].
         answer: Shape (n,). Where the servo's lag alone would have the arm now [rad], [m].
         setpoint: Shape (n,). The last one [rad], [m].
-        steps_per_cycle: Steps of the simulation in a cycle of 4 ms.
     """
 
     def __init__(self, physics: PhysicsModel, q: JointValues, servo: Servo = Servo()):
         self.physics = physics
         self.data = physics.at_rest(q)
-        model = physics.model
-        self._model, self._joints = model, physics.joints
-        step = model.opt.timestep
-        self.steps_per_cycle = max(1, round(CYCLE / step))
-        self._lag = transition_matrix(servo.omega, servo.zeta, step) if servo.omega else None
-        self._gains = (STIFFNESS**2, 2.0 * STIFFNESS)
+        self._model, self._joints = physics.model, physics.joints
+        drives = physics.drives
         self._limit = (
-            np.array([math.inf if torque is None else torque for torque in physics.drives.torque])
-            if servo.saturates
-            else None
+            np.array([math.inf if torque is None else torque for torque in drives.torque]) if servo.saturates else None
         )
-        self._servo = servo
-        self._armature = np.array(physics.drives.armature)
-        self._damping = np.array(physics.drives.damping)
-        self._friction = np.array(physics.drives.friction)
-        self._wanted = np.zeros(model.nv)
-        self._forces = np.zeros(model.nv)
-        self.needed = np.zeros(len(self._joints))
+        self._course = _course(servo, physics.model.opt.timestep)
+        self._damping, self._friction = np.array(drives.damping), np.array(drives.friction)
+        size = len(drives.torque)
+        self.needed = np.zeros(size)
         self.torque = self.needed
         self.answer = np.array(q, dtype=float)
-        self._speed = np.zeros(len(self._joints))
+        self._speed = np.zeros(size)
         self.setpoint = self.answer.copy()
+        #: What a step wants of the axes: acceleration of the answer, and the correction's [rad/s^2], [m/s^2].
+        self._wanted = np.zeros((2, size))
 
     @property
     def q(self) -> np.ndarray:
         """Joint positions, shape (n,) [rad] or [m]."""
-        return self.data.qpos[self._joints]
+        return self.data.qpos[self._joints].copy()
 
     def begin_with(self, speed: np.ndarray) -> None:
         """Have the arm move already, shape (n,) [rad/s]."""
@@ -107,51 +101,63 @@ class SimulatedArm:
 
     def cycle(self, setpoint: np.ndarray) -> None:
         """Advance one cycle of 4 ms to a setpoint, shape (n,) [rad] or [m]; see `Servo.holds`."""
-        for target in self.targets(setpoint):
-            self.step(target)
+        for _ in self.steps(setpoint):
+            pass
 
-    def targets(self, setpoint: np.ndarray) -> list[np.ndarray]:
-        """Return what `step` takes in one cycle to a setpoint, shape (n,)."""
-        begin, steps = self.setpoint, self.steps_per_cycle
-        if self._servo.holds:
-            return [setpoint] * steps
-        return [begin + (setpoint - begin) * (number / steps) for number in range(1, steps + 1)]
+    def steps(self, setpoint: np.ndarray) -> Iterator[None]:
+        """Advance as `cycle` does, and yield after each step of the simulation."""
+        begin, self.setpoint = self.setpoint, setpoint
+        # from `begin`: an arm at rest has zeros here, whatever its pose, and stays at rest to the last digit
+        course = self._course @ np.stack((self.answer - begin, self._speed, setpoint - begin))
+        yield from self.follow(course[0] + begin, course[1], course[2])
 
-    def step(self, setpoint: np.ndarray) -> None:
-        """Advance one step of the simulation, with the target of this step, shape (n,)."""
-        model, data, joints, physics = self._model, self.data, self._joints, self.physics
-        self.setpoint = setpoint
-        stiffness, damping = self._gains
-        # where the arm should be now, before the answer moves on
-        correction = stiffness * (self.answer - data.qpos[joints]) + damping * (self._speed - data.qvel[joints])
-        wanted = self._answer_to(setpoint)
-        # positions, inertias and contacts of this moment, which the torques below are calculated from
-        mujoco.mj_step1(model, data)
-        data.qacc[joints] = wanted
-        physics.lead(data.qacc)
-        mujoco.mj_rne(model, data, 1, self._forces)
-        speed = data.qvel[joints] + model.opt.timestep * wanted
-        rubbing = self._friction * np.clip(speed / _CREEPING, -1.0, 1.0)
-        self.needed = physics.of_joints(self._forces) + self._armature * wanted + self._damping * speed + rubbing
-        self._wanted[joints] = correction
-        physics.lead(self._wanted)
-        mujoco.mj_mulM(model, data, self._forces, self._wanted)
-        self.torque = self.needed + physics.of_joints(self._forces)
+    def follow(self, answers: np.ndarray, speeds: np.ndarray, accelerations: np.ndarray) -> Iterator[None]:
+        """Advance one step of the simulation per row, and yield after each.
+
+        Args:
+            answers, speeds, accelerations: Shape (steps, n). Where the servo has the arm at the end of each step, how fast, and the
+                acceleration during it.
+        """
+        rubbing = self._damping * speeds + self._friction * np.minimum(np.maximum(speeds / _CREEPING, -1.0), 1.0)
+        for answer, speed, acceleration, friction in zip(answers, speeds, accelerations, rubbing):
+            self._step(acceleration, friction)
+            self.answer, self._speed = answer, speed
+            yield
+
+    def _step(self, acceleration: np.ndarray, friction: np.ndarray) -> None:
+        """Advance one step from where `answer` should have the arm now; `friction`: torque that rubbing takes, both of shape (n,)."""
+        data, joints, physics, wanted = self.data, self._joints, self.physics, self._wanted
+        wanted[0] = acceleration
+        wanted[1] = _STIFFNESS * (self.answer - data.qpos[joints]) + _DAMPING * (self._speed - data.qvel[joints])
+        # positions, inertias and forces of this moment, which the torques below are calculated from
+        mujoco.mj_step1(self._model, data)
+        motion, correction = wanted @ physics.inertia(data)
+        self.needed = motion + physics.of_joints(data.qfrc_bias) + friction
+        self.torque = self.needed + correction
         if self._limit is not None:
-            self.torque = np.clip(self.torque, -self._limit, self._limit)
+            self.torque = np.minimum(np.maximum(self.torque, -self._limit), self._limit)
         data.qfrc_applied[joints] = self.torque
-        mujoco.mj_step2(model, data)
+        mujoco.mj_step2(self._model, data)
 
-    def _answer_to(self, setpoint: np.ndarray) -> np.ndarray:
-        """Move the lag's state over one step, and return its acceleration [rad/s^2]."""
-        dt = self._model.opt.timestep
-        if self._lag is None:
-            speed = (setpoint - self.answer) / dt
-            wanted = (speed - self._speed) / dt
-            self.answer, self._speed = setpoint.copy(), speed
-            return wanted
-        (xx, xv), (vx, vv) = self._lag
-        error, speed = self.answer - setpoint, self._speed
-        self.answer = setpoint + xx * error + xv * speed
-        self._speed = vx * error + vv * speed
-        return (self._speed - speed) / dt
+
+def _course(servo: Servo, step: float) -> np.ndarray:
+    """Return how a cycle goes: position, speed and acceleration at the end of each step, shape (3, steps, 3).
+
+    The last axis are factors of where the answer is before the cycle, of its speed, and of the new setpoint; positions count from the
+    setpoint of the cycle before.
+    """
+    steps = max(1, round(CYCLE / step))
+    lag = transition_matrix(servo.omega, servo.zeta, step) if servo.omega else None
+    answer, speed, setpoint = np.eye(3)
+    course = np.zeros((3, steps, 3))
+    for number in range(steps):
+        target = setpoint if servo.holds else setpoint * ((number + 1) / steps)
+        before = speed
+        if lag is None:
+            answer, speed = target, (target - answer) / step
+        else:
+            (xx, xv), (vx, vv) = lag
+            error = answer - target
+            answer, speed = target + xx * error + xv * speed, vx * error + vv * speed
+        course[:, number] = answer, speed, (speed - before) / step
+    return course

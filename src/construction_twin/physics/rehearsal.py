@@ -232,8 +232,7 @@ class _Run:
         gravity = _GravityTorque(physics)
         for at, setpoint in zip(times.tolist(), setpoints):
             peak = np.zeros(len(limit))
-            for target in arm.targets(setpoint):
-                arm.step(target)
+            for _step in arm.steps(setpoint):
                 peak = np.where(np.abs(arm.needed) > np.abs(peak), arm.needed, peak)
                 if data.ncon:
                     self._note_contacts(physics, data, at, frozenset())
@@ -241,7 +240,7 @@ class _Run:
                 return at
             q = arm.q
             self._torques.append(peak)
-            self._speeds.append(data.qvel[physics.joints])
+            self._speeds.append(data.qvel[physics.joints].copy())
             self._poses.append(q)
             self._gravity.append(gravity.at(data))
             self._usages.append(float((np.abs(peak) / limit).max()))
@@ -279,8 +278,7 @@ class _Run:
         # nobody has planned how far the tool is from what it has let go of at the very end
         without = {name for name, released in self._released.items() if released >= duration}
         for _ in range(round((self._of.limits.settling if arm.physics.loose else _COMING_TO_REST) / CYCLE)):
-            for target in arm.targets(setpoint):
-                arm.step(target)
+            for _step in arm.steps(setpoint):
                 if arm.data.ncon:
                     self._note_contacts(arm.physics, arm.data, duration, without)
             if self._progress is not None:
@@ -356,16 +354,19 @@ class _Run:
         # how far the arm goes on, whatever stands in the way
         physics = self._model(part.scene, frozenset())
         physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-        arm = SimulatedArm(physics, self._poses[number], Servo(omega=0.0, saturates=False))
+        arm = SimulatedArm(physics, self._poses[number], Servo(saturates=False))
         arm.begin_with(speed)
         begin = self._poses[number]
         flange = _flange(arm)
         usage = 0.0
         limit = np.array([torque or math.inf for torque in self._of.drives.torque])
-        for count in range(1, round(min(seconds, _LONGEST_BRAKING) / physics.model.opt.timestep) + 1):
-            left = max(0.0, 1.0 - count * physics.model.opt.timestep / seconds)
-            # from `speed` to rest at a steady rate
-            arm.step(begin + speed * seconds * (1.0 - left * left) / 2.0)
+        step = physics.model.opt.timestep
+        # from `speed` to rest at a steady rate
+        left = np.maximum(0.0, 1.0 - np.arange(1, round(min(seconds, _LONGEST_BRAKING) / step) + 1) * step / seconds)[:, None]
+        answers = begin + speed * seconds * (1.0 - left**2) / 2.0
+        speeds = np.diff(np.vstack((begin, answers)), axis=0) / step
+        accelerations = np.diff(np.vstack((speed, speeds)), axis=0) / step
+        for _step in arm.follow(answers, speeds, accelerations):
             usage = max(usage, float((np.abs(arm.needed) / limit).max()))
         way = np.abs(arm.q - begin)
         joint = int(np.argmax(way))

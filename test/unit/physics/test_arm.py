@@ -36,12 +36,12 @@ def test_the_arm_answers_as_the_mock_s_realistic_servo_does_two_milliseconds_lat
     np.testing.assert_allclose(arm.q, FAR, atol=1e-5)
 
 
-def test_with_setpoints_every_millisecond_it_is_the_mock_s_servo():
+def test_with_setpoints_that_are_held_it_is_the_mock_s_servo():
     motion = between(READY, FAR, 2.0)
-    arm, servo = SimulatedArm(model_of(), READY), RealisticServo(resolution=0.0, period=0.001)
+    arm, servo = SimulatedArm(model_of(), READY, Servo(holds=True)), RealisticServo(resolution=0.0)
     servo.reset(READY)
-    for setpoint in motion.sample_many(np.arange(2000) * 0.001)[0]:
-        arm.step(setpoint)
+    for setpoint in motion.sample_many(cycles(2.0))[0]:
+        arm.cycle(setpoint)
         np.testing.assert_allclose(arm.q, servo.step(setpoint.tolist()), atol=5e-5)
 
 
@@ -57,10 +57,11 @@ def test_the_torque_of_a_motion_is_that_of_pinocchio_s_inverse_dynamics(name):
     data = model.createData()
     found, expected, path = [], [], []
     for setpoint in motion.sample_many(cycles(1.5))[0]:
-        for target in arm.targets(setpoint):
-            path.append(arm.q)
-            arm.step(target)
+        path.append(arm.q)
+        for _step in arm.steps(setpoint):
             found.append(arm.needed)
+            path.append(arm.q)
+        path.pop()
     # the motion itself, differentiated twice from where the arm has been
     speed = np.gradient(path, 0.001, axis=0)
     acceleration = np.gradient(speed, 0.001, axis=0)

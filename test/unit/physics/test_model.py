@@ -88,7 +88,7 @@ def test_an_axis_that_swings_freely_has_the_period_of_a_pendulum():
     scene = Scene((SceneObject("bob", "sphere", (0.05,), (0.5, 0.0, 0.0), link=robot_of("kr120").tip_link),))
     physics = model_of(scene=scene, load=Load({"bob": 40.0}))
     data = physics.at_rest(READY)
-    last, held = physics.joints[-1], physics.joints[:-1]
+    *held, last = np.arange(physics.model.nv)[physics.joints]
     upright, product = np.zeros(physics.model.nv), np.zeros(physics.model.nv)
     upright[last] = 1.0
     mujoco.mj_mulM(physics.model, data, product, upright)
