@@ -366,6 +366,7 @@ export const REHEARSAL = {
     "plan_hash": {"type": "string"},
     "scene": {"type": "string"},
     "tool": {"type": "string"},
+    "inputs": {"type": "string"},
     "state": {"type": "string"},
     "reasons": {"type": "array", "items": {"type": "string"}},
     "axes": {
@@ -447,6 +448,17 @@ export const REHEARSAL = {
           "fell": {"type": "number"},
           "resting": {"type": "boolean"}
         }
+      }
+    },
+    "grip": {
+      "type": "object",
+      "additionalProperties": false,
+      "required": [],
+      "properties": {
+        "name": {"type": "string"},
+        "cups": {"type": "integer"},
+        "time": {"type": "number"},
+        "usage": {"type": "number"}
       }
     },
     "energy": {"type": ["number", "null"]},

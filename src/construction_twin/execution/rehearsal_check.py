@@ -16,10 +16,12 @@ class RehearsalCheck:
 
     Args:
         required: Only a plan that has passed may be approved.
+        tool: Hash of the tool file that counts; empty: no tool.
     """
 
-    def __init__(self, required: bool = False):
+    def __init__(self, required: bool = False, tool: str = ""):
         self.required = required
+        self._tool = tool
         self._reports: dict[str, RehearsalReport] = {}
 
     def on_report(self, report: RehearsalReport) -> None:
@@ -30,9 +32,9 @@ class RehearsalCheck:
             del self._reports[next(iter(self._reports))]
 
     def of(self, plan: Plan) -> RehearsalReport | None:
-        """Return the result that is of exactly this plan, in the scene that it begins in; None: there is none."""
+        """Return the result that is of exactly this plan, in the scene that it begins in, with the tool; None: there is none."""
         report = self._reports.get(plan.id)
-        if report is None or (report.plan_hash, report.scene) != (plan.hash, plan.scene):
+        if report is None or (report.plan_hash, report.scene, report.tool) != (plan.hash, plan.scene, self._tool):
             return None
         return report
 

@@ -125,7 +125,7 @@ class SimulatedArm:
             yield
 
     def _step(self, acceleration: np.ndarray, friction: np.ndarray) -> None:
-        """Advance one step from where `answer` should have the arm now; `friction`: torque that rubbing takes, both of shape (n,)."""
+        """Advance one step; `friction`: torque that rubbing takes in it, both of shape (n,)."""
         data, joints, physics, wanted = self.data, self._joints, self.physics, self._wanted
         wanted[0] = acceleration
         wanted[1] = _STIFFNESS * (self.answer - data.qpos[joints]) + _DAMPING * (self._speed - data.qvel[joints])
@@ -143,8 +143,8 @@ class SimulatedArm:
 def _course(servo: Servo, step: float) -> np.ndarray:
     """Return how a cycle goes: position, speed and acceleration at the end of each step, shape (3, steps, 3).
 
-    The last axis are factors of where the answer is before the cycle, of its speed, and of the new setpoint; positions count from the
-    setpoint of the cycle before.
+    The last axis are factors of where the answer is before the cycle, of its speed, and of the new setpoint; positions count from
+    the setpoint of the cycle before.
     """
     steps = max(1, round(CYCLE / step))
     lag = transition_matrix(servo.omega, servo.zeta, step) if servo.omega else None

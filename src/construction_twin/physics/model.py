@@ -17,6 +17,7 @@ import pinocchio
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.physics.drive import ArmDrives
+from construction_twin.physics.known_mass import body_of
 from construction_twin.physics.mass import MassProperties, of_link, of_shape, together
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.scene.collision_bodies import Body, RobotBodies, is_convex, mesh_triangles
@@ -62,7 +63,7 @@ class PhysicsModel:
         drives: Torques, inertias and friction of the axes.
         owners: Of each geom: the link or scene object that it belongs to.
         links: Which names are those of links.
-        loose: Position of each loose object in MuJoCo's arrays of positions: 7 numbers from there.
+        loose: Position of each loose body (`physics.known_mass`) in MuJoCo's arrays of positions: 7 numbers from there.
         followers: Of each joint that follows one of the chain: its place and its leader's in MuJoCo's arrays, factor, offset.
         shares: Shape (joints of the arm, n). How fast each joint of the arm, its followers too, turns per joint of the chain; None:
             nothing follows.
@@ -123,7 +124,7 @@ class Load:
 
     Attributes:
         masses: Of objects, by name [kg]; others are estimated from their volume.
-        loose: Objects that stand and can be moved or tipped over; others are part of the world.
+        loose: Bodies (`physics.known_mass`) that stand and can be moved or tipped over; others are part of the world.
         flange: A mass at the flange without a shape: a payload of which only its numbers are known, in the frame of the tip link.
     """
 
@@ -166,6 +167,8 @@ class _Builder:
         self._own = (*bodies.bodies, *(bodies.place(item, scene.names) for item in scene.objects))
         self._remarks: list[str] = []
         self._owners: list[str] = []
+        #: Loose bodies, each with the placement of its first piece, which is where its frame is.
+        self._loose: dict[str, tuple[mujoco.MjsBody, pinocchio.SE3]] = {}
         self._spec = spec = mujoco.MjSpec()
         spec.modelname = bodies.robot.name
         spec.option.timestep = step
@@ -204,11 +207,7 @@ class _Builder:
         owners = [""] * compiled.ngeom
         for geom in range(compiled.ngeom):
             owners[geom] = compiled.geom(geom).name.split("\n")[0]
-        loose = {
-            name: int(compiled.joint(f"free\n{name}").qposadr[0])
-            for name in self._scene.names
-            if name in self._load.loose and not self._scene.get(name).link
-        }
+        loose = {name: int(compiled.joint(f"free\n{name}").qposadr[0]) for name in self._loose}
         followers = self._followers(compiled)
         # the arm is the first that was added, one number per joint
         count = self._robot_bodies.model.njoints - 1
@@ -283,20 +282,32 @@ class _Builder:
                 _set_mass(holder, properties)
                 self._add_geom(holder, one, 0, massless=True, placed=False)
                 carried.append((one, properties))
-            elif name in self._load.loose:
+            elif body_of(name) in self._load.loose:
                 if properties.estimated:
                     self._remarks.append(Sentence("physics.remark.object_mass", object=name, mass=properties.mass))
-                holder = self._spec.worldbody.add_body(
-                    name=name, pos=one.placement.translation, quat=_quaternion(one.placement.rotation)
-                )
-                holder.add_freejoint(name=f"free\n{name}")
-                _set_mass(holder, properties)
-                self._add_geom(holder, one, 0, massless=True, placed=False)
+                self._add_loose(one, properties)
             elif name in apart:
                 self._add_geom(self._spec.worldbody.add_body(name=name), one, 0, massless=True)
             else:
                 self._add_geom(self._spec.worldbody, one, 0, massless=True)
         return carried
+
+    def _add_loose(self, one: Body, properties: MassProperties) -> None:
+        """Add one object that can be moved: all pieces of a body move as one."""
+        body = body_of(one.owner)
+        known = self._loose.get(body)
+        if known is None:
+            whole = self._spec.worldbody.add_body(
+                name=f"loose\n{body}", pos=one.placement.translation, quat=_quaternion(one.placement.rotation)
+            )
+            whole.add_freejoint(name=f"free\n{body}")
+            known = self._loose[body] = whole, one.placement
+        whole, placement = known
+        relative = placement.inverse() * one.placement
+        # a body of its own per object: pairs are left out object by object
+        piece = whole.add_body(name=one.owner, pos=relative.translation, quat=_quaternion(relative.rotation))
+        _set_mass(piece, properties)
+        self._add_geom(piece, one, 0, massless=True, placed=False)
 
     def _add_flange_load(self, joints: list, carried: list[tuple[Body, MassProperties]]) -> MassProperties | None:
         """Add the mass without a shape, and return all that the last joint carries beside its links, in its frame."""

@@ -20,6 +20,8 @@ from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.physics.arm import Servo, SimulatedArm
 from construction_twin.physics.drive import ArmDrives
+from construction_twin.physics.grip import GripWatch, SuctionGrip
+from construction_twin.physics.known_mass import TOOL, body_of
 from construction_twin.physics.mass import MassProperties
 from construction_twin.physics.model import GRAVITY, Load, PhysicsModel, build_model
 from construction_twin.physics.report import (
@@ -27,6 +29,7 @@ from construction_twin.physics.report import (
     PASSED,
     AxisLoad,
     Braking,
+    GripLoad,
     LooseObject,
     PayloadLoad,
     RehearsalReport,
@@ -86,7 +89,8 @@ class Rehearsal:
     Attributes:
         masses: Of objects, by name [kg].
         flange: A payload without a shape, in the frame of the tip link.
-        tool: Hash of what else decides the result: tool file, drives.
+        grip: The tool's cups; None: it has none, and whether it holds what it carries is not looked at.
+        tool, inputs: Hashes of the tool file, and of what else decides the result, as the report has them.
         gravity: Length 3. In the root of the URDF [m/s^2].
     """
 
@@ -97,7 +101,9 @@ class Rehearsal:
     limits: Limits = Limits()
     masses: Mapping[str, float] = field(default_factory=dict)
     flange: MassProperties | None = None
+    grip: SuctionGrip | None = None
     tool: str = ""
+    inputs: str = ""
     gravity: tuple[float, float, float] = (0.0, 0.0, -GRAVITY)
 
     def of_plan(
@@ -115,7 +121,9 @@ class Rehearsal:
             progress: Called after each cycle with the time in the plan [s] and the arm as it is then.
         """
         begin = clock()
-        named = RehearsalReport(plan_id=plan.id, plan_hash=plan.hash, scene=plan.scene, tool=self.tool, engine=ENGINE)
+        named = RehearsalReport(
+            plan_id=plan.id, plan_hash=plan.hash, scene=plan.scene, tool=self.tool, inputs=self.inputs, engine=ENGINE
+        )
         wanted = [segment.scene for segment in plan.segments] or [plan.scene]
         last = plan.segments[-1].scene_after if plan.segments else plan.scene
         missing = [each for each in (*wanted, last) if each not in scenes]
@@ -167,6 +175,7 @@ class _Run:
         self._released: dict[str, float] = {}
         self._before: dict[str, np.ndarray] = {}
         self._displaced: dict[str, LooseObject] = {}
+        self._grip = GripLoad()
         self._remarks: list[str] = []
 
     def report(self, named: RehearsalReport, clock: Callable[[], float]) -> RehearsalReport:
@@ -180,7 +189,7 @@ class _Run:
             arm = self._arm(part.scene, setpoints[first], arm, begin)
             # what lies still, far from the arm, costs nothing
             arm.physics.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
-            diverged = self._play(arm, times[first:last], setpoints[first:last])
+            diverged = self._play(arm, times[first:last], setpoints[first:last], self._watch(part.scene, arm.physics))
             if diverged is not None:
                 return self._diverged(named, diverged)
             first, begin = last, part.end
@@ -199,7 +208,8 @@ class _Run:
 
     def _arm(self, scene: Scene, pose: np.ndarray, before: SimulatedArm | None, begin: float) -> SimulatedArm:
         """Return the arm in a scene, from `begin` [s] on; what was let go goes on from where it is."""
-        physics = self._model(scene, frozenset((self._handled | {*self._of.masses}) & set(scene.names)))
+        loose = (self._handled | {*self._of.masses}) & set(scene.names)
+        physics = self._model(scene, frozenset(map(body_of, loose)))
         self._remarks += physics.remarks
         if physics.payload is not None:
             self._payloads.append(physics.payload)
@@ -225,7 +235,29 @@ class _Run:
         load = Load(of.masses, loose, of.flange)
         return build_model(of.bodies, scene, of.self_collision, of.drives, load, of.gravity)
 
-    def _play(self, arm: SimulatedArm, times: np.ndarray, setpoints: np.ndarray) -> float | None:
+    def _watch(self, scene: Scene, physics: PhysicsModel) -> GripWatch | None:
+        """Return what looks at the cups while the arm carries something in a scene; None: it does not, or there are none."""
+        of = self._of
+        tip = of.bodies.robot.tip_link
+        carried = [item for item in scene.objects if item.link == tip and body_of(item.name) != TOOL]
+        if of.grip is None or not carried:
+            return None
+        bodies = of.bodies
+        frame = bodies.model.frames[bodies.model.getFrameId(tip)]
+        to_tip = frame.placement.inverse()
+        pieces = [bodies.place(item, scene.names) for item in carried]
+        grip = of.grip.on([replace(piece, placement=to_tip * piece.placement) for piece in pieces])
+        name = body_of(carried[0].name)
+        if not len(grip.cups):
+            self._remarks.append(Sentence("physics.remark.no_cup", object=name))
+            return None
+        return GripWatch(
+            grip, name, physics, [item.name for item in carried], bodies.model.names[frame.parentJoint], frame.placement
+        )
+
+    def _play(
+        self, arm: SimulatedArm, times: np.ndarray, setpoints: np.ndarray, watch: GripWatch | None
+    ) -> float | None:
         """Play setpoints; note each cycle's torques, and every step's contacts; return when it came apart [s], None if not."""
         physics, data = arm.physics, arm.data
         limit = np.array([torque or math.inf for torque in self._of.drives.torque])
@@ -243,11 +275,15 @@ class _Run:
             self._speeds.append(data.qvel[physics.joints].copy())
             self._poses.append(q)
             self._gravity.append(gravity.at(data))
+            if watch is not None:
+                watch.note(at, data)
             self._usages.append(float((np.abs(peak) / limit).max()))
             self._kinetic.append(gravity.kinetic(data))
             np.maximum(self._off, np.abs(q - arm.answer), out=self._off)
             if self._progress is not None:
                 self._progress(at, arm)
+        if watch is not None:
+            self._grip = max(self._grip, watch.worst(), key=lambda load: load.usage)
         return None
 
     def _note_contacts(self, physics: PhysicsModel, data: mujoco.MjData, at: float, without: Set[str]) -> None:
@@ -258,7 +294,7 @@ class _Run:
         for number in np.flatnonzero(physics.unplanned[geoms[:, 0], geoms[:, 1]]).tolist():
             first, second = sorted((physics.owners[geom] for geom in geoms[number].tolist()), key=self._named_first)
             names = first, second
-            if without.isdisjoint(names):
+            if without.isdisjoint(map(body_of, names)):
                 mujoco.mj_contactForce(physics.model, data, number, force)
                 forces[names] = forces.get(names, 0.0) + float(np.linalg.norm(force[:3]))
         for names, size in forces.items():
@@ -333,8 +369,8 @@ class _Run:
         report = replace(
             named, axes=tuple(axes), payload=payload, tracking=float(self._off[off]), tracking_joint=names[off], braking=braking,
             worst_time=float(times[worst]), worst_pose=tuple(map(float, self._poses[worst])),
-            contacts=tuple(self._contacts.values()), objects=objects, energy=energy, duration=self._trajectory.duration,
-            settle_took=settle, remarks=tuple(dict.fromkeys(self._remarks)),
+            contacts=tuple(self._contacts.values()), objects=objects, grip=self._grip, energy=energy,
+            duration=self._trajectory.duration, settle_took=settle, remarks=tuple(dict.fromkeys(self._remarks)),
         )  # fmt: skip
         robot = self._of.bodies.robot
         linear = {name for name, slides in zip(robot.joint_names, robot.linear) if slides}
@@ -362,7 +398,9 @@ class _Run:
         limit = np.array([torque or math.inf for torque in self._of.drives.torque])
         step = physics.model.opt.timestep
         # from `speed` to rest at a steady rate
-        left = np.maximum(0.0, 1.0 - np.arange(1, round(min(seconds, _LONGEST_BRAKING) / step) + 1) * step / seconds)[:, None]
+        left = np.maximum(0.0, 1.0 - np.arange(1, round(min(seconds, _LONGEST_BRAKING) / step) + 1) * step / seconds)[
+            :, None
+        ]
         answers = begin + speed * seconds * (1.0 - left**2) / 2.0
         speeds = np.diff(np.vstack((begin, answers)), axis=0) / step
         accelerations = np.diff(np.vstack((speed, speeds)), axis=0) / step
@@ -429,6 +467,9 @@ def _reasons(report: RehearsalReport, limits: Limits, linear: Set[str]) -> Itera
             )
     if report.braking.usage > limits.torque and not report.contacts:
         yield Sentence("rehearsal.braking", time=report.braking.time, percent=report.braking.usage * 100.0)
+    if report.grip.usage > 1.0:
+        grip = report.grip
+        yield Sentence("rehearsal.grip", object=grip.name, time=grip.time, percent=grip.usage * 100.0, cups=grip.cups)
     for contact in report.contacts:
         yield Sentence(
             "rehearsal.contact", first=contact.first, second=contact.second, time=contact.time, force=contact.force

@@ -107,6 +107,23 @@ class PayloadLoad:
 
 
 @dataclass(frozen=True)
+class GripLoad:
+    """What the tool's cups had to hold at the worst moment, beside what they can.
+
+    Attributes:
+        name: Of the body that was carried; empty: none was, or the tool has no cups.
+        cups: How many lay on it.
+        time: That moment [s].
+        usage: Of what the cup that is loaded most holds, its safety factor included; above 1 it may slip or come off.
+    """
+
+    name: str = ""
+    cups: int = 0
+    time: float = 0.0
+    usage: float = 0.0
+
+
+@dataclass(frozen=True)
 class Braking:
     """How far the arm goes on when it has to stop at the worst moment of the plan: at its largest kinetic energy.
 
@@ -132,7 +149,8 @@ class RehearsalReport:
     Attributes:
         plan_id, plan_hash: Of the plan that was rehearsed; the result counts for no other.
         scene: Hash of the scene that it began in.
-        tool: Hash of tool, drives and settings it was rehearsed with.
+        tool: Hash of the tool file it was rehearsed with; empty: no tool.
+        inputs: Hash of what else decides the result: drives, pairs that are not checked, masses.
         state: `PASSED`, `FAILED`; `BROKEN`: the rehearsal itself failed.
         reasons: Why it failed, one sentence each; empty when it passed.
         axes: One per joint.
@@ -141,6 +159,7 @@ class RehearsalReport:
         worst_pose: Shape (n,). The arm then [rad], [m].
         contacts: That the plan does not have.
         objects: That were let go of, or moved.
+        grip: What the cups had to hold.
         energy: That the drives put in [J].
         duration: Of the plan [s]. took: Time the rehearsal took [s]. settle_took: Of it, with bodies kept awake [s].
         engine: Name and version.
@@ -153,6 +172,7 @@ class RehearsalReport:
     plan_hash: str = ""
     scene: str = ""
     tool: str = ""
+    inputs: str = ""
     state: str = BROKEN
     reasons: tuple[str, ...] = ()
     axes: tuple[AxisLoad, ...] = ()
@@ -164,6 +184,7 @@ class RehearsalReport:
     worst_pose: tuple[float, ...] = ()
     contacts: tuple[RehearsedContact, ...] = ()
     objects: tuple[LooseObject, ...] = ()
+    grip: GripLoad = GripLoad()
     energy: _OrNan = math.nan
     duration: float = 0.0
     took: float = 0.0

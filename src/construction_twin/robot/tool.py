@@ -5,6 +5,7 @@ Read from a YAML file, see config/tools/vacuum_frame.yaml. Metres, kilograms, se
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -169,6 +170,16 @@ def read_tool(path: str | Path) -> ToolFile:
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise ConfigurationError(str(path), str(error), Sentence("expected.tool.file")) from error
     return ToolFile(tool_of(description, str(path)), Path(path).resolve().parent)
+
+
+def tool_hash(path: str | Path) -> str:
+    """Return the SHA-256 of a tool file; empty for no file; raises like `read_tool`."""
+    if not path:
+        return ""
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        raise ConfigurationError(str(path), str(error), Sentence("expected.tool.file")) from error
 
 
 def tool_of(description: object, where: str) -> Tool:

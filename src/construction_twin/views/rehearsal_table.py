@@ -46,6 +46,11 @@ def rehearsal_lines(report: RehearsalReport) -> list[str]:
                 f"braking at {braking.time:.2f} s: {braking.seconds:.2f} s, flange {braking.distance * 1e3:.0f} mm, "
                 f"most of {braking.joint}, {braking.usage:.0%} of an axis' torque"
             )
+        if report.grip.name:
+            lines.append(
+                f"grip: {report.grip.cups} cups on {report.grip.name}, at most {report.grip.usage:.0%} of what they hold, "
+                f"at {report.grip.time:.2f} s"
+            )
     lines += [
         f"contact: {each.first} and {each.second} at {each.time:.2f} s, {each.force:.0f} N, for {each.seconds:.2f} s"
         for each in report.contacts

@@ -27,7 +27,7 @@ def report_of(plan, state=PASSED, **changes) -> RehearsalReport:
 @pytest.fixture
 def bench() -> Bench:
     bench = Bench()
-    bench.executor.rehearsal = RehearsalCheck(required=True)
+    bench.executor.rehearsal = RehearsalCheck(required=True, tool="t")
     return bench.ready()
 
 
@@ -58,6 +58,7 @@ class TestRequired:
             (lambda plan: report_of(plan, BROKEN), "broken"),
             (lambda plan: report_of(plan, plan_hash="0" * 64), "missing"),
             (lambda plan: report_of(plan, scene="another"), "missing"),
+            (lambda plan: report_of(plan, tool="another"), "missing"),
             (lambda plan: report_of(plan, plan_id="another"), "missing"),
         ],
     )

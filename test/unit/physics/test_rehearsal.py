@@ -15,6 +15,7 @@ from construction_twin.physics.drive import PayloadRating, drives_of
 from construction_twin.physics.mass import of_shape
 from construction_twin.physics.rehearsal import Limits, Rehearsal
 from construction_twin.physics.report import BROKEN, FAILED, PASSED
+from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.robot.segments import Segment
 from construction_twin.scene.objects import Scene, SceneObject
 
@@ -290,3 +291,25 @@ def test_a_simulation_that_comes_apart_leaves_no_file_where_it_was_started(tmp_p
     monkeypatch.chdir(tmp_path)
     assert rehearse(SMALL, gravity=(0.0, 0.0, -1e13)).state == FAILED
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_pieces_of_an_element_fall_as_one_body():
+    # an L of two pieces, let go in mid air with its short leg down
+    parts = {"beam/0": ((0.4, 0.1, 0.04), (0.0, 0.0, 0.15)), "beam/1": ((0.1, 0.1, 0.2), (0.15, 0.0, 0.27))}
+    held = Scene((FLOOR, *(SceneObject(name, "box", size, at, link=TIP) for name, (size, at) in parts.items())))
+    motion, pose = between(READY, READY + 0.1, 1.0), Chain(robot_of("kr120")).forward(READY + 0.1)
+    let_go = [
+        SceneObject(
+            name, "box", size, tuple(pose.position + pose.rotation @ at), tuple(rotation_to_quaternion(pose.rotation))
+        )
+        for name, (size, at) in parts.items()
+    ]
+    after = Scene((FLOOR, *let_go))
+    segments = (Segment("carry", 1.0, True, (), (), held.hash, after.hash),)
+    scenes = {scene.hash: scene for scene in (held, after)}
+    report = Rehearsal(bodies_of("kr120"), pairs_of("kr120"), drives(), masses={"beam/0": 5.0, "beam/1": 5.0}).of_plan(
+        plan_of(motion, held, segments), scenes, lambda: 0.0
+    )
+    (beam,) = report.objects
+    assert (beam.name, beam.released) == ("beam", 1.0) and beam.fell > 0.5
+    assert report.payload.mass == pytest.approx(10.0)

@@ -21,12 +21,13 @@ from construction_twin.planning.timing import time_path
 from construction_twin.planning.work_plan import joined
 from construction_twin.robot.plan import Plan, content_hash
 from construction_twin.robot.segments import Segment
+from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import rehearsal as module
 from construction_twin.ros.nodes.rehearsal import NODE, Settings
-from construction_twin.ros.shared.rehearsal_process import PROGRAM, Body, Question
+from construction_twin.ros.shared.rehearsal_process import PROGRAM, Question
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work.worker import Worker, WorkerError
@@ -76,6 +77,7 @@ class Process:
     def ask_first(self, name, **arguments):
         assert name == "prepare"
         self.prepared += 1
+        self.tool = tool_hash(arguments["tool"])
 
     def ask(self, name, question: Question) -> RehearsalReport:
         assert name == "rehearse"
@@ -87,7 +89,7 @@ class Process:
             assert self.interrupted.wait(SOON)
             raise WorkerError("", "signal 9")
         plan = question.plan
-        return finished(RehearsalReport(plan.id, plan.hash, plan.scene, question.tool, PASSED), 0.1)
+        return finished(RehearsalReport(plan.id, plan.hash, plan.scene, self.tool, question.inputs, PASSED), 0.1)
 
     def interrupt(self) -> None:
         self.interrupts += 1
@@ -109,7 +111,8 @@ class Bench:
         monkeypatch.setattr(module, "now_ns", lambda: 5)
         monkeypatch.setattr(module, "SCENE_DELAY", 0.0)
         monkeypatch.setattr(module.rospy, "is_shutdown", lambda: False)
-        self.plug = Unplugged(monkeypatch, NODE, SETTINGS.model_copy(update=changes), ROBOT)
+        self.settings = SETTINGS.model_copy(update=changes)
+        self.plug = Unplugged(monkeypatch, NODE, self.settings, ROBOT)
         self.node, self.published = self.plug.node, self.plug.published["rehearsal"]
 
     def hear_plan(self, plan: Plan, changes=CHANGES) -> None:
@@ -174,29 +177,37 @@ class TestWhatIsRehearsed:
 class TestMasses:
     def test_of_the_tool_and_of_what_its_task_carries(self, monkeypatch):
         bench = Bench(monkeypatch, tool=str(ROOT / "config/tools/vacuum_frame.yaml"))
-        task = WorkTask(id="t", mass_kg=42.0)
-        bench.plug.callbacks["work/tasks"](WorkTasks(tasks=[task, WorkTask(id="u", mass_kg=math.nan)]))
+        tasks = [
+            WorkTask(id=name, element=name, mass_kg=mass)
+            for name, mass in (("beam", 42.0), ("u", math.nan), ("v", 3.0))
+        ]
+        bench.plug.callbacks["work/tasks"](WorkTasks(tasks=tasks))
         bench.hear_scene()
         bench.hear_plan(work_plan())
         bench.node.work(0.0)
-        tool, element = bench.process.questions[0].bodies
-        assert tool.mass > 0.0 and all(name.startswith("tool/") for name in tool.names)
-        assert element == Body(("beam/0",), 42.0)
+        assert bench.process.questions[0].masses == {"beam": 42.0}
+        frame = dataclasses.replace(STOCK, name="tool/frame", link="tool0")
+        equipped = Scene((frame,), 0.01)
+        bench.hear_scene(equipped)
+        bench.hear_plan(dataclasses.replace(plain_plan("p2"), scene=equipped.hash))
+        bench.node.work(0.0)
+        assert bench.process.questions[1].masses == {"tool": 18.0}
+        assert bench.newest.tool == tool_hash(bench.settings.tool) != ""
 
     def test_a_mass_that_nobody_says_is_left_to_the_estimate(self, bench):
-        bench.plug.callbacks["work/tasks"](WorkTasks(tasks=[WorkTask(id="t", mass_kg=math.nan)]))
+        bench.plug.callbacks["work/tasks"](WorkTasks(tasks=[WorkTask(id="t", element="beam", mass_kg=math.nan)]))
         bench.hear_scene()
         bench.hear_plan(work_plan())
         bench.node.work(0.0)
-        assert bench.process.questions[0].bodies == ()
+        assert bench.process.questions[0].masses == {}
 
-    def test_another_mass_is_another_tool_hash(self, bench):
+    def test_another_mass_is_another_hash(self, bench):
         bench.hear_scene()
         for mass in (42.0, 43.0):
-            bench.plug.callbacks["work/tasks"](WorkTasks(tasks=[WorkTask(id="t", mass_kg=mass)]))
+            bench.plug.callbacks["work/tasks"](WorkTasks(tasks=[WorkTask(id="t", element="beam", mass_kg=mass)]))
             bench.hear_plan(work_plan())
             bench.node.work(0.0)
-        assert bench.published[0].tool != bench.published[1].tool
+        assert bench.published[0].inputs != bench.published[1].inputs
 
 
 class TestBroken:
@@ -265,11 +276,15 @@ def test_the_process_rehearses_a_plan_and_its_result_crosses_the_topic_unchanged
     check_extras("physics")
     process = Worker(PROGRAM)
     try:
-        process.ask_first("prepare", robot=ROBOT, self_collision=SETTINGS.self_collision, drives=SETTINGS.drives)
+        tool = str(ROOT / "config/tools/vacuum_frame.yaml")
+        process.ask_first(
+            "prepare", robot=ROBOT, self_collision=SETTINGS.self_collision, drives=SETTINGS.drives, tool=tool
+        )
         plan = plain_plan()
-        question = Question(plan, {SCENES[0].hash: SCENES[0]}, (), "t")
+        question = Question(plan, {SCENES[0].hash: SCENES[0]}, {}, "i")
         report = process.ask("rehearse", question=question)
-        assert (report.state, report.plan_hash, report.tool) == (PASSED, plan.hash, "t"), report.reasons
+        assert (report.state, report.plan_hash, report.inputs) == (PASSED, plan.hash, "i"), report.reasons
+        assert report.tool == tool_hash(tool)
         assert [axis.joint for axis in report.axes] == list(ROBOT.joint_names)
         back = from_msg(RehearsalReport, to_msg(report, Rehearsal))
         assert finished(back, back.took).hash == report.hash == back.hash
@@ -277,7 +292,7 @@ def test_the_process_rehearses_a_plan_and_its_result_crosses_the_topic_unchanged
         # a held beam that weighs far more than the arm may carry
         work = work_plan()
         scenes = {scene.hash: scene for scene in SCENES}
-        heavy = process.ask("rehearse", question=Question(work, scenes, (Body(("beam/0",), 240.0),), "t"))
+        heavy = process.ask("rehearse", question=Question(work, scenes, {"beam": 240.0}, "i"))
         assert heavy.state == FAILED and heavy.payload.mass == pytest.approx(240.0)
         assert not heavy.payload.estimated and "240.0 kg" in heavy.reasons[0]
     finally:

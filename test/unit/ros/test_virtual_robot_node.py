@@ -257,6 +257,7 @@ class Massive:
             module.Simulation(
                 self.live,
                 self.build,
+                {"tool": 18.0},
                 ROBOT.joint_names,
                 SimpleNamespace(publish=lambda stamp, q: self.told.append(("commanded", stamp, q))),
                 SimpleNamespace(
@@ -268,7 +269,8 @@ class Massive:
         # long ago: the node's thread does not wait for the next one
         self.node.on_physical(1, HOME)
 
-    def build(self, scene: Scene):
+    def build(self, scene: Scene, masses):
+        self.masses = masses
         if self.failure:
             raise ConstructionTwinError(self.failure)
         self.built.append(scene)
@@ -345,7 +347,7 @@ def test_the_simulation_goes_on_while_no_commands_come(world):
         SimpleNamespace(refuse=lambda *_: None),
         SimpleNamespace(clear=world.clear, set=world.wake, wait=world.wait),
         module.Simulation(
-            live, lambda _: None, ROBOT.joint_names,
+            live, lambda *_: None, {}, ROBOT.joint_names,
             SimpleNamespace(publish=lambda _stamp, q: commanded.append(q)), SimpleNamespace(publish=lambda _: None),
         ),
     )  # fmt: skip
@@ -360,4 +362,4 @@ def test_only_a_twin_with_mass_has_its_topics(monkeypatch):
         settings = module.Settings(arm="none", twin=twin, self_collision="", drives="")
         return {name for _, name in Unplugged(monkeypatch, module.NODE, settings, ROBOT).opened}
 
-    assert topics("mujoco") - topics("kinematic") == {"twin/commanded", "twin/effort", "scene"}
+    assert topics("mujoco") - topics("kinematic") == {"twin/commanded", "twin/effort", "scene", "work/tasks"}

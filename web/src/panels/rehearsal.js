@@ -26,7 +26,7 @@ export function headline(rehearsal, texts) {
 }
 
 /** Return what else was found, one sentence each. */
-export function findings({payload, braking, contacts, objects, remarks, axes, engine}, texts) {
+export function findings({payload, braking, grip, contacts, objects, remarks, axes, engine}, texts) {
   const found = [];
   if (axes.length > 0) {
     const mass = `${payload.mass.toFixed(1)}${payload.estimated ? "~" : ""}`;
@@ -37,6 +37,7 @@ export function findings({payload, braking, contacts, objects, remarks, axes, en
       }));
     }
   }
+  if (grip.name !== "") found.push(texts("verdict.rehearsal.found.grip", {cups: grip.cups, percent: percentOf(grip.usage), time: grip.time.toFixed(1)}));
   for (const {first, second, time} of contacts) found.push(texts("verdict.rehearsal.found.contact", {first, second, time: time.toFixed(1)}));
   for (const {name, moved} of objects) found.push(texts("verdict.rehearsal.found.object", {name, distance: (1000 * moved).toFixed(0)}));
   for (const remark of remarks) found.push(texts.reason(remark));

@@ -64,6 +64,7 @@ from construction_twin.review.plan_under_review import EXECUTOR, REJECTED, Verdi
 from construction_twin.review.record import Release, Responsibility, ReviewLog
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanContent
+from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg, tool_report_from_msg
@@ -128,6 +129,7 @@ class Settings(NodeSettings):
     review_file: Annotated[str, pydantic.Field(min_length=1)]
     neighbour: str = ""
     rehearsal: Literal["auto", "advise", "require", "off"] = "off"
+    tool: str = ""
     speed_limit_deadline: float = pydantic.Field(gt=0)
     speed_limit_silent: float = pydantic.Field(ge=0, le=1)
     speed_limit_required: bool
@@ -763,11 +765,16 @@ def execution_report(
     return replace(report, plan_id=plan.id, plan_start=start, duration=duration, segment_name=name)
 
 
+def check(settings: Settings, robot: RobotModel) -> None:
+    """Check files before anything starts; see `NodeShell`."""
+    tool_hash(settings.tool)
+
+
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> ExecutorNode:
     """Return the executor with its parameters, topics and services."""
     executor = Executor(robot)
     executor.neighbour = ConflictVerdicts(settings.neighbour)
-    executor.rehearsal = RehearsalCheck(settings.rehearsal == "require")
+    executor.rehearsal = RehearsalCheck(settings.rehearsal == "require", tool_hash(settings.tool))
     if settings.arm != "none":
         executor.on_link(False, Sentence("executor.no_link"))
     else:
@@ -849,7 +856,7 @@ INTERFACE = Interface(
     ),
 )  # fmt: skip
 FILE = ConfigFile(lambda given: {"arm": arm_of(given), "review_file": "reviews"})
-NODE = NodeShell("executor", Settings, start, INTERFACE, file=FILE, fast=True)
+NODE = NodeShell("executor", Settings, start, INTERFACE, check, FILE, fast=True)
 
 
 def main() -> None:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import threading
 import time
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal, Protocol
@@ -26,24 +26,25 @@ from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import Rehearsal, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.physics.drive import read_drives
+from construction_twin.physics.known_mass import body_of
 from construction_twin.physics.report import BROKEN, PASSED, RehearsalReport, finished
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
-from construction_twin.robot.tool import ToolFile, read_tool
+from construction_twin.robot.tool import read_tool, tool_hash
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.element_masses import element_masses, tool_mass
 from construction_twin.ros.shared.launch_arguments import Given, Values
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.ports import Interface, Ports, Publication, Subscription
-from construction_twin.ros.shared.rehearsal_process import PROGRAM, Body, Question
+from construction_twin.ros.shared.rehearsal_process import PROGRAM, Question
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.publisher import Sink
-from construction_twin.scene.objects import Scene
+from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.scene.self_collision import read_self_collision
-from construction_twin.work.contacts import tool_objects
 from construction_twin.work.worker import Worker
 
 #: A plan may come so long before the scene that it begins in [s].
@@ -91,19 +92,19 @@ class Rehearser(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class _Job:
-    """A plan that is to be rehearsed, and what its segments make of the scene."""
+    """A plan that is to be rehearsed, what its segments make of the scene, and what elements weigh [kg]."""
 
     plan: Plan
     changes: tuple[SceneChange, ...]
-    mass: float
+    masses: Mapping[str, float]
 
 
 class RehearsalNode:
     """Plans and scenes in, what their rehearsal found out; `start` gives it parameters, topics and a process.
 
     Args:
-        tool: What it weighs; None: no tool.
-        constant: Hash of what decides a result beside plan, scene and masses of elements.
+        tool: Hash of the tool file; empty: no tool. masses: What the tool weighs, see `physics.known_mass` [kg].
+        constant: Hash of what decides a result beside plan, scene, tool and masses.
         absent: Why nothing is rehearsed; empty: everything is.
     """
 
@@ -114,7 +115,8 @@ class RehearsalNode:
         process: Rehearser,
         output: Sink,
         diagnostics: NodeDiagnostics,
-        tool: Body | None,
+        tool: str,
+        masses: Mapping[str, float],
         constant: str,
         absent: str = "",
     ):
@@ -123,7 +125,7 @@ class RehearsalNode:
         self._tool, self._constant, self._absent = tool, constant, absent
         self._news = threading.Condition()
         self._scenes: dict[str, Scene] = {}
-        self._masses: dict[str, float] = {}
+        self._of_tool, self._masses = masses, {**masses}
         self._waiting: _Job | None = None
         self._running: _Job | None = None
         self._newest: _Job | None = None
@@ -152,7 +154,7 @@ class RehearsalNode:
     def on_tasks(self, message: WorkTasks) -> None:
         """Take what the elements of the tasks weigh."""
         with self._news:
-            self._masses = {task.id: task.mass_kg for task in message.tasks if math.isfinite(task.mass_kg)}
+            self._masses = {**element_masses(message), **self._of_tool}
 
     def on_plan(self, message: PlanMsg) -> None:
         """Take a plan; it supersedes what is being rehearsed."""
@@ -165,7 +167,7 @@ class RehearsalNode:
             self._diagnostics.refuse("plan", str(error))
             return
         with self._news:
-            self._newest = self._waiting = _Job(plan, changes, self._masses.get(plan.task, math.nan))
+            self._newest = self._waiting = _Job(plan, changes, self._masses)
             if self._running is not None:
                 self._superseded = True
                 self._process.interrupt()
@@ -199,14 +201,15 @@ class RehearsalNode:
             scene = self._scenes.get(job.plan.scene)
             self._running, self._late, self._superseded = job, False, False
         began = time.monotonic()
-        bodies = self._bodies(job)
-        tool = _digest(self._constant, [[body.names, body.mass] for body in bodies])
+        carried = {body_of(item.name) for item in carried_objects(scene, job.changes)}
+        masses = {body: mass for body, mass in sorted(job.masses.items()) if body in carried}
+        inputs = _digest(self._constant, masses)
         report: RehearsalReport
         try:
             scenes = {} if scene is None else segment_scenes(scene, job.plan, job.changes)
-            report = self._ask(Question(job.plan, scenes, bodies, tool))
+            report = self._ask(Question(job.plan, scenes, masses, inputs))
         except ConstructionTwinError as error:
-            report = self._broke(job, tool, error.sentence, time.monotonic() - began)
+            report = self._broke(job, inputs, error.sentence, time.monotonic() - began)
         with self._news:
             self._running = None
             superseded, interrupted = self._superseded, self._superseded or self._late
@@ -232,6 +235,7 @@ class RehearsalNode:
                     robot=self._robot,
                     self_collision=self._settings.self_collision,
                     drives=self._settings.drives,
+                    tool=self._settings.tool,
                 )
                 self._prepared = True
             return self._process.ask("rehearse", question=question)
@@ -244,24 +248,14 @@ class RehearsalNode:
                 self._late = True
                 self._process.interrupt()
 
-    def _broke(self, job: _Job, tool: str, reason: str, took: float) -> RehearsalReport:
+    def _broke(self, job: _Job, inputs: str, reason: str, took: float) -> RehearsalReport:
         if self._late:
             reason = Sentence("rehearsal.late", limit=self._settings.time_limit)
         plan = job.plan
         report = RehearsalReport(
-            plan.id, plan.hash, plan.scene, tool, BROKEN, (Sentence("rehearsal.broke", problem=reason),)
+            plan.id, plan.hash, plan.scene, self._tool, inputs, BROKEN, (Sentence("rehearsal.broke", problem=reason),)
         )
         return finished(report, took)
-
-    def _bodies(self, job: _Job) -> tuple[Body, ...]:
-        """Return whose mass somebody says: the tool, and what the plan's task carries."""
-        bodies: tuple[Body, ...] = () if self._tool is None else (self._tool,)
-        of_tool = self._tool.names if self._tool is not None else ()
-        carried = dict.fromkeys(item.name for change in job.changes for item in change.put if item.link)
-        names = tuple(name for name in carried if name not in of_tool)
-        if names and math.isfinite(job.mass) and job.mass > 0.0:
-            bodies += (Body(names, job.mass),)
-        return bodies
 
     def _tell(self, report: RehearsalReport) -> None:
         self._last = report
@@ -300,9 +294,10 @@ def segment_scenes(scene: Scene, plan: Plan, changes: tuple[SceneChange, ...]) -
     return scenes
 
 
-def tool_body(tool: ToolFile, link: str) -> Body:
-    """Return the objects that a tool is in the scene, with what it weighs."""
-    return Body(tuple(item.name for item in tool_objects(tool, link)), tool.tool.mass)
+def carried_objects(scene: Scene | None, changes: tuple[SceneChange, ...]) -> Iterator[SceneObject]:
+    """Yield what the arm carries in a scene, and what it does after changes of it."""
+    for items in (() if scene is None else scene.objects, *(change.put for change in changes)):
+        yield from (item for item in items if item.link)
 
 
 def _digest(*parts: object) -> str:
@@ -333,11 +328,11 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> RehearsalNode:
         rospy.loginfo("%s", absent)
     # of the file: what it says decides the result
     read_self_collision(settings.self_collision, robot)
-    constant = _digest(_hash_of(settings.drives), _hash_of(settings.tool), _hash_of(settings.self_collision))
-    tool = tool_body(read_tool(settings.tool), robot.tip_link) if settings.tool else None
+    constant = _digest(_hash_of(settings.drives), _hash_of(settings.self_collision))
     return RehearsalNode(
-        settings, robot, Worker(PROGRAM), ports.publishers["rehearsal"], ports.diagnostics, tool, constant, absent
-    )
+        settings, robot, Worker(PROGRAM), ports.publishers["rehearsal"], ports.diagnostics,
+        tool_hash(settings.tool), tool_mass(settings.tool), constant, absent,
+    )  # fmt: skip
 
 
 def _launched(given: Given) -> Values:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -16,11 +16,12 @@ from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.extras import check_extras
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.msg import Link
+from construction_twin.msg import Link, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.element_masses import element_masses, tool_mass
 from construction_twin.ros.shared.model_builder import ModelBuilder
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import NodeSettings
@@ -58,12 +59,14 @@ class Settings(NodeSettings):
         twin: What simulates.
         self_collision: YAML of the link pairs that are not checked; with mujoco alone.
         drives: YAML of the arm's drives; empty: what the URDF says; with mujoco alone.
+        tool: Tool file, for what the tool weighs; empty: no tool; with mujoco alone.
     """
 
     arm: Literal["mock", "real", "none"]
     twin: Literal["kinematic", "mujoco"]
     self_collision: str
     drives: str
+    tool: str = ""
 
 
 def has_mass(settings: Settings) -> bool:
@@ -77,13 +80,16 @@ class Simulation:
 
     Attributes:
         live: It.
-        build: Returns the arm in a scene; may take its time. Raises ConstructionTwinError.
+        build: Returns the arm in a scene with the masses of bodies that it carries; may take its time. Raises
+            ConstructionTwinError.
+        masses: What the tool weighs, see `physics.known_mass` [kg].
         names: Joint names.
         commanded, effort: For what is commanded, and for what the axes give.
     """
 
     live: LiveTwin
-    build: Callable[[Scene], PhysicsModel]
+    build: Callable[[Scene, Mapping[str, float]], PhysicsModel]
+    masses: Mapping[str, float]
     names: tuple[str, ...]
     commanded: Sink
     effort: Sink
@@ -115,6 +121,8 @@ class VirtualRobotNode:
         self._effort_at = 0
         #: Hash of the scene that is simulated, and why the newest one is not.
         self._scene, self._scene_problem = "", ""
+        #: Of the elements that are to be placed [kg].
+        self._masses: dict[str, float] = {}
         self._limits = limits
         self._twin = twin
         self._lock = threading.Lock()
@@ -165,7 +173,7 @@ class VirtualRobotNode:
             return
         try:
             scene = scene_from_msg(message)
-            model = simulation.build(scene)
+            model = simulation.build(scene, {**self._masses, **simulation.masses})
         except ConstructionTwinError as error:
             # the simulation goes on in the scene before
             self._scene_problem = str(error)
@@ -176,6 +184,10 @@ class VirtualRobotNode:
         rospy.loginfo("simulates scene %s", scene.hash[:12])
         for remark in model.remarks:
             rospy.loginfo("%s", remark)
+
+    def on_tasks(self, message: WorkTasks) -> None:
+        """Take what elements weigh; it counts from the next scene on, which is the one in which the arm carries one."""
+        self._masses = element_masses(message)
 
     def on_command(self, stamp: int, q: tuple[float, ...]) -> None:
         """Execute a command [rad] with its stamp [ns]."""
@@ -269,6 +281,7 @@ def _simulation(settings: Settings, robot: RobotModel, ports: Ports) -> Simulati
     return Simulation(
         LiveTwin(),
         ModelBuilder(robot, settings.self_collision, settings.drives).build,
+        tool_mass(settings.tool),
         robot.joint_names,
         ports.publishers["twin/commanded"],
         ports.publishers["twin/effort"],
@@ -286,6 +299,7 @@ INTERFACE = Interface(
         PoseSubscription("command/joint_states", VirtualRobotNode.on_command),
         Subscription("link", Link, VirtualRobotNode.on_link, queue_size=5, when=has_arm),
         PoseSubscription("physical/joint_states", VirtualRobotNode.on_physical, when=has_arm),
+        Subscription("work/tasks", WorkTasks, VirtualRobotNode.on_tasks, queue_size=1, when=has_mass),
         Subscription("scene", SceneMsg, VirtualRobotNode.on_scene, queue_size=1, when=has_mass),
     ),
 )

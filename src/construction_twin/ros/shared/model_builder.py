@@ -7,6 +7,7 @@ speaks no ROS. It runs behind everything else, although the node that starts it 
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from construction_twin.core.realtime import release_realtime
@@ -29,9 +30,13 @@ class ModelBuilder:
         self._worker = Worker((sys.executable, "-m", __name__))
         self._arm = {"robot": robot, "self_collision": self_collision, "drives": drives}
 
-    def build(self, scene: Scene) -> PhysicsModel:
-        """Return the model of the arm in a scene; raises WorkerError with the sentence of what went wrong there."""
-        return self._worker.ask("build", **self._arm, scene=scene)
+    def build(self, scene: Scene, masses: Mapping[str, float]) -> PhysicsModel:
+        """Return the model of the arm in a scene; raises WorkerError with the sentence of what went wrong there.
+
+        Args:
+            masses: Of bodies that the arm carries, see `physics.known_mass` [kg].
+        """
+        return self._worker.ask("build", **self._arm, scene=scene, masses=dict(masses))
 
     def close(self) -> None:
         """End the process."""
@@ -41,17 +46,21 @@ class ModelBuilder:
 def main() -> None:
     """Serve the node."""
     from construction_twin.physics.drive import drives_of, read_drives
-    from construction_twin.physics.model import build_model
+    from construction_twin.physics.known_mass import masses_of
+    from construction_twin.physics.model import Load, build_model
     from construction_twin.scene.collision_bodies import RobotBodies
     from construction_twin.scene.self_collision import read_self_collision
 
     read: dict[str, RobotBodies] = {}
 
-    def build(robot: RobotModel, self_collision: str, drives: str, scene: Scene) -> PhysicsModel:
+    def build(
+        robot: RobotModel, self_collision: str, drives: str, scene: Scene, masses: Mapping[str, float]
+    ) -> PhysicsModel:
         # it is always the same arm; its meshes are read once
         bodies = read.get(robot.name) or read.setdefault(robot.name, RobotBodies(robot))
         known = read_drives(drives, robot) if drives else drives_of(robot)
-        return build_model(bodies, scene, read_self_collision(self_collision, robot), known)
+        load = Load(masses_of(masses, (scene,), bodies))
+        return build_model(bodies, scene, read_self_collision(self_collision, robot), known, load)
 
     release_realtime()
     serve_parent({"build": build})

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from construction_twin.physics.drive import drives_of, read_drives
-from construction_twin.physics.mass import of_shape
+from construction_twin.physics.known_mass import masses_of
 from construction_twin.physics.report import RehearsalReport
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
+from construction_twin.robot.tool import read_tool, tool_hash
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import read_self_collision
@@ -29,76 +30,54 @@ if TYPE_CHECKING:
 PROGRAM = (sys.executable, "-m", "construction_twin.ros.shared.rehearsal_process")
 
 
-@dataclass(frozen=True)
-class Body:
-    """Several objects that are one body of a known mass.
-
-    Attributes:
-        names: Of the objects.
-        mass: Of all of them together [kg].
-    """
-
-    names: tuple[str, ...]
-    mass: float
-
-
 @dataclass(frozen=True, eq=False)
 class Question:
     """A plan to rehearse.
 
     Attributes:
         scenes: By hash: that of the plan, and those of its segments.
-        bodies: Whose mass somebody says; objects that none of the scenes has are left out.
-        tool: Hash of what else decides the result.
+        masses: Of bodies that the arm carries, see `physics.known_mass` [kg].
+        inputs: Hash of what else decides the result.
     """
 
     plan: Plan
     scenes: Mapping[str, Scene]
-    bodies: tuple[Body, ...]
-    tool: str
+    masses: Mapping[str, float]
+    inputs: str
 
 
 #: Of this process, made by `_prepare`.
 _prepared: list[Rehearsal] = []
 
 
-def prepared(robot: RobotModel, self_collision: str, drives: str) -> Rehearsal:
+def prepared(robot: RobotModel, self_collision: str, drives: str, tool: str) -> Rehearsal:
     """Return what rehearses the plans of an arm.
 
     Args:
         self_collision: YAML of the link pairs that are not checked.
         drives: YAML of the arm's drives; empty: what its URDF says.
+        tool: Tool file; empty: no tool.
     """
+    from construction_twin.physics.grip import SuctionGrip
     from construction_twin.physics.rehearsal import Rehearsal
 
     read = read_drives(drives, robot) if drives else drives_of(robot)
-    return Rehearsal(RobotBodies(robot), read_self_collision(self_collision, robot), read)
-
-
-def shares(bodies: tuple[Body, ...], scenes: Mapping[str, Scene], robot: RobotBodies) -> dict[str, float]:
-    """Return the mass of each object of the bodies, by name: of what a body weighs as much as of its volume [kg]."""
-    objects = {item.name: (item, scene) for scene in scenes.values() for item in scene.objects}
-    found: dict[str, float] = {}
-    for body in bodies:
-        parts = {
-            name: of_shape(robot.place(objects[name][0], objects[name][1].names).geometry).mass
-            for name in body.names
-            if name in objects
-        }
-        found |= {name: body.mass * part / sum(parts.values()) for name, part in parts.items()}
-    return found
+    grip = None
+    if tool and (at_tip := read_tool(tool).tool).cups is not None:
+        grip = SuctionGrip.of(at_tip.cups, at_tip.tool0_T_tcp)
+    pairs = read_self_collision(self_collision, robot)
+    return Rehearsal(RobotBodies(robot), pairs, read, grip=grip, tool=tool_hash(tool))
 
 
 def answer(rehearsal: Rehearsal, question: Question) -> RehearsalReport:
     """Return what a rehearsal finds."""
-    masses = shares(question.bodies, question.scenes, rehearsal.bodies)
-    return replace(rehearsal, masses=masses, tool=question.tool).of_plan(
-        question.plan, question.scenes, time.perf_counter
-    )
+    masses = masses_of(question.masses, question.scenes.values(), rehearsal.bodies)
+    found = replace(rehearsal, masses=masses, inputs=question.inputs)
+    return found.of_plan(question.plan, question.scenes, time.perf_counter)
 
 
-def _prepare(robot: RobotModel, self_collision: str, drives: str) -> None:
-    _prepared[:] = [prepared(robot, self_collision, drives)]
+def _prepare(robot: RobotModel, self_collision: str, drives: str, tool: str) -> None:
+    _prepared[:] = [prepared(robot, self_collision, drives, tool)]
 
 
 def _rehearse(question: Question) -> RehearsalReport:

@@ -1,0 +1,24 @@
+import pytest
+from physics_samples import bodies_of, robot_of
+
+from construction_twin.physics.known_mass import body_of, masses_of
+from construction_twin.scene.objects import Scene, SceneObject
+
+TIP = robot_of("kr120").tip_link
+SMALL = SceneObject("beam/0", "box", (0.1, 0.1, 0.1), (0.0, 0.0, 0.3), link=TIP)
+LARGE = SceneObject("beam/1", "box", (0.1, 0.1, 0.3), (0.0, 0.0, 0.5), link=TIP)
+STANDING = SceneObject("wall/0", "box", (0.1, 0.1, 0.3), (2.0, 0.0, 0.5))
+
+
+def test_a_mass_is_divided_as_the_volumes_of_the_pieces_are():
+    found = masses_of({"beam": 8.0, "wall": 5.0, "other": 1.0}, (Scene((SMALL, LARGE, STANDING)),), bodies_of("kr120"))
+    assert found == pytest.approx({"beam/0": 2.0, "beam/1": 6.0})
+
+
+def test_a_body_that_several_scenes_have_counts_once():
+    scenes = (Scene((SMALL, LARGE)), Scene((SMALL, LARGE, STANDING)), Scene((STANDING,)))
+    assert sum(masses_of({"beam": 8.0}, scenes, bodies_of("kr120")).values()) == pytest.approx(8.0)
+
+
+def test_an_object_without_pieces_is_a_body():
+    assert (body_of("beam/0"), body_of("tool/post"), body_of("link_6")) == ("beam", "tool", "link_6")
