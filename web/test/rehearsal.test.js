@@ -5,11 +5,11 @@ import {fakePage, plan} from "./support/fake.js";
 
 const AXIS = {joint: "A1", peak: 1000, time: 0.5, rms: 400, gravity: 0.25, limit: 4000, estimated: true};
 const REHEARSAL = {
-  plan_id: "p1", plan_hash: "h1", scene: "5ce9e0", tool: "t", state: "passed", reasons: [],
+  plan_id: "p1", plan_hash: "h1", scene: "5ce9e0", tool: "t", inputs: "i", state: "passed", reasons: [],
   axes: [AXIS, {...AXIS, joint: "joint_a2", peak: 1830, limit: 3000, estimated: false}, {...AXIS, joint: "A3", limit: 0}],
   payload: {mass: 42, estimated: true, across: 0, along: 0.2, inertia: 1, rated_mass: 120, rated_inertia: 0, rated_across: 0, rated_along: 0},
   tracking: 0.001, tracking_joint: "A1", braking: {time: 1.2, seconds: 0.5, distance: 0.321, joint: "A1", angle: 0.2, usage: 0.44},
-  worst_time: 1, worst_pose: [0, 0], contacts: [], objects: [], energy: 10, duration: 2, took: 0.2, settle_took: 0, engine: "MuJoCo 4",
+  worst_time: 1, worst_pose: [0, 0], contacts: [], objects: [], grip: {name: "board", cups: 4, time: 0.8, usage: 0.62}, energy: 10, duration: 2, took: 0.2, settle_took: 0, engine: "MuJoCo 4",
   remarks: [], hash: "f00d", stamp: 1.5,
 };
 

@@ -21,7 +21,7 @@ WHY = Sentence("rehearsal.mass", mass=240.0, rated=120.0)
 
 def report_of(plan, state=PASSED, **changes) -> RehearsalReport:
     reasons = () if state == PASSED else (WHY,)
-    return replace(RehearsalReport(plan.id, plan.hash, plan.scene, "t", state, reasons, hash="f00d"), **changes)
+    return replace(RehearsalReport(plan.id, plan.hash, plan.scene, "t", "i", state, reasons, hash="f00d"), **changes)
 
 
 @pytest.fixture
@@ -155,7 +155,9 @@ class TestOverride:
 
 class TestAdvised:
     def test_a_failed_rehearsal_is_on_record_and_holds_nothing_back(self):
-        bench = Bench().ready()
+        bench = Bench()
+        bench.executor.rehearsal = RehearsalCheck(tool="t")
+        bench.ready()
         plan = offered(bench, lambda plan: report_of(plan, FAILED))
         bench.review(plan.id, plan.hash, True, "Ada")
         assert bench.state is ExecutorState.PLAYING and bench.records[0].rehearsal == Rehearsed(FAILED, "f00d")

@@ -70,6 +70,7 @@ DEPLOYMENT = {
         "review_file",
         "neighbour",
         "rehearsal",
+        "tool",
         "realtime_priority",
     },
     "follow_joint_trajectory": {"arm"},

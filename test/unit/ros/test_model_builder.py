@@ -23,7 +23,7 @@ def builder():
 def test_its_models_are_those_of_this_process(builder):
     for scene in (FLOOR, carrying(0.3)):
         here, there = LiveTwin(), LiveTwin()
-        here.take_model(model_in(scene)), there.take_model(builder.build(scene))
+        here.take_model(model_in(scene)), there.take_model(builder.build(scene, {}))
         for share in np.linspace(0.0, 0.1, 50):
             commanded = tuple(np.array(ROBOT.home) + share)
             assert here.cycle(commanded) == there.cycle(commanded)
@@ -32,15 +32,15 @@ def test_its_models_are_those_of_this_process(builder):
 
 def test_a_scene_that_cannot_be_built_is_a_sentence_and_the_next_one_is_built(builder):
     with pytest.raises(WorkerError) as refusal:
-        builder.build(FLOOR.add(SceneObject("hanging", "box", (0.1,) * 3, (1.0, 1.0, 1.0), touch=("nothing_there",))))
+        builder.build(FLOOR.add(SceneObject("hanging", "box", (0.1,) * 3, (1.0, 1.0, 1.0), touch=("nothing_there",))), {})
     assert refusal.value.kind == "SceneError" and "nothing_there" in str(refusal.value)
-    assert builder.build(FLOOR).robot.name == ROBOT.name
+    assert builder.build(FLOOR, {}).robot.name == ROBOT.name
 
 
 def test_without_a_file_of_drives_the_torques_are_the_urdf_s():
     builder = ModelBuilder(ROBOT, SELF_COLLISION, "")
     try:
-        drives = builder.build(FLOOR).drives
+        drives = builder.build(FLOOR, {}).drives
     finally:
         builder.close()
     assert drives.source == "URDF effort" and not any(drives.armature)

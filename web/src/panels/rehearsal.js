@@ -36,8 +36,8 @@ export function findings({payload, braking, grip, contacts, objects, remarks, ax
         time: braking.time.toFixed(1), distance: (1000 * braking.distance).toFixed(0), percent: percentOf(braking.usage),
       }));
     }
+    if (grip.name !== "") found.push(texts("verdict.rehearsal.found.grip", {cups: grip.cups, percent: percentOf(grip.usage), time: grip.time.toFixed(1)}));
   }
-  if (grip.name !== "") found.push(texts("verdict.rehearsal.found.grip", {cups: grip.cups, percent: percentOf(grip.usage), time: grip.time.toFixed(1)}));
   for (const {first, second, time} of contacts) found.push(texts("verdict.rehearsal.found.contact", {first, second, time: time.toFixed(1)}));
   for (const {name, moved} of objects) found.push(texts("verdict.rehearsal.found.object", {name, distance: (1000 * moved).toFixed(0)}));
   for (const remark of remarks) found.push(texts.reason(remark));
