@@ -21,10 +21,10 @@ fail() {
 
 # $1: a command's words follow. Folders of this machine lie in the chroot at their own paths.
 inside() {
-  exec unshare --mount --propagation private bash -c '
+  exec env root="$root" unshare --mount --propagation private bash -c '
     set -e
     system=$1; shift
-    for folder in /proc /sys /dev /tmp /root /home /work; do
+    for folder in /proc /sys /dev /tmp /root /home "$root" "${ROS_HOME:-/tmp}"; do
       [ -d "$folder" ] || continue
       mkdir -p "$system$folder"
       mount --rbind "$folder" "$system$folder"
