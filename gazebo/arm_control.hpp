@@ -8,6 +8,7 @@
 #include <array>
 #include <cmath>
 #include <complex>
+#include <cstdlib>
 #include <istream>
 #include <limits>
 #include <stdexcept>
@@ -55,7 +56,7 @@ struct Joint {
   double armature, damping, friction;  // of motor and gear, seen from the axis
 };
 
-// Read a chain: gravity (3 numbers), then per joint its name and 29 numbers; world.py writes it.
+// Read a chain: gravity (3 numbers), then per joint its name and 29 numbers; physics/gazebo_world.py writes it.
 struct Chain {
   Vector gravity;
   std::vector<Joint> joints;
@@ -64,9 +65,9 @@ struct Chain {
 inline double read_number(std::istream& text) {
   std::string word;
   text >> word;
-  size_t end = 0;
-  const double number = word.empty() ? 0.0 : std::stod(word, &end);  // of an istream it would not take "inf"
-  if (word.empty() || end != word.size()) throw std::invalid_argument("a number of the chain: found '" + word + "'");
+  char* end = nullptr;
+  const double number = std::strtod(word.c_str(), &end);  // an istream does not take "inf"
+  if (word.empty() || *end != 0) throw std::invalid_argument("a number of the chain: found '" + word + "'");
   return number;
 }
 
