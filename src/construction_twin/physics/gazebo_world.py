@@ -117,7 +117,7 @@ class _Builder:
         _add(drawn, "background", 0.8, 0.87, 0.94, 1)
         _add(drawn, "shadows", "false")
         camera = _add(_add(world, "gui"), "camera", name="user")
-        _add(camera, "pose", 4.6, -4.2, 2.6, 0, 0.22, 2.35)
+        _add(camera, "pose", 3.4, -3.2, 2.0, 0, 0.17, 2.3)
 
     def _add_base(self, world: Element) -> None:
         """Add the links that no joint moves. They are seen only: nothing but the arm could touch them, and its links do not."""
