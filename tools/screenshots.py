@@ -314,7 +314,9 @@ def photograph(scene: str) -> int:
 def main(arguments: list[str]) -> int:
     """Take the pictures; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {list(SCENES)}; none: all but {sorted(BY_NAME)}")
+    parser.add_argument(
+        "scenes", nargs="*", metavar="SCENE", help=f"of {list(SCENES)}; none: all but {sorted(BY_NAME)}"
+    )
     parser.add_argument(
         "--photograph", action="store_true", help="take one scene's pictures of a system that runs already"
     )

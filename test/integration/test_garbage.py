@@ -163,7 +163,9 @@ class GarbageTest(RobotTest):
         self.assert_undisturbed()
 
     def test_played_bag_is_refused(self):
-        self.assertEqual(set(HEARD_BY), set(PUBLISHERS) - {"conflict", "work/tasks", "twin/commanded", "gazebo/joint_states"})
+        self.assertEqual(
+            set(HEARD_BY), set(PUBLISHERS) - {"conflict", "work/tasks", "twin/commanded", "gazebo/joint_states"}
+        )
         with tempfile.TemporaryDirectory() as folder:
             bag = Path(folder) / "motion.bag"
             self.record_motion(bag)

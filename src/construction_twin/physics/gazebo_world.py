@@ -283,7 +283,9 @@ def _stl(shape: coal.CollisionGeometry) -> bytes:
     else:
         hull = ConvexHull(np.array(shape.points(), dtype=float))
         corners, normals = hull.points[hull.simplices], hull.equations[:, :3]
-        inward = np.einsum("ij,ij->i", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), normals) < 0
+        inward = (
+            np.einsum("ij,ij->i", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), normals) < 0
+        )
         corners[inward] = corners[inward][:, ::-1]
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = normals / np.where(lengths > 0.0, lengths, 1.0)

@@ -1,4 +1,4 @@
-"""The node `gazebo`: in which scene it starts Gazebo's server, and what it says when that ends. The server is a small program here."""
+"""The node `gazebo`: in which scene it starts Gazebo's server, and what it says when that ends. The server is a small program."""
 
 from __future__ import annotations
 

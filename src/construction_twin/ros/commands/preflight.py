@@ -39,8 +39,8 @@ from construction_twin.robot.tool import read_tool
 from construction_twin.robot.urdf import expand_xacro, xacro_arguments
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
 from construction_twin.ros.commands.node_files import ROBOT_NODES, node_files_problem
-from construction_twin.ros.nodes.gazebo import find_gzserver
 from construction_twin.ros.messages.joint_goals import control_messages
+from construction_twin.ros.nodes.gazebo import find_gzserver
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.launch_arguments import controller_settings, read_mapping, tool_settings
 from construction_twin.ros.shared.master import running
