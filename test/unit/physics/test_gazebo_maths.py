@@ -78,7 +78,7 @@ def maths(program, tmp_path_factory) -> Iterator:
 def test_its_numbers_are_those_of_the_python_servo(maths):
     omega, zeta, stiffness, creeping, _jump = maths("kr120").ask("constants")
     assert (omega, zeta, stiffness) == (python.OMEGA, python.ZETA, python.STIFFNESS)
-    assert creeping == python._CREEPING
+    assert creeping == python.CREEPING
 
 
 @given(omega=st.floats(0.1, 500.0), zeta=st.one_of(st.just(1.0), st.floats(0.05, 3.0)), period=st.floats(1e-4, 0.02))
