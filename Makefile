@@ -1,10 +1,11 @@
 # construction_twin: `make demo` and `make test` do all the set-up they need.
 
-.PHONY: help setup demo build test lint mutations bench properties fuzz scenarios soak screenshots clean
+.PHONY: help setup demo gazebo build test lint mutations bench properties fuzz scenarios soak screenshots clean
 
 help:
 	@echo "make demo             run the paper's experiment headless and print its Table 1"
 	@echo "make demo ARGS=\"quick:=true decimals:=6 servo:=realistic\"   the same with launch arguments"
+	@echo "make gazebo           the same with the twin in Gazebo 11, from a Debian 11 chroot where it is not installed; ARGS as of make demo"
 	@echo "make build            build the timber panel of models/ with the mock arm on its track; ARGS=\"quick:=true\" three elements of it"
 	@echo "make test             build and run every test; ARGS=unit, browser, integration, lint, or the name of a launch test: a part"
 	@echo "make test ARGS=fast   the unit tests that start no program, as many as fit into three minutes by what they took last time"
@@ -25,6 +26,9 @@ setup:
 
 demo: setup
 	@bash -c 'source .ws/env.bash && exec python scripts/demo.py "$$@"' demo $(ARGS)
+
+gazebo: setup
+	@bash -c 'source .ws/env.bash; server=gzserver; command -v gzserver >/dev/null || { scripts/gazebo_chroot.sh make && server="$$PWD/scripts/gazebo_chroot.sh run gzserver"; } && exec python scripts/demo.py twin:=gazebo servo:=realistic "gzserver:=$$server" "$$@"' gazebo $(ARGS)
 
 build:
 	@bash setup/setup.sh work

@@ -24,8 +24,9 @@ import pinocchio
 
 from construction_twin.core.units import CYCLE
 from construction_twin.physics.arm import Servo, SimulatedArm
+from construction_twin.physics.constants import GRAVITY
 from construction_twin.physics.drive import drives_of, read_drives
-from construction_twin.physics.model import GRAVITY, Load, build_model
+from construction_twin.physics.model import Load, build_model
 from construction_twin.physics.rehearsal import Rehearsal
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport

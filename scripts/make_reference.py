@@ -65,6 +65,8 @@ for _module in sorted((ROOT / "src/construction_twin/ros/nodes").glob("*.py")):
 #: What neither a configuration file nor a launch argument explains; `*` stands for every node.
 _EXPLAINED = {
     ("*", "realtime_priority"): "SCHED_FIFO priority of all threads where permitted; 0: none",
+    ("gazebo", "realtime"): "SCHED_FIFO priority of Gazebo's simulating thread where permitted; 0: none",
+    ("gazebo", "drives"): "YAML of the arm's drives: absolute path; empty: what the URDF says",
     ("virtual_robot", "drives"): "YAML of the arm's drives: absolute path; empty: what the URDF says",
     ("*", "self_collision"): "YAML of the link pairs that are not checked: absolute path",
     ("*", "tf_prefix"): "stands before the names of the robot's frames in tf; empty: nothing",
@@ -144,7 +146,7 @@ def _launch_page() -> str:
     launch = ROOT / "launch"
     bringup = launch_arguments(launch / "bringup.launch")
     parts = [_launch_table("bringup.launch", bringup)]
-    for name in ("experiment", "scenario", "two_robots", "view", "robot", "twin", "link"):
+    for name in ("experiment", "scenario", "two_robots", "gazebo", "view", "robot", "twin", "link"):
         own = launch_arguments(launch / f"{name}.launch")
         # the parts of bringup get their values from it: only what it does not have is told again
         part = name in ("twin", "link")

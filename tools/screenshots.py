@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -78,24 +79,34 @@ class Camera:
         path = self._folder / f"{name}.rviz"
         text = (ROOT / "rviz" / f"{config}.rviz").read_text()
         path.write_text(bare_view(text, self._display.size, view, camera))
-        rviz = subprocess.Popen(
-            ["rviz", "-d", str(path), "--fullscreen", f"__name:=camera_{name}"],
-            env=self._display.environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        try:
-            self._wait(rviz, name, least)
-        finally:
-            rviz.terminate()
-            rviz.wait(30)
+        self.shoot_program(name, ["rviz", "-d", str(path), "--fullscreen", f"__name:=camera_{name}"], least)
 
-    def _wait(self, rviz: subprocess.Popen, name: str, least: dict[str, float]) -> None:
+    def shoot_program(self, name: str, command: list[str], least: dict[str, float], **environment: str) -> None:
+        """Do the same with the window of another program, which is as large as the display."""
+        program = subprocess.Popen(
+            command, env=self._display.environment | environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        try:
+            self._wait(program, name, least)
+        finally:
+            program.terminate()
+            program.wait(30)
+
+    def home_of_gazebo(self) -> str:
+        """Return a home folder with which gzclient opens a window as large as the display."""
+        width, height = self._display.size
+        (self._folder / ".gazebo").mkdir()
+        (self._folder / ".gazebo/gui.ini").write_text(f"[geometry]\nx=0\ny=0\nwidth={width}\nheight={height}\n")
+        return str(self._folder)
+
+    def _wait(self, program: subprocess.Popen, name: str, least: dict[str, float]) -> None:
         target = IMAGES / f"{name}.png"
         raw = self._folder / f"{name}.png"
         fractions, settled = {}, 0
 
         def drawn() -> bool:
             nonlocal fractions, settled
-            assert rviz.poll() is None, f"rviz ended with {rviz.returncode}"
+            assert program.poll() is None, f"{program.args[0]} ended with {program.returncode}"
             pixels = self._display.capture(raw)
             fractions = {
                 colours: round(sum(fraction(pixels, one) for one in colours.split("|")), 5) for colours in least
@@ -223,6 +234,18 @@ def shoot_work(camera: Camera) -> None:
     camera.shoot("work", "twin", {"orange": 0.01, "green": 0.02, "pink": 0.0001}, **OF_THE_PANEL)
 
 
+def shoot_gazebo(camera: Camera) -> None:
+    """Gazebo's own window, with the arm where a plan has led it."""
+    client = ready_client()
+    plan = make_plan(client, GOAL)
+    verdict = client.review(plan.plan_id, plan.plan_hash)
+    assert verdict.success, verdict.message
+    client.wait_for_outcome(plan.plan_id, "finished", READY)
+    camera.shoot_program("gazebo", [*GAZEBO, "gzclient"], {"orange": 0.01}, HOME=camera.home_of_gazebo())
+
+
+#: What stands before a program of Gazebo where it is not installed.
+GAZEBO = () if shutil.which("gzserver") else (str(ROOT / "scripts/gazebo_chroot.sh"), "run")
 #: Launch file and arguments, namespace, and what is photographed.
 SCENES: dict[str, tuple[tuple[str, ...], str, Callable[[Camera], None]]] = {
     "one": (("bringup.launch",), "kr120", shoot_one),
@@ -242,7 +265,10 @@ SCENES: dict[str, tuple[tuple[str, ...], str, Callable[[Camera], None]]] = {
     ),  # fmt: skip
     # without arms: two whole robots want two cores for themselves, and rviz takes one
     "two_robots": (("two_robots.launch", "arm:=none"), "", shoot_two),
+    "gazebo": (("gazebo.launch", f"gzserver:={' '.join((*GAZEBO, 'gzserver'))}"), "kr120", shoot_gazebo),
 }
+#: Photographed only when it is named: not every machine has Gazebo, or root for a chroot.
+BY_NAME = {"gazebo"}
 
 
 def free_port(kind: int) -> int:
@@ -288,7 +314,9 @@ def photograph(scene: str) -> int:
 def main(arguments: list[str]) -> int:
     """Take the pictures; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {list(SCENES)}; none: all")
+    parser.add_argument(
+        "scenes", nargs="*", metavar="SCENE", help=f"of {list(SCENES)}; none: all but {sorted(BY_NAME)}"
+    )
     parser.add_argument(
         "--photograph", action="store_true", help="take one scene's pictures of a system that runs already"
     )
@@ -300,7 +328,7 @@ def main(arguments: list[str]) -> int:
         return photograph(options.scenes[0])
     IMAGES.mkdir(parents=True, exist_ok=True)
     failed = []
-    for scene in options.scenes or SCENES:
+    for scene in options.scenes or [name for name in SCENES if name not in BY_NAME]:
         launch, namespace, _ = SCENES[scene]
         started = time.monotonic()
         with tempfile.TemporaryDirectory() as folder, system(launch, Path(folder)) as environment:

@@ -37,10 +37,11 @@ class Report:
     files: tuple[Path, ...]
 
 
-def write_report(recording: Recording, robot: RobotModel | None, directory: str | Path) -> Report:
+def write_report(recording: Recording, robot: RobotModel | None, directory: str | Path, twin: str = "") -> Report:
     """Evaluate a recording and write everything into `directory`, which is made if it does not exist.
 
     Args:
+        twin: What simulated the twin, as the launch argument `twin` says it; empty: nobody knows.
         robot: For the tool path and the joints' units; without it, or when it has other joints than the recording, `figure8.png` is
             not written, and every joint is taken as revolute.
 
@@ -54,7 +55,7 @@ def write_report(recording: Recording, robot: RobotModel | None, directory: str 
         linear = tuple(joint for joint, slides in zip(robot.joint_names, robot.linear) if slides)
         recording = dataclasses.replace(recording, linear=linear)
     evaluation = evaluate(recording)
-    summary = {**summarise(evaluation), "environment": environment()}
+    summary = {**summarise(evaluation), "twin": twin or None, "environment": environment()}
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     drawings = {"figure9.png": figures.joint_figure(evaluation), "timing.png": figures.timing_figure(evaluation)}

@@ -138,7 +138,7 @@ def summary_lines(summary: Mapping) -> list[str]:
     lines = [
         f"samples: {summary['samples']} (paper {SAMPLES})   waypoints: {_text(summary['waypoints'])} (paper {WAYPOINTS})",
         f"duration: {summary['duration_s']:.3f} s   decimals: {_text(summary['decimals'])}   "
-        f"servo: {_text(summary['servo'])}",
+        f"servo: {_text(summary['servo'])}" + (f"   twin: {summary['twin']}" if summary.get("twin") else ""),
         "lag: unknown"
         if lag is None
         else f"lag taken out in lag_removed: {lag * 1e3:.6f} ms (estimated, one for all joints)",
@@ -176,6 +176,7 @@ def facts(summary: Mapping) -> list[Fact]:
         Fact("waypoints", _text(summary["waypoints"]), str(WAYPOINTS)),
         Fact("decimals on the wire", _text(summary["decimals"])),
         Fact("servo", _text(summary["servo"])),
+        *([Fact("twin", summary["twin"])] if summary.get("twin") else []),
         Fact("lag taken out", "unknown" if lag is None else f"{lag * 1e3:.3f} ms"),
         Fact("commands sent", _text(summary["commands_sent"])),
         Fact("commands lost", _text(summary["commands_lost"])),

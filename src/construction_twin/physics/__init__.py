@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from construction_twin.physics.drive import drives_of as drives_of
     from construction_twin.physics.drive import load_drives as load_drives
     from construction_twin.physics.drive import read_drives as read_drives
+    from construction_twin.physics.gazebo_world import GazeboWorld as GazeboWorld
+    from construction_twin.physics.gazebo_world import world_of as world_of
     from construction_twin.physics.live_twin import LiveTwin as LiveTwin
     from construction_twin.physics.mass import MassProperties as MassProperties
     from construction_twin.physics.model import Load as Load

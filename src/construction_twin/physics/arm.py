@@ -28,7 +28,7 @@ OMEGA, ZETA = 60.0, 0.8
 _FREQUENCY = 150.0
 _STIFFNESS, _DAMPING = _FREQUENCY**2, 2.0 * _FREQUENCY
 #: Below this speed friction is taken to grow with speed [rad/s], [m/s], so that an axis at rest has no torque that jumps.
-_CREEPING = 1e-3
+CREEPING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class SimulatedArm:
             answers, speeds, accelerations: Shape (steps, n). Where the servo has the arm at the end of each step, how fast, and the
                 acceleration during it.
         """
-        rubbing = self._damping * speeds + self._friction * np.minimum(np.maximum(speeds / _CREEPING, -1.0), 1.0)
+        rubbing = self._damping * speeds + self._friction * np.minimum(np.maximum(speeds / CREEPING, -1.0), 1.0)
         for answer, speed, acceleration, friction in zip(answers, speeds, accelerations, rubbing):
             self._step(acceleration, friction)
             self.answer, self._speed = answer, speed

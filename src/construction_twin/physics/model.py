@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio
 
 from construction_twin.core.sentences import Sentence
+from construction_twin.physics.constants import FRICTION, GRAVITY, STEP
 from construction_twin.physics.drive import ArmDrives
 from construction_twin.physics.known_mass import body_of
 from construction_twin.physics.mass import MassProperties, of_link, of_shape, together
@@ -25,12 +26,6 @@ from construction_twin.scene.collision_world import checked_pairs
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import SelfCollision
 
-#: Length of a step [s]: a quarter of a cycle.
-STEP = 0.001
-#: Acceleration of gravity, along -z of the root [m/s^2] (DIN 1305).
-GRAVITY = 9.80665
-#: Friction of two bodies [1] of which nobody says more: wood, brick and steel lie between 0.3 and 0.6.
-FRICTION = 0.4
 #: Bodies that touch give way like a spring of this time constant [s] and damping; twice the step is MuJoCo's smallest.
 _CONTACT = (0.004, 1.0)
 

@@ -19,11 +19,12 @@ from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.physics.arm import Servo, SimulatedArm
+from construction_twin.physics.constants import GRAVITY
 from construction_twin.physics.drive import ArmDrives
 from construction_twin.physics.grip import GripWatch, SuctionGrip
 from construction_twin.physics.known_mass import TOOL, body_of
 from construction_twin.physics.mass import MassProperties
-from construction_twin.physics.model import GRAVITY, Load, PhysicsModel, build_model
+from construction_twin.physics.model import Load, PhysicsModel, build_model
 from construction_twin.physics.report import (
     FAILED,
     PASSED,

@@ -11,6 +11,7 @@ from construction_twin.core.exports import lazy_exports
 if TYPE_CHECKING:
     from construction_twin.twin.backend import KinematicBackend as KinematicBackend
     from construction_twin.twin.backend import TwinBackend as TwinBackend
+    from construction_twin.twin.gazebo import GazeboTwin as GazeboTwin
     from construction_twin.twin.mirror import MirrorTwin as MirrorTwin
     from construction_twin.twin.virtual_robot import TwinClock as TwinClock
     from construction_twin.twin.virtual_robot import VirtualRobot as VirtualRobot

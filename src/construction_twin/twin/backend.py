@@ -28,8 +28,11 @@ class TwinBackend(Protocol):
     def restart(self) -> None:
         """Forget where the arm is: the next cycle begins at rest, at the pose that is commanded then."""
 
-    def cycle(self, commanded: tuple[float, ...]) -> tuple[float, ...]:
-        """Advance one cycle towards the commanded pose; return the simulated one at its end, both of shape (n,)."""
+    def cycle(self, commanded: tuple[float, ...]) -> tuple[float, ...] | None:
+        """Advance one cycle towards the commanded pose; return the simulated one at its end, both of shape (n,).
+
+        None: another program simulates, and answers later.
+        """
         ...
 
 

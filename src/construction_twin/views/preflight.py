@@ -15,7 +15,7 @@ from construction_twin.core.sentences import Sentence
 CHOICES = {
     "arm": ("mock", "real", "none"),
     "servo": ("ideal", "realistic"),
-    "twin": ("kinematic", "mujoco"),
+    "twin": ("kinematic", "mujoco", "gazebo"),
     "protocol": ("5", "3.1.1"),
     "gateway_kind": ("rsi", "plc"),
     "rehearsal": ("auto", "advise", "require", "off"),

@@ -10,7 +10,8 @@ from physics_samples import OTHERS, READY, bodies_of, dynamics_of, model_of, pai
 from scene_samples import FLOOR, clutter, random_poses, write_stl
 
 from construction_twin.kinematics.chain import Chain
-from construction_twin.physics.model import GRAVITY, Load
+from construction_twin.physics.constants import GRAVITY
+from construction_twin.physics.model import Load
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject
 

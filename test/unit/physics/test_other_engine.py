@@ -9,7 +9,8 @@ import pytest
 from physics_samples import READY, model_of, robot_of
 from scene_samples import random_poses
 
-from construction_twin.physics.model import GRAVITY, PhysicsModel
+from construction_twin.physics.constants import GRAVITY
+from construction_twin.physics.model import PhysicsModel
 
 
 @pytest.fixture(scope="module", params=["kr120", "ur_like"])

@@ -363,3 +363,50 @@ def test_only_a_twin_with_mass_has_its_topics(monkeypatch):
         return {name for _, name in Unplugged(monkeypatch, module.NODE, settings, ROBOT).opened}
 
     assert topics("mujoco") - topics("kinematic") == {"twin/commanded", "twin/effort", "scene", "work/tasks"}
+    # efforts are told by Gazebo itself
+    assert topics("gazebo") - topics("kinematic") == {"twin/commanded", "gazebo/joint_states"}
+
+
+# -- a twin in Gazebo
+
+
+def in_gazebo(monkeypatch) -> Unplugged:
+    """The node, executing commands from home on."""
+    monkeypatch.setattr(rospy, "loginfo", lambda *_: None)
+    settings = module.Settings(arm="mock", twin="gazebo", self_collision="", drives="")
+    bench = Unplugged(monkeypatch, module.NODE, settings, ROBOT)
+    bench.node.on_link(Link(session="s1", state=Link.ARMED))
+    bench.node.on_physical(1, HOME)
+    return bench
+
+
+def test_what_gazebo_answers_is_the_twin_s_pose_with_the_stamp_of_the_command(monkeypatch):
+    bench = in_gazebo(monkeypatch)
+    sagged = tuple(value + 0.01 for value in HOME)
+    for stamp in STAMPS[:3]:
+        bench.node.on_command(stamp, HOME)
+        assert bench.published["twin/commanded"][-1] == (stamp, HOME)
+        bench.callbacks["gazebo/joint_states"](stamp, sagged)
+    assert bench.published["twin/joint_states"] == [(stamp, sagged) for stamp in STAMPS[:3]]
+    assert bench.published["twin/commanded"] == [(stamp, HOME) for stamp in STAMPS[:3]]
+    assert bench.refused == [] and bench.report().sentence == "executing"
+
+
+def test_an_answer_to_no_command_is_refused_and_counted(monkeypatch):
+    bench = in_gazebo(monkeypatch)
+    bench.node.on_command(STAMPS[0], HOME)
+    for stamp in (STAMPS[1], STAMPS[0], STAMPS[0]):
+        bench.callbacks["gazebo/joint_states"](stamp, HOME)
+    assert bench.published["twin/joint_states"] == [(STAMPS[0], HOME)]
+    assert [reason for reason, _ in bench.refused] == ["answer", "answer"]
+
+
+def test_a_silent_gazebo_is_told_and_what_is_commanded_goes_on(monkeypatch):
+    bench = in_gazebo(monkeypatch)
+    stamps = [STAMPS[0] + number * CYCLE_NS for number in range(300)]
+    for stamp in stamps:
+        bench.node.on_command(stamp, HOME)
+    assert [stamp for stamp, _ in bench.published["twin/commanded"]] == stamps
+    assert bench.published["twin/joint_states"] == []
+    report = bench.report()
+    assert report.level == module.WARN and report.sentence.startswith("Gazebo has answered no command for 1 s")

@@ -101,7 +101,8 @@ class Experiment:
             self._wait_for_counters()
             recorder.stop(self._settings.timeout)
         self._say("evaluating")
-        report = write_report(read_recording(bag, rospy.get_namespace()), self._robot, directory)
+        twin = rospy.get_param("virtual_robot/twin", "")
+        report = write_report(read_recording(bag, rospy.get_namespace()), self._robot, directory, twin)
         point_latest(results, directory)
         return Report(report.summary, (bag, *report.files))
 

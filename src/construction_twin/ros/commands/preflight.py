@@ -33,12 +33,14 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.trace import room as trace_room
 from construction_twin.mqtt.account import load_account
 from construction_twin.physics.drive import read_drives
+from construction_twin.physics.gazebo_world import check_serial
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
 from construction_twin.robot.tool import read_tool
 from construction_twin.robot.urdf import expand_xacro, xacro_arguments
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
 from construction_twin.ros.commands.node_files import ROBOT_NODES, node_files_problem
 from construction_twin.ros.messages.joint_goals import control_messages
+from construction_twin.ros.nodes.gazebo import find_gzserver
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.launch_arguments import controller_settings, read_mapping, tool_settings
 from construction_twin.ros.shared.master import running
@@ -116,6 +118,9 @@ def _check_twin(given: Given, robot: RobotModel) -> None:
     """Check that a twin with mass can be simulated."""
     if given["twin"] == "mujoco":
         check_extras("physics")
+    elif given["twin"] == "gazebo":
+        check_serial(RobotBodies(robot))
+        find_gzserver(given.get("gzserver", ""))
 
 
 def _check_work(given: Given, robot: RobotModel) -> None:

@@ -1,5 +1,5 @@
 """virtual_robot: the twin. Executes `command/joint_states`, publishes `twin/joint_states`: where it is told to be, or, with
-`twin:=mujoco`, where an arm with mass would be. What is commanded is `twin/commanded` then.
+`twin:=mujoco` and `twin:=gazebo`, where an arm with mass would be. What is commanded is `twin/commanded` then.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.objects import Scene
 from construction_twin.twin.backend import KinematicBackend, TwinBackend
+from construction_twin.twin.gazebo import GazeboTwin
 from construction_twin.twin.virtual_robot import TwinClock, VirtualRobot
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ class Settings(NodeSettings):
     """
 
     arm: Literal["mock", "real", "none"]
-    twin: Literal["kinematic", "mujoco"]
+    twin: Literal["kinematic", "mujoco", "gazebo"]
     self_collision: str
     drives: str
     tool: str = ""
@@ -71,12 +72,35 @@ class Settings(NodeSettings):
 
 def has_mass(settings: Settings) -> bool:
     """Return whether the twin is an arm with mass."""
+    return settings.twin != "kinematic"
+
+
+def is_simulated_here(settings: Settings) -> bool:
+    """Return whether it is simulated in this process."""
     return settings.twin == "mujoco"
+
+
+def is_in_gazebo(settings: Settings) -> bool:
+    """Return whether it is simulated by Gazebo."""
+    return settings.twin == "gazebo"
+
+
+@dataclass(frozen=True)
+class Gazebo:
+    """What a twin in Gazebo has besides.
+
+    Attributes:
+        twin: What is known of it.
+        commanded: For what is commanded: Gazebo hears it.
+    """
+
+    twin: GazeboTwin
+    commanded: Sink
 
 
 @dataclass(frozen=True)
 class Simulation:
-    """What a twin with mass has besides.
+    """What a twin that is simulated in this process has besides.
 
     Attributes:
         live: It.
@@ -103,7 +127,8 @@ class VirtualRobotNode:
         twin: For its pose.
         diagnostics: Counts what is refused.
         restarted: Ends the wait of `run` for a silence.
-        simulation: Of a twin with mass; None: it is where it is told to be.
+        simulation: Of a twin that is simulated here; None: none is.
+        gazebo: Of a twin in Gazebo. Without either it is where it is told to be.
     """
 
     def __init__(
@@ -114,10 +139,16 @@ class VirtualRobotNode:
         diagnostics: NodeDiagnostics,
         restarted: threading.Event,
         simulation: Simulation | None = None,
+        gazebo: Gazebo | None = None,
     ):
         self._robot = robot
-        self._simulation = simulation
-        self._backend: TwinBackend = KinematicBackend() if simulation is None else simulation.live
+        self._simulation, self._gazebo = simulation, gazebo
+        self._backend: TwinBackend = KinematicBackend()
+        self._commanded: Sink | None = None
+        if simulation is not None:
+            self._backend, self._commanded = simulation.live, simulation.commanded
+        elif gazebo is not None:
+            self._backend, self._commanded = gazebo.twin, gazebo.commanded
         self._effort_at = 0
         #: Hash of the scene that is simulated, and why the newest one is not.
         self._scene, self._scene_problem = "", ""
@@ -153,11 +184,14 @@ class VirtualRobotNode:
 
     def _advance(self, stamp: int, commanded: tuple[float, ...], told: bool) -> None:
         """Simulate one cycle, and publish its poses with a stamp [ns] if they are to be told; under the lock."""
-        if told and self._simulation is not None:
+        if told and self._gazebo is not None:
+            # before it can be answered
+            self._gazebo.twin.told(stamp)
+        if told and self._commanded is not None:
             # first: who decides what is commanded next waits for no simulation
-            self._simulation.commanded.publish(stamp, commanded)
+            self._commanded.publish(stamp, commanded)
         pose = self._backend.cycle(commanded)
-        if not told:
+        if not told or pose is None:
             return
         self._twin.publish(stamp, pose)
         if self._simulation is not None and abs(stamp - self._effort_at) >= EFFORT_PERIOD and self._backend.effort:
@@ -165,6 +199,17 @@ class VirtualRobotNode:
             message = JointState(name=self._simulation.names, position=pose, effort=self._backend.effort)
             message.header.stamp = to_time(stamp)
             self._simulation.effort.publish(message)
+
+    def on_simulated(self, stamp: int, q: tuple[float, ...]) -> None:
+        """Tell a pose that Gazebo has simulated [rad], with the stamp of its command [ns]."""
+        gazebo = self._gazebo
+        if gazebo is None:
+            return
+        with self._lock:
+            if gazebo.twin.answer(stamp):
+                self._twin.publish(stamp, q)
+                return
+        self._diagnostics.refuse("answer", "a simulated pose with the stamp of no command, or of one answered before")
 
     def on_scene(self, message: SceneMsg) -> None:
         """Take the scene: what is carried and what stands around. In rospy's thread of this connection, which may wait."""
@@ -251,6 +296,9 @@ class VirtualRobotNode:
         if self._robot.pose is None:
             return Report(WARN, "waiting for the physical arm's pose")
         said = "following the physical arm" if self._robot.mirrors else "executing"
+        if self._gazebo is not None:
+            problem = self._backend.problem
+            return Report(WARN if problem else OK, problem or said)
         if self._simulation is None:
             return Report(OK, said)
         contacts = ", ".join(f"{first} and {second}" for first, second in self._backend.contacts)
@@ -269,7 +317,8 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> VirtualRobotNo
         ports.publishers["twin/joint_states"],
         ports.diagnostics,
         threading.Event(),
-        _simulation(settings, robot, ports) if has_mass(settings) else None,
+        _simulation(settings, robot, ports) if is_simulated_here(settings) else None,
+        Gazebo(GazeboTwin(), ports.publishers["twin/commanded"]) if is_in_gazebo(settings) else None,
     )
 
 
@@ -293,14 +342,15 @@ INTERFACE = Interface(
     publishes=(
         PosePublication("twin/joint_states"),
         PosePublication("twin/commanded", when=has_mass),
-        Publication("twin/effort", JointState, queue_size=5, when=has_mass),
+        Publication("twin/effort", JointState, queue_size=5, when=is_simulated_here),
     ),
     hears=(
         PoseSubscription("command/joint_states", VirtualRobotNode.on_command),
         Subscription("link", Link, VirtualRobotNode.on_link, queue_size=5, when=has_arm),
         PoseSubscription("physical/joint_states", VirtualRobotNode.on_physical, when=has_arm),
-        Subscription("work/tasks", WorkTasks, VirtualRobotNode.on_tasks, queue_size=1, when=has_mass),
-        Subscription("scene", SceneMsg, VirtualRobotNode.on_scene, queue_size=1, when=has_mass),
+        Subscription("work/tasks", WorkTasks, VirtualRobotNode.on_tasks, queue_size=1, when=is_simulated_here),
+        Subscription("scene", SceneMsg, VirtualRobotNode.on_scene, queue_size=1, when=is_simulated_here),
+        PoseSubscription("gazebo/joint_states", VirtualRobotNode.on_simulated, when=is_in_gazebo),
     ),
 )
 NODE = NodeShell("virtual_robot", Settings, start, INTERFACE, fast=True)

@@ -1,0 +1,45 @@
+from construction_twin.core.units import CYCLE_NS
+from construction_twin.twin.gazebo import GazeboTwin
+
+
+def told(count: int, first: int = 1) -> GazeboTwin:
+    twin = GazeboTwin()
+    for number in range(first, first + count):
+        assert twin.cycle((0.0,)) is None
+        twin.told(number * CYCLE_NS)
+    return twin
+
+
+def test_each_command_is_answered_once_and_in_order():
+    twin = told(5)
+    assert twin.answer(2 * CYCLE_NS)
+    # the first one was skipped, the second one is answered
+    assert not twin.answer(CYCLE_NS) and not twin.answer(2 * CYCLE_NS)
+    assert twin.answer(5 * CYCLE_NS) and not twin.answer(3 * CYCLE_NS)
+
+
+def test_a_stamp_of_no_command_is_no_answer_and_costs_none():
+    twin = told(3)
+    assert not twin.answer(7) and not twin.answer(4 * CYCLE_NS)
+    assert twin.answer(CYCLE_NS)
+
+
+def test_a_clock_that_goes_back_is_answered_by_its_own_stamps():
+    twin = told(3, first=1000)
+    twin.told(CYCLE_NS)
+    assert twin.answer(CYCLE_NS)
+
+
+def test_it_says_when_it_is_late_and_when_it_is_silent():
+    assert told(25).problem == ""
+    assert told(26).problem == "Gazebo is 104 ms behind what is commanded"
+    twin = told(400)
+    assert twin.problem.startswith("Gazebo has answered no command for 1 s")
+    assert twin.answer(400 * CYCLE_NS) and twin.problem == ""
+
+
+def test_a_new_session_forgets_no_command_that_is_still_to_be_answered():
+    twin = told(3)
+    twin.restart()
+    assert twin.answer(3 * CYCLE_NS)
+    assert (twin.effort, twin.contacts) == ((), ())
