@@ -42,6 +42,7 @@ from construction_twin.mqtt.messages import (
     CommandProperties,
     Control,
     StateProperties,
+    TorqueReport,
     is_session,
     other_protocol,
     protocol_of,
@@ -134,6 +135,8 @@ class Gateway:
         self._ending = False
         #: What the controller says of itself, where its telegrams tell.
         self._status: ControllerStatus = config.make.no_status
+        #: What the axes give, as the newest telegram tells [N m]; None: it does not.
+        self._torques: tuple[float, ...] | None = None
         self._machine = Machine(
             ROWS,
             State.NO_CONTROLLER,
@@ -249,6 +252,12 @@ class Gateway:
         if unreadable:
             self.counters["status_channels_unreadable"] += unreadable
 
+    def note_torques(self, torques: tuple[float, ...] | None) -> None:
+        """Take what a telegram tells of the torques of the axes [N m]; None: it cannot be read. It changes no answer."""
+        self._torques = torques
+        if torques is None:
+            self.counters["torque_channels_unreadable"] += 1
+
     @property
     def kept(self) -> tuple[float, ...]:
         """The target that the controller has until the last answer arrives, as it was sent [rad], [m]; () before the first."""
@@ -343,6 +352,11 @@ class Gateway:
             stamp: The gateway's own time, for the receiver's freshness check [ns].
         """
         return self._states.message(self._controller.measured, self._command_stamp, stamp)
+
+    def torque_message(self, beside: StateProperties) -> bytes | None:
+        """Return the torques that go with a state as the payload of `torque`; None where the newest telegram tells none."""
+        torques, self._torques = self._torques, None
+        return None if torques is None else TorqueReport.of(beside, torques).to_json()
 
     def _begin_session(self, telegram: Telegram) -> None:
         controller, words = self._controller, self._words

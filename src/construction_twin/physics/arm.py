@@ -26,7 +26,7 @@ OMEGA, ZETA = 60.0, 0.8
 #: Of the correction: natural frequency [rad/s]; it is damped critically.
 STIFFNESS = 150.0
 #: Below this speed friction is taken to grow with speed [rad/s], [m/s], so that an axis at rest has no torque that jumps.
-_CREEPING = 1e-3
+CREEPING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class SimulatedArm:
         physics.lead(data.qacc)
         mujoco.mj_rne(model, data, 1, self._forces)
         speed = data.qvel[joints] + model.opt.timestep * wanted
-        rubbing = self._friction * np.clip(speed / _CREEPING, -1.0, 1.0)
+        rubbing = self._friction * np.clip(speed / CREEPING, -1.0, 1.0)
         self.needed = physics.of_joints(self._forces) + self._armature * wanted + self._damping * speed + rubbing
         self._wanted[joints] = correction
         physics.lead(self._wanted)

@@ -14,7 +14,7 @@ from construction_twin.core.sentences import Sentence
 #: Arguments with a few allowed values.
 CHOICES = {
     "arm": ("mock", "real", "none"),
-    "servo": ("ideal", "realistic"),
+    "servo": ("ideal", "realistic", "physics"),
     "twin": ("kinematic", "mujoco"),
     "protocol": ("5", "3.1.1"),
     "gateway_kind": ("rsi", "plc"),
