@@ -27,6 +27,7 @@ SWITCHES = (
     "broker",
     "gateway",
     "commissioning",
+    "torque_watch",
     "tool_marker",
     "follow_joint_trajectory",
     "track",

@@ -7,8 +7,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
+import pydantic
 import rospy
 from sensor_msgs.msg import JointState
 
@@ -58,12 +59,14 @@ class Settings(NodeSettings):
         twin: What simulates.
         self_collision: YAML of the link pairs that are not checked; with mujoco alone.
         drives: YAML of the arm's drives; empty: what the URDF says; with mujoco alone.
+        payload: At the flange at all times: mass [kg], or mass and centre in the tip link [m]; empty: nothing; with mujoco alone.
     """
 
     arm: Literal["mock", "real", "none"]
     twin: Literal["kinematic", "mujoco"]
     self_collision: str
     drives: str
+    payload: list[Annotated[float, pydantic.Field(allow_inf_nan=False)]] = []
 
 
 def has_mass(settings: Settings) -> bool:
@@ -268,7 +271,7 @@ def _simulation(settings: Settings, robot: RobotModel, ports: Ports) -> Simulati
 
     return Simulation(
         LiveTwin(),
-        ModelBuilder(robot, settings.self_collision, settings.drives).build,
+        ModelBuilder(robot, settings.self_collision, settings.drives, tuple(settings.payload)).build,
         robot.joint_names,
         ports.publishers["twin/commanded"],
         ports.publishers["twin/effort"],

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from construction_twin.physics.drive import drives_of, read_drives
-from construction_twin.physics.mass import of_shape
+from construction_twin.physics.mass import of_shape, payload_of
 from construction_twin.physics.report import RehearsalReport
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
@@ -62,17 +62,19 @@ class Question:
 _prepared: list[Rehearsal] = []
 
 
-def prepared(robot: RobotModel, self_collision: str, drives: str) -> Rehearsal:
+def prepared(robot: RobotModel, self_collision: str, drives: str, payload: tuple[float, ...] = ()) -> Rehearsal:
     """Return what rehearses the plans of an arm.
 
     Args:
         self_collision: YAML of the link pairs that are not checked.
         drives: YAML of the arm's drives; empty: what its URDF says.
+        payload: At the flange, see `payload_of`.
     """
     from construction_twin.physics.rehearsal import Rehearsal
 
     read = read_drives(drives, robot) if drives else drives_of(robot)
-    return Rehearsal(RobotBodies(robot), read_self_collision(self_collision, robot), read)
+    flange = payload_of(payload, "payload")
+    return Rehearsal(RobotBodies(robot), read_self_collision(self_collision, robot), read, flange=flange)
 
 
 def shares(bodies: tuple[Body, ...], scenes: Mapping[str, Scene], robot: RobotBodies) -> dict[str, float]:
@@ -97,8 +99,8 @@ def answer(rehearsal: Rehearsal, question: Question) -> RehearsalReport:
     )
 
 
-def _prepare(robot: RobotModel, self_collision: str, drives: str) -> None:
-    _prepared[:] = [prepared(robot, self_collision, drives)]
+def _prepare(robot: RobotModel, self_collision: str, drives: str, payload: tuple[float, ...]) -> None:
+    _prepared[:] = [prepared(robot, self_collision, drives, payload)]
 
 
 def _rehearse(question: Question) -> RehearsalReport:
