@@ -369,7 +369,8 @@ def _watched(monitor: dict) -> WatchedArm:
     """Return what the monitor's node makes of its parameters."""
     drives = read_drives(DRIVES, ROBOT)
     model = bare_model(RobotBodies(ROBOT), drives, payload_of(monitor["payload"], "payload"))
-    return WatchedArm(InverseDynamics(model).torques, drives.torque)
+    dynamics = InverseDynamics(model)
+    return WatchedArm(lambda *motion: tuple(map(float, dynamics.torques(*motion))), drives.torque)
 
 
 def _closings(chain: SimulatedChain):

@@ -1,15 +1,15 @@
 """Do the axes give the torques that their motion should take? What differs for long is a collision, or a load that was lost.
 
-The expected motion is the one that a servo of second order makes of what passed the gate; what torque it takes, the model of the arm
-says, with the payload that it is believed to carry. Compared by command stamp, as poses are. Pure: stamps come in as arguments (ns).
-Joints in the robot's order; SI.
+The expected motion is the one that a servo of second order makes of what passed the gate; what torque it takes, the model of the
+arm says, with the payload that it is believed to carry. Compared by command stamp, as poses are. Pure: stamps come in as arguments
+(ns). Joints in the robot's order; SI.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from construction_twin.core.servo_lag import transition_matrix
@@ -146,7 +146,7 @@ class TorqueWatch:
         return None
 
     def _torques(self, motion: _Motion) -> tuple[float, ...]:
-        return tuple(map(float, self._dynamics(motion.q, motion.speed, motion.acceleration)))
+        return tuple(self._dynamics(motion.q, motion.speed, motion.acceleration))
 
     def on_torques(self, measured: Sequence[float], command_stamp: int) -> TorqueDifference | None:
         """Take what the axes gave in the cycle that ends with a command stamp, shape (n,); nan for an axis that is not told.
@@ -179,7 +179,7 @@ class TorqueWatch:
 
 
 def thresholds(
-    fraction: float, single: dict[str, float], names: Sequence[str], limits: Sequence[float | None]
+    fraction: float, single: Mapping[str, float], names: Sequence[str], limits: Sequence[float | None]
 ) -> tuple[float, ...]:
     """Return from where on each joint's torque differs, shape (n,) [N m], [N]; infinite for one whose limit nobody says.
 
@@ -188,4 +188,6 @@ def thresholds(
         single: Other values for single joints, by joint name [N m], [N].
         limits: Length n. What each axis can give [N m], [N]; None: nobody says.
     """
-    return tuple(single.get(name, math.inf if limit is None else fraction * limit) for name, limit in zip(names, limits))
+    return tuple(
+        single.get(name, math.inf if limit is None else fraction * limit) for name, limit in zip(names, limits)
+    )

@@ -178,7 +178,9 @@ def read_torques(payload: bytes, count: int) -> TorqueReport:
     for key in keys[:3]:
         if type(document[key]) is not int or not 0 <= document[key] <= _MAX_NUMBER:
             shown = repr(document[key])[:32]
-            raise PayloadError("torque", Sentence("link.payload.property_number", name=key, found=shown, most=_MAX_NUMBER))
+            raise PayloadError(
+                "torque", Sentence("link.payload.property_number", name=key, found=shown, most=_MAX_NUMBER)
+            )
     told = document["torque_nm"]
     if not isinstance(told, list) or len(told) != count or not all(map(_is_torque, told)):
         raise PayloadError("torque", Sentence("link.payload.torque_values", count=count, most=_MOST_TORQUE))
@@ -187,7 +189,9 @@ def read_torques(payload: bytes, count: int) -> TorqueReport:
 
 
 def _is_torque(value: object) -> bool:
-    return value is None or (type(value) in (int, float) and abs(value) <= _MOST_TORQUE)  # type: ignore[operator]
+    # a truth value is an int, too; what is no number is not between the bounds
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return value is None or (is_number and -_MOST_TORQUE <= value <= _MOST_TORQUE)  # type: ignore[operator]
 
 
 def _read(pairs: list[tuple[str, str]], names: tuple[str, ...]) -> dict[str, str]:

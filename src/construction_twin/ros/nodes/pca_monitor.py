@@ -364,7 +364,9 @@ class PcaMonitorNode:
                 watched = Sentence("reason.gate.no_torques")
         level = {SyncState.IN_SYNC: OK, SyncState.STOPPED: ERROR, SyncState.FAULT: ERROR}.get(gate.state, WARN)
         sentence = "; ".join(filter(None, (f"{gate.state.name}: {gate.reason}", problem, watched)))
-        return Report(ERROR if problem else WARN if watched and level is OK else level, sentence, values | self._outputs.transitions.values())
+        if watched and level is OK:
+            level = WARN
+        return Report(ERROR if problem else level, sentence, values | self._outputs.transitions.values())
 
 
 def make_gate(settings: Settings, robot: RobotModel, now: int) -> Gate:
@@ -394,7 +396,8 @@ def watched_arm(settings: Settings, robot: RobotModel) -> WatchedArm:
 
     drives = read_drives(settings.drives, robot) if settings.drives else drives_of(robot)
     model = bare_model(RobotBodies(robot), drives, payload_of(settings.payload, "payload"))
-    return WatchedArm(InverseDynamics(model).torques, drives.torque)
+    dynamics = InverseDynamics(model)
+    return WatchedArm(lambda *motion: tuple(map(float, dynamics.torques(*motion))), drives.torque)
 
 
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode:
