@@ -1,7 +1,8 @@
 """The optional channels by which a controller tells the torque of its axes: ``GearTorque.A1`` to ``GearTorque.A6`` [N m].
 
-None of them is built in: somebody wires an object GEARTORQUE to channels of SEND (docs/rsi.md). An external axis has none. Read beside the telegram and after it, as `tool_channels` is, so that a file without them costs nothing, and one that cannot be read
-ends no answers. Standard library only.
+None of them is built in: somebody wires an object GEARTORQUE to channels of SEND (docs/rsi.md). An external axis has none. Read
+beside the telegram and after it, as `tool_channels` is, so that a file without them costs nothing, and one that cannot be read ends
+no answers. Standard library only.
 """
 
 from __future__ import annotations
