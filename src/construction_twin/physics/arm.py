@@ -98,6 +98,13 @@ class SimulatedArm:
         self.data.qvel[self._joints] = speed
         self.physics.follow(self.data)
 
+    def freeze(self, joint: int, position: float) -> None:
+        """Put one joint at rest at `position` [rad], [m], in the arm and in the servo's answer; the others go on."""
+        place = self._joints[joint]
+        self.answer[joint], self._speed[joint] = position, 0.0
+        self.data.qpos[place], self.data.qvel[place] = position, 0.0
+        self.physics.follow(self.data)
+
     def go_on_as(self, before: SimulatedArm) -> None:
         """Take over pose, speed and the servo's state of an arm in another scene."""
         self.answer, self._speed, self.setpoint = before.answer.copy(), before._speed.copy(), before.setpoint.copy()

@@ -60,12 +60,7 @@ class Plant:
 
     def hold(self, joint: int, position: float) -> None:
         """Put one joint at rest at `position` [rad], [m]; the others go on."""
-        arm = self._arm
-        place = arm.physics.joints[joint]
-        speed = arm.data.qvel[arm.physics.joints]
-        speed[joint] = 0.0
-        arm.answer[joint], arm.data.qpos[place] = position, position
-        arm.begin_with(speed)
+        self._arm.freeze(joint, position)
 
     def push(self, joint: int, torque: float) -> None:
         """Have something push on one joint with this torque [N m], [N], until it is 0 again."""

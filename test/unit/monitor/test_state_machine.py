@@ -172,7 +172,7 @@ class Cell(RuleBasedStateMachine):
     def respawn(self):
         """The monitor begins anew; one that was STOPPED stays so."""
         stopped = self.state is SyncState.STOPPED
-        self.gate = Gate(LIMITS, CODEC, self.gate.settings, self.stamp)
+        self.gate = Gate(LIMITS, CODEC, self.gate.settings, self.stamp, WATCHED)
         self.state, self.command = SyncState.WAITING, None
         if stopped:
             self.gate.stay_stopped("it was STOPPED before", self.stamp)
