@@ -22,6 +22,7 @@ PUBLISHERS = {
     "command/joint_states": "pca_monitor",
     "twin/joint_states": "virtual_robot",
     "twin/commanded": "virtual_robot",
+    "physical/torque": "mqtt_bridge",
     "physical/joint_states": "mqtt_bridge",
     "physical/feedback": "mqtt_bridge",
     "link": "mqtt_bridge",
