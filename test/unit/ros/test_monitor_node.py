@@ -54,7 +54,7 @@ class World:
             self.topic("command/joint_states"),
             self.topic("sync"),
             self.topic("hold"),
-            SimpleNamespace(report=self.report, flush=lambda: None, problem=""),
+            SimpleNamespace(report=self.report, flush=lambda: None, problem="", values=dict),
             self.plan_to_joints,
             lambda session: self.parameters.update({PARAMETER: session}),
         )
@@ -134,7 +134,8 @@ def opened(world: World, session: str = "s1", sync=None):
 
 
 def test_settings_of_this_test_are_all_there_are():
-    assert set(SETTINGS) | {"thresholds"} == set(Behaviour.model_fields)
+    watched = {name for name in Behaviour.model_fields if name.startswith("torque_")}
+    assert set(SETTINGS) | {"thresholds"} | watched == set(Behaviour.model_fields)
 
 
 class TestSettings:
