@@ -413,9 +413,9 @@ def test_torques_of_other_joints_are_refused(world):
 
 def test_a_watch_that_hears_nothing_says_so(world):
     node = watching(world)
-    assert "no torques are compared" in node.report().text
+    assert "no torques are compared" in node.report().sentence
     node.on_torques(torques(world, (0.0,) * 6))
-    assert "no torques are compared" not in node.report().text
+    assert "no torques are compared" not in node.report().sentence
 
 
 def test_it_listens_only_where_it_watches_an_arm():
