@@ -99,7 +99,7 @@ def answer(rehearsal: Rehearsal, question: Question) -> RehearsalReport:
     )
 
 
-def _prepare(robot: RobotModel, self_collision: str, drives: str, payload: tuple[float, ...]) -> None:
+def _prepare(robot: RobotModel, self_collision: str, drives: str, payload: tuple[float, ...] = ()) -> None:
     _prepared[:] = [prepared(robot, self_collision, drives, payload)]
 
 
