@@ -397,7 +397,10 @@ class Gate:
 
     def _note_agreement(self, comparison: Comparison, now: int) -> None:
         torques = self.watch_of_torques
-        if not comparison.agrees_within(self.settings.agree_share) or (torques is not None and torques.difference):
+        if torques is not None and torques.difference:
+            self._agreed_since = None
+            return
+        if not comparison.agrees_within(self.settings.agree_share):
             self._agreed_since = None
             return
         if self._agreed_since is None:

@@ -41,6 +41,7 @@ from construction_twin.mqtt.messages import (
     Control,
     StateProperties,
     Topics,
+    demand_live,
     no_properties,
     parse_presence,
     parse_status,
@@ -414,8 +415,7 @@ class MqttBridge:
             return
         received = now_ns()
         try:
-            if retained:
-                raise PayloadError("retained", Sentence("link.payload.retained_state"))
+            demand_live(retained, "torque")
             report = read_torques(payload, len(self._names))
         except PayloadError as error:
             self._diagnostics.refuse(f"torque_{error.reason}", str(error))
