@@ -16,6 +16,7 @@ import numpy as np
 import rospy
 import rostest
 from construction_twin.msg import (
+    AxisTorque,
     Engagement,
     PlanCaller,
     SessionRequest,
@@ -49,6 +50,8 @@ HEARD_BY = {
     "twin/joint_states": {"pca_monitor", "executor", "planner", "scene"},
     "physical/feedback": {"pca_monitor"},
     "physical/joint_states": {"virtual_robot"},
+    # the monitor hears it where it watches torques
+    "physical/torque": set(),
     "next/joint_states": {"pca_monitor"},
     "command/joint_states": {"virtual_robot", "mqtt_bridge"},
     "plan": {"pca_monitor", "executor"},
@@ -77,6 +80,7 @@ FRAMES = {"planner", "scene"}
 MADE = {
     "tool_command": ToolCommand(verb=ToolCommand.VOID),
     "tool": ToolState(),
+    "physical/torque": AxisTorque(),
     "engagement": Engagement(),
     "plan_caller": PlanCaller(),
     "session_request": SessionRequest(),

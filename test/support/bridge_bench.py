@@ -97,7 +97,7 @@ class BridgeBench:
     def __init__(self, clocks, diagnostics=Refusals, properties=True, kind="rsi", **options):
         self.clocks = clocks
         self.client = Client()
-        self.physical, self.links, self.tools, self.asked = (Published() for _ in range(4))
+        self.physical, self.links, self.tools, self.asked, self.torques = (Published() for _ in range(5))
         settings = Settings(
             host="127.0.0.1",
             port=1,
@@ -113,7 +113,7 @@ class BridgeBench:
 
         self._codec, self._states = codec, 0
         self._made = diagnostics(lambda: self.bridge.report())
-        outputs = Outputs(self.physical, Published(), self.links, self.tools, self.asked)
+        outputs = Outputs(self.physical, Published(), self.links, self.tools, self.asked, self.torques)
         self.bridge = MqttBridge(
             settings, "arm", config, codec, Broker("127.0.0.1", 1), self.client, outputs, self._made, **options
         )

@@ -25,23 +25,33 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import NANOSECONDS, from_wire, to_wire
 from construction_twin.evaluation.recording import PlayedPlan
 from construction_twin.execution.approval import Approval
+from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.gateway.states import State
 from construction_twin.gateway.trace import TraceEntry
 from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, joint_angles
+from construction_twin.monitor.gate import WatchedArm
 from construction_twin.monitor.settings import Behaviour
 from construction_twin.mqtt.messages import Control
+from construction_twin.physics.drive import read_drives
+from construction_twin.physics.mass import payload_of
+from construction_twin.physics.plant import InverseDynamics, bare_model
+from construction_twin.physics.rehearsal import Rehearsal
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.nodes.executor import BACKGROUND_PERIOD
 from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.ros.shared.rehearsal_process import prepared
 from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario
 from construction_twin.scenario.judge import Judgement, judge
 from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
+from construction_twin.scene.collision_bodies import RobotBodies
+from construction_twin.scene.objects import Scene
 
 ROOT = Path(__file__).resolve().parents[2]
 DECIMALS, CYCLE_MS = 3, 4
+DRIVES = str(ROOT / "config/kr120_drives.yaml")
 #: Its hash only: nothing is in the way here.
 SCENE = "s"
 #: As in launch/gate.launch with the mock; a scenario's own settings have the last word.
@@ -66,8 +76,12 @@ class ScenarioRun:
 
     def __init__(self, name: str, content: dict):
         self.scenario: Scenario = make_scenario(name, content["scenario"])
-        config = gateway_config(ROBOT, SETTINGS | {"decimals": DECIMALS, "cycle": CYCLE_MS})
+        # as launch/scenario.launch has it
+        xml = "config/torque_ethernet.xml" if name == "lost_load" else "krl/ethernet/ctwin_ethernet.xml"
+        file = {"ethernet_xml": (ROOT / xml).read_text()}
+        config = gateway_config(ROBOT, SETTINGS | {"decimals": DECIMALS, "cycle": CYCLE_MS} | file)
         mock_file = yaml.safe_load((ROOT / "config/mock_rsi.yaml").read_text())
+        mock_file |= file | {"drives": DRIVES} | content.get("mock_rsi", {})
         mock = MockSettings(gateway_host="simulated", gateway_port=1, **mock_file)
         monitor = yaml.safe_load((ROOT / "config/pca_monitor.yaml").read_text()) | {"lag_margin": LAG_MARGIN}
         monitor |= content.get("pca_monitor", {})
@@ -80,7 +94,14 @@ class ScenarioRun:
             behaviour.gate_settings(True),
             planner=self._replan,
             restart_after=mock.restart_after,
+            watched=_watched(monitor) if monitor.get("torque_watch") else None,
         )
+        #: What rehearses each plan; None: nothing does.
+        self._rehearsal: Rehearsal | None = None
+        if content.get("executor", {}).get("rehearsal") == "require":
+            self.chain.executor.rehearsal = RehearsalCheck(required=True)
+            files = str(ROOT / "config/kr120_self_collision.yaml"), DRIVES
+            self._rehearsal = prepared(ROBOT, *files, tuple(content["rehearsal"]["payload"]))
         #: What the gateway sent.
         self.trace: list[TraceEntry] = []
         self.chain.gateway.trace = self._on_reply
@@ -148,7 +169,7 @@ class ScenarioRun:
         if step.move:
             self._move(step.move)
         elif step.approve:
-            self._approve()
+            self._approve(step.approve == "refused")
         elif step.inject:
             self._inject(step.inject)
         elif step.call:
@@ -184,7 +205,10 @@ class ScenarioRun:
         self._offer(time_path(np.array([self.chain.twin.pose, goal]), ROBOT, **timing))
 
     def _offer(self, trajectory) -> None:
-        self.chain.executor.offer(self._plan(trajectory))
+        plan = self._plan(trajectory)
+        if self._rehearsal is not None:
+            self.chain.executor.rehearsal.on_report(self._rehearsal.of_plan(plan, {SCENE: Scene()}, lambda: 0.0))
+        self.chain.executor.offer(plan)
 
     def _plan(self, trajectory) -> Plan:
         return plan_samples.make_plan(trajectory, f"plan-{self.chain.now}", SCENE, created_ns=self.chain.now)
@@ -192,11 +216,19 @@ class ScenarioRun:
     def _replan(self, held: tuple[float, ...], goal: tuple[float, ...]) -> Plan:
         return self._plan(time_path(np.array([held, goal]), ROBOT, None, SPEED_SCALE, ACCELERATION_SCALE))
 
-    def _approve(self) -> None:
+    def _approve(self, refused: bool) -> None:
         plan = self.chain.executor.under_review.plan
         if plan is None:
             raise ScenarioError("there is no plan to approve")
-        self._approval.review(plan.id, plan.hash, True, "scenario", self.scenario.name)
+        try:
+            self._approval.review(plan.id, plan.hash, True, "scenario", self.scenario.name)
+        except ReviewError as error:
+            if not refused:
+                raise
+            self._note("refused", plan.id, str(error))
+            return
+        if refused:
+            raise ScenarioError(f"plan {plan.id} was approved; expected a refusal")
         self._note("approve", plan.id)
 
     def _inject(self, injection: Injection) -> None:
@@ -331,6 +363,14 @@ class ScenarioRun:
             stops=tuple(self._stops),
             stated=self._stated,
         )
+
+
+def _watched(monitor: dict) -> WatchedArm:
+    """Return what the monitor's node makes of its parameters."""
+    drives = read_drives(DRIVES, ROBOT)
+    model = bare_model(RobotBodies(ROBOT), drives, payload_of(monitor["payload"], "payload"))
+    dynamics = InverseDynamics(model)
+    return WatchedArm(lambda *motion: tuple(map(float, dynamics.torques(*motion))), drives.torque)
 
 
 def _closings(chain: SimulatedChain):

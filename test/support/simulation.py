@@ -33,10 +33,10 @@ from construction_twin.link.tool_link import ToolLink
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard
 from construction_twin.mock.impaired_line import ImpairedLine
-from construction_twin.monitor.gate import REPLAN, Gate, GateSettings
+from construction_twin.monitor.gate import REPLAN, Gate, GateSettings, WatchedArm
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, StateProperties
+from construction_twin.mqtt.messages import CommandProperties, StateProperties, read_torques
 from construction_twin.review.plan_under_review import Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
@@ -74,6 +74,7 @@ class SimulatedChain:
     Args:
         planner: Makes a plan from a pose to another [rad]: asked when the gate closes during a plan and the policy is to re-plan.
         backend: What simulates the twin.
+        watched: Whose torques the gate watches; None: it does not.
         restart_after: A controller that has stopped starts a new RSI session after this time [s]; 0: it stays stopped.
 
     Attributes:
@@ -91,6 +92,7 @@ class SimulatedChain:
         planner: Callable[[tuple[float, ...], tuple[float, ...]], Plan] | None = None,
         restart_after: float = 0.0,
         backend: TwinBackend = KinematicBackend(),
+        watched: WatchedArm | None = None,
     ):
         self.robot = robot
         self.now = EPOCH
@@ -103,7 +105,7 @@ class SimulatedChain:
         self.executor = Executor(robot)
         self.verdicts: list[Verdict] = []
         self.codec = JointStringCodec.of(robot, config.decimals)
-        self.gate = Gate(MotionLimits.of(robot), self.codec, gate, EPOCH)
+        self.gate = Gate(MotionLimits.of(robot), self.codec, gate, EPOCH, watched)
         #: Changes of the gate's state, oldest first.
         self.transitions: list[Transition] = []
         self.planner = planner
@@ -299,6 +301,8 @@ class SimulatedChain:
         tool = self.gateway.tool
         if tool is not None and self._reader.tool is not None:
             tool.note(self._reader.tool(packet))
+        if self._reader.torques is not None:
+            self.gateway.note_torques(self._reader.torques(packet))
         correction = self.gateway.on_telegram(telegram, "controller", self.now)
         if correction is not None:
             self.corrections.append((telegram.controller_ms, correction))
@@ -313,7 +317,11 @@ class SimulatedChain:
             self._at(self.now + self._link.state_delay(), lambda: self._hear_tool(status))
         message = self.gateway.state_message(self.now)
         if message is not None:
-            self._at(self.now + self._link.state_delay(), lambda: self._receive(*message))
+            arrival = self.now + self._link.state_delay()
+            self._at(arrival, lambda: self._receive(*message))
+            torques = self.gateway.torque_message(message[1])
+            if torques is not None:
+                self._at(arrival, lambda: self._receive_torques(torques))
 
     def _take_reply(self, reply: bytes) -> None:
         self.controller.receive(reply, self.now <= self._ends)
@@ -353,6 +361,12 @@ class SimulatedChain:
         self.gate.on_physical(q, properties.command_stamp, self.now)
         self._note_transitions()
         self.feedback.append((self.now, q, properties.seq, properties.command_stamp))
+
+    def _receive_torques(self, payload: bytes) -> None:
+        report = read_torques(payload, len(self.robot.axes))
+        torques = [axis.sign * torque for axis, torque in zip(self.robot.axes, report.torques)]
+        self.gate.on_torques(torques, report.command_stamp, self.now)
+        self._note_transitions()
 
     def _supervise(self) -> None:
         self._at(self.now + POLL, self._supervise)

@@ -152,11 +152,13 @@ class Reader:
         status: Of a datagram that is a telegram: what the controller says of itself, and how many of its channels cannot be read.
             None: it says nothing.
         tool: The same for a tool's outputs and inputs; it returns None when they are not told clearly. None: no tool.
+        torques: The same for the torques of the axes, length n [N m], nan for one that has no channel. None: none is told.
     """
 
     parse: Callable[[bytes], Telegram]
     status: Callable[[bytes], tuple[ControllerStatus, int]] | None = None
     tool: Callable[[bytes], ToolReading | None] | None = None
+    torques: Callable[[bytes], tuple[float, ...] | None] | None = None
 
 
 class Encoder(Protocol):
@@ -274,6 +276,7 @@ class TelegramEncoder(Protocol):
         status: MockStatus,
         outputs: Mapping[str, bool] | None,
         inputs: Mapping[str, bool],
+        torques: Sequence[float] = (),
         /,
     ) -> bytes:
         """Return a telegram.
@@ -283,6 +286,7 @@ class TelegramEncoder(Protocol):
             measured_pose, followed_pose: Length 6. Position [m] and A, B, C [rad] of the tool for both.
             missed: The count of missed replies.
             outputs, inputs: A tool's, by their names; None where they are not told.
+            torques: Length n. Of the axes [N m]; () where nobody knows them: then they are not told.
         """
         ...
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from construction_twin.controller.port import ControllerStatus
@@ -42,6 +42,7 @@ from construction_twin.mqtt.messages import (
     CommandProperties,
     Control,
     StateProperties,
+    TorqueReport,
     is_session,
     other_protocol,
     protocol_of,
@@ -50,6 +51,8 @@ from construction_twin.mqtt.requests import answer_limits
 
 #: States in which nothing is commanded, and the held pose follows what a program of the controller does.
 HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
+#: What disturbs a motion shows in the torques for so long after it [ns]: by then a servo has forgotten it.
+STEADY = NANOSECONDS // 5
 #: An arm may begin a session this many start tolerances away from the held pose: its first command may be one away from either.
 DISPLACED = 2.0
 #: Why no switch is armed, and armed ones are void.
@@ -134,6 +137,10 @@ class Gateway:
         self._ending = False
         #: What the controller says of itself, where its telegrams tell.
         self._status: ControllerStatus = config.make.no_status
+        #: What the axes give, as the newest telegram tells [N m]; None: it does not.
+        self._torques: tuple[float, ...] | None = None
+        #: For how long the arm has been told exactly what was commanded, at its own speed [ns].
+        self._steady = 0
         self._machine = Machine(
             ROWS,
             State.NO_CONTROLLER,
@@ -235,6 +242,8 @@ class Gateway:
             position = self._move_in_parts(follower, elapsed)
         else:
             position = self._move(follower, elapsed)
+        if self._torques is not None:
+            self._note_steadiness(follower, taken.elapsed, lost)
         if self.tool is not None and machine.state is State.FOLLOWING and player.braking is None:
             self.tool.play(player.stamp)
         if self.trace is not None:
@@ -248,6 +257,12 @@ class Gateway:
         self._status = status
         if unreadable:
             self.counters["status_channels_unreadable"] += unreadable
+
+    def note_torques(self, torques: tuple[float, ...] | None) -> None:
+        """Take what a telegram tells of the torques of the axes [N m]; None: it cannot be read. It changes no answer."""
+        self._torques = torques
+        if torques is None:
+            self.counters["torque_channels_unreadable"] += 1
 
     @property
     def kept(self) -> tuple[float, ...]:
@@ -343,6 +358,32 @@ class Gateway:
             stamp: The gateway's own time, for the receiver's freshness check [ns].
         """
         return self._states.message(self._controller.measured, self._command_stamp, stamp)
+
+    def torque_message(self, beside: StateProperties) -> bytes | None:
+        """Return the torques that go with a state as the payload of `torque`; None where the newest telegram tells none.
+
+        They name a command only where the arm's motion is that of the commands: not for a moment after a reply that was lost, while
+        it brakes or catches up, or where a speed limit stretches the motion.
+        """
+        torques, self._torques = self._torques, None
+        if torques is None:
+            return None
+        if self._steady < STEADY:
+            beside = replace(beside, command_stamp=0)
+        return TorqueReport.of(beside, torques).to_json()
+
+    def _note_steadiness(self, follower: Follower, elapsed: int, lost: bool) -> None:
+        """Take note of whether the reply that is being given moves the arm exactly as it was commanded."""
+        player = self._player
+        as_commanded = (
+            self._machine.state is State.FOLLOWING
+            and player.braking is None
+            and not lost
+            and elapsed == self._cycle
+            and not follower.settling
+            and player.keeps_pace(elapsed)
+        )
+        self._steady = self._steady + elapsed if as_commanded else 0
 
     def _begin_session(self, telegram: Telegram) -> None:
         controller, words = self._controller, self._words

@@ -51,7 +51,7 @@ class TelegramInbox:
         self._clock = clock
         self._controller = controller
         reader = gateway.config.make.reader(gateway.config)
-        self._parse, self._status, self._tool = reader.parse, reader.status, reader.tool
+        self._parse, self._status, self._tool, self._torques = reader.parse, reader.status, reader.tool, reader.torques
         self._timeout_ms = round(gateway.config.timeout * 1000)
 
     def newest(self) -> Arrival | None:
@@ -86,6 +86,8 @@ class TelegramInbox:
             newest = Arrival(telegram, source, arrived)
             if self._tool is not None and self._gateway.tool is not None:
                 self._gateway.tool.note(self._tool(data))
+            if self._torques is not None:
+                self._gateway.note_torques(self._torques(data))
         return newest
 
     def _read(self, data: bytes, source: tuple) -> Telegram | None:

@@ -1,7 +1,7 @@
 """A mock robot controller, a KR C4 by default: a client of the gateway with its own clock, servo model, limits, faults on demand.
 
 In: replies, the file that describes them, faults. Out: telegrams and the true joint positions. May import ``core``,
-``controller``, ``robot`` and ``kinematics``.
+``controller``, ``robot``, ``kinematics``, ``physics`` and ``scene``; the last two only with the servo `physics`.
 """
 
 from typing import TYPE_CHECKING
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from construction_twin.mock.gripper import Gripper as Gripper
     from construction_twin.mock.network import MockRsi as MockRsi
     from construction_twin.mock.network import Result as Result
+    from construction_twin.mock.physics_servo import PhysicsServo as PhysicsServo
     from construction_twin.mock.program import MockSettings as MockSettings
     from construction_twin.mock.program import axis_angles as axis_angles
     from construction_twin.mock.program import build_controller as build_controller

@@ -196,8 +196,9 @@ class MockController:
         pose = _flat(self._forward_kinematics(self.reported))
         values = self.stamp, self.reported, self._followed, pose, self._start_tool, self.missed, self._shown
         if self.tool is None:
-            return self._encode(*values, {}, {})
-        return self._encode(*values, None if self.tool.hidden else self.tool.outputs, self.tool.inputs)
+            return self._encode(*values, {}, {}, self.servo.torque)
+        outputs = None if self.tool.hidden else self.tool.outputs
+        return self._encode(*values, outputs, self.tool.inputs, self.servo.torque)
 
     @property
     def _followed(self) -> tuple[float, ...]:

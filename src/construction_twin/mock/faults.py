@@ -17,6 +17,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.impaired_line import ImpairedLine
 from construction_twin.mock.own_motion import T1_SPEED
+from construction_twin.mock.servo import WithMass
 
 #: Which datagrams a fault of the network meets: both directions, packets to the PC, or replies to the controller.
 DIRECTIONS = ("", "to_pc", "to_controller")
@@ -70,6 +71,8 @@ KINDS = {
     "grip_lost": FaultKind("no", (0,), Sentence("expected.fault.no_value"), lasting=False),
     "opened_by_hand": FaultKind("no", (0,), Sentence("expected.fault.no_value"), lasting=False),
     "no_read_back": FaultKind("no", (0,), Sentence("expected.fault.no_value")),
+    "collision": FaultKind("one", (1,), Sentence("expected.fault.collision"), shift=True, positive=False),
+    "lost_load": FaultKind("no", (0,), Sentence("expected.fault.no_value")),
     "restart_at": FaultKind("no", (-1,), Sentence("expected.fault.pose"), positive=False, lasting=False),
     "jog": FaultKind("no", (-1,), Sentence("expected.fault.pose"), positive=False, lasting=False),
 }
@@ -221,6 +224,8 @@ class FaultBoard:
         """Return what switches the fault on, and off."""
         if fault.name in ("stall", "slow"):
             return self._servo(fault)
+        if fault.name in ("collision", "lost_load"):
+            return self._plant(fault)
         if fault.name in ("offset", "drift", "backlash", "noise"):
             return self._encoders(fault)
         if KINDS[fault.name].network:
@@ -277,6 +282,16 @@ class FaultBoard:
         if fault.name == "stall":
             return lambda: servo.stall(joint), lambda: servo.release(joint, *limits)
         return lambda: servo.limit(joint, fault.values[0], limits[1]), lambda: servo.unlimit(joint, *limits)
+
+    def _plant(self, fault: Fault):
+        servo = self.controller.servo
+        if not isinstance(servo, WithMass) or (fault.name == "lost_load" and not servo.loaded):
+            key = "reason.no_mass" if not isinstance(servo, WithMass) else "reason.no_payload"
+            raise ConstructionTwinError(Sentence(key, fault=fault.name))
+        if fault.name == "lost_load":
+            return lambda: servo.carry(False), lambda: servo.carry(True)
+        joint = self.controller.config.axes.index(fault.axis)
+        return lambda: servo.push(joint, fault.values[0]), lambda: servo.push(joint, 0.0)
 
     def _encoders(self, fault: Fault):
         encoders, axes = self.controller.encoders, self.controller.config.axes

@@ -20,6 +20,7 @@ from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.controller.port import Layout
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.extras import check_extras
 from construction_twin.core.realtime import request_realtime
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
@@ -37,6 +38,7 @@ log = logging.getLogger(__name__)
 
 #: The file of the default make.
 _SHIPPED = share_file("krl/ethernet/ctwin_ethernet.xml")
+_Payload = list[Annotated[float, pydantic.Field(allow_inf_nan=False)]]
 _Degrees = list[Annotated[float, pydantic.Field(allow_inf_nan=False)]]
 
 
@@ -65,11 +67,13 @@ class MockSettings(pydantic.BaseModel):
     e1_offset: Annotated[float, pydantic.Field(allow_inf_nan=False)] = 0.0
     e1_feedback_scale: Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)] = 1.0
     e1_correction_scale: Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)] = 1.0
-    servo: Literal["ideal", "realistic"] = "ideal"
+    servo: Literal["ideal", "realistic", "physics"] = "ideal"
     servo_delay_cycles: Annotated[int, pydantic.Field(ge=1)] = 3
     servo_omega: Annotated[float, pydantic.Field(gt=0)] = 60.0
     servo_zeta: Annotated[float, pydantic.Field(gt=0)] = 0.8
     encoder_resolution_deg: Annotated[float, pydantic.Field(ge=0)] = 3e-5
+    drives: str = ""
+    payload: _Payload = []
     fault_seed: Annotated[int, pydantic.Field(ge=0)] = 0
     restart_after: Annotated[float, pydantic.Field(ge=0)] = 0.0
     tool: dict = {}
@@ -133,7 +137,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         gripper=_gripper(settings),
         tool_gated=settings.tool_gated,
     )
-    return MockController(config, build_servo(settings), make_forward_kinematics(robot))
+    return MockController(config, build_servo(settings, robot), make_forward_kinematics(robot))
 
 
 def _gripper(settings: MockSettings) -> Gripper:
@@ -164,13 +168,44 @@ def _units(settings: MockSettings, robot: RobotModel) -> tuple[AxisUnit, ...]:
     return tuple(AxisUnit(linear, *(e1 if axis.name == "E1" else ())) for axis, linear in zip(robot.axes, robot.linear))
 
 
-def build_servo(settings: MockSettings) -> Servo:
-    """Build the servo model that `settings.servo` names."""
+def build_servo(settings: MockSettings, robot: RobotModel) -> Servo:
+    """Build the servo model that `settings.servo` names.
+
+    Raises:
+        ConfigurationError: If that is `physics`, and its packages are missing, or drives or payload are none.
+    """
     period = settings.cycle / 1000
+    if settings.servo == "physics":
+        return _physics_servo(settings, robot, period)
     if settings.servo == "ideal":
         return IdealServo(settings.servo_delay_cycles, period)
     resolution = radians([settings.encoder_resolution_deg])[0]
     return RealisticServo(settings.servo_omega, settings.servo_zeta, resolution, period)
+
+
+def _physics_servo(settings: MockSettings, robot: RobotModel, period: float) -> Servo:
+    check_extras("physics")
+    # only here: what simulates is not everywhere
+    from construction_twin.mock.physics_servo import PhysicsServo
+    from construction_twin.physics.drive import drives_of, read_drives
+    from construction_twin.physics.mass import payload_of
+    from construction_twin.physics.plant import Plant, bare_model
+    from construction_twin.scene.collision_bodies import RobotBodies
+
+    bodies = RobotBodies(robot)
+    drives = read_drives(settings.drives, robot) if settings.drives else drives_of(robot)
+    payload = payload_of(settings.payload, "payload")
+    empty = bare_model(bodies, drives)
+    loaded = empty if payload is None else bare_model(bodies, drives, payload)
+    return PhysicsServo(
+        Plant(loaded, empty, settings.servo_omega, settings.servo_zeta),
+        lambda q: axis_angles(robot, tuple(q)),
+        lambda angles: joint_angles(robot, tuple(angles)),
+        [axis.sign for axis in robot.axes],
+        payload is not None,
+        radians([settings.encoder_resolution_deg])[0],
+        period,
+    )
 
 
 def make_forward_kinematics(robot: RobotModel) -> ForwardKinematics:
@@ -230,7 +265,14 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     option("--cycle", type=int, help="length of a cycle [ms], one that the make has [4]")
     option("--precision", type=int, help="decimals of sent values, 1 to 32 [6]")
     option("--timeout", type=int, help="cycles without a valid reply until the session stops [100]")
-    option("--servo", choices=("ideal", "realistic"), help="servo model [ideal]")
+    option("--servo", choices=("ideal", "realistic", "physics"), help="servo model; physics: an arm with mass [ideal]")
+    option("--drives", metavar="FILE", help="with --servo physics: YAML of the arm's drives [what the URDF says]")
+    option(
+        "--payload",
+        type=_pose,
+        metavar="KG[,X,Y,Z]",
+        help="with --servo physics: mass at the flange, and its centre [m] [none]",
+    )
     option("--restart-after", type=float, metavar="S", help="new session this long after a stop [s]; 0: never [0]")
     option(
         "--realtime", dest="realtime_priority", type=int, metavar="PRIORITY", help="SCHED_FIFO priority; 0: none [0]"

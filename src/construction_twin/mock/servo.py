@@ -30,6 +30,8 @@ class Servo(ABC):
 
     def __init__(self, period: float) -> None:
         self._period = period
+        #: Length n. What the axes gave in the last cycle [N m], [N]; () of a servo that knows no mass.
+        self.torque: tuple[float, ...] = ()
         self._measured: tuple[float, ...] = ()
         self._setpoint: tuple[float, ...] = ()
         self._last_setpoint: tuple[float, ...] = ()
@@ -125,6 +127,24 @@ class Servo(ABC):
         """Set one joint's state to rest at `position`, forgetting the references it has not acted on yet."""
 
 
+class WithMass(ABC):
+    """A servo whose arm has mass: it can be pushed, and lose what it carries.
+
+    Attributes:
+        loaded: Whether it carries anything at all.
+    """
+
+    loaded: bool
+
+    @abstractmethod
+    def push(self, joint: int, torque: float) -> None:
+        """Have something push on an axis with this torque [N m], in the axis' own sense, until it is 0 again."""
+
+    @abstractmethod
+    def carry(self, carries: bool) -> None:
+        """Lose the payload, or have it again."""
+
+
 class IdealServo(Servo):
     """A pure delay: the arm reaches each setpoint exactly, a fixed number of cycles later.
 
@@ -193,9 +213,12 @@ class RealisticServo(Servo):
         self._velocity[joint] = 0.0
 
     def _read(self, position: float) -> float:
-        if not self._resolution:
-            return position
-        return round(position / self._resolution) * self._resolution
+        return read_encoder(position, self._resolution)
+
+
+def read_encoder(position: float, resolution: float) -> float:
+    """Return what an encoder with this step [rad] says of a position [rad]; step 0: an exact reading."""
+    return round(position / resolution) * resolution if resolution else position
 
 
 class Chase:

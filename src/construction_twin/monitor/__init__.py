@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from construction_twin.monitor.comparison import undetected as undetected
     from construction_twin.monitor.gate import Gate as Gate
     from construction_twin.monitor.gate import GateSettings as GateSettings
+    from construction_twin.monitor.gate import WatchedArm as WatchedArm
     from construction_twin.monitor.lag import LagEstimate as LagEstimate
     from construction_twin.monitor.replan import ReplanGoal as ReplanGoal
     from construction_twin.monitor.replan import ReplanGoals as ReplanGoals
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from construction_twin.monitor.states import SyncEvent as SyncEvent
     from construction_twin.monitor.states import SyncState as SyncState
     from construction_twin.monitor.states import Transition as Transition
+    from construction_twin.monitor.torque_watch import TorqueSettings as TorqueSettings
+    from construction_twin.monitor.torque_watch import TorqueWatch as TorqueWatch
     from construction_twin.monitor.transition_log import TransitionLog as TransitionLog
 else:
     __getattr__, __dir__, __all__ = lazy_exports(__name__)

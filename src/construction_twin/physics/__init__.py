@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from construction_twin.physics.model import Load as Load
     from construction_twin.physics.model import PhysicsModel as PhysicsModel
     from construction_twin.physics.model import build_model as build_model
+    from construction_twin.physics.plant import InverseDynamics as InverseDynamics
+    from construction_twin.physics.plant import Plant as Plant
+    from construction_twin.physics.plant import bare_model as bare_model
     from construction_twin.physics.rehearsal import Rehearsal as Rehearsal
     from construction_twin.physics.report import RehearsalReport as RehearsalReport
 else:

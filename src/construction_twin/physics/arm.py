@@ -60,6 +60,7 @@ class SimulatedArm:
         torque: Shape (n,). What the axes gave, with the correction [N m], [N].
         answer: Shape (n,). Where the servo's lag alone would have the arm now [rad], [m].
         setpoint: Shape (n,). The last one [rad], [m].
+        push: Shape (n,). Torques of something else on the axes, which the servo knows nothing of [N m], [N].
     """
 
     def __init__(self, physics: PhysicsModel, q: JointValues, servo: Servo = Servo()):
@@ -78,6 +79,7 @@ class SimulatedArm:
         self.answer = np.array(q, dtype=float)
         self._speed = np.zeros(size)
         self.setpoint = self.answer.copy()
+        self.push = np.zeros(size)
         #: What a step wants of the axes: acceleration of the answer, and the correction's [rad/s^2], [m/s^2].
         self._wanted = np.zeros((2, size))
 
@@ -90,6 +92,13 @@ class SimulatedArm:
         """Have the arm move already, shape (n,) [rad/s]."""
         self._speed = np.array(speed, dtype=float)
         self.data.qvel[self._joints] = speed
+        self.physics.follow(self.data)
+
+    def freeze(self, joint: int, position: float) -> None:
+        """Put one joint at rest at `position` [rad], [m], in the arm and in the servo's answer; the others go on."""
+        place = np.arange(self._model.nv)[self._joints][joint]
+        self.answer[joint], self._speed[joint] = position, 0.0
+        self.data.qpos[place], self.data.qvel[place] = position, 0.0
         self.physics.follow(self.data)
 
     def go_on_as(self, before: SimulatedArm) -> None:
@@ -136,7 +145,7 @@ class SimulatedArm:
         self.torque = self.needed + correction
         if self._limit is not None:
             self.torque = np.minimum(np.maximum(self.torque, -self._limit), self._limit)
-        data.qfrc_applied[joints] = self.torque
+        data.qfrc_applied[joints] = self.torque + self.push
         mujoco.mj_step2(self._model, data)
 
 

@@ -2,8 +2,8 @@
 
 The plate with the cups is rigid. What the workpiece is pulled and pushed by (its weight, its acceleration, what it touches) is
 spread over the cups so that the plate is in balance with the least squares of their forces. A cup is four points on its lip, so
-that one row of cups resists a moment, too. At each point pull and shear are one load, ``pull + shear / friction``, as makers of cups
-calculate it.
+that one row of cups resists a moment, too. At each point pull and shear are one load, ``pull + shear / friction``, as makers of
+cups calculate it.
 """
 
 from __future__ import annotations

@@ -50,6 +50,25 @@ class MassProperties:
         return MassProperties(mass, self.centre, self.inertia * (mass / self.mass), False)
 
 
+def payload_of(numbers: Sequence[float], name: str) -> MassProperties | None:
+    """Return a payload of which only numbers are known, in the frame of the tip link; None: there is none.
+
+    Args:
+        numbers: Mass [kg], or mass and centre of mass [m]; (): none.
+        name: Of what says them, for messages.
+
+    Raises:
+        ConfigurationError: If they are neither, or the mass is not above 0.
+    """
+    if not numbers:
+        return None
+    if len(numbers) not in (1, 4) or not all(map(math.isfinite, numbers)) or not numbers[0] > 0.0:
+        raise ConfigurationError(name, tuple(numbers), Sentence("expected.physics.payload"))
+    mass, *centre = numbers
+    # a cube of 20 cm, when nobody says more
+    return MassProperties(mass, np.array(centre or (0.0, 0.0, 0.0)), np.eye(3) * mass * 0.04 / 6.0)
+
+
 def together(parts: Sequence[MassProperties]) -> MassProperties:
     """Return the properties of parts that are one rigid body, all in one frame."""
     mass = sum(part.mass for part in parts)

@@ -33,6 +33,7 @@ from construction_twin.rsi.session import RsiSessionRules
 from construction_twin.rsi.status_channels import RsiStatus, StatusReader, status_channels
 from construction_twin.rsi.tool_channels import IN, OUT, ToolReader, is_signal
 from construction_twin.rsi.tool_check import check_tool
+from construction_twin.rsi.torque_channels import TorqueReader, is_torque, torque_axes
 
 #: Cycles that RSI has [ms], and their names in KRL (docs/rsi.md, section 1).
 CYCLES = {4: "#IPO_FAST", 12: "#IPO"}
@@ -57,10 +58,12 @@ def check(setup: Setup[RsiLayout]) -> None:
 def reader(setup: Setup[RsiLayout]) -> Reader:
     """Return what reads the telegrams of one configuration."""
     channels, tool = status_channels(setup.layout.send), setup.tool
+    torques = [axis for axis in torque_axes(setup.layout.send) if axis in setup.axes]
     return Reader(
         RobotDecoder(setup.axes, setup.units).parse,
         StatusReader(channels).read if channels else None,
         ToolReader([output.name for output in tool.outputs], tool.inputs).read if tool else None,
+        TorqueReader(setup.axes, torques).read if torques else None,
     )
 
 
@@ -90,11 +93,22 @@ def status_of(shown: MockStatus) -> RsiStatus:
 def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
     """Return what a KR C4 with this configuration writes and reads."""
     layout = config.layout
-    seen, unseen = [
-        RobotEncoder(config.axes, config.precision, send, config.units)
-        for send in (layout.send, tuple(tag for tag in layout.send if not tag.startswith(f"{OUT}.")))
-    ]
-    rich = bool(status_channels(layout.send)) or any(map(is_signal, layout.send))
+    # what is not told is left out: an element of zeros would say something else
+    encoders = {
+        (hides, weighs): RobotEncoder(
+            config.axes,
+            config.precision,
+            tuple(
+                tag
+                for tag in layout.send
+                if not (hides and tag.startswith(f"{OUT}.")) and (weighs or not is_torque(tag))
+            ),
+            config.units,
+        )
+        for hides in (False, True)
+        for weighs in (False, True)
+    }
+    rich = bool(status_channels(layout.send)) or any(is_signal(tag) or is_torque(tag) for tag in layout.send)
 
     def encode(
         ipoc: int,
@@ -106,14 +120,15 @@ def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
         shown: MockStatus,
         outputs: Mapping[str, bool] | None,
         inputs: Mapping[str, bool],
+        torques: Sequence[float] = (),
     ) -> bytes:
         values = ipoc, measured, setpoint, measured_pose, setpoint_pose, delay
+        encoder = encoders[outputs is None, bool(torques)]
         if not rich:
-            return seen.encode(*values)
+            return encoder.encode(*values)
         status, signals = status_of(shown), {f"{IN}.{name}": value for name, value in inputs.items()}
-        if outputs is None:
-            return unseen.encode(*values, status, signals)
-        return seen.encode(*values, status, signals | {f"{OUT}.{name}": value for name, value in outputs.items()})
+        signals |= {f"{OUT}.{name}": value for name, value in (outputs or {}).items()}
+        return encoder.encode(*values, status, signals, torques)
 
     decode = None
     if layout.answered:

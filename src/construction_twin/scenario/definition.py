@@ -68,14 +68,14 @@ class Step(_Model):
             stands), or a state as ``sync HOLDING``, ``link ARMED``, ``execution HELD``, that was entered since the step before, or
             stands.
         after: So long after that moment [s].
-        move, approve, inject, call: Exactly one of them: plan (and have it started), approve the plan under review, a fault, a
-            service of `Call`.
+        move, approve, inject, call: Exactly one of them: plan (and have it started), approve the plan under review (``refused``:
+            that must be refused, once it was rehearsed), a fault, a service of `Call`.
     """
 
     when: Annotated[str, pydantic.Field(pattern=r"^(now|motion|rest|(sync|link|execution) [A-Z_]+)$")] = "now"
     after: _NotNegative = 0.0
     move: Move | None = None
-    approve: Literal[True] | None = None
+    approve: Literal[True, "refused"] | None = None
     inject: Injection | None = None
     call: Call | None = None
 
@@ -111,6 +111,8 @@ class Expectation(_Model):
     max_error_deg: _Positive | None = None
     min_missed: Annotated[int, pydantic.Field(ge=1)] | None = None
     stop: StopBound | None = None
+    reason: str | None = None
+    refused: str | None = None
 
 
 class Scenario(_Model):

@@ -16,7 +16,7 @@ class Change:
     Attributes:
         stamp: [ns]
         topic: ``sync``, ``link``, ``execution``, ``outcome``, ``fault``, ``fault_end``, ``session`` (RSI's), ``call``, ``move``,
-            ``approve``.
+            ``approve``, ``refused`` (an approval).
         value: The state's word, or what was done.
     """
 

@@ -14,8 +14,8 @@ from construction_twin.core.sentences import Sentence
 #: Arguments with a few allowed values.
 CHOICES = {
     "arm": ("mock", "real", "none"),
-    "servo": ("ideal", "realistic"),
     "twin": ("kinematic", "mujoco", "gazebo"),
+    "servo": ("ideal", "realistic", "physics"),
     "protocol": ("5", "3.1.1"),
     "gateway_kind": ("rsi", "plc"),
     "rehearsal": ("auto", "advise", "require", "off"),
@@ -27,6 +27,7 @@ SWITCHES = (
     "broker",
     "gateway",
     "commissioning",
+    "torque_watch",
     "tool_marker",
     "follow_joint_trajectory",
     "track",

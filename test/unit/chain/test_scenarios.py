@@ -1,6 +1,6 @@
 """Every shipped scenario on the simulated chain, with the judge and the assertions of `test/integration/test_scenario.py`.
 
-Three of them run live as well, whose names are in `LIVE`: what a launch has beside the chain is tested there.
+Five of them run live as well, whose names are in `LIVE`: what a launch has beside the chain is tested there.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from construction_twin.scenario.table import print_verdict
 ROOT = Path(__file__).resolve().parents[3]
 SHIPPED = sorted(path.stem for path in (ROOT / "config/scenarios").glob("*.yaml"))
 #: At least three, so that services, sockets, driver, recording and verdict of a real launch are tested.
-LIVE = {"estop", "packets_lost", "stall_resume"}
+LIVE = {"estop", "lost_load", "overload", "packets_lost", "stall_resume"}
 
 
 @pytest.mark.parametrize("name", SHIPPED)

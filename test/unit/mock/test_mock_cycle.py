@@ -208,7 +208,7 @@ def robot():
 def test_settings_reach_controller_and_servo(robot):
     settings = MockSettings(gateway_host="a", gateway_port=9, cycle=12)
     assert build_controller(settings, robot).config.cycle == 12
-    servo, quick = build_servo(settings), build_servo(settings.model_copy(update={"cycle": 4}))
+    servo, quick = build_servo(settings, robot), build_servo(settings.model_copy(update={"cycle": 4}), robot)
     for each, cycles in ((servo, 3), (quick, 9)):
         each.reset((0.0,))
         each.limit(0, 1.0, 1e9)

@@ -32,7 +32,9 @@ def test_its_models_are_those_of_this_process(builder):
 
 def test_a_scene_that_cannot_be_built_is_a_sentence_and_the_next_one_is_built(builder):
     with pytest.raises(WorkerError) as refusal:
-        builder.build(FLOOR.add(SceneObject("hanging", "box", (0.1,) * 3, (1.0, 1.0, 1.0), touch=("nothing_there",))), {})
+        builder.build(
+            FLOOR.add(SceneObject("hanging", "box", (0.1,) * 3, (1.0, 1.0, 1.0), touch=("nothing_there",))), {}
+        )
     assert refusal.value.kind == "SceneError" and "nothing_there" in str(refusal.value)
     assert builder.build(FLOOR, {}).robot.name == ROBOT.name
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 import rospy
-from construction_twin.msg import Execution, Link, Plan, Segment, Sync
+from construction_twin.msg import AxisTorque, Execution, Link, Plan, Segment, Sync
 from construction_twin.srv import ConfigureGateRequest
 from executor_bench import ROBOT
 from processes import wait_until
@@ -18,7 +18,7 @@ from unplugged import ask
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.sentences import understood
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.monitor.gate import Gate
+from construction_twin.monitor.gate import Gate, GateSettings, WatchedArm
 from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -54,7 +54,7 @@ class World:
             self.topic("command/joint_states"),
             self.topic("sync"),
             self.topic("hold"),
-            SimpleNamespace(report=self.report, flush=lambda: None, problem=""),
+            SimpleNamespace(report=self.report, flush=lambda: None, problem="", values=dict),
             self.plan_to_joints,
             lambda session: self.parameters.update({PARAMETER: session}),
         )
@@ -134,7 +134,8 @@ def opened(world: World, session: str = "s1", sync=None):
 
 
 def test_settings_of_this_test_are_all_there_are():
-    assert set(SETTINGS) | {"thresholds"} == set(Behaviour.model_fields)
+    watched = {name for name in Behaviour.model_fields if name.startswith("torque_")}
+    assert set(SETTINGS) | {"thresholds"} | watched == set(Behaviour.model_fields)
 
 
 class TestSettings:
@@ -368,3 +369,60 @@ class TestStopped:
         node.on_link(Link(session="s2", state=Link.ARMED))
         self.wait_for(world, node, "")
         opened(world)
+
+
+# -- torques
+
+
+def watching(world):
+    """Return a monitor whose gate watches torques; every motion takes none."""
+    node = world.start()
+    limits, codec = MotionLimits.of(ROBOT), JointStringCodec.of(ROBOT, 6)
+    watched = WatchedArm(lambda q, speed, acceleration: (0.0,) * 6, (100.0,) * 6)
+    node._gate = world.gate = Gate(limits, codec, GateSettings(policy="resume"), world.steady, watched)
+    for _ in range(60):
+        world.pass_time()
+        node.on_twin(world.wall - CYCLE_NS, HOME)
+        node.on_feedback(world.wall, HOME, 0, 0)
+        node.on_next(world.wall, HOME)
+    assert world.gate.state is SyncState.IN_SYNC
+    return node
+
+
+def torques(world, values, names=ROBOT.joint_names):
+    return AxisTorque(name=names, torque=values, command_stamp=to_time(world.wall))
+
+
+def test_it_holds_by_torques_and_says_so_at_once(world):
+    node = watching(world)
+    for _ in range(5):
+        node.on_torques(torques(world, (0.0, 0.0, 50.0, 0.0, 0.0, 0.0)))
+    assert world.syncs()[-1] == "HOLDING"
+    hold = [message for name, message in world.said if name == "hold"][-1]
+    assert str(hold.cause).startswith("collision or lost load on axis A3: measured 50 Nm, expected 0 Nm")
+    assert [change.event.value for name, change in world.said if name == "transitions"][-1] == "torque_differs"
+
+
+def test_torques_of_other_joints_are_refused(world):
+    node = watching(world)
+    for _ in range(5):
+        node.on_torques(torques(world, (500.0,) * 6, tuple(reversed(ROBOT.joint_names))))
+        node.on_torques(torques(world, (500.0,) * 5))
+    assert world.gate.state is SyncState.IN_SYNC and len(world.refused) == 10
+
+
+def test_a_watch_that_hears_nothing_says_so(world):
+    node = watching(world)
+    assert "no torques are compared" in node.report().sentence
+    node.on_torques(torques(world, (0.0,) * 6))
+    assert "no torques are compared" not in node.report().sentence
+
+
+def test_it_listens_only_where_it_watches_an_arm():
+    (hears,) = (each for each in module.INTERFACE.hears if each.topic == "physical/torque")
+    plain = SETTINGS | {"arm": "mock", "decimals": 3, "sync_rate": 50.0, "transition_file": "t", "drives": ""}
+    told = [
+        hears.when(module.Settings(**plain | {"arm": arm, "torque_watch": watch}))
+        for arm, watch in (("mock", True), ("mock", False), ("none", True))
+    ]
+    assert told == [True, False, False]

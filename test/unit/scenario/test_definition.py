@@ -96,7 +96,9 @@ def test_shipped_scenarios_are_valid_fit_the_robot_and_are_documented(path):
             fault = Fault(
                 step.inject.fault, axis, tuple(step.inject.values), step.inject.direction, step.inject.duration
             )
-            board().inject(fault)
+            if step.inject.fault != "lost_load":
+                # which needs an arm with mass: test/unit/mock/test_physics_servo.py
+                board().inject(fault)
 
 
 def board():
@@ -109,10 +111,12 @@ def test_shipped_scenarios_change_only_parameters_that_there_are(path):
         if node == "scenario":
             continue
         if node == "executor":
-            assert set(values) == {"auto_approve"}
+            assert set(values) <= {"auto_approve", "rehearsal"}
             continue
         known = yaml.safe_load((ROOT / f"config/{node}.yaml").read_text())
-        assert set(values) <= set(known), node
+        # given in the launch files, and so in no file of config/
+        launched = {"mode", "payload", "torque_watch"}
+        assert set(values) <= set(known) | launched, node
 
 
 def test_every_fault_is_in_a_scenario_or_is_motion_of_its_own_or_a_mere_word():
@@ -124,6 +128,8 @@ def test_every_fault_is_in_a_scenario_or_is_motion_of_its_own_or_a_mere_word():
         "program",
         "override",
         "grip_fails",
+        # on the simulated chain: test/unit/chain/test_torques.py
+        "collision",
         "grip_lost",
         "opened_by_hand",
         "no_read_back",

@@ -283,7 +283,7 @@ A_FILE = Sentence("preflight.expected.file")
             {"rsi_listen": "192.168.1.10", "rsi_controller": ""},
             Sentence("preflight.rsi_controller", listen="192.168.1.10"),
         ),
-        ({"servo": "perfect"}, wrong("servo", "perfect", preflight.one_of(("ideal", "realistic")))),
+        ({"servo": "perfect"}, wrong("servo", "perfect", preflight.one_of(("ideal", "realistic", "physics")))),
         ({"gateway_kind": "bare"}, wrong("gateway_kind", "bare", preflight.one_of(("rsi", "plc")))),
         ({"gateway_kind": "plc", "track": "true"}, Sentence("preflight.track")),
         ({"console": "maybe"}, wrong("console", "maybe", A_SWITCH)),

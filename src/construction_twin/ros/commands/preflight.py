@@ -34,6 +34,7 @@ from construction_twin.gateway.trace import room as trace_room
 from construction_twin.mqtt.account import load_account
 from construction_twin.physics.drive import read_drives
 from construction_twin.physics.gazebo_world import check_serial
+from construction_twin.physics.mass import payload_of
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
 from construction_twin.robot.tool import read_tool
 from construction_twin.robot.urdf import expand_xacro, xacro_arguments
@@ -42,7 +43,12 @@ from construction_twin.ros.commands.node_files import ROBOT_NODES, node_files_pr
 from construction_twin.ros.messages.joint_goals import control_messages
 from construction_twin.ros.nodes.gazebo import find_gzserver
 from construction_twin.ros.shared.gateway_config import gateway_config
-from construction_twin.ros.shared.launch_arguments import controller_settings, read_mapping, tool_settings
+from construction_twin.ros.shared.launch_arguments import (
+    controller_settings,
+    payload_of_launch,
+    read_mapping,
+    tool_settings,
+)
 from construction_twin.ros.shared.master import running
 from construction_twin.ros.shared.params import ros_home, settings_of
 from construction_twin.ros.shared.roslaunch_parent import command_lines, print_after, roslaunch_parent
@@ -121,6 +127,23 @@ def _check_twin(given: Given, robot: RobotModel) -> None:
     elif given["twin"] == "gazebo":
         check_serial(RobotBodies(robot))
         find_gzserver(given.get("gzserver", ""))
+
+
+def _check_mass(name: str, needs: Callable[[str], bool]) -> Callable[[Given, RobotModel], None]:
+    """Return the check of an argument that needs the group ``physics`` for some values."""
+
+    def check(given: Given, _robot: RobotModel) -> None:
+        if needs(given[name]):
+            check_extras("physics")
+
+    return check
+
+
+def _check_payload(name: str) -> Callable[[Given, RobotModel], None]:
+    def check(given: Given, _robot: RobotModel) -> None:
+        payload_of(payload_of_launch(given[name]), name)
+
+    return check
 
 
 def _check_work(given: Given, robot: RobotModel) -> None:
@@ -277,6 +300,10 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("self_collision", _check_self_collision),
     ("tool", _check_tool),
     ("twin", _check_twin),
+    ("servo", _check_mass("servo", lambda servo: servo == "physics")),
+    ("torque_watch", _check_mass("torque_watch", lambda on: on.lower() in ("true", "1"))),
+    ("payload", _check_payload("payload")),
+    ("mock_payload", _check_payload("mock_payload")),
     ("ethernet_xml", _check_controller_file),
     ("work_model", _check_work),
     ("rehearsal", _check_rehearsal),

@@ -142,16 +142,9 @@ def _plan(trajectory: Trajectory, scene: Scene) -> Plan:
 
 def _payload(text: str):
     """Return the load that `--payload` says: ``MASS`` or ``MASS,X,Y,Z``."""
-    from construction_twin.physics.mass import MassProperties
+    from construction_twin.physics.mass import payload_of
 
-    if not text:
-        return None
-    numbers = _numbers("--payload", text, "MASS or MASS,X,Y,Z [kg], [m]")
-    if len(numbers) not in (1, 4) or not numbers[0] > 0.0:
-        raise _wrong("--payload", text, "MASS or MASS,X,Y,Z [kg], [m]")
-    mass, *centre = numbers
-    # a cube of 20 cm, when nobody says more
-    return MassProperties(mass, np.array(centre or (0.0, 0.0, 0.0)), np.eye(3) * mass * 0.04 / 6.0)
+    return payload_of(_numbers("--payload", text, "MASS or MASS,X,Y,Z [kg], [m]") if text else (), "--payload")
 
 
 def _mass(text: str) -> tuple[str, float]:

@@ -135,7 +135,7 @@ class ScenarioDriver:
         if step.move:
             self._move(step.move)
         elif step.approve:
-            self._approve(deadline)
+            self._approve(deadline, step.approve == "refused")
         elif step.inject:
             self._inject(step.inject, f"{step}")
         elif step.call:
@@ -175,19 +175,26 @@ class ScenarioDriver:
         )
         self._check("plan_to_joints", answer)
 
-    def _approve(self, deadline: float) -> None:
+    def _approve(self, deadline: float, refused: bool) -> None:
         plan = self._wait(self._new_plan, Sentence("view.scenario.wait.plan"), deadline)
         review = rospy.ServiceProxy("review_plan", ReviewPlan)
 
         def answered():
-            # the plan travels to the executor on a topic of its own
+            # plan and rehearsal travel to the executor on topics of their own
             answer = review(
                 plan_id=plan.id, plan_hash=plan.hash, approve=True, reviewer="scenario", reason=self._scenario.name
             )
-            return answer if answer.success or "is not under review" not in answer.message else None
+            early = "is not under review" in answer.message or (refused and "was not rehearsed yet" in answer.message)
+            return answer if answer.success or not early else None
 
-        answer = self._wait(answered, Sentence("view.scenario.wait.known"), min(deadline, time.monotonic() + 2.0))
+        patience = deadline if refused else min(deadline, time.monotonic() + 2.0)
+        answer = self._wait(answered, Sentence("view.scenario.wait.known"), patience)
         self._approved = plan.id
+        if refused:
+            if answer.success:
+                raise ScenarioError(Sentence("view.scenario.approved", plan=plan.id))
+            self.actions.append(Change(rospy.Time.now().to_nsec(), "refused", plan.id, answer.message))
+            return
         self._note("approve", plan.id)
         self._check("review_plan", answer)
 

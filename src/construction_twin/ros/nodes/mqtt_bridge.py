@@ -41,13 +41,15 @@ from construction_twin.mqtt.messages import (
     Control,
     StateProperties,
     Topics,
+    demand_live,
     no_properties,
     parse_presence,
     parse_status,
     read_state_properties,
+    read_torques,
 )
 from construction_twin.mqtt.plain_client import PlainClient
-from construction_twin.msg import Execution, Feedback, Link, SpeedLimitInForce, Sync, ToolCommand, ToolState
+from construction_twin.msg import AxisTorque, Execution, Feedback, Link, SpeedLimitInForce, Sync, ToolCommand, ToolState
 from construction_twin.msg import SessionRequest as SessionRequestMessage
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
@@ -71,7 +73,7 @@ from construction_twin.ros.shared.ports import (
 )
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.shared.stop_memory import StopMemory
-from construction_twin.ros.transport.joint_stream import now_ns
+from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.srv import SessionFromScreen, SessionFromScreenRequest, TakeResponsibility
@@ -103,6 +105,7 @@ class Outputs:
     Attributes:
         physical, feedback: The arm's pose for tf and people; the same with its sequence number and command stamp for the gate.
         tool, session_request: None: nobody is told of the tool, or who asked for a session.
+        torques: What the axes give; None: nobody is told.
     """
 
     physical: Sink
@@ -110,6 +113,7 @@ class Outputs:
     link: Sink
     tool: Sink | None = None
     session_request: Sink | None = None
+    torques: Sink | None = None
 
 
 class MqttBridge:
@@ -125,6 +129,7 @@ class MqttBridge:
         diagnostics: Counts what is refused.
         mirrors: Whether the arm leads from the start.
         waits: Why the bridge before this one waited for a person, in a sentence; empty: it did not.
+        joints: Name of each joint, and 1 or -1: the sense of its axis.
         remember, remember_mirror: Keep such a sentence, and whether the arm leads, for the bridge after this one; they may take as
             long as the master does.
     """
@@ -143,10 +148,13 @@ class MqttBridge:
         waits: str = "",
         remember: Callable[[str], object] = lambda waits: None,
         remember_mirror: Callable[[bool], object] = lambda mirrors: None,
+        joints: tuple[tuple[str, int], ...] = (),
     ):
         self._settings = settings
         self._codec = codec
         self._outputs = outputs
+        self._names = tuple(name for name, _ in joints)
+        self._signs = tuple(sign for _, sign in joints)
         bare = settings.gateway_kind == PLC
         # a bare PLC's strings travel alone
         self._properties = config.properties and settings.protocol == "5" and not bare
@@ -187,6 +195,7 @@ class MqttBridge:
         on_message = {
             self._topics.status: lambda message: self.on_status(bytes(message.payload)),
             self._topics.control_ack: lambda message: self.on_answer(bytes(message.payload)),
+            self._topics.torque: lambda message: self.on_torques(bytes(message.payload), message.retain),
         }
         connect(self._client, self._broker, self._connection, self.on_connect, self.on_disconnect, on_message)
 
@@ -351,7 +360,15 @@ class MqttBridge:
             return
         self._connection.connected()
         client.subscribe(
-            subscriptions(client, [(self._topics.state, 0), (self._topics.status, 1), (self._topics.control_ack, 1)])
+            subscriptions(
+                client,
+                [
+                    (self._topics.state, 0),
+                    (self._topics.torque, 0),
+                    (self._topics.status, 1),
+                    (self._topics.control_ack, 1),
+                ],
+            )
         )
         # the broker answers it, and so shows whether this is the account of a bridge
         info = client.publish(self._topics.bridge_status, self._status_report(), qos=1, retain=True)
@@ -391,6 +408,22 @@ class MqttBridge:
         # the gate's first: each program that looks on at the other takes its time from what comes after
         self._outputs.feedback.publish(received, q, seq, command_stamp)
         self._outputs.physical.publish(received, q)
+
+    def on_torques(self, payload: bytes, retained: bool) -> None:
+        """Take what the arm's axes give, which goes with a state; what cannot be read is refused and counted."""
+        if self._outputs.torques is None:
+            return
+        received = now_ns()
+        try:
+            demand_live(retained, "torque")
+            report = read_torques(payload, len(self._names))
+        except PayloadError as error:
+            self._diagnostics.refuse(f"torque_{error.reason}", str(error))
+            return
+        message = AxisTorque(name=self._names, seq=report.seq, command_stamp=to_time(report.command_stamp))
+        message.header.stamp = to_time(received)
+        message.torque = [sign * torque for sign, torque in zip(self._signs, report.torques)]
+        self._outputs.torques.publish(message)
 
     def on_status(self, payload: bytes) -> None:
         """Take the gateway's status, or a bare PLC's word; one that cannot be read is refused as a whole."""
@@ -731,6 +764,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
             link=ports.publishers["link"],
             tool=ports.publishers["tool"],
             session_request=ports.publishers["session_request"],
+            torques=ports.publishers["physical/torque"],
         ),
         ports.diagnostics,
         # not a private parameter: those hold settings, and this was asked for while the bridge ran
@@ -738,6 +772,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
         waits=str(ports.parameters[WAITS]),
         remember=ports.keeper(WAITS),
         remember_mirror=ports.keeper(MIRROR_MODE),
+        joints=tuple((name, axis.sign) for name, axis in zip(robot.joint_names, robot.axes)),
     )
     bridge.connect()
     return bridge
@@ -749,6 +784,7 @@ INTERFACE = Interface(
     publishes=(
         PosePublication("physical/joint_states"),
         PosePublication("physical/feedback", Feedback),
+        Publication("physical/torque", AxisTorque, queue_size=50),
         Publication("link", Link, queue_size=10, latch=True),
         Publication("tool", ToolState, queue_size=50, latch=True),
         Publication("session_request", SessionRequestMessage, queue_size=10),

@@ -13,21 +13,22 @@ import pydantic
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, RequestRefused
+from construction_twin.core.extras import check_extras
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.reports import HoldReport, SyncReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.monitor.gate import REPLAN, Cause, Gate
+from construction_twin.monitor.gate import REPLAN, Cause, Gate, WatchedArm
 from construction_twin.monitor.replan import ReplanGoal, ReplanGoals
 from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.msg import Execution, Feedback, Hold, Link, Plan, Sync
+from construction_twin.msg import AxisTorque, Execution, Feedback, Hold, Link, Plan, Sync
 from construction_twin.msg import Transition as TransitionMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.launch_arguments import arm_of, decimals_of
+from construction_twin.ros.shared.launch_arguments import arm_of, decimals_of, payload_of_launch
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.params import NodeSettings
 from construction_twin.ros.shared.ports import (
@@ -51,6 +52,7 @@ from construction_twin.srv import (
     PlanToJoints,
     PlanToJointsResponse,
 )
+from construction_twin.views.preflight import is_true
 
 #: Setpoints kept while the gate is busy, 0.1 s: what is older it does not let pass.
 SETPOINTS_KEPT = 25
@@ -65,6 +67,9 @@ class Settings(NodeSettings, Behaviour):
     decimals: int = pydantic.Field(ge=1, le=6)
     sync_rate: float = pydantic.Field(ge=5)
     transition_file: Annotated[str, pydantic.Field(min_length=1)]
+    torque_watch: bool
+    drives: str
+    payload: list[Annotated[float, pydantic.Field(allow_inf_nan=False)]] = []
 
 
 @dataclass(frozen=True)
@@ -169,6 +174,18 @@ class PcaMonitorNode:
         self._heard = max(self._heard, now - max(now_ns() - received, 0))
         with self._lock:
             self._gate.on_physical(q, command_stamp, self._heard, received)
+            self._note_changes()
+        if self._changes:
+            self._publish(now)
+
+    def on_torques(self, message: AxisTorque) -> None:
+        """Take what the arm's axes give."""
+        if tuple(message.name) != self._names or len(message.torque) != len(self._names):
+            self._diagnostics.refuse("torque", Sentence("reason.refused.torque"))
+            return
+        now = time.monotonic_ns()
+        with self._lock:
+            self._gate.on_torques(message.torque, from_time(message.command_stamp), now)
             self._note_changes()
         if self._changes:
             self._publish(now)
@@ -340,15 +357,47 @@ class PcaMonitorNode:
             "violations": gate.violations,
             "refused setpoints": gate.refused,
         }
+        watch, watched = self._gate.watch_of_torques, ""
+        if watch is not None:
+            values["torques compared"] = watch.compared
+            if self._compares and gate.state is SyncState.IN_SYNC and not watch.compared:
+                watched = Sentence("reason.gate.no_torques")
         level = {SyncState.IN_SYNC: OK, SyncState.STOPPED: ERROR, SyncState.FAULT: ERROR}.get(gate.state, WARN)
-        sentence = f"{gate.state.name}: {gate.reason}" + (f"; {problem}" if problem else "")
+        sentence = "; ".join(filter(None, (f"{gate.state.name}: {gate.reason}", problem, watched)))
+        if watched and level is OK:
+            level = WARN
         return Report(ERROR if problem else level, sentence, values | self._outputs.transitions.values())
 
 
 def make_gate(settings: Settings, robot: RobotModel, now: int) -> Gate:
     """Return the gate of a robot; ConfigurationError where the parameters do not fit it."""
     codec = JointStringCodec.of(robot, settings.decimals)
-    return Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), now)
+    watched = watched_arm(settings, robot) if watches_torques(settings) else None
+    return Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), now, watched)
+
+
+def watches_torques(settings: Settings) -> bool:
+    """Return whether torques are compared: not without an arm."""
+    return settings.torque_watch and settings.arm != "none"
+
+
+def watched_arm(settings: Settings, robot: RobotModel) -> WatchedArm:
+    """Return the model by which torques are expected.
+
+    Raises:
+        ConfigurationError: If the packages of the set-up's group `physics` are missing, or drives or payload are none.
+    """
+    check_extras("physics")
+    # only here: what simulates is not everywhere
+    from construction_twin.physics.drive import drives_of, read_drives
+    from construction_twin.physics.mass import payload_of
+    from construction_twin.physics.plant import InverseDynamics, bare_model
+    from construction_twin.scene.collision_bodies import RobotBodies
+
+    drives = read_drives(settings.drives, robot) if settings.drives else drives_of(robot)
+    model = bare_model(RobotBodies(robot), drives, payload_of(settings.payload, "payload"))
+    dynamics = InverseDynamics(model)
+    return WatchedArm(lambda *motion: tuple(map(float, dynamics.torques(*motion))), drives.torque)
 
 
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode:
@@ -393,6 +442,7 @@ INTERFACE = Interface(
     hears=(
         PoseSubscription("twin/joint_states", PcaMonitorNode.on_twin),
         PoseSubscription("physical/feedback", PcaMonitorNode.on_feedback, FEEDBACK_KEPT, Feedback),
+        Subscription("physical/torque", AxisTorque, PcaMonitorNode.on_torques, queue_size=50, when=watches_torques),
         PoseSubscription("next/joint_states", PcaMonitorNode.on_next, SETPOINTS_KEPT),
         Subscription("plan", Plan, PcaMonitorNode.on_plan, queue_size=5),
         Subscription("execution", Execution, PcaMonitorNode.on_execution, queue_size=5),
@@ -402,7 +452,14 @@ INTERFACE = Interface(
     every=(Every(lambda settings: 1 / settings.sync_rate, lambda node, _ports: node.watch()),),
 )
 FILE = ConfigFile(
-    lambda given: {"arm": arm_of(given), "transition_file": "transitions", "decimals": decimals_of(given)}
+    lambda given: {
+        "arm": arm_of(given),
+        "transition_file": "transitions",
+        "decimals": decimals_of(given),
+        "torque_watch": is_true(given, "torque_watch"),
+        "drives": given.get("drives", ""),
+        "payload": payload_of_launch(given.get("payload", "")),
+    }
 )
 NODE = NodeShell(
     "pca_monitor", Settings, start, INTERFACE, lambda settings, robot: make_gate(settings, robot, 0), FILE, fast=True

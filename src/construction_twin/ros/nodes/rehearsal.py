@@ -36,7 +36,7 @@ from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.element_masses import element_masses, tool_mass
-from construction_twin.ros.shared.launch_arguments import Given, Values
+from construction_twin.ros.shared.launch_arguments import Given, Values, payload_of_launch
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.ports import Interface, Ports, Publication, Subscription
 from construction_twin.ros.shared.rehearsal_process import PROGRAM, Question
@@ -63,6 +63,7 @@ class Settings(pydantic.BaseModel):
         drives: YAML of the arm's drives; empty: what its URDF says, and nothing is known of motors and rating.
         tool: Tool file; empty: no tool.
         self_collision: YAML of the link pairs that are not checked.
+        payload: At the flange at all times: mass [kg], or mass and centre in the tip link [m]; empty: nothing.
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
@@ -72,6 +73,7 @@ class Settings(pydantic.BaseModel):
     drives: str
     tool: str
     self_collision: str
+    payload: list[Annotated[float, pydantic.Field(allow_inf_nan=False)]] = []
 
 
 class Rehearser(Protocol):
@@ -236,6 +238,7 @@ class RehearsalNode:
                     self_collision=self._settings.self_collision,
                     drives=self._settings.drives,
                     tool=self._settings.tool,
+                    payload=tuple(self._settings.payload),
                 )
                 self._prepared = True
             return self._process.ask("rehearse", question=question)
@@ -328,7 +331,8 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> RehearsalNode:
         rospy.loginfo("%s", absent)
     # of the file: what it says decides the result
     read_self_collision(settings.self_collision, robot)
-    constant = _digest(_hash_of(settings.drives), _hash_of(settings.self_collision))
+    payload = [settings.payload] if settings.payload else []
+    constant = _digest(_hash_of(settings.drives), _hash_of(settings.self_collision), *payload)
     return RehearsalNode(
         settings, robot, Worker(PROGRAM), ports.publishers["rehearsal"], ports.diagnostics,
         tool_hash(settings.tool), tool_mass(settings.tool), constant, absent,
@@ -342,6 +346,7 @@ def _launched(given: Given) -> Values:
         "drives": given.get("drives", ""),
         "tool": "",
         "self_collision": "",
+        "payload": payload_of_launch(given.get("payload", "")),
     }
 
 

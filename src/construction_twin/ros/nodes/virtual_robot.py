@@ -7,8 +7,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
+import pydantic
 import rospy
 from sensor_msgs.msg import JointState
 
@@ -61,6 +62,7 @@ class Settings(NodeSettings):
         self_collision: YAML of the link pairs that are not checked; with mujoco alone.
         drives: YAML of the arm's drives; empty: what the URDF says; with mujoco alone.
         tool: Tool file, for what the tool weighs; empty: no tool; with mujoco alone.
+        payload: At the flange at all times: mass [kg], or mass and centre in the tip link [m]; empty: nothing; with mujoco alone.
     """
 
     arm: Literal["mock", "real", "none"]
@@ -68,6 +70,7 @@ class Settings(NodeSettings):
     self_collision: str
     drives: str
     tool: str = ""
+    payload: list[Annotated[float, pydantic.Field(allow_inf_nan=False)]] = []
 
 
 def has_mass(settings: Settings) -> bool:
@@ -329,7 +332,7 @@ def _simulation(settings: Settings, robot: RobotModel, ports: Ports) -> Simulati
 
     return Simulation(
         LiveTwin(),
-        ModelBuilder(robot, settings.self_collision, settings.drives).build,
+        ModelBuilder(robot, settings.self_collision, settings.drives, tuple(settings.payload)).build,
         tool_mass(settings.tool),
         robot.joint_names,
         ports.publishers["twin/commanded"],

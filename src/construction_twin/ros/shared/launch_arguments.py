@@ -37,6 +37,18 @@ def decimals_of(given: Given) -> int:
     return int(given.get("decimals", "3"))
 
 
+def payload_of_launch(text: str) -> list[float]:
+    """Return the numbers of a launch argument that says a payload, ``KG`` or ``KG,X,Y,Z``; [] for none.
+
+    Raises:
+        ConfigurationError: If it is neither.
+    """
+    try:
+        return [float(part) for part in text.split(",")] if text else []
+    except ValueError as error:
+        raise ConfigurationError("payload", text, Sentence("expected.physics.payload")) from error
+
+
 def tool_settings(given: Given) -> Values:
     """Return what launch/link.launch loads of a tool file; nothing without one."""
     return {"tool": read_mapping(given["tool"], "a tool")} if given.get("tool") else {}

@@ -24,11 +24,12 @@ class ModelBuilder:
 
     Args:
         self_collision, drives: YAML files, absolute paths; no file of drives: what the URDF says.
+        payload: At the flange at all times, see `payload_of`.
     """
 
-    def __init__(self, robot: RobotModel, self_collision: str, drives: str):
+    def __init__(self, robot: RobotModel, self_collision: str, drives: str, payload: tuple[float, ...] = ()):
         self._worker = Worker((sys.executable, "-m", __name__))
-        self._arm = {"robot": robot, "self_collision": self_collision, "drives": drives}
+        self._arm = {"robot": robot, "self_collision": self_collision, "drives": drives, "payload": payload}
 
     def build(self, scene: Scene, masses: Mapping[str, float]) -> PhysicsModel:
         """Return the model of the arm in a scene; raises WorkerError with the sentence of what went wrong there.
@@ -47,6 +48,7 @@ def main() -> None:
     """Serve the node."""
     from construction_twin.physics.drive import drives_of, read_drives
     from construction_twin.physics.known_mass import masses_of
+    from construction_twin.physics.mass import payload_of
     from construction_twin.physics.model import Load, build_model
     from construction_twin.scene.collision_bodies import RobotBodies
     from construction_twin.scene.self_collision import read_self_collision
@@ -54,12 +56,17 @@ def main() -> None:
     read: dict[str, RobotBodies] = {}
 
     def build(
-        robot: RobotModel, self_collision: str, drives: str, scene: Scene, masses: Mapping[str, float]
+        robot: RobotModel,
+        self_collision: str,
+        drives: str,
+        payload: tuple[float, ...],
+        scene: Scene,
+        masses: Mapping[str, float],
     ) -> PhysicsModel:
         # it is always the same arm; its meshes are read once
         bodies = read.get(robot.name) or read.setdefault(robot.name, RobotBodies(robot))
         known = read_drives(drives, robot) if drives else drives_of(robot)
-        load = Load(masses_of(masses, (scene,), bodies))
+        load = Load(masses_of(masses, (scene,), bodies), flange=payload_of(payload, "payload"))
         return build_model(bodies, scene, read_self_collision(self_collision, robot), known, load)
 
     release_realtime()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from construction_twin.physics.drive import drives_of, read_drives
 from construction_twin.physics.known_mass import masses_of
+from construction_twin.physics.mass import payload_of
 from construction_twin.physics.report import RehearsalReport
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
@@ -50,13 +51,16 @@ class Question:
 _prepared: list[Rehearsal] = []
 
 
-def prepared(robot: RobotModel, self_collision: str, drives: str, tool: str) -> Rehearsal:
+def prepared(
+    robot: RobotModel, self_collision: str, drives: str, tool: str = "", payload: tuple[float, ...] = ()
+) -> Rehearsal:
     """Return what rehearses the plans of an arm.
 
     Args:
         self_collision: YAML of the link pairs that are not checked.
         drives: YAML of the arm's drives; empty: what its URDF says.
         tool: Tool file; empty: no tool.
+        payload: At the flange, see `payload_of`.
     """
     from construction_twin.physics.grip import SuctionGrip
     from construction_twin.physics.rehearsal import Rehearsal
@@ -66,7 +70,8 @@ def prepared(robot: RobotModel, self_collision: str, drives: str, tool: str) -> 
     if tool and (at_tip := read_tool(tool).tool).cups is not None:
         grip = SuctionGrip.of(at_tip.cups, at_tip.tool0_T_tcp)
     pairs = read_self_collision(self_collision, robot)
-    return Rehearsal(RobotBodies(robot), pairs, read, grip=grip, tool=tool_hash(tool))
+    flange = payload_of(payload, "payload")
+    return Rehearsal(RobotBodies(robot), pairs, read, flange=flange, grip=grip, tool=tool_hash(tool))
 
 
 def answer(rehearsal: Rehearsal, question: Question) -> RehearsalReport:
@@ -76,8 +81,8 @@ def answer(rehearsal: Rehearsal, question: Question) -> RehearsalReport:
     return found.of_plan(question.plan, question.scenes, time.perf_counter)
 
 
-def _prepare(robot: RobotModel, self_collision: str, drives: str, tool: str) -> None:
-    _prepared[:] = [prepared(robot, self_collision, drives, tool)]
+def _prepare(robot: RobotModel, self_collision: str, drives: str, tool: str, payload: tuple[float, ...] = ()) -> None:
+    _prepared[:] = [prepared(robot, self_collision, drives, tool, payload)]
 
 
 def _rehearse(question: Question) -> RehearsalReport:
