@@ -217,8 +217,11 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     const robot = store.selected;
     const may = store.rightsOf.may(robot, "override_rehearsal") !== false;
     const sent = machine.sent?.override === true;
+    const open = !area.hidden && (sent || (["open", "pressing"].includes(machine.state) && machine.overridable));
+    // the other button cannot be pressed then, and on a phone it would stand before this one
+    approve.hidden = open && may;
     override.show({
-      open: !area.hidden && (sent || (["open", "pressing"].includes(machine.state) && machine.overridable)), may,
+      open, may,
       who: may ? [] : store.rightsOf.who(robot, "override_rehearsal"),
       why: sent ? "sending" : verdict.blocked(machine, true) || (named ? "" : "name"),
       held: machine.state === "pressing" && machine.override ? heldFor(machine) : null,
