@@ -25,6 +25,7 @@ from construction_twin.ros.commands.rehearse import BROKEN, FAILED, PASSED, main
 from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.scene.objects import Scene
 
+XACRO = "urdf/kr120_track.urdf.xacro"
 NAMES = ",".join(["time_s", *(f"joint_a{number}_deg" for number in range(1, 7))])
 WALL = """
 padding: 0.0
@@ -175,7 +176,7 @@ def bag(tmp_path):
     """A bag of a robot kr120 with two plans, the first of them recorded twice, as latched topics are."""
     file = tmp_path / "run.bag"
     with rosbag.Bag(str(file), "w") as opened:
-        for second, (plan_id, turn) in enumerate((("p1", 0.7), ("p2", -0.7), ("p1", 0.7)), 1):
+        for second, (plan_id, turn) in enumerate((("p1", -0.7), ("p2", 0.7), ("p1", -0.7)), 1):
             plan = planned(plan_id, turn)
             path = np.zeros((len(plan.trajectory.times), 3))
             opened.write("/kr120/plan", plan_to_msg(plan, "base_link", path), rospy.Time(second))
@@ -194,7 +195,7 @@ def test_of_a_bag_the_newest_plan_is_rehearsed_or_the_one_that_is_named(bag, wal
     assert (newest["state"], newest["contacts"]) == ("passed", [])
     assert named["state"] == "failed" and named["contacts"][0]["second"] == "wall"
     assert newest["duration"] == named["duration"] == 2.0
-    assert (newest["plan_id"], newest["plan_hash"]) == ("p2", planned("p2", -0.7).hash)
+    assert (newest["plan_id"], newest["plan_hash"]) == ("p2", planned("p2", 0.7).hash)
 
 
 def test_of_a_bag_payload_mass_and_robot_count_as_for_a_file(bag, capsys):
@@ -231,6 +232,7 @@ def test_a_bag_that_is_none_or_is_cut_off_ends_with_2(bag, content, capsys):
 
 
 def test_a_plan_of_another_arm_ends_with_2(bag, capsys):
-    track = ["--robot-xacro-args", "track:=true", "--robot-config", str(package_file("config/kr120_track.yaml"))]
-    assert main([str(bag), *track, "--drives", "none", "--self-collision", str(package_file("config/kr120_self_collision.yaml"))]) == BROKEN
-    assert "joints" in capsys.readouterr().err
+    files = {"robot-xacro": XACRO, "robot-config": "config/kr120_track.yaml", "self-collision": "config/kr120_track_self_collision.yaml"}
+    track = [word for option, file in files.items() for word in (f"--{option}", str(package_file(file)))]
+    assert main([str(bag), *track, "--drives", "none"]) == BROKEN
+    assert "plan p2" in capsys.readouterr().err
