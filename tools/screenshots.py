@@ -201,8 +201,14 @@ def shoot_rehearsal(camera: Camera) -> None:
     assert answer.success, answer.message
     heard: list[Rehearsal] = []
     rospy.Subscriber("rehearsal", Rehearsal, heard.append)
-    # the planner hears of the scene for itself
-    wait(lambda: make_plan(client, GOAL) and client.plans and client.plans[-1].scene == answer.hash, "a plan with the block", READY, 1.0)
+
+    def planned() -> bool:
+        # the planner hears of the scene for itself
+        made = make_plan(client, GOAL)
+        client.wait(lambda: client.plans and client.plans[-1].id == made.plan_id, "the plan")
+        return client.plans[-1].scene == answer.hash
+
+    wait(planned, "a plan with the block", READY)
     plan = client.plans[-1]
     wait(lambda: heard and heard[-1].plan_id == plan.id, "its rehearsal", READY)
     assert heard[-1].state == FAILED, heard[-1].state

@@ -136,9 +136,7 @@ def _overloaded(robot, plan) -> None:
         state=FAILED, scene=plan.scene, axes=(AxisLoad("joint_a2", 4200.0, 0.5, 900.0, 0.5, 3000.0, True),),
         reasons=(str(Sentence("rehearsal.mass", mass=240.0, rated=120.0)),), engine="MuJoCo 4.0.1", hash="f00d",
     )  # fmt: skip
-    robot.show_rehearsal(
-        report, str(Sentence("review.rehearsal.failed", plan=plan.id, reason=report.reasons[0]))
-    )
+    robot.show_rehearsal(report, str(Sentence("review.rehearsal.failed", plan=plan.id, reason=report.reasons[0])))
 
 
 @pytest.mark.parametrize("language", ("en", "de"))

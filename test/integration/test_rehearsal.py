@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""With a rehearsal required: plan, rehearse, approve; overload is refused, or overridden by name (ROS, MQTT); strangers count for nothing."""
+"""With a rehearsal required: plan, rehearse, approve; overload is refused, or overridden by name; strangers count for nothing."""
 
 import contextlib
 import json
@@ -100,7 +100,7 @@ class RehearsalTest(RobotTest):
 
     @contextlib.contextmanager
     def overloaded(self, goal: tuple[float, ...]):
-        """Yield a plan to a goal with twice the rating on the flange, and its rehearsal; afterwards it must have been carried out."""
+        """Yield a plan to a goal with twice the rating on the flange, and its rehearsal; afterwards it was carried out."""
         box = SceneObject(
             name="block", shape="box", size=BLOCK, pose=Pose(Point(0.0, 0.0, 4.0), Quaternion(0.0, 0.0, 0.0, 1.0))
         )
@@ -185,9 +185,9 @@ class Screen:
         subscribed: list[object] = []
         self._client.on_connect = lambda client, *_: client.subscribe([(topic, 1) for topic in told])
         self._client.on_subscribe = lambda *_: subscribed.append(True)
-        self._client.on_message = lambda _c, _u, message: message.payload and self._heard.setdefault(
-            message.topic, []
-        ).append(json.loads(message.payload))
+        self._client.on_message = lambda _c, _u, message: (
+            message.payload and self._heard.setdefault(message.topic, []).append(json.loads(message.payload))
+        )
         self._client.connect_async(broker.host, broker.port, broker.keepalive)
         self._client.loop_start()
         wait(lambda: subscribed, "the screen's subscription")

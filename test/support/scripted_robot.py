@@ -26,7 +26,14 @@ from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.link.goal_request import MAX_BYTES, parse_ik, parse_plan_request
 from construction_twin.link.path_view import PathView
-from construction_twin.link.remote_review import ClearanceView, PlanView, ReviewRequest, UseView, parse_override, parse_review
+from construction_twin.link.remote_review import (
+    ClearanceView,
+    PlanView,
+    ReviewRequest,
+    UseView,
+    parse_override,
+    parse_review,
+)
 from construction_twin.link.remote_speed import parse_speed
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
@@ -367,7 +374,12 @@ class ScriptedRobot:
         assert not reason_code.is_failure, str(reason_code)
         topics = self._topics
         asked = [topics.review, topics.review_by("+"), topics.stop_by("+"), topics.pause_by("+"), topics.resume_by("+")]
-        asked += [self._root + "override_rehearsal/+", self._root + "plan_request/+", self._root + "ik/+", self._root + "speed/+"]
+        asked += [
+            self._root + "override_rehearsal/+",
+            self._root + "plan_request/+",
+            self._root + "ik/+",
+            self._root + "speed/+",
+        ]
         client.subscribe([(topic, 1) for topic in asked] + [(topic, 0) for topic in self._listened])
         with self._lock:
             self._publish(topics.plan, b"" if self.plan is None else self.plan.to_json(200), retain=True)
@@ -385,7 +397,8 @@ class ScriptedRobot:
             return
         self.heard.append((below, payload))
         answer: dict[str, Callable[[str, bytes, bool], None]] = {
-            "review": self._on_review, "override_rehearsal": self._on_override, "plan_request": self._on_plan_request, "ik": self._on_ik,
+            "review": self._on_review, "override_rehearsal": self._on_override,
+            "plan_request": self._on_plan_request, "ik": self._on_ik,
             "speed": self._on_speed,
         }  # fmt: skip
         with self._lock:

@@ -106,7 +106,9 @@ def rehearsal_picture(
     ghost: list[tuple[Shape, Pose]] = []
     held: list[tuple[SceneObject, Pose]] = []
     if pose:
-        links = {link: link_pose(pose, link) for link in {*(one.link for one in shapes), *(one.link for one in carried)}}
+        links = {
+            link: link_pose(pose, link) for link in {*(one.link for one in shapes), *(one.link for one in carried)}
+        }
         ghost = [(one, product(links[one.link], _origin(one))) for one in shapes]
         held = [(one, product(links[one.link], one.pose)) for one in carried]
     columns = tuple(_column(axis, number, len(report.axes), arm_length) for number, axis in enumerate(report.axes))

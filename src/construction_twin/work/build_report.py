@@ -257,7 +257,9 @@ def in_space(scene: Scene, built: Mapping[str, str]) -> np.ndarray | None:
     from construction_twin.physics.still import StandingBody, still
 
     drawn = _drawn(scene, built)
-    shades = {element: _SHADES[k % len(_SHADES)] for k, element in enumerate(sorted({_element(i) for i, _, _ in drawn}))}
+    shades = {
+        element: _SHADES[k % len(_SHADES)] for k, element in enumerate(sorted({_element(i) for i, _, _ in drawn}))
+    }
     bodies = []
     for item, points, colour in drawn:
         red, green, blue = (min(1.0, shades[_element(item)] * value) for value in matplotlib.colors.to_rgb(colour))

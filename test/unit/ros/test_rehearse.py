@@ -232,7 +232,9 @@ def test_a_bag_that_is_none_or_is_cut_off_ends_with_2(bag, content, capsys):
 
 
 def test_a_plan_of_another_arm_ends_with_2(bag, capsys):
-    files = {"robot-xacro": XACRO, "robot-config": "config/kr120_track.yaml", "self-collision": "config/kr120_track_self_collision.yaml"}
-    track = [word for option, file in files.items() for word in (f"--{option}", str(package_file(file)))]
-    assert main([str(bag), *track, "--drives", "none"]) == BROKEN
+    config = "config/kr120_track"
+    files = {"xacro": XACRO, "config": f"{config}.yaml"}
+    track = [word for option, file in files.items() for word in (f"--robot-{option}", str(package_file(file)))]
+    track += ["--self-collision", str(package_file(f"{config}_self_collision.yaml")), "--drives", "none"]
+    assert main([str(bag), *track]) == BROKEN
     assert "plan p2" in capsys.readouterr().err

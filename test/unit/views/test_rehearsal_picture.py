@@ -61,9 +61,7 @@ def test_a_column_per_axis_is_as_high_as_the_fraction_of_its_limit():
     assert first.foot[1] != second.foot[1] and first.foot[2] == 0.0
 
 
-@pytest.mark.parametrize(
-    ("peak", "colour"), [(0.0, 2), (800.0, 2), (801.0, 1), (1000.0, 1), (1001.0, 0), (9e9, 0)]
-)
+@pytest.mark.parametrize(("peak", "colour"), [(0.0, 2), (800.0, 2), (801.0, 1), (1000.0, 1), (1001.0, 0), (9e9, 0)])
 def test_the_colour_says_how_near_the_limit_is(peak, colour):
     (column,) = drawn(replace(REPORT, axes=(load("joint_a1", peak),))).columns
     assert column.colour == COLUMNS[colour][1]

@@ -1,5 +1,5 @@
-"""preview: shows the plan under review in rviz (`plan_markers`), what its rehearsal has found (`rehearsal_markers`), and plays it with
-a ghost (`preview/joint_states`).
+"""preview: shows the plan under review (`plan_markers`) and its rehearsal (`rehearsal_markers`) in rviz, and plays the plan with a
+ghost (`preview/joint_states`).
 """
 
 from __future__ import annotations
@@ -250,9 +250,7 @@ class PreviewNode:
         drawing = rehearsal_picture(
             report, self._shapes, self._bodies.link_pose, self._chain.arm_length, carried[:MOST_BODIES]
         )
-        self._rehearsal.publish(
-            MarkerArray(markers=[_all_gone("rehearsal"), *rehearsal_markers(drawing, self._frame)])
-        )
+        self._rehearsal.publish(MarkerArray(markers=[_all_gone("rehearsal"), *rehearsal_markers(drawing, self._frame)]))
 
     def _carried(self, plan: MadePlan, at: float) -> tuple[SceneObject, ...]:
         """Return what the arm carries at a time of a plan [s], where the scene that it begins in is known."""
