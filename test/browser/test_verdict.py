@@ -10,6 +10,9 @@ import pytest
 from playwright.sync_api import expect
 from processes import wait_until
 
+from construction_twin.core.sentences import Sentence
+from construction_twin.physics.report import FAILED, PASSED, AxisLoad, RehearsalReport
+
 #: Longest wait for what a robot shall have done [s]; the machine may be busy with other tests.
 PATIENCE_S = 60.0
 SENTENCES = json.loads((Path(__file__).parents[2] / "src/construction_twin/core/sentences.json").read_text())
@@ -125,6 +128,69 @@ def test_what_lay_on_its_way_starts_nothing_and_who_looks_again_can_ask_anew(pag
     robot.delay = 0.0
     planner.locator(".plan-ask").click()
     wait_until(lambda: robot.plan is not None, PATIENCE_S, "a plan")
+
+
+def _overloaded(robot, plan) -> None:
+    """Let the rehearsal of the plan under review fail, as where one is required."""
+    report = RehearsalReport(
+        state=FAILED, scene=plan.scene, axes=(AxisLoad("joint_a2", 4200.0, 0.5, 900.0, 0.5, 3000.0, True),),
+        reasons=(str(Sentence("rehearsal.mass", mass=240.0, rated=120.0)),), engine="MuJoCo 4.0.1", hash="f00d",
+    )  # fmt: skip
+    robot.show_rehearsal(report, str(Sentence("review.rehearsal.failed", plan=plan.id, reason=report.reasons[0])))
+
+
+@pytest.mark.parametrize("language", ("en", "de"))
+def test_who_has_the_right_approves_in_spite_of_the_rehearsal_with_a_reason(page_of, robot, site, language):
+    def words(key: str, **values: str) -> str:
+        return SENTENCES[key][language].format(**values)
+
+    plan = robot.show_plan()
+    _overloaded(robot, plan)
+    # a reviewer may not: not in spite of it
+    other = page_of("reviewer-ada", f"?language={language}")
+    other.tab("verdict")
+    expect(other.page.locator(".override-hint")).to_have_text(words("verdict.override.who", who="dora"))
+    expect(other.page.locator(".override-approve")).to_be_hidden()
+    expect(other.approve_button).to_be_disabled()
+    page = page_of(query=f"?language={language}")
+    page.login("dora", site.password("dora"))
+    panel = page.tab("verdict")
+    panel.locator(".verdict-checks summary").click()
+    button = panel.locator(".override-approve")
+    expect(panel.locator(".override-hint")).to_have_text(words("verdict.override.reason"))
+    expect(button).to_be_disabled()
+    panel.locator(".override select").select_option("estimate")
+    panel.locator(".override input").fill("the file of the drives says so")
+    # a tap is no press
+    button.click()
+    expect(page.notice).to_have_text(words("verdict.cancelled.early"))
+    assert not robot.payloads("override_rehearsal")
+    page.hold(button)
+    expect(page.notice).to_contain_text("dora")
+    assert robot.verdicts == [("dora", "approved", plan.id)]
+    (said,) = robot.payloads("override_rehearsal/dora")
+    assert said["reason"] == f"{words('verdict.override.why.estimate')}: the file of the drives says so"
+    assert not robot.payloads("review")
+    expect(button).to_be_hidden()
+
+
+def test_a_press_in_spite_of_a_rehearsal_that_has_passed_meanwhile_sends_nothing(page_of, robot, site):
+    plan = robot.show_plan()
+    _overloaded(robot, plan)
+    page = page_of()
+    page.login("dora", site.password("dora"))
+    panel = page.tab("verdict")
+    panel.locator(".verdict-checks summary").click()
+    panel.locator(".override select").select_option("estimate")
+    button = panel.locator(".override-approve")
+    expect(button).to_be_enabled()
+    page.press(button)
+    robot.show_rehearsal(RehearsalReport(state=PASSED, hash="600d"))
+    expect(page.notice).to_contain_text("has changed while")
+    page.page.mouse.up()
+    expect(button).to_be_hidden()
+    expect(page.approve_button).to_be_enabled()
+    assert not robot.payloads("override_rehearsal")
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
 """With a rehearsal required: plan, rehearse, approve; overload is refused, or overridden by name; strangers count for nothing."""
 
+import contextlib
 import json
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,12 +15,17 @@ from construction_twin.srv import AddObject, AttachObject, DetachObject, RemoveO
 from geometry_msgs.msg import Point, Pose, Quaternion
 from twin_client import HOME, LEFT, RIGHT, RobotTest, TwinClient, wait
 
+from construction_twin.mqtt.client import Broker, make_client, unique_id
+from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.requests import OVERRIDE, REVIEW, RequestKind
 from construction_twin.physics.report import FAILED, PASSED, RehearsalReport, finished
 from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.shared.params import ros_home
 
 #: A rehearsal is there after this time, on two cores that run everything else too [s].
 REHEARSED = 40.0
+#: Of the broker of rehearsal.test.
+BROKER_PORT = 18847
 #: Edges of a block of 240 kg at the density that an unknown material is given: twice what the arm is rated for [m].
 BLOCK = (0.6, 0.8, 0.5)
 
@@ -91,7 +98,9 @@ class RehearsalTest(RobotTest):
         self.client.wait_until_ready()
         self.assertEqual(self.recorded(plan.plan_id)["rehearsal"]["state"], PASSED)
 
-    def test_3_overload_fails_and_is_refused_until_a_person_overrides_it_by_name(self):
+    @contextlib.contextmanager
+    def overloaded(self, goal: tuple[float, ...]):
+        """Yield a plan to a goal with twice the rating on the flange, and its rehearsal; afterwards it was carried out."""
         box = SceneObject(
             name="block", shape="box", size=BLOCK, pose=Pose(Point(0.0, 0.0, 4.0), Quaternion(0.0, 0.0, 0.0, 1.0))
         )
@@ -107,14 +116,22 @@ class RehearsalTest(RobotTest):
             plans = []
 
             def planned() -> bool:
-                plans.append(self.client.plan_to(HOME, duration=6.0))
+                plans.append(self.client.plan_to(goal, duration=6.0))
                 self.client.wait(lambda: self.client.plans[-1].id == plans[-1].plan_id, "the plan")
                 return self.client.plans[-1].scene == scene
 
             wait(planned, "a plan in the scene with the block")
-            plan = plans[-1]
-            report = self.rehearsed(plan.plan_id)
+            report = self.rehearsed(plans[-1].plan_id)
             self.assertEqual(report.state, FAILED, report)
+            yield plans[-1], report
+            self.client.wait_for_outcome(plans[-1].plan_id, "finished")
+            self.client.wait_until_ready()
+        finally:
+            rospy.ServiceProxy("detach_object", DetachObject)("block")
+            rospy.ServiceProxy("remove_object", RemoveObject)("block")
+
+    def test_3_overload_fails_and_is_refused_until_a_person_overrides_it_by_name(self):
+        with self.overloaded(HOME) as (plan, report):
             self.assertAlmostEqual(report.payload.mass, 240.0)
             self.assertTrue(report.payload.estimated)
             answer = self.approved(plan)
@@ -123,14 +140,77 @@ class RehearsalTest(RobotTest):
             self.assertTrue(self.client.idle())
             answer = self.client.review(plan.plan_id, plan.plan_hash, override=True)
             self.assertTrue(answer.success, answer.message)
-            self.client.wait_for_outcome(plan.plan_id, "finished")
-            self.client.wait_until_ready()
-            record = self.recorded(plan.plan_id)
-            self.assertEqual(record["rehearsal"], {"state": FAILED, "hash": report.hash, "overridden": True})
-            self.assertEqual((record["reviewer"], record["reason"]), ("tester", "integration test"))
-        finally:
-            rospy.ServiceProxy("detach_object", DetachObject)("block")
-            rospy.ServiceProxy("remove_object", RemoveObject)("block")
+        record = self.recorded(plan.plan_id)
+        self.assertEqual(record["rehearsal"], {"state": FAILED, "hash": report.hash, "overridden": True})
+        self.assertEqual((record["reviewer"], record["reason"]), ("tester", "integration test"))
+
+    def test_4_by_mqtt_a_person_overrides_it_with_a_reason_and_only_what_the_rehearsal_holds_back(self):
+        topics = Topics("twin", "kr120")
+        screen = Screen(topics)
+        self.addCleanup(screen.close)
+        # what needs no override cannot be approved by one
+        plan = self.client.plan_to(LEFT)
+        passed = self.rehearsed(plan.plan_id)
+        self.assertEqual(passed.state, PASSED, passed)
+        answer = screen.ask(OVERRIDE, plan, reason="just so")
+        self.assertEqual((answer["ok"], answer["account"]), (False, "ada"), answer)
+        self.assertIn("no rehearsal to override", answer["reason"])
+        self.client.review(plan.plan_id, plan.plan_hash, approve=False)
+        with self.overloaded(RIGHT) as (plan, report):
+            # mqtt_review and executor hear of the rehearsal each for itself
+            screen.wait_for(topics.rehearsal, lambda told: told["plan_hash"] == plan.plan_hash)
+            screen.wait_for(topics.view, lambda told: report.reasons[0] in told["approval_obstacle"])
+            for kind, said in ((REVIEW, {}), (OVERRIDE, {}), (OVERRIDE, {"reason": " "})):
+                answer = screen.ask(kind, plan, **said)
+                self.assertFalse(answer["ok"], answer)
+            self.assertTrue(self.client.idle())
+            answer = screen.ask(OVERRIDE, plan, reason="the block is hollow")
+            self.assertTrue(answer["ok"], answer)
+            self.assertEqual((answer["plan_id"], answer["reviewer"]), (plan.plan_id, "ada"))
+        record = self.recorded(plan.plan_id)
+        self.assertEqual(record["rehearsal"], {"state": FAILED, "hash": report.hash, "overridden": True})
+        self.assertEqual(record["reviewer"], "ada")
+        self.assertIn("the block is hollow", record["reason"])
+
+
+class Screen:
+    """A person's screen on the launch's broker: account `ada`, who asks, and hears what is said."""
+
+    def __init__(self, topics: Topics):
+        self._topics = topics
+        self._heard: dict[str, list[dict]] = {}
+        broker = Broker("127.0.0.1", BROKER_PORT)
+        self._client = make_client(broker, unique_id(topics.robot, "screen"), "unused")
+        told = (topics.rehearsal, topics.view, topics.ack_of(OVERRIDE), topics.ack_of(REVIEW))
+        subscribed: list[object] = []
+        self._client.on_connect = lambda client, *_: client.subscribe([(topic, 1) for topic in told])
+        self._client.on_subscribe = lambda *_: subscribed.append(True)
+        self._client.on_message = lambda _c, _u, message: (
+            message.payload and self._heard.setdefault(message.topic, []).append(json.loads(message.payload))
+        )
+        self._client.connect_async(broker.host, broker.port, broker.keepalive)
+        self._client.loop_start()
+        wait(lambda: subscribed, "the screen's subscription")
+
+    def wait_for(self, topic: str, is_wanted: Callable[[dict], bool]) -> None:
+        """Wait until the newest message of a topic is as wanted."""
+        wait(lambda: topic in self._heard and is_wanted(self._heard[topic][-1]), f"a message on {topic}")
+
+    def ask(self, kind: RequestKind, plan, **more: str) -> dict:
+        """Approve a plan by a request of a kind; return the answer."""
+        answers = self._heard.setdefault(self._topics.ack_of(kind), [])
+        count = len(answers)
+        self.wait_for(self._topics.view, lambda told: bool(told["moment"]))
+        known = {"plan_id": plan.plan_id, "plan_hash": plan.plan_hash, "verdict": "approved"}
+        content = known | {"moment": self._heard[self._topics.view][-1]["moment"]} | more
+        self._client.publish(self._topics.of(kind, "ada"), json.dumps(content), qos=1)
+        wait(lambda: len(answers) > count, f"an answer to {kind.name}")
+        return answers[count]
+
+    def close(self) -> None:
+        """Leave the broker."""
+        self._client.disconnect()
+        self._client.loop_stop()
 
 
 if __name__ == "__main__":

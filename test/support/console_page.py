@@ -204,16 +204,24 @@ class ConsolePage:
 
     def press_approve(self) -> None:
         """Put the finger on the button and leave it there."""
-        self.approve_button.scroll_into_view_if_needed()
-        self.approve_button.hover()
+        self.press(self.approve_button)
+
+    def press(self, button: Locator) -> None:
+        """Put the finger on a button and leave it there."""
+        button.scroll_into_view_if_needed()
+        button.hover()
         self.page.mouse.down()
 
     def hold_approve(self) -> None:
-        """Hold the button until the page has sent the verdict; again where this machine was too busy for a press of a second."""
+        """Hold the button that approves, as `hold`."""
+        self.hold(self.approve_button)
+
+    def hold(self, button: Locator) -> None:
+        """Hold a button until the page has sent the verdict; again where this machine was too busy for a press of a second."""
         for _ in range(5):
-            expect(self.approve_button).to_be_enabled()
-            self.press_approve()
-            expect(self.notice).to_be_visible()
+            expect(button).to_be_enabled()
+            self.press(button)
+            expect(self.notice.and_(self.page.locator(":not(.is-void)"))).to_be_visible()
             self.page.mouse.up()
             if not self.is_disturbed():
                 return

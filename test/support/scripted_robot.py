@@ -10,6 +10,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from plan_samples import make_report
@@ -18,13 +19,21 @@ from processes import ROOT
 from construction_twin.core.errors import ExpiredError, PayloadError
 from construction_twin.core.freshness import Moment, parse_moment, staleness
 from construction_twin.core.motion_errors import KinematicsError
+from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.link.goal_request import MAX_BYTES, parse_ik, parse_plan_request
 from construction_twin.link.path_view import PathView
-from construction_twin.link.remote_review import ClearanceView, PlanView, UseView, parse_review
+from construction_twin.link.remote_review import (
+    ClearanceView,
+    PlanView,
+    ReviewRequest,
+    UseView,
+    parse_override,
+    parse_review,
+)
 from construction_twin.link.remote_speed import parse_speed
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
@@ -41,6 +50,7 @@ from construction_twin.mqtt.interventions import parse_intervention
 from construction_twin.mqtt.json_fields import read_document
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import EXECUTOR, GATEWAY, RequestKind
+from construction_twin.physics.report import RehearsalReport
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.frames import quaternion_to_rotation
 from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds
@@ -119,6 +129,8 @@ class ScriptedRobot:
         self.silent = False
         #: What `screen` has in place of its own line; None: its own.
         self.lines: list[dict] | None = None
+        #: Why the plan under review could not be approved; an approval in spite of its rehearsal takes no notice of it.
+        self.obstacle = ""
         #: Lines of `screen` that stand before its own.
         self.urgent: list[dict] = []
         #: How much older than it is what comes shall count [s]: as if it had lain on its way.
@@ -185,8 +197,18 @@ class ScriptedRobot:
     def take_plan_away(self) -> None:
         """No plan is under review any more."""
         with self._lock:
-            self.plan = None
+            self.plan, self.obstacle = None, ""
             self._publish(self._topics.plan, b"", retain=True)
+            self._publish(self._topics.rehearsal, b"", retain=True)
+            self.say()
+
+    def show_rehearsal(self, report: RehearsalReport, obstacle: str = "") -> None:
+        """Say what a rehearsal of the plan under review has found, and why that is against approving it."""
+        with self._lock:
+            assert self.plan is not None
+            report = replace(report, plan_id=self.plan.id, plan_hash=self.plan.hash)
+            self.obstacle = obstacle
+            self._publish(self._topics.rehearsal, dumped(report, marks=SPACED), retain=True)
             self.say()
 
     def play(self) -> None:
@@ -246,6 +268,7 @@ class ScriptedRobot:
                     0.0,
                 ),
                 plan="" if self.plan is None else self.plan.id,
+                approval_obstacle=self.obstacle,
                 closest=ClosestView(0.31, ("link_4", "table"), tuple(self.tool(self.twin)), 0.0),
                 progress=progress,
                 speed=self.speed_limits.report(time.monotonic_ns()),
@@ -351,7 +374,12 @@ class ScriptedRobot:
         assert not reason_code.is_failure, str(reason_code)
         topics = self._topics
         asked = [topics.review, topics.review_by("+"), topics.stop_by("+"), topics.pause_by("+"), topics.resume_by("+")]
-        asked += [self._root + "plan_request/+", self._root + "ik/+", self._root + "speed/+"]
+        asked += [
+            self._root + "override_rehearsal/+",
+            self._root + "plan_request/+",
+            self._root + "ik/+",
+            self._root + "speed/+",
+        ]
         client.subscribe([(topic, 1) for topic in asked] + [(topic, 0) for topic in self._listened])
         with self._lock:
             self._publish(topics.plan, b"" if self.plan is None else self.plan.to_json(200), retain=True)
@@ -369,7 +397,8 @@ class ScriptedRobot:
             return
         self.heard.append((below, payload))
         answer: dict[str, Callable[[str, bytes, bool], None]] = {
-            "review": self._on_review, "plan_request": self._on_plan_request, "ik": self._on_ik,
+            "review": self._on_review, "override_rehearsal": self._on_override,
+            "plan_request": self._on_plan_request, "ik": self._on_ik,
             "speed": self._on_speed,
         }  # fmt: skip
         with self._lock:
@@ -383,23 +412,34 @@ class ScriptedRobot:
         self._publish(self._topics.ack_of(kind, account), payload)
 
     def _on_review(self, account: str, payload: bytes, retained: bool) -> None:
+        self._on_verdict(requests.REVIEW, parse_review, account, payload, retained)
+
+    def _on_override(self, account: str, payload: bytes, retained: bool) -> None:
+        self._on_verdict(requests.OVERRIDE, parse_override, account, payload, retained)
+
+    def _on_verdict(
+        self, kind: RequestKind, parse: Callable[..., ReviewRequest], account: str, payload: bytes, retained: bool
+    ) -> None:
         try:
-            review = parse_review(payload, retained, account)
+            review = parse(payload, retained, account)
         except PayloadError as error:
-            self._answer(requests.REVIEW, account, False, str(error), reviewer=account)
+            self._answer(kind, account, False, str(error), reviewer=account)
             return
         known = {name: getattr(review, name) for name in ("plan_id", "plan_hash", "verdict", "reviewer")}
         plan = self.plan
         if plan is None or (plan.id, plan.hash) != (review.plan_id, review.plan_hash):
             sentence = f"plan {review.plan_id} with this hash is not under review"
-            self._answer(requests.REVIEW, account, False, sentence, **known)
+            self._answer(kind, account, False, sentence, **known)
             return
         if review.approve and (problem := self._too_old(review.moment)):
-            self._answer(requests.REVIEW, account, False, f"the approval is {problem}", expired=True, **known)
+            self._answer(kind, account, False, f"the approval is {problem}", expired=True, **known)
+            return
+        if review.approve and self.obstacle and not review.override_rehearsal:
+            self._answer(kind, account, False, self.obstacle, **known)
             return
         self.verdicts.append((review.reviewer, review.verdict, review.plan_id))
-        self.plan = None
-        self._answer(requests.REVIEW, account, True, f"{review.verdict} by {review.reviewer}", **known)
+        self.plan, self.obstacle = None, ""
+        self._answer(kind, account, True, f"{review.verdict} by {review.reviewer}", **known)
         self._publish(self._topics.plan, b"", retain=True)
         if review.approve:
             self._play(plan)

@@ -424,11 +424,12 @@ export const REHEARSAL = {
       "items": {
         "type": "object",
         "additionalProperties": false,
-        "required": ["first", "second", "time", "force", "seconds"],
+        "required": ["first", "second", "time", "point", "force", "seconds"],
         "properties": {
           "first": {"type": "string"},
           "second": {"type": "string"},
           "time": {"type": "number"},
+          "point": {"type": "array", "items": {"type": "number"}},
           "force": {"type": "number"},
           "seconds": {"type": "number"}
         }

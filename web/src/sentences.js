@@ -7,16 +7,16 @@ import {REASONS} from "./schemas.js";
 
 const PLACE = /\{(\w+)(?::(?:\.(\d))?([fgqpst]))?\}/g;
 const UNITS = {rad: [180 / Math.PI, "deg"], m: [1e3, "mm"]};
-/** Reasons that the page says itself, in every language: what can be answered to the work's questions. */
-const ANSWERS = "work.answer.";
+/** Reasons that the page needs in every language: it says what can be answered to the work's questions, and knows a rehearsal's. */
+const ALWAYS = ["work.answer.", "review.rehearsal."];
 const isReason = (key) => REASONS.some((each) => key.startsWith(each));
 
 /**
  * Return what a page in one language needs of the file of sentences: its own words, and of reasons, which robots send in English, the
- * English too. A page in English needs no reasons but these answers: it shows what comes.
+ * English too. A page in English needs none but `ALWAYS`: it shows what comes.
  */
 export function tableOf(sentences, language) {
-  const needed = Object.entries(sentences).filter(([key]) => language !== "en" || !isReason(key) || key.startsWith(ANSWERS));
+  const needed = Object.entries(sentences).filter(([key]) => language !== "en" || !isReason(key) || ALWAYS.some((each) => key.startsWith(each)));
   return Object.fromEntries(needed.map(([key, words]) => [key, {...(isReason(key) && {en: words.en}), [language]: words[language]}]));
 }
 

@@ -51,6 +51,7 @@ const MOST_ROBOTS = 32;
 /** The kind that a topic below `<prefix>/<robot>/` has. */
 const KINDS = {
   "view": "view", "screen": "screen", "scene": "scene", "plan": "plan", "rehearsal": "rehearsal", "path": "path", "work/tasks": "tasks", "review/ack": "review_ack",
+  "override_rehearsal/ack": "review_ack",
   "stop/ack": "stop_ack", "pause/ack": "pause_ack", "plan_request/ack": "plan_request_ack", "messages": "messages",
   "reset/ack": "reset_ack", "arm/ack": "arm_ack", "answer/ack": "answer_ack", "acknowledge/ack": "acknowledge_ack", "speed/ack": "speed_ack",
 };

@@ -48,6 +48,8 @@ export function makeTexts(language, table) {
     const said = language === "en" || typeof text !== "string" ? null : understood(text);
     return said === null ? text : texts(said.key, said.values);
   };
+  /** Return the key of a reason that a robot has sent as English text; "": it is none that this page knows. */
+  texts.keyOf = (text) => understood(text)?.key ?? "";
   texts.has = (key) => wordsOf(key, language) !== undefined;
   return texts;
 }

@@ -6,9 +6,10 @@
  * Events, all with `at`:
  *   connected, disconnected
  *   plan {plan: {id, hash, refused} or null}   from the store; `refused`: why it cannot be shown, else ""
- *   view {plan: id, obstacle, ended}           a view came; id of the plan under review, "" for none; undefined: it does not say;
- *                                              `obstacle`: why it could not be approved now, "" when it could; `ended`: id of the
- *                                              last plan that has ended
+ *   view {plan: id, obstacle, overridable, ended}  a view came; id of the plan under review, "" for none; undefined: it does not
+ *                                              say; `obstacle`: why it could not be approved now, "" when it could; `overridable`:
+ *                                              that is its rehearsal, in spite of which some may approve; `ended`: id of the last
+ *                                              plan that has ended
  *   old                                        no view for a second
  *   shows {what}                               "" while the person can see the picture and read the sentence; else why approving is
  *                                              blocked: "unseen" or "unread"
@@ -16,10 +17,12 @@
  *   looked {what, hash}                        the page showed the plan of this hash: "shown" (again and again), "played" (to its
  *                                              end), "checks" (its checks were opened)
  *   press {reviewer}, release                  of the approve button
+ *   press {reviewer, override: true, reason}   of the button that approves in spite of the rehearsal
  *   reject {reason, reviewer}
- *   tick {reviewer}                            again and again; `reviewer` is the person's name
+ *   tick {reviewer, account, sender}           again and again; `reviewer` is the person's name, `account` this page's, `sender` the one
+ *                                              in whose name it approves in spite of a rehearsal
  *   taken, failed {reason}                     what the broker says to the message
- *   ack {ack, account}                         an answer on review/ack, and this page's account
+ *   ack {ack}                                  an answer on review/ack or override_rehearsal/ack
  */
 
 /** A plan must have been shown for so long before it can be approved [ms]. */
@@ -42,8 +45,8 @@ const NOT_LOOKED = {shownFor: 0, shownAt: null, played: false, checks: false};
 /** Return the machine of a robot of which nothing is known. */
 export function begin() {
   return {
-    state: "offline", plan: null, gone: false, viewPlan: undefined, obstacle: "", hides: "", live: false, replay: false, ...NOT_LOOKED,
-    pressedAt: null, tickedAt: null, sent: null,
+    state: "offline", plan: null, gone: false, viewPlan: undefined, obstacle: "", overridable: false, hides: "", live: false, replay: false,
+    ...NOT_LOOKED, pressedAt: null, tickedAt: null, override: false, reason: "", sent: null,
     notice: null,
   };
 }
@@ -54,19 +57,19 @@ export function lookedAt({shownFor, played, checks}) {
 }
 
 /**
- * Return why approving is not possible now, as a short word; "" when it is.
+ * Return why approving is not possible now, as a short word; "" when it is. `override`: approving in spite of the rehearsal.
  *
  * Words: offline, none, unfit, decided, sending, replay (the picture shows a recording), old (no view of the arm), view (the view names
  * another plan, or none), obstacle (the executor would refuse it), unseen (the picture is not in view), unread (the sentence is cut off
  * or old), look, shown
  */
-export function blocked(machine) {
+export function blocked(machine, override = false) {
   if (["offline", "none", "unfit", "decided"].includes(machine.state)) return machine.state;
   if (machine.state === "sending" || machine.state === "waiting") return "sending";
   if (machine.replay) return "replay";
   if (!machine.live) return "old";
   if (machine.viewPlan !== undefined && machine.viewPlan !== machine.plan.id) return "view";
-  if (machine.obstacle !== "") return "obstacle";
+  if (machine.obstacle !== "" && !(override && machine.overridable)) return "obstacle";
   if (machine.hides !== "") return machine.hides;
   if (!machine.played && !machine.checks) return "look";
   return machine.shownFor >= SHOWN_FOR ? "" : "shown";
@@ -79,16 +82,19 @@ const isUnfit = (machine, {plan}) => plan !== null && plan.refused !== "";
 const isSame = (machine, {plan}) => plan !== null && machine.plan !== null && plan.id === machine.plan.id
   && plan.hash === machine.plan.hash && plan.refused === machine.plan.refused;
 const isGone = (machine, {plan}) => plan === null;
-const mayApprove = (machine) => blocked(machine) === "";
+const mayApprove = (machine) => blocked(machine, machine.override) === "";
 /** On a broker without accounts the person's name is typed; without one nobody would be on record. */
 const isNamed = ({reviewer}) => reviewer !== "";
-const mayPress = (machine, event) => mayApprove(machine) && isNamed(event);
+const mayPress = (machine, event) => isNamed(event)
+  && (event.override ? machine.overridable && event.reason.trim() !== "" && blocked(machine, true) === "" : blocked(machine) === "");
+/** Who approves in spite of what a rehearsal says has read just that. */
+const saysOther = ({override, obstacle}, event) => override && (event.obstacle ?? "") !== obstacle;
 const isHeld = (machine, {at}) => mayApprove(machine) && at - machine.pressedAt >= HELD_FOR && at - machine.tickedAt <= SHORT_GAP;
 const stood = (machine, {at}) => at - machine.tickedAt > STOOD_STILL;
 const isLate = (machine, {at}) => at - machine.sent.at >= ANSWER_WITHIN;
 const hasReason = (machine, event) => event.reason.trim() !== "" && isNamed(event);
-const isOwn = ({sent}, {ack, account}) => sent !== null && (ack.account ?? "") === account && ack.plan_id === sent.plan.id
-  && ack.plan_hash === sent.plan.hash && ack.verdict === sent.verdict && (account !== "" || ack.reviewer === sent.reviewer);
+const isOwn = ({sent}, {ack}) => sent !== null && (ack.account ?? "") === sent.account && ack.plan_id === sent.plan.id
+  && ack.plan_hash === sent.plan.hash && ack.verdict === sent.verdict && (sent.account !== "" || ack.reviewer === sent.reviewer);
 const isOwnTaken = (machine, event) => isOwn(machine, event) && event.ack.ok === true;
 const isOwnRefused = (machine, event) => isOwn(machine, event) && event.ack.ok !== true;
 const isOthers = ({plan}, {ack}) => plan !== null && ack.ok === true && ack.plan_id === plan.id && ack.plan_hash === plan.hash;
@@ -97,7 +103,7 @@ const isLateOwn = ({notice}, event) => notice?.kind === "unanswered" && isOwn({s
 const isLateTaken = (machine, event) => isLateOwn(machine, event) && event.ack.ok === true;
 const isLateRefused = (machine, event) => isLateOwn(machine, event) && event.ack.ok !== true;
 /** An answer without a plan is to a message of this account that could not be read; while we wait for one it is ours. */
-const isUnread = (machine, {ack, account}) => ack.ok !== true && ack.plan_id === "" && (ack.account ?? "") === account;
+const isUnread = ({sent}, {ack}) => ack.ok !== true && ack.plan_id === "" && (ack.account ?? "") === sent.account;
 
 // -- actions: they return what changes of the machine
 
@@ -109,14 +115,16 @@ const takeFurther = (machine, event) => ({...takePlan(machine, event), sent: nul
 const dropPlan = ({notice}) => ({...forget(), plan: null, notice: notice?.kind === "cancelled" ? null : notice});
 const losePlan = () => ({gone: true});
 const keepPlan = () => ({gone: false});
-const leave = () => ({...forget(), plan: null, gone: false, live: false, viewPlan: undefined, obstacle: "", sent: null});
+const leave = () => ({
+  ...forget(), plan: null, gone: false, live: false, viewPlan: undefined, obstacle: "", overridable: false, sent: null,
+});
 const leaveUnknown = (machine) => ({...leave(), notice: {kind: "unknown", verdict: machine.sent.verdict}});
 const leavePressing = () => ({...leave(), notice: {kind: "cancelled", why: "offline"}});
-const see = (machine, {plan, obstacle = "", ended = ""}) => {
+const see = (machine, {plan, obstacle = "", overridable = false, ended = ""}) => {
   const other = machine.plan !== null && plan !== undefined && plan !== machine.plan.id;
   // that an approval was accepted is news until its plan has ended
   const over = machine.notice?.kind === "accepted" && machine.notice.plan === ended;
-  return {...(other ? forget() : {}), ...(over ? {notice: null} : {}), live: true, viewPlan: plan, obstacle};
+  return {...(other ? forget() : {}), ...(over ? {notice: null} : {}), live: true, viewPlan: plan, obstacle, overridable};
 };
 const grow = (machine, {at, what, hash}) => {
   if (machine.plan === null || hash !== machine.plan.hash) return {shownAt: null};
@@ -127,15 +135,18 @@ const grow = (machine, {at, what, hash}) => {
 const blind = () => ({live: false});
 const hide = (machine, {what}) => ({hides: what});
 const setReplay = (machine, {on}) => ({replay: on});
-const press = (machine, {at}) => ({pressedAt: at, tickedAt: at, notice: null});
+const press = (machine, {at, override = false, reason = ""}) => ({pressedAt: at, tickedAt: at, override, reason, notice: null});
 const note = (machine, {at}) => ({tickedAt: at});
 const cancel = (why) => () => ({pressedAt: null, notice: {kind: "cancelled", why}});
 const cancelWith = (action, why) => (machine, event) => ({...action(machine, event), pressedAt: null, notice: {kind: "cancelled", why}});
-const send = (verdict) => (machine, {at, reviewer, reason = ""}) => ({
-  pressedAt: null, notice: null, sent: {plan: machine.plan, verdict, reviewer, at},
+const sending = (machine, {at, reviewer}, verdict, account, reason, override) => ({
+  pressedAt: null, notice: null, sent: {plan: machine.plan, verdict, reviewer, account, at, override},
   publish: {plan_id: machine.plan.id, plan_hash: machine.plan.hash, verdict, reviewer, reason: reason.trim()},
 });
-const fail = (machine, {reason}) => ({...forget(), sent: null, notice: {kind: "failed", reason, verdict: machine.sent.verdict}});
+const approve = (machine, event) => (machine.override
+  ? sending(machine, event, "approved", event.sender, machine.reason, true) : sending(machine, event, "approved", event.account, "", false));
+const reject = (machine, event) => sending(machine, event, "rejected", event.account, event.reason, false);
+const fail = (machine, {reason}) => ({...forget(), sent: null, notice: {kind: "failed", reason: machine.sent.override && reason === "refused" ? "refused_override" : reason, verdict: machine.sent.verdict}});
 const wait = (machine, {at}) => ({sent: {...machine.sent, at}});
 const giveUp = (machine) => ({...forget(), sent: null, notice: {kind: "unanswered", verdict: machine.sent.verdict, sent: machine.sent}});
 const win = (machine, {ack}) => ({sent: null, notice: {kind: "accepted", verdict: ack.verdict, reason: ack.reason, plan: ack.plan_id}});
@@ -168,7 +179,7 @@ const SENT = ["sending", "waiting"];
  *   none      no plan is under review
  *   unfit     a plan came that is not what its hash says: it is not shown, and can only be rejected
  *   open      a plan is under review; `blocked` says whether it can be approved
- *   pressing  the approve button is held
+ *   pressing  the approve button is held, or, with `override`, the one beside what the rehearsal says
  *   sending   the verdict was given to the broker, which has not answered
  *   waiting   the broker has taken it, and the executor has not answered
  *   decided   a verdict on this plan was accepted: ours or another's
@@ -191,7 +202,9 @@ export const TABLE = [
 
   {states: ["pressing"], event: "view", guard: (machine, {plan}) => plan !== undefined && plan !== machine.plan.id,
     action: cancelWith(see, "view"), next: "open"},
-  {states: ["pressing"], event: "view", guard: (machine, {obstacle = ""}) => obstacle !== "", action: cancelWith(see, "obstacle"), next: "open"},
+  {states: ["pressing"], event: "view", guard: saysOther, action: cancelWith(see, "rehearsal"), next: "open"},
+  {states: ["pressing"], event: "view", guard: ({override}, {obstacle = ""}) => !override && obstacle !== "",
+    action: cancelWith(see, "obstacle"), next: "open"},
   {states: OPEN, event: "view", action: see},
   {states: ["pressing"], event: "old", action: cancelWith(blind, "old"), next: "open"},
   {states: OPEN, event: "old", action: blind},
@@ -202,12 +215,12 @@ export const TABLE = [
   {states: ["open", "pressing"], event: "looked", action: grow},
 
   {states: ["open"], event: "press", guard: mayPress, action: press, next: "pressing"},
-  {states: ["pressing"], event: "tick", guard: isHeld, action: send("approved"), next: "sending"},
+  {states: ["pressing"], event: "tick", guard: isHeld, action: approve, next: "sending"},
   {states: ["pressing"], event: "tick", guard: stood, action: cancel("stood"), next: "open"},
   {states: ["pressing"], event: "tick", action: note},
   {states: ["pressing"], event: "release", action: cancel("early"), next: "open"},
-  {states: ["open"], event: "reject", guard: hasReason, action: send("rejected"), next: "sending"},
-  {states: ["unfit"], event: "reject", guard: hasReason, action: send("rejected"), next: "sending"},
+  {states: ["open"], event: "reject", guard: hasReason, action: reject, next: "sending"},
+  {states: ["unfit"], event: "reject", guard: hasReason, action: reject, next: "sending"},
 
   {states: ["sending"], event: "taken", action: wait, next: "waiting"},
   {states: ["sending"], event: "failed", action: fail, next: back},
@@ -226,7 +239,8 @@ export const TABLE = [
 /**
  * Take an event.
  *
- * @returns {{machine: object, publish: object|null}} the machine afterwards; what shall be published on `review` now, if anything
+ * @returns {{machine: object, publish: object|null}} the machine afterwards; what shall be published now, if anything, on `review` or,
+ *   where `sent.override` says so, on `override_rehearsal`
  */
 export function step(machine, event) {
   const row = TABLE.find(({states, event: name, guard}) => name === event.type && states.includes(machine.state)

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import {test} from "node:test";
 import * as verdict from "../src/panels/verdict.js";
-import {fakePage, plan} from "./support/fake.js";
+import {fakePage, plan, view} from "./support/fake.js";
 
 const AXIS = {joint: "A1", peak: 1000, time: 0.5, rms: 400, gravity: 0.25, limit: 4000, estimated: true};
 const REHEARSAL = {
@@ -67,4 +67,141 @@ test("a message that is no rehearsal is refused", async () => {
   const page = await panel({...REHEARSAL, axes: "many"});
   assert.equal(page.find(".rehearsal").hidden, true);
   assert.equal(page.store.refused, 1);
+});
+
+// -- in spite of it
+
+const AGAINST = "plan p1 has failed its rehearsal: the flange carries 240.0 kg; the arm is rated for 120.0 kg";
+/** Who has the right, and the name of the account. */
+const RIGHTS = {override_rehearsal: {ada: "ada", grace: "Grace"}};
+
+/** A page whose plan was looked at and is held back by its rehearsal, or by what `obstacle` says. */
+async function held({account = "ada", language = "en", obstacle = AGAINST, rights = RIGHTS} = {}) {
+  const fake = fakePage({account, language});
+  const timers = [];
+  if (rights !== null) {
+    fake.store.rightsOf = {
+      may: (_, right) => (rights[right] ? Object.hasOwn(rights[right], account) : null),
+      who: (_, right) => Object.entries(rights[right] ?? {}).filter(([one]) => one !== account).map(([, name]) => name),
+    };
+  }
+  verdict.make(fake.parent, fake.store, fake.connection, fake.texts, {now: () => fake.clock.now, every: (_, call) => timers.push(call)});
+  const find = (selector) => fake.document.querySelector(selector);
+  const fire = (element, type, values = {}) => element.dispatchEvent(Object.assign(new fake.window.Event(type, {bubbles: true}), values));
+  const say = (against) => fake.hear("kr120", "view", view({plan: "p1", approval_obstacle: against}));
+  await fake.hear("kr120", "view", view({plan: "p1", approval_obstacle: obstacle}));
+  await fake.hear("kr120", "plan", plan());
+  const pass = async (ms, against = obstacle) => {
+    for (let gone = 0; gone < ms; gone += 50) {
+      fake.later(50);
+      await say(against);
+      fake.store.set("looked", "kr120", {what: "shown", hash: "h1"});
+      for (const call of timers) call();
+      await new Promise((resolve) => setImmediate(resolve));
+    }
+  };
+  const press = () => fire(find(".override-approve"), "pointerdown", {button: 0});
+  fake.store.set("looked", "kr120", {what: "checks", hash: "h1"});
+  await pass(1200);
+  return {...fake, find, fire, pass, press, text: (selector) => find(selector).textContent,
+    give: () => fake.enter(find(".override input"), "the drives' file is an estimate")};
+}
+
+for (const language of ["en", "de"]) {
+  test(`who may approves in spite of the rehearsal with a reason, by a press of a second, in ${language}`, async () => {
+    const it = await held({language});
+    assert.equal(it.find(".override").hidden, false);
+    assert.equal(it.find(".verdict-approve").disabled, true);
+    // without a reason a finger does nothing
+    assert.equal(it.find(".override-approve").disabled, true);
+    assert.equal(it.text(".override-hint"), it.texts("verdict.override.reason"));
+    it.press();
+    await it.pass(1200);
+    assert.deepEqual(it.connection.sent, []);
+    it.give();
+    it.press();
+    await it.pass(900);
+    assert.deepEqual(it.connection.sent, []);
+    await it.pass(200);
+    assert.deepEqual(it.connection.sent.map(({topic, payload}) => [topic, payload.verdict, payload.reason]),
+      [["override_rehearsal/ada", "approved", "the drives' file is an estimate"]]);
+    await it.hear("kr120", "override_rehearsal/ack",
+      {account: "ada", reviewer: "ada", plan_id: "p1", plan_hash: "h1", verdict: "approved", ok: true, reason: "it moves"});
+    assert.match(it.text(".verdict-notice"), /it moves/);
+    assert.equal(it.find(".override").hidden, true);
+  });
+}
+
+test("a press that is let go too early, or that meets another word of the rehearsal, sends nothing", async () => {
+  const it = await held();
+  it.give();
+  it.press();
+  await it.pass(500);
+  it.fire(it.find(".override-approve"), "pointerup");
+  assert.equal(it.text(".verdict-notice"), it.texts("verdict.cancelled.early"));
+  it.press();
+  await it.pass(500);
+  await it.pass(1500, "plan p1 could not be rehearsed: it took too long");
+  assert.equal(it.text(".verdict-notice"), it.texts("verdict.cancelled.rehearsal"));
+  // and it has passed after all
+  it.press();
+  await it.pass(500, "plan p1 could not be rehearsed: it took too long");
+  await it.pass(1500, "");
+  assert.equal(it.text(".verdict-notice"), it.texts("verdict.cancelled.rehearsal"));
+  assert.equal(it.find(".override").hidden, true);
+  assert.deepEqual(it.connection.sent, []);
+});
+
+test("who may not is told who can, and cannot press; where nobody is listed that is said", async () => {
+  const it = await held({account: "vic"});
+  assert.equal(it.text(".override-hint"), it.texts("verdict.override.who", {who: "ada, Grace"}));
+  assert.equal(it.find(".override-approve").hidden, true);
+  it.give();
+  it.press();
+  await it.pass(1500);
+  assert.deepEqual(it.connection.sent, []);
+  const none = await held({account: "vic", rights: {override_rehearsal: {}}});
+  assert.equal(none.text(".override-hint"), none.texts("verdict.override.nobody"));
+});
+
+for (const obstacle of ["", "the executor is EXECUTING: a plan is played"]) {
+  test(`what a rehearsal does not hold back cannot be approved so: "${obstacle}"`, async () => {
+    const it = await held({obstacle});
+    assert.equal(it.find(".override").hidden, true);
+    it.give();
+    it.press();
+    await it.pass(1500);
+    assert.deepEqual(it.connection.sent, []);
+  });
+}
+
+test("without a rehearsal at all it is offered where one is required", async () => {
+  const it = await held({obstacle: "plan p1 was not rehearsed yet, and it must be"});
+  assert.equal(it.find(".override").hidden, false);
+});
+
+test("what the executor or the broker refuses is told, and can be asked again", async () => {
+  const it = await held();
+  it.give();
+  it.press();
+  await it.pass(1100);
+  await it.hear("kr120", "override_rehearsal/ack",
+    {account: "ada", reviewer: "ada", plan_id: "p1", plan_hash: "h1", verdict: "approved", ok: false, reason: "not now"});
+  assert.match(it.text(".verdict-notice"), /NOT accepted: not now/);
+  it.connection.refuse("refused");
+  it.press();
+  await it.pass(1200);
+  assert.equal(it.text(".verdict-notice"), it.texts("verdict.failed.refused_override", {verdict: it.texts("verdict.word.approved")}));
+});
+
+test("on a broker without accounts the console's own account asks, and the typed name goes with it", async () => {
+  const it = await held({account: "", rights: null});
+  it.enter(it.find(".verdict-name input"), "Ada");
+  it.give();
+  it.press();
+  await it.pass(1100);
+  assert.deepEqual(it.connection.sent.map(({topic, payload}) => [topic, payload.reviewer]), [["override_rehearsal/console", "Ada"]]);
+  await it.hear("kr120", "override_rehearsal/ack",
+    {account: "console", reviewer: "console", plan_id: "p1", plan_hash: "h1", verdict: "approved", ok: true, reason: "it moves"});
+  assert.match(it.text(".verdict-notice"), /accepted. it moves/);
 });

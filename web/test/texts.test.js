@@ -67,14 +67,25 @@ const reasons = Object.keys(SENTENCES).filter((key) => REASONS.some((each) => ke
 
 test("a page in English needs no reasons, one in another language their English beside their own, and both have the same words else", () => {
   const [en, de] = ["en", "de"].map((language) => tableOf(SENTENCES, language));
-  // what can be answered the page says itself
-  const answers = reasons.filter((key) => key.startsWith("work.answer."));
-  assert.ok(answers.length > 3 && answers.every((key) => key in en));
-  assert.deepEqual([...Object.keys(en), ...reasons.filter((key) => !answers.includes(key))].sort(), Object.keys(SENTENCES).sort());
+  // what can be answered the page says itself, and by what a rehearsal has said it knows that it may be overridden
+  const known = reasons.filter((key) => key.startsWith("work.answer.") || key.startsWith("review.rehearsal."));
+  assert.ok(known.length > 7 && known.every((key) => key in en));
+  assert.deepEqual([...Object.keys(en), ...reasons.filter((key) => !known.includes(key))].sort(), Object.keys(SENTENCES).sort());
   assert.deepEqual(Object.keys(de).sort(), Object.keys(SENTENCES).sort());
   assert.deepEqual(de["reason.gate.differs"], SENTENCES["reason.gate.differs"]);
   assert.deepEqual(de["page.title"], {de: SENTENCES["page.title"].de});
   assert.deepEqual(en["page.title"], {en: SENTENCES["page.title"].en});
+});
+
+test("what a rehearsal holds back is known by its key in every language, whatever its reasons are", () => {
+  const reason = {key: "review.rehearsal.more", values: {first: "joint_a3 needs 2000 Nm", count: 2}};
+  const said = robotSays("review.rehearsal.failed", {plan: "p1", reason});
+  for (const language of ["en", "de"]) {
+    const texts = textsIn(language);
+    assert.equal(texts.keyOf(said), "review.rehearsal.failed");
+    assert.equal(texts.keyOf("somebody says something"), "");
+    assert.equal(texts.keyOf(""), "");
+  }
 });
 
 test("a page in English shows a reason as it comes", () => {

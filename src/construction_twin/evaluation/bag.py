@@ -107,15 +107,17 @@ def check_definition(known: Mapping[str, str], topic: str, name: str, md5: str) 
         )
 
 
-def robots_in(topics: Iterable[str]) -> list[str]:
-    """Return the namespaces that hold a ``twin/joint_states``, sorted; ``/`` for the root."""
-    return sorted(topic[: -len(TWIN)].rstrip("/") or "/" for topic in topics if topic.endswith(f"/{TWIN}"))
+def robots_in(topics: Iterable[str], wanted: str = TWIN) -> list[str]:
+    """Return the namespaces that hold a topic, sorted; ``/`` for the root."""
+    return sorted(topic[: -len(wanted)].rstrip("/") or "/" for topic in topics if topic.endswith(f"/{wanted}"))
 
 
-def choose_robot(types: Mapping[str, str], namespace: str | None) -> str:
-    """Return the namespace of the robot that is asked for, or of the only one; see `recording_of`."""
-    robots = robots_in(types)
+def choose_robot(types: Mapping[str, str], namespace: str | None, topic: str = TWIN) -> str:
+    """Return the namespace of the robot that is asked for, or of the only one, among those with a topic; see `recording_of`."""
+    robots = robots_in(types, topic)
     if not robots:
+        if topic != TWIN:
+            raise ConstructionTwinError(Sentence("view.bag.no_such_topic", topic=topic))
         raise ConstructionTwinError(Sentence("view.bag.no_topic", topic=TWIN, twin=TWIN, physical=PHYSICAL))
     if namespace is None:
         if len(robots) > 1:

@@ -291,19 +291,28 @@ class _Run:
         """Note what touches in this step; of two bodies that touch at several points the forces are added up."""
         geoms = data.contact.geom
         forces: dict[tuple[str, str], float] = {}
+        largest: dict[tuple[str, str], tuple[float, int]] = {}
         force = np.zeros(6)
         for number in np.flatnonzero(physics.unplanned[geoms[:, 0], geoms[:, 1]]).tolist():
             first, second = sorted((physics.owners[geom] for geom in geoms[number].tolist()), key=self._named_first)
             names = first, second
             if without.isdisjoint(map(body_of, names)):
                 mujoco.mj_contactForce(physics.model, data, number, force)
-                forces[names] = forces.get(names, 0.0) + float(np.linalg.norm(force[:3]))
+                size = float(np.linalg.norm(force[:3]))
+                forces[names] = forces.get(names, 0.0) + size
+                largest[names] = max(largest.get(names, (-1.0, 0)), (size, number))
         for names, size in forces.items():
             if size >= LEAST_FORCE:
-                known = self._contacts.get(names) or RehearsedContact(*names, at, 0.0, 0.0)
+                known = self._contacts.get(names)
+                if known is None:
+                    known = RehearsedContact(*names, at, self._in_base(data.contact.pos[largest[names][1]]), 0.0, 0.0)
                 self._contacts[names] = replace(
                     known, force=max(known.force, size), seconds=known.seconds + physics.model.opt.timestep
                 )
+
+    def _in_base(self, point: np.ndarray) -> tuple[float, float, float]:
+        x, y, z = self._of.bodies.root_T_base.actInv(point).tolist()
+        return x, y, z
 
     def _named_first(self, owner: str) -> tuple[bool, bool, str]:
         """Return the order in which reports name two bodies: a link, what is carried sometime, what stands."""

@@ -54,11 +54,13 @@ class RehearsedContact:
     Attributes:
         first, second: Links or objects.
         time: When they first did [s]. force: The largest force between them [N]. seconds: For how long in all.
+        point: Where they first did, in the base_link [m]; of several points the one with the largest force.
     """
 
     first: str
     second: str
     time: float
+    point: tuple[float, float, float]
     force: float
     seconds: float
 
@@ -193,6 +195,11 @@ class RehearsalReport:
     remarks: tuple[str, ...] = ()
     hash: str = ""
     stamp: int = as_seconds()
+
+
+def is_whole(report: RehearsalReport) -> bool:
+    """Return whether a report that came from elsewhere is what its hash says."""
+    return report.state in STATES and finished(report, report.took).hash == report.hash
 
 
 def finished(report: RehearsalReport, took: float) -> RehearsalReport:

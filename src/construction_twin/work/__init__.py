@@ -2,7 +2,7 @@
 
 In: a building model read from IFC, a cell file, tool and recipe files, the scene, the ledger of what was done. Out: checked
 segments of a work plan, or why a task cannot be done; the state of every task. Only ``work/ifc`` knows ifcopenshell. May import
-``core``, ``robot``, ``kinematics``, ``scene``, ``planning`` and ``review``.
+``core``, ``robot``, ``kinematics``, ``scene``, ``physics``, ``planning`` and ``review``.
 """
 
 from typing import TYPE_CHECKING

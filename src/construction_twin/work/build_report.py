@@ -17,15 +17,18 @@ matplotlib.use("Agg")
 
 import numpy as np
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from construction_twin.scene.objects import Scene
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.extras import check_extras
+from construction_twin.core.sentences import Sentence
+from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.work.convex_bodies import Pieces
 
 #: Decimals of deviations: the wire has no more, and what a computer rounds is none.
 _MM, _DEG = 3, 4
-#: Colours of what stands: built by the arm, in stock, the rest.
-_BUILT, _STOCK, _OTHER = "#3f9d55", "#d8b365", "#c8c8c8"
+#: Colours of what stands: built by the arm, in stock; and shades of them, by which elements are told apart.
+_BUILT, _STOCK = "#3f9d55", "#d8b365"
+_SHADES = (1.0, 0.82, 1.18)
 _STYLE = (
     "body{font-family:sans-serif;margin:2em;max-width:70em}table{border-collapse:collapse}"
     "td,th{padding:.25em .8em;border-bottom:1px solid #ddd;text-align:left}img{max-width:100%}"
@@ -176,6 +179,8 @@ def write_report(
 ) -> tuple[Path, ...]:
     """Write ``work.json``, ``as_built.png`` and ``report.html``; return their paths.
 
+    Where no picture in space can be drawn, a sentence of the page says why.
+
     Args:
         results: In the order of the schedule.
         scene: What stands now.
@@ -187,64 +192,92 @@ def write_report(
     figures.write_text(json.dumps(contents, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     picture = folder / "as_built.png"
     built = {one.element: one.name for one in results if one.state == "done"}
-    draw(scene, built, title).savefig(picture, dpi=110)
+    slanted, without = None, ""
+    try:
+        slanted = in_space(scene, built)
+    except ConstructionTwinError as error:
+        without = Sentence("view.build.no_picture", problem=error.sentence)
+    draw(scene, built, title, slanted).savefig(picture, dpi=110)
     page = folder / "report.html"
-    page.write_text(_page(title, results, held, picture.name, decisions), encoding="utf-8")
+    page.write_text(_page(title, results, held, picture.name, decisions, without), encoding="utf-8")
     return figures, picture, page
 
 
-def draw(scene: Scene, built: Mapping[str, str], title: str) -> Figure:
-    """Return a picture of the elements, from above and from the side; those that were built in green, those in stock in yellow.
+def draw(scene: Scene, built: Mapping[str, str], title: str, slanted: np.ndarray | None = None) -> Figure:
+    """Return a picture of the elements from above, and beside it one in space; those that were built in green, in stock in yellow.
 
     Args:
         built: Names of the elements that stand at their places, by GlobalId.
+        slanted: Of `in_space`, 8 bits; None: there is none.
     """
-    figure = Figure(figsize=(13.0, 6.5))
+    figure = Figure(figsize=(13.0, 6.5) if slanted is not None else (7.0, 6.5))
+    above = figure.add_subplot(1, 1 if slanted is None else 2, 1 if slanted is None else 2)
+    if slanted is not None:
+        beside = figure.add_subplot(1, 2, 1)
+        beside.imshow(slanted, interpolation="lanczos")
+        beside.set_axis_off()
     corners = []
-    slanted = figure.add_subplot(1, 2, 1, projection="3d")
-    above = figure.add_subplot(1, 2, 2)
-    order = sorted(scene.objects, key=lambda item: item.position[2])
-    for item in order:
-        element = item.name.split("/", 1)[0]
-        if "/" not in item.name or item.link:
-            continue
-        colour = _BUILT if element in built else _STOCK
-        for triangles in _triangles(item):
-            slanted.add_collection3d(Poly3DCollection(triangles, facecolors=colour, shade=True))
-            corners.append(triangles.reshape(-1, 3))
-            low, high = corners[-1].min(axis=0), corners[-1].max(axis=0)
-            above.add_patch(
-                matplotlib.patches.Rectangle(
-                    low[:2], *(high - low)[:2], facecolor=colour, edgecolor="#333333", linewidth=0.6, alpha=0.8
-                )
+    for item, points, colour in _drawn(scene, built):
+        element = _element(item)
+        corners.append(points)
+        low, high = points.min(axis=0), points.max(axis=0)
+        above.add_patch(
+            matplotlib.patches.Rectangle(
+                low[:2], *(high - low)[:2], facecolor=colour, edgecolor="#333333", linewidth=0.6, alpha=0.8
             )
+        )
         if element in built and item.name.endswith("/0"):
-            middle = corners[-1].mean(axis=0)
-            wide, deep = np.ptp(corners[-1], axis=0)[:2]
+            middle = points.mean(axis=0)
+            wide, deep = np.ptp(points, axis=0)[:2]
             turn = 0 if wide >= deep else 90
             above.annotate(built[element], middle[:2], fontsize=6, ha="center", va="center", rotation=turn)
     if corners:
         points = np.concatenate(corners)
         low, high = points.min(axis=0), points.max(axis=0)
-        slanted.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-        slanted.set_box_aspect(np.maximum(high - low, 0.1))
-        slanted.set_zticks(np.round(np.linspace(low[2], high[2], 2), 2))
         above.set(xlim=(low[0] - 0.1, high[0] + 0.1), ylim=(low[1] - 0.1, high[1] + 0.1))
-    slanted.view_init(elev=35.0, azim=-60.0)
     above.set_aspect("equal")
-    for axes in (slanted, above):
-        axes.set(xlabel="x [m]", ylabel="y [m]")
+    above.set(xlabel="x [m]", ylabel="y [m]")
     figure.suptitle(f"{title}: as built (green), in stock (yellow)")
     figure.tight_layout()
     return figure
 
 
-def _triangles(item) -> list[np.ndarray]:
-    """Return the triangles of a convex body where it stands, shape (m, 3, 3) each."""
-    from scipy.spatial import ConvexHull
+def in_space(scene: Scene, built: Mapping[str, str]) -> np.ndarray | None:
+    """Return a picture of the elements in space, drawn as films of rehearsals are; None: there is no element.
 
-    points = Pieces([item]).points
-    return [points[ConvexHull(points).simplices]]
+    Neighbours have different shades, and every edge is drawn.
+
+    Args:
+        built: As of `draw`.
+
+    Raises:
+        ConstructionTwinError: If the set-up's group ``physics`` is missing, or nothing draws here: one sentence.
+    """
+    check_extras("physics")
+    from construction_twin.physics.still import StandingBody, still
+
+    drawn = _drawn(scene, built)
+    shades = {
+        element: _SHADES[k % len(_SHADES)] for k, element in enumerate(sorted({_element(i) for i, _, _ in drawn}))
+    }
+    bodies = []
+    for item, points, colour in drawn:
+        red, green, blue = (min(1.0, shades[_element(item)] * value) for value in matplotlib.colors.to_rgb(colour))
+        bodies.append(StandingBody(points, (red, green, blue)))
+    return still(bodies) if bodies else None
+
+
+def _drawn(scene: Scene, built: Mapping[str, str]) -> list[tuple[SceneObject, np.ndarray, str]]:
+    """Return the bodies of elements, the lowest first: each with its corners, shape (n, 3), and its colour."""
+    return [
+        (item, Pieces([item]).points, _BUILT if _element(item) in built else _STOCK)
+        for item in sorted(scene.objects, key=lambda item: item.position[2])
+        if "/" in item.name and not item.link
+    ]
+
+
+def _element(item: SceneObject) -> str:
+    return item.name.split("/", 1)[0]
 
 
 def rows(results: Sequence[TaskResult]) -> list[tuple[str, ...]]:
@@ -319,7 +352,9 @@ def _tolerance(results: Sequence[TaskResult]) -> str:
     )
 
 
-def _page(title: str, results: Sequence[TaskResult], held: int, picture: str, decisions: Sequence[Decision]) -> str:
+def _page(
+    title: str, results: Sequence[TaskResult], held: int, picture: str, decisions: Sequence[Decision], without: str
+) -> str:
     figures = html.escape(json.dumps(summary(results, held), indent=2))
     said = [(_moment(one.time), one.person, one.what) for one in decisions]
     sentences = html.escape(f"{_against_schedule(results)} {_tolerance(results)}")
@@ -327,6 +362,6 @@ def _page(title: str, results: Sequence[TaskResult], held: int, picture: str, de
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title><style>{_STYLE}</style>"
         f"<h1>{html.escape(title)}</h1><p>Mock arm: deviations are of its own measured pose when it let go, from the model.</p>"
         f"<p>{sentences}</p>"
-        f"<img src={picture} alt='as built'>{_table(HEADS, rows(results))}"
+        f"<img src={picture} alt='as built'>{without and f'<p>{html.escape(without)}</p>'}{_table(HEADS, rows(results))}"
         f"<h2>Who decided what</h2>{_table(('time', 'person', 'decision'), said)}<pre>{figures}</pre></html>\n"
     )

@@ -58,6 +58,10 @@ def test_a_wall_in_the_way_is_named_with_the_time():
     assert "rehearsal.contact" in reasons(report)
     assert all(contact.second == "wall" for contact in report.contacts)
     assert all(0.2 < contact.time < 2.8 and contact.force > 100.0 for contact in report.contacts)
+    # on the side of the wall that the arm comes from, below the arm's reach
+    for contact in report.contacts:
+        x, y, z = contact.point
+        assert 0.8 < x < 2.4 and y == pytest.approx(-0.7, abs=0.06) and 0.7 < z < 2.3
     # the wall's push is none of the plan's torques
     assert "rehearsal.torque" not in reasons(report)
     # two links that press for two seconds do so for no longer than the rehearsal lasts

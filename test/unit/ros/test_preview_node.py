@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 import rospy
-from construction_twin.msg import Review
+from construction_twin.msg import Rehearsal, Review
 from construction_twin.srv import PreviewPlanRequest
 from plan_samples import make_plan
 from planning_cell import HOME, LEFT, RIGHT, ROBOT
@@ -15,11 +15,14 @@ from unplugged import Unplugged
 from visualization_msgs.msg import Marker
 
 from construction_twin.core.errors import PoseUnknownError
+from construction_twin.kinematics.chain import Chain
+from construction_twin.physics.report import FAILED, PASSED, AxisLoad, RehearsalReport, RehearsedContact, finished
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.work_plan import joined
 from construction_twin.robot.plan import Plan, content_hash
 from construction_twin.robot.segments import Segment
 from construction_twin.ros.messages.convert import plan_to_msg
+from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import preview as module
 from construction_twin.ros.nodes.preview import NODE, Settings
@@ -56,6 +59,7 @@ class Bench:
         unplugged = Unplugged(monkeypatch, NODE, settings, ROBOT, self.unknown)
         self.callbacks, self.services, self.refused = unplugged.callbacks, unplugged.services, unplugged.refused
         self.messages = unplugged.published["plan_markers"]
+        self.rehearsals = unplugged.published["rehearsal_markers"]
         (self._timer,) = unplugged.timers
 
     def unknown(self, _):
@@ -154,3 +158,106 @@ def test_a_plan_with_an_object_that_makes_no_sense_is_refused(bench):
     count = len(bench.messages)
     bench.callbacks["plan"](message)
     assert len(bench.messages) == count and "beam/0" in bench.refused[0][1]
+
+
+# -- its rehearsal
+
+
+def rehearsal(plan: Plan, **changes) -> Rehearsal:
+    axes = tuple(AxisLoad(f"joint_a{number}", 100.0 * number, 0.0, 0.0, 0.0, 500.0, False) for number in range(1, 7))
+    contact = RehearsedContact("link_5", "wall", 0.5, (1.0, 0.5, 1.5), 90.0, 0.1)
+    report = RehearsalReport(
+        plan.id, plan.hash, plan.scene, state=PASSED, axes=axes, contacts=(contact,), worst_time=0.1,
+        worst_pose=tuple(HOME.tolist()),
+    )  # fmt: skip
+    return to_msg(finished(dataclasses.replace(report, **changes), 0.1), Rehearsal)
+
+
+class Rehearsed(Bench):
+    """The same, with what is heard of rehearsals."""
+
+    def hear_rehearsal(self, message: Rehearsal) -> None:
+        self.callbacks["rehearsal"](message)
+
+    def namespaces(self) -> list[str]:
+        """Namespaces of the newest markers of a rehearsal, each once; they begin with the removal of all before."""
+        first, *markers = self.rehearsals[-1].markers
+        assert first.action == Marker.DELETEALL
+        return list(dict.fromkeys(marker.ns for marker in markers))
+
+
+PARTS = [
+    "rehearsal_arm", "rehearsal_torques", "rehearsal_limits", "rehearsal_axes", "rehearsal_contacts",
+    "rehearsal_contact_names", "rehearsal",
+]  # fmt: skip
+
+
+def plain_plan() -> Plan:
+    return make_plan(time_path(np.array([HOME, RIGHT]), ROBOT), "p2", SCENES[0].hash)
+
+
+@pytest.fixture
+def rehearsed(monkeypatch) -> Rehearsed:
+    made = Rehearsed(monkeypatch)
+    made.hear_scene(SCENES[0])
+    return made
+
+
+@pytest.mark.parametrize("first", ["plan", "rehearsal"])
+def test_the_rehearsal_of_the_plan_under_review_is_drawn_whichever_comes_first(rehearsed, first):
+    plan = plain_plan()
+    if first == "plan":
+        rehearsed.hear_plan(plan)
+    rehearsed.hear_rehearsal(rehearsal(plan))
+    if first == "rehearsal":
+        assert rehearsed.rehearsals == []
+        rehearsed.hear_plan(plan)
+    assert rehearsed.namespaces() == PARTS
+    markers = rehearsed.rehearsals[-1].markers[1:]
+    assert {marker.header.frame_id for marker in markers} == {"kr120/twin/base_link"}
+    assert [m.text for m in markers if m.ns == "rehearsal_axes"][1] == "A2 40 %"
+    (place,) = [m.pose.position for m in markers if m.ns == "rehearsal_contacts"]
+    assert (place.x, place.y, place.z) == (1.0, 0.5, 1.5)
+    # the arm's first link stands where it always does, the last one where the pose brings it
+    arm = [m for m in markers if m.ns == "rehearsal_arm"]
+    tip = Chain(ROBOT).forward(HOME).position
+    assert np.linalg.norm(np.array([arm[-1].pose.position.x, arm[-1].pose.position.z]) - tip[[0, 2]]) < 0.5
+
+
+@pytest.mark.parametrize("approved", [True, False])
+def test_it_goes_with_the_plan(rehearsed, approved):
+    plan = plain_plan()
+    rehearsed.hear_plan(plan)
+    rehearsed.hear_rehearsal(rehearsal(plan))
+    rehearsed.callbacks["review"](Review(plan_id=plan.id, approved=approved))
+    assert rehearsed.namespaces() == []
+    count = len(rehearsed.rehearsals)
+    rehearsed.hear_rehearsal(rehearsal(plan))
+    assert len(rehearsed.rehearsals) == count
+
+
+@pytest.mark.parametrize("changes", [{"plan_hash": "other"}, {"scene": "other"}, {"plan_id": "other"}])
+def test_that_of_another_plan_hash_or_scene_is_not_drawn(rehearsed, changes):
+    rehearsed.hear_plan(plain_plan())
+    rehearsed.hear_rehearsal(rehearsal(plain_plan(), **changes))
+    assert rehearsed.rehearsals == [] and rehearsed.refused == []
+
+
+def test_one_that_is_not_what_its_hash_says_or_is_of_another_arm_is_refused(rehearsed):
+    plan = plain_plan()
+    rehearsed.hear_plan(plan)
+    forged = rehearsal(plan)
+    forged.state = FAILED
+    rehearsed.hear_rehearsal(forged)
+    rehearsed.hear_rehearsal(rehearsal(plan, worst_pose=(0.0, 0.0)))
+    assert [reason for reason, _ in rehearsed.refused] == ["rehearsal", "rehearsal"]
+    assert rehearsed.rehearsals == []
+
+
+def test_the_ghost_of_a_rehearsal_carries_what_the_arm_carries_then(rehearsed):
+    plan = work_plan()
+    rehearsed.hear_plan(plan)
+    rehearsed.hear_rehearsal(rehearsal(plan))
+    assert "rehearsal_carried" not in rehearsed.namespaces()
+    rehearsed.hear_rehearsal(rehearsal(plan, worst_time=plan.segments[0].end + 0.01))
+    assert "rehearsal_carried" in rehearsed.namespaces()

@@ -11,12 +11,21 @@ import sys
 import imageio_ffmpeg
 import numpy as np
 import pytest
+import rosbag
+import rospy
 from matplotlib.image import imread
+from physics_samples import between
+from plan_samples import make_plan
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.physics import film
+from construction_twin.robot.plan import Plan
+from construction_twin.ros.commands.evaluate import package_file
 from construction_twin.ros.commands.rehearse import BROKEN, FAILED, PASSED, main
+from construction_twin.ros.messages.convert import plan_to_msg
+from construction_twin.scene.objects import Scene
 
+XACRO = "urdf/kr120_track.urdf.xacro"
 NAMES = ",".join(["time_s", *(f"joint_a{number}_deg" for number in range(1, 7))])
 WALL = """
 padding: 0.0
@@ -150,3 +159,82 @@ def test_it_needs_no_ros_master(plan):
     )
     assert done.returncode == PASSED, done.stderr
     assert re.match(r"rehearsal of plan \w+: passed", done.stdout)
+
+
+# -- of a bag
+
+
+def planned(plan_id: str, turn: float) -> Plan:
+    """Return a plan as the planner makes it: the first axis turns so far within 2 s [rad]."""
+    begin = np.array((0.0, -1.5, 1.6, 0.0, 0.8, 0.0))
+    goal = begin + np.array((turn, 0.0, 0.0, 0.0, 0.0, 0.2))
+    return make_plan(between(begin, goal, 2.0), plan_id, Scene().hash)
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """A bag of a robot kr120 with two plans, the first of them recorded twice, as latched topics are."""
+    file = tmp_path / "run.bag"
+    with rosbag.Bag(str(file), "w") as opened:
+        for second, (plan_id, turn) in enumerate((("p1", -0.7), ("p2", 0.7), ("p1", -0.7)), 1):
+            plan = planned(plan_id, turn)
+            path = np.zeros((len(plan.trajectory.times), 3))
+            opened.write("/kr120/plan", plan_to_msg(plan, "base_link", path), rospy.Time(second))
+    return file
+
+
+def said_of(arguments: list[str], capsys) -> dict:
+    assert main([*arguments, "--json"]) in (PASSED, FAILED)
+    return json.loads(capsys.readouterr().out)
+
+
+def test_of_a_bag_the_newest_plan_is_rehearsed_or_the_one_that_is_named(bag, wall, capsys):
+    # the wall stands on one side: which plan was taken shows in what it touches
+    newest = said_of([str(bag), "--scene", str(wall)], capsys)
+    named = said_of([str(bag), "--scene", str(wall), "--plan-id", "p1"], capsys)
+    assert (newest["state"], newest["contacts"]) == ("passed", [])
+    assert named["state"] == "failed" and named["contacts"][0]["second"] == "wall"
+    assert newest["duration"] == named["duration"] == 2.0
+    assert (newest["plan_id"], newest["plan_hash"]) == ("p2", planned("p2", 0.7).hash)
+
+
+def test_of_a_bag_payload_mass_and_robot_count_as_for_a_file(bag, capsys):
+    alone = said_of([str(bag)], capsys)
+    loaded = said_of([str(bag), "--payload", "100,0,0,0.2", "--robot", "/kr120"], capsys)
+    assert loaded["payload"]["mass"] == 100.0 and loaded["payload"]["along"] == pytest.approx(0.2)
+    assert loaded["axes"][1]["peak"] > 1.2 * alone["axes"][1]["peak"]
+    assert main([str(bag), "--payload", "140"]) == FAILED
+
+
+def test_of_a_bag_picture_and_video_are_drawn(bag, wall, tmp_path, with_graphics, capsys):
+    picture, video = tmp_path / "out.png", tmp_path / "out.mp4"
+    drawn = ["--picture", str(picture), "--video", str(video), "--rate", "4"]
+    assert main([str(bag), "--plan-id", "p1", "--scene", str(wall), *drawn]) == FAILED
+    said = capsys.readouterr().out
+    assert re.search(r"rehearsal of plan p1: failed", said) and f"{picture}: after" in said
+    assert imread(picture).shape[:2] == (film.HEIGHT, film.WIDTH)
+    frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(video))
+    assert frames >= 8 and seconds == pytest.approx(frames / 4.0, abs=0.3)
+
+
+@pytest.mark.parametrize("arguments", [("--plan-id", "p9"), ("--robot", "/ur")])
+def test_a_plan_or_robot_that_the_bag_does_not_have_ends_with_2(bag, arguments, capsys):
+    assert main([str(bag), *arguments]) == BROKEN
+    said = capsys.readouterr().err
+    assert said.startswith("rehearse: ") and said.count("\n") == 1
+
+
+@pytest.mark.parametrize("content", [b"", b"no bag at all", None])
+def test_a_bag_that_is_none_or_is_cut_off_ends_with_2(bag, content, capsys):
+    bag.write_bytes(bag.read_bytes()[:-200] if content is None else content)
+    assert main([str(bag)]) == BROKEN
+    assert capsys.readouterr().err.startswith("rehearse: ")
+
+
+def test_a_plan_of_another_arm_ends_with_2(bag, capsys):
+    config = "config/kr120_track"
+    files = {"xacro": XACRO, "config": f"{config}.yaml"}
+    track = [word for option, file in files.items() for word in (f"--robot-{option}", str(package_file(file)))]
+    track += ["--self-collision", str(package_file(f"{config}_self_collision.yaml")), "--drives", "none"]
+    assert main([str(bag), *track]) == BROKEN
+    assert "plan p2" in capsys.readouterr().err

@@ -68,7 +68,7 @@ def test_reasons_contacts_objects_and_remarks_of_one_that_failed():
         REPORT,
         state=FAILED,
         reasons=("too heavy",),
-        contacts=(RehearsedContact("tool", "wall", 1.5, 30.0, 0.1),),
+        contacts=(RehearsedContact("tool", "wall", 1.5, (0.9, 0.2, 1.1), 30.0, 0.1),),
         objects=(
             LooseObject("beam", 2.0, 0.05, math.radians(2.0), 0.04, False),
             LooseObject("crate", math.nan, 0.1, 0.0, 0.0, True),

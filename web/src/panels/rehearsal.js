@@ -1,9 +1,21 @@
 /**
  * What the simulated arm found when it carried out the plan under review: one line; opened, a bar per axis and what else was found.
+ * And the button by which a person approves in spite of that, where a rehearsal is required.
  *
- * Shows only: whether a plan may be approved without it is the executor's to say, and stands in `approval_obstacle`.
+ * Whether a plan may be approved without it is the executor's to say: that it is the rehearsal which is against it stands in
+ * `approval_obstacle`. When the button may be pressed is verdict_state.js.
  */
 import {add, clear, setText} from "../dom.js";
+import {onHold} from "../press.js";
+import {makeReason} from "./reason.js";
+
+/** Reasons of an override to pick from: `verdict.override.why.<word>`. */
+const REASONS = ["estimate", "contact", "elsewhere", "no_rehearsal"];
+/** How the keys of what the executor says of a rehearsal begin (execution/rehearsal_check.py). */
+const OBSTACLE = "review.rehearsal.";
+
+/** Return whether it is the rehearsal alone that is against approving. */
+export const isOverridable = (obstacle, texts) => texts.keyOf(obstacle).startsWith(OBSTACLE);
 
 /** What a person at the arm calls a joint, as core/axis_name.py says it in sentences: A3 for joint_a3. */
 const axisName = (joint) => /^joint_([ae][1-9])$/.exec(joint)?.[1].toUpperCase() ?? joint;
@@ -75,5 +87,42 @@ export function make(parent, texts) {
       bar.style.setProperty("--used", Math.min(1, usage(axis)).toFixed(3));
     }
     for (const text of findings(rehearsal, texts)) add(others, "li", {text});
+  };
+}
+
+/**
+ * Make the part with which a person approves in spite of the rehearsal.
+ *
+ * @param {{press: () => void, release: () => void, changed: () => void}} then
+ * @returns `reason()`, `clear()` and `show({open, may, who, why, held})`: whether it is offered at all, whether this account may, who
+ *   else can, why not now ("": it can be pressed), and for which part of the second it has been held (null: it is not)
+ */
+export function makeOverride(parent, texts, {press, release, changed}) {
+  const part = add(parent, "fieldset", {className: "override", hidden: true});
+  add(part, "legend", {text: texts("verdict.override.title")});
+  const reason = makeReason(part, texts, "verdict.override.why", REASONS, changed);
+  const fields = [...part.querySelectorAll("input, select")];
+  const approve = add(part, "button", {type: "button", className: "override-approve", "aria-describedby": "override-hint", disabled: true});
+  add(approve, "span", {className: "verdict-fill", "aria-hidden": "true"});
+  const words = add(approve, "span", {className: "override-text"});
+  const hint = add(part, "p", {id: "override-hint", className: "override-hint"});
+  onHold(approve, () => {
+    if (!approve.disabled) press();
+  }, release);
+  return {
+    reason: reason.said,
+    clear: reason.clear,
+    show({open, may, who, why, held}) {
+      part.hidden = !open;
+      for (const field of [approve, ...fields]) field.hidden = !may;
+      reason.disable(held !== null);
+      const missing = why === "" && reason.said() === "" ? "reason" : why;
+      approve.disabled = !may || missing !== "";
+      approve.classList.toggle("is-pressing", held !== null);
+      approve.style.setProperty("--held", (held ?? 0).toFixed(3));
+      setText(words, texts(held === null ? "verdict.override.approve" : "verdict.keep"));
+      const key = !may ? (who.length ? "who" : "nobody") : missing === "reason" ? "reason" : "hint";
+      setText(hint, missing !== "" && missing !== "reason" && may ? texts(`verdict.blocked.${missing}`) : texts(`verdict.override.${key}`, {who: who.join(", ")}));
+    },
   };
 }

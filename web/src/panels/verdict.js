@@ -9,13 +9,12 @@ import {onHold} from "../press.js";
 import * as verdict from "../verdict_state.js";
 import {browser} from "./clock.js";
 import {segmentsOf} from "./playback.js";
-import {make as makeRehearsal, rehearsalOf} from "./rehearsal.js";
+import {makeReason} from "./reason.js";
+import {isOverridable, make as makeRehearsal, makeOverride, rehearsalOf} from "./rehearsal.js";
 
 const TICK_EVERY = 50;
 /** Reasons of a rejection to pick from: `verdict.why.<word>`. */
 export const REASONS = ["too_close", "wrong_place", "scene", "person", "too_fast", "not_now"];
-/** Longest reason that mqtt_review reads, with the one that was picked. */
-const LONGEST_REASON = 300;
 const LONGEST_NAME = 64;
 /** Words of picture/seen.js for a picture that a person cannot see: nothing is approved without it. */
 const HIDDEN = ["away", "small", "lost"];
@@ -83,6 +82,9 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const table = add(checks, "dl");
   const segments = add(checks, "ol", {className: "verdict-segments"});
   const showRehearsal = makeRehearsal(area, texts);
+  const override = makeOverride(area, texts, {
+    press: () => take(store.selected, {type: "press", override: true, reason: override.reason()}), release: () => release(), changed: () => show(),
+  });
   const steps = add(area, "ul", {className: "verdict-steps", "aria-label": texts("verdict.steps")});
   const stepLooked = add(steps, "li");
   const stepShown = add(steps, "li");
@@ -97,22 +99,18 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const hint = add(act, "p", {id: "verdict-hint", className: "verdict-hint"});
   const rejection = add(area, "fieldset", {className: "verdict-rejection"});
   add(rejection, "legend", {text: texts("verdict.reject_title")});
-  const words = add(rejection, "input", {type: "text", maxlength: LONGEST_REASON, placeholder: texts("verdict.words"),
-    "aria-label": texts("verdict.words"), autocomplete: "off"});
-  const pick = add(rejection, "select", {"aria-label": texts("verdict.reason")});
-  add(pick, "option", {value: "", text: texts("verdict.pick")});
-  for (const reason of REASONS) add(pick, "option", {value: reason, text: texts(`verdict.why.${reason}`)});
+  const rejected = makeReason(rejection, texts, "verdict.why", REASONS, () => show());
   const reject = add(rejection, "button", {type: "button", className: "verdict-reject", text: texts("verdict.reject"), disabled: true});
   const notice = add(parent, "p", {className: "verdict-notice", role: "alert", hidden: true});
   let open = "";
 
   const machineOf = (robot) => machines.get(robot) ?? verdict.begin();
   const reviewer = () => connection.account || name.value.trim();
-  const reason = () => [pick.value && texts(`verdict.why.${pick.value}`), words.value.trim()].filter(Boolean).join(": ");
 
   const take = (robot, event) => {
     if (robot === "") return;
-    const given = {at: now(), reviewer: reviewer(), account: connection.account, ...event};
+    const sender = connection.own("override_rehearsal").split("/")[1];
+    const given = {at: now(), reviewer: reviewer(), account: connection.account, sender, ...event};
     const before = machineOf(robot);
     let machine = before;
     // the store takes away what was heard before it tells that the connection is lost
@@ -122,7 +120,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     // what has to be opened again is closed
     if (robot === store.selected && before.checks && !after.checks) checks.removeAttribute("open");
     if (publish !== null) {
-      connection.publish(connection.own("review"), robot, {...publish, moment: store.moment(robot)}).then(
+      connection.publish(connection.own(after.sent.override ? "override_rehearsal" : "review"), robot, {...publish, moment: store.moment(robot)}).then(
         (code) => take(robot, code === NOBODY ? {type: "failed", reason: "nobody"} : {type: "taken"}),
         (error) => take(robot, {type: "failed", reason: error.reason ?? "unanswered"}),
       );
@@ -145,8 +143,8 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     clear(segments);
     for (const sentence of segmentSentences(plan, texts)) add(segments, "li", {text: sentence});
     checks.removeAttribute("open");
-    pick.options[0].selected = true;
-    words.value = "";
+    rejected.clear();
+    override.clear();
   };
 
   /** A task is named as in the list of tasks, where it is known; its id and the whole of who asks are among the checks. */
@@ -187,11 +185,12 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     const may = store.rightsOf.may(robot, "review") !== false;
     const why = may ? verdict.blocked(machine) || (named ? "" : "name") : "right";
     const who = may ? [] : store.rightsOf.who(robot, "review");
-    const pressing = machine.state === "pressing";
+    const pressing = machine.state === "pressing" && !machine.override;
+    showOverride(machine, named);
     nameLabel.hidden = connection.account !== "";
     approve.disabled = why !== "";
     approve.classList.toggle("is-pressing", pressing);
-    const held = pressing ? Math.min(1, (now() - machine.pressedAt) / verdict.HELD_FOR) : 0;
+    const held = pressing ? heldFor(machine) : 0;
     approve.style.setProperty("--held", held.toFixed(3));
     setText(approveText, texts(pressing ? "verdict.keep" : "verdict.approve"));
     const drawn = store.robot(robot)?.drawn ?? "none";
@@ -202,13 +201,31 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     step(stepLooked, machine.played || machine.checks, texts("verdict.step_looked"));
     step(stepShown, machine.shownFor >= verdict.SHOWN_FOR, texts("verdict.step_shown"));
     const free = may && (machine.state === "open" || machine.state === "unfit");
-    reject.disabled = !free || !named || reason() === "";
-    pick.disabled = words.disabled = !free;
+    reject.disabled = !free || !named || rejected.said() === "";
+    rejected.disable(!free);
     showNotice(machine);
     // what became of a press stands where it was pressed, in view as the button is; its place is the hint's, so that nothing moves
     if (area.hidden || act.hidden) area.after(notice);
     else if (notice.parentElement !== act) hint.before(notice);
     hint.hidden = why === "" && !notice.hidden && notice.parentElement === act;
+  };
+
+  const heldFor = ({pressedAt}) => Math.min(1, (now() - pressedAt) / verdict.HELD_FOR);
+
+  /** What may be pressed in spite of the rehearsal; while that is on its way it stays where it is. */
+  const showOverride = (machine, named) => {
+    const robot = store.selected;
+    const may = store.rightsOf.may(robot, "override_rehearsal") !== false;
+    const sent = machine.sent?.override === true;
+    const open = !area.hidden && (sent || (["open", "pressing"].includes(machine.state) && machine.overridable));
+    // the other button cannot be pressed then, and on a phone it would stand before this one
+    approve.hidden = open && may;
+    override.show({
+      open, may,
+      who: may ? [] : store.rightsOf.who(robot, "override_rehearsal"),
+      why: sent ? "sending" : verdict.blocked(machine, true) || (named ? "" : "name"),
+      held: machine.state === "pressing" && machine.override ? heldFor(machine) : null,
+    });
   };
 
   const showNotice = ({notice: said, state, sent}) => {
@@ -246,11 +263,8 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   };
   onHold(approve, press, release);
   parent.ownerDocument.addEventListener("visibilitychange", release);
-  reject.addEventListener("click", () => take(store.selected, {type: "reject", reason: reason()}));
-  for (const field of [pick, words, name]) {
-    field.addEventListener("input", show);
-    field.addEventListener("change", show);
-  }
+  reject.addEventListener("click", () => take(store.selected, {type: "reject", reason: rejected.said()}));
+  for (const event of ["input", "change"]) name.addEventListener(event, show);
   checks.addEventListener("toggle", () => {
     const plan = store.robot(store.selected)?.plan ?? null;
     if (checks.hasAttribute("open") && plan !== null && plan.refused === "") take(store.selected, {type: "looked", what: "checks", hash: plan.hash});
@@ -260,7 +274,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
 
   const planOf = (plan) => (plan === null ? null : {id: plan.id, hash: plan.hash, refused: plan.refused ?? "missing"});
   const viewOf = ({plan, approval_obstacle: obstacle, execution}) => (
-    {type: "view", plan, obstacle, ended: execution?.outcome ? execution.plan_id : ""}
+    {type: "view", plan, obstacle, overridable: isOverridable(obstacle, texts), ended: execution?.outcome ? execution.plan_id : ""}
   );
   // no picture, or none of this robot, is no picture that is covered: then the checks are what a person looks at
   const hides = (robot) => {

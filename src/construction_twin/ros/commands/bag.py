@@ -70,6 +70,6 @@ def read_plans(path: str | Path, namespace: str | None = None) -> list[PlanValue
     """
     with open_bag(path, KINDS) as opened:
         bag = RosBag(opened)
-        messages = messages_of(bag, choose_robot(bag.types, namespace), (PLAN,))
+        messages = messages_of(bag, choose_robot(bag.types, namespace, PLAN), (PLAN,))
     # a latched plan is recorded once more by whoever listens again
     return list({message.id: plan_from_msg(message) for _, message in messages[PLAN]}.values())

@@ -66,7 +66,7 @@ def _rehearse(options: argparse.Namespace) -> int:
         RobotBodies(robot), read_self_collision(options.self_collision, robot), drives,
         masses=dict(map(_mass, options.mass)), flange=_payload(options.payload),
     )  # fmt: skip
-    plan = _plan(_trajectory(options, robot), scene)
+    plan = _plan(*_trajectory(options, robot), scene)
     film = Film() if options.picture or options.video else None
     report = rehearsal.of_plan(plan, {scene.hash: scene}, time.perf_counter, film.watch if film else None)
     console = Console(highlight=False, stderr=bool(options.json))
@@ -116,7 +116,8 @@ def _write_video(options: argparse.Namespace, film, touching, console: Console) 
     console.print(f"{options.video}: {options.rate:g} pictures/s, H.264 by ffmpeg {version}", soft_wrap=True)
 
 
-def _trajectory(options: argparse.Namespace, robot: RobotModel) -> Trajectory:
+def _trajectory(options: argparse.Namespace, robot: RobotModel) -> tuple[Trajectory, str]:
+    """Return the motion that is to be rehearsed, and the id of its plan in the bag; of a file that is empty."""
     if options.plan.suffix == ".bag":
         plans = read_plans(options.plan, options.robot)
         if options.plan_id:
@@ -126,18 +127,18 @@ def _trajectory(options: argparse.Namespace, robot: RobotModel) -> Trajectory:
         plan = plans[-1]
         if plan.trajectory.joint_names != robot.joint_names:
             raise ConstructionTwinError(Sentence("view.evaluate.joints", plan=plan.id, robot=robot.name))
-        return plan.trajectory
+        return plan.trajectory, plan.id
     waypoints = parse_waypoints(options.plan.read_text(), robot)
     start = waypoints.positions[0] if len(waypoints.positions) > 1 else np.array(robot.home)
-    return plan_waypoints(waypoints, start, robot)
+    return plan_waypoints(waypoints, start, robot), ""
 
 
-def _plan(trajectory: Trajectory, scene: Scene) -> Plan:
+def _plan(trajectory: Trajectory, plan_id: str, scene: Scene) -> Plan:
     """Return a plan that nobody has checked for contacts: that is what the rehearsal does."""
     unknown = (float("nan"),) * len(trajectory.joint_names)
     report = PlanReport(Clearance(float("nan")), LimitUsage(unknown, unknown, unknown), 0.0)
     found = trajectory.content_hash()
-    return Plan(found[:12], found, "rehearse", "waypoints", scene.hash, 0, 0.0, trajectory, report)
+    return Plan(plan_id or found[:12], found, "rehearse", "waypoints", scene.hash, 0, 0.0, trajectory, report)
 
 
 def _payload(text: str):

@@ -26,7 +26,8 @@ _CONTACT = (0.9, 0.05, 0.05, 0.9)
 _FIXED = (0.55, 0.57, 0.6, 0.35)
 _CARRIED = (0.2, 0.65, 0.35, 0.9)
 _STANDING = (0.85, 0.7, 0.35, 0.85)
-_TYPES = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE, "mesh": Marker.MESH_RESOURCE}
+#: What rviz draws of each kind of shape.
+SHAPES = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE, "mesh": Marker.MESH_RESOURCE}
 
 
 def object_to_msg(item: SceneObject) -> ObjectMsg:
@@ -113,7 +114,7 @@ def body_marker(item: SceneObject, frame_id: str, colour: tuple[float, ...], pos
         colour: Length 4. r, g, b, a.
         pose: In that frame. Default: the object's own.
     """
-    marker = Marker(ns=item.name, type=_TYPES[item.shape], action=Marker.ADD, frame_locked=True)
+    marker = Marker(ns=item.name, type=SHAPES[item.shape], action=Marker.ADD, frame_locked=True)
     marker.header.frame_id = frame_id
     position, quaternion = item.position, item.quaternion
     if pose is not None:

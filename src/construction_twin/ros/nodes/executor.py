@@ -59,7 +59,7 @@ from construction_twin.msg import (
 )
 from construction_twin.msg import SessionRequest as SessionRequestMessage
 from construction_twin.msg import SpeedChange as SpeedChangeMessage
-from construction_twin.physics.report import STATES, RehearsalReport, finished
+from construction_twin.physics.report import RehearsalReport, is_whole
 from construction_twin.review.plan_under_review import EXECUTOR, REJECTED, Verdict
 from construction_twin.review.record import Release, Responsibility, ReviewLog
 from construction_twin.robot.description import RobotModel
@@ -319,7 +319,7 @@ class ExecutorNode:
     def on_rehearsal(self, message: Rehearsal) -> None:
         """Take what the rehearsal of a plan has found."""
         report = from_msg(RehearsalReport, message)
-        if report.state not in STATES or finished(report, report.took).hash != report.hash:
+        if not is_whole(report):
             self._diagnostics.refuse("rehearsal", Sentence("reason.refused.rehearsal", plan=repr(report.plan_id)))
             return
         with self._lock:

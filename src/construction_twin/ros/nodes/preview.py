@@ -1,23 +1,32 @@
-"""preview: shows the plan under review in rviz (`plan_markers`), and plays it with a ghost (`preview/joint_states`)."""
+"""preview: shows the plan under review (`plan_markers`) and its rehearsal (`rehearsal_markers`) in rviz, and plays the plan with a
+ghost (`preview/joint_states`).
+"""
 
 from __future__ import annotations
 
 import threading
 import time
+from bisect import bisect_left
 
 import pydantic
-from geometry_msgs.msg import Point
+from geometry_msgs.msg import Point, Quaternion, Vector3
+from geometry_msgs.msg import Pose as PoseMsg
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.msg import Execution, Plan, Review
+from construction_twin.msg import Execution, Plan, Rehearsal, Review
 from construction_twin.msg import Scene as SceneMsg
+from construction_twin.physics.report import RehearsalReport, is_whole
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.robot.plan import Plan as MadePlan
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
-from construction_twin.ros.messages.scene_convert import body_marker, scene_from_msg, tf_frame
+from construction_twin.ros.messages.records import from_msg
+from construction_twin.ros.messages.scene_convert import SHAPES, body_marker, scene_from_msg, tf_frame
 from construction_twin.ros.shared.diagnostics import OK, Report
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.ports import (
@@ -31,11 +40,22 @@ from construction_twin.ros.shared.ports import (
     Subscription,
 )
 from construction_twin.ros.transport.joint_stream import now_ns
+from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.srv import PreviewPlan, PreviewPlanRequest
 from construction_twin.views.preview import TEXT_SIZE, PlanPicture, Preview, WorkContext, picture
-from construction_twin.views.sync_picture import headline_height
+from construction_twin.views.rehearsal_picture import (
+    CONTACT,
+    CONTACT_SIZE,
+    LIMIT,
+    TEXT_ROOM,
+    RehearsalPicture,
+    TorqueColumn,
+    rehearsal_picture,
+)
+from construction_twin.views.rehearsal_picture import TEXT_SIZE as REHEARSAL_TEXT
+from construction_twin.views.sync_picture import Shape, headline_height, visual_shapes
 from construction_twin.views.work_picture import MOST_BODIES, WorkPath, WorkStates, work_states
 
 #: How long a preview waits for the plan that was made just before [s].
@@ -55,6 +75,8 @@ LINE_WIDTH, POINT_SIZE, MARK_SIZE, LABEL_SIZE = 0.012, 0.06, 0.035, 0.065
 LABEL_AT = (0.0, 0.0, 0.1)
 #: The line of an engaged segment is so much wider: the way there and the way back often lie on each other.
 WIDER = 1.7
+#: Rehearsals that are remembered: of the plan under review, and of those that come before it is offered.
+REHEARSALS_KEPT = 4
 
 
 class Settings(pydantic.BaseModel):
@@ -79,11 +101,17 @@ class PreviewNode:
         self._states: WorkStates | None = None
         self._gripped: tuple[SceneObject, ...] = ()
         self._still: list[Marker] = []
+        self._rehearsals: dict[str, RehearsalReport] = {}
+        #: Made when the first rehearsal comes: where there is none, nobody pays for them.
+        self._bodies: RobotBodies | None = None
+        self._shapes: tuple[Shape, ...] = ()
+        self._rehearsal_drawn: tuple[str, str, bool] | None = None
         self._news = threading.Condition()
         self._frame = ""
         self._drawn: str | None = None
         self._diagnostics = ports.diagnostics
         self._ghost, self._markers = ports.publishers["preview/joint_states"], ports.publishers["plan_markers"]
+        self._rehearsal = ports.publishers["rehearsal_markers"]
         self._twin = ports.poses["twin/joint_states"]
 
     # -- subscriptions
@@ -114,9 +142,24 @@ class PreviewNode:
             self._scene = scene
             plan = self._preview.under_review
             # after a start of this node the plan may come before the scene that it begins in
-            if plan is not None and plan.segments and plan.scene == scene.hash:
-                self._drawn = None
+            if plan is not None and plan.scene == scene.hash:
+                if plan.segments:
+                    self._drawn = None
                 self._draw()
+
+    def on_rehearsal(self, message: Rehearsal) -> None:
+        """Show what the rehearsal of the plan under review has found."""
+        report = from_msg(RehearsalReport, message)
+        if not is_whole(report) or len(report.worst_pose) not in (0, len(self._robot.joint_names)):
+            self._diagnostics.refuse("rehearsal", Sentence("reason.refused.rehearsal", plan=repr(report.plan_id)))
+            return
+        with self._news:
+            # it may come before its plan
+            self._rehearsals.pop(report.plan_id, None)
+            self._rehearsals[report.plan_id] = report
+            while len(self._rehearsals) > REHEARSALS_KEPT:
+                del self._rehearsals[next(iter(self._rehearsals))]
+            self._draw_rehearsal()
 
     def on_review(self, message: Review) -> None:
         """Take a verdict."""
@@ -165,12 +208,16 @@ class PreviewNode:
 
     def _draw(self) -> None:
         """Publish the markers of another plan than the one drawn, or their removal."""
+        self._draw_plan()
+        self._draw_rehearsal()
+
+    def _draw_plan(self) -> None:
         plan = self._preview.plan
         name = None if plan is None else plan.id
         if name == self._drawn:
             return
         self._drawn = name
-        self._still, self._states = [Marker(ns="plan", action=Marker.DELETEALL)], None
+        self._still, self._states = [_all_gone("plan")], None
         self._gripped = ()
         if plan is not None:
             chain = self._chain
@@ -183,6 +230,36 @@ class PreviewNode:
             self._still += plan_markers(picture(plan, chain.skeleton, headline, told), self._frame)
         self._publish()
         self._grip(time.monotonic())
+
+    def _draw_rehearsal(self) -> None:
+        """Publish the markers of the rehearsal of the plan under review, or their removal."""
+        plan = self._preview.under_review
+        report = None if plan is None else self._rehearsals.get(plan.id)
+        if plan is None or report is None or (report.plan_hash, report.scene) != (plan.hash, plan.scene):
+            if self._rehearsal_drawn is not None:
+                self._rehearsal_drawn = None
+                self._rehearsal.publish(MarkerArray(markers=[_all_gone("rehearsal")]))
+            return
+        carried = self._carried(plan, report.worst_time)
+        drawn = report.plan_id, report.hash, bool(carried)
+        if drawn == self._rehearsal_drawn:
+            return
+        self._rehearsal_drawn = drawn
+        if self._bodies is None:
+            self._bodies, self._shapes = RobotBodies(self._robot), visual_shapes(self._robot.urdf)
+        drawing = rehearsal_picture(
+            report, self._shapes, self._bodies.link_pose, self._chain.arm_length, carried[:MOST_BODIES]
+        )
+        self._rehearsal.publish(MarkerArray(markers=[_all_gone("rehearsal"), *rehearsal_markers(drawing, self._frame)]))
+
+    def _carried(self, plan: MadePlan, at: float) -> tuple[SceneObject, ...]:
+        """Return what the arm carries at a time of a plan [s], where the scene that it begins in is known."""
+        if self._states is not None:
+            ends = [segment.end for segment in plan.segments]
+            return self._states.carried[min(bisect_left(ends, at), len(ends) - 1)]
+        if self._scene is None or self._scene.hash != plan.scene:
+            return ()
+        return tuple(item for item in self._scene.objects if item.link)
 
     def _grip(self, now: float) -> None:
         """Let the ghost carry what the arm will carry where the ghost is; the twin shows what is carried during execution."""
@@ -243,6 +320,58 @@ def work_markers(work: WorkPath, frame: str) -> list[Marker]:
     return markers
 
 
+def rehearsal_markers(drawing: RehearsalPicture, frame: str) -> list[Marker]:
+    """Return a rehearsal's markers in the frame of its points: arm, columns of torques, contacts, text."""
+    markers = [
+        _shape(shape, pose, frame, ColorRGBA(*drawing.ghost_colour), number)
+        for number, (shape, pose) in enumerate(drawing.ghost)
+    ]
+    for number, (item, pose) in enumerate(drawing.carried):
+        markers.append(_body(item, frame, drawing.ghost_colour, "rehearsal_carried", number, pose))
+    for number, column in enumerate(drawing.columns):
+        markers += _column(column, frame, number)
+    for number, (point, said) in enumerate(drawing.contacts):
+        place = _marker(frame, number, Marker.SPHERE, ColorRGBA(*CONTACT), CONTACT_SIZE, "rehearsal_contacts")
+        place.pose.position = Point(*point)
+        markers += [place, _text(said, frame, number, point, ColorRGBA(*CONTACT), "rehearsal_contact_names")]
+    return [*markers, _text(drawing.text, frame, 0, drawing.text_at, ColorRGBA(*drawing.text_colour), "rehearsal")]
+
+
+def _shape(shape: Shape, pose: Pose, frame: str, colour: ColorRGBA, number: int) -> Marker:
+    marker = _marker(frame, number, SHAPES[shape.kind], colour, 1.0, "rehearsal_arm")
+    marker.mesh_resource, marker.scale = shape.mesh, Vector3(*shape.scale)
+    quaternion = rotation_to_quaternion(pose.rotation).tolist()
+    marker.pose = PoseMsg(Point(*pose.position.tolist()), Quaternion(*quaternion))
+    return marker
+
+
+def _column(column: TorqueColumn, frame: str, number: int) -> list[Marker]:
+    markers = []
+    x, y, z = column.foot
+    # the column inside of its limit
+    for height, width, colour, kind in (
+        (column.height, 0.7 * column.width, column.colour, "rehearsal_torques"),
+        (column.limit, column.width, LIMIT, "rehearsal_limits"),
+    ):
+        if height > 0.0:
+            bar = _marker(frame, number, Marker.CUBE, ColorRGBA(*colour), width, kind)
+            bar.scale.z, bar.pose.position = height, Point(x, y, z + height / 2)
+            markers.append(bar)
+    top = (x, y, z + max(column.height, column.limit))
+    return [*markers, _text(column.text, frame, number, top, DARK, "rehearsal_axes")]
+
+
+def _text(said: str, frame: str, number: int, below, colour: ColorRGBA, namespace: str) -> Marker:
+    text = _marker(frame, number, Marker.TEXT_VIEW_FACING, colour, REHEARSAL_TEXT, namespace)
+    x, y, z = below
+    text.text, text.pose.position = said, Point(x, y, z + TEXT_ROOM)
+    return text
+
+
+def _all_gone(namespace: str) -> Marker:
+    return Marker(ns=namespace, action=Marker.DELETEALL)
+
+
 def _body(
     item: SceneObject, frame: str, colour: tuple[float, ...], namespace: str, number: int, pose: Pose | None = None
 ) -> Marker:
@@ -265,6 +394,7 @@ INTERFACE = Interface(
     publishes=(
         PosePublication("preview/joint_states"),
         Publication("plan_markers", MarkerArray, queue_size=2, latch=True),
+        Publication("rehearsal_markers", MarkerArray, queue_size=2, latch=True),
     ),
     reads=(NewestPose("twin/joint_states"),),
     hears=(
@@ -272,6 +402,7 @@ INTERFACE = Interface(
         Subscription("review", Review, PreviewNode.on_review, queue_size=5),
         Subscription("execution", Execution, PreviewNode.on_execution, queue_size=10),
         Subscription("plan", Plan, PreviewNode.on_plan, queue_size=2),
+        Subscription("rehearsal", Rehearsal, PreviewNode.on_rehearsal, queue_size=2),
     ),
     serves=(Served("preview_plan", PreviewPlan, PreviewNode.on_preview),),
     every=(Every(lambda settings: 1 / settings.frame_rate, lambda node, _ports: node.move_ghost()),),

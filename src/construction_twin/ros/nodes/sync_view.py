@@ -18,7 +18,7 @@ from construction_twin.monitor.states import SyncState
 from construction_twin.msg import Hold, Sync
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import from_msg
-from construction_twin.ros.messages.scene_convert import tf_frame
+from construction_twin.ros.messages.scene_convert import SHAPES, tf_frame
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.ports import Every, Interface, Ports, Publication, Subscription
@@ -38,7 +38,6 @@ PERIOD = 0.2
 SILENCE = 1.0
 #: Height of a line of the text, and how far in front of the arm's axis it stands [m].
 TEXT_SIZE, TEXT_FORWARD = 0.085, 0.4
-_TYPES = {"mesh": Marker.MESH_RESOURCE, "box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}
 _DARK = ColorRGBA(0.35, 0.0, 0.0, 1.0)
 
 
@@ -119,7 +118,7 @@ def arm_markers(shapes: tuple[Shape, ...], state: SyncState, tf_prefix: str) -> 
 
 
 def _arm_marker(number: int, shape: Shape, colour: ColorRGBA, tf_prefix: str) -> Marker:
-    marker = Marker(ns="physical", id=number, type=_TYPES[shape.kind], action=Marker.ADD, frame_locked=True)
+    marker = Marker(ns="physical", id=number, type=SHAPES[shape.kind], action=Marker.ADD, frame_locked=True)
     marker.header.frame_id = tf_frame(tf_prefix, shape.link)
     marker.mesh_resource = shape.mesh
     marker.pose = Pose(Point(*shape.position), Quaternion(*shape.quaternion))
