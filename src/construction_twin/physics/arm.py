@@ -25,8 +25,8 @@ from construction_twin.robot.description import JointValues
 #: Of the lag, as of `mock.servo.RealisticServo`: natural frequency [rad/s] and damping.
 OMEGA, ZETA = 60.0, 0.8
 #: Of the correction: natural frequency [rad/s]; it is damped critically.
-_FREQUENCY = 150.0
-_STIFFNESS, _DAMPING = _FREQUENCY**2, 2.0 * _FREQUENCY
+STIFFNESS = 150.0
+_STIFFNESS, _DAMPING = STIFFNESS**2, 2.0 * STIFFNESS
 #: Below this speed friction is taken to grow with speed [rad/s], [m/s], so that an axis at rest has no torque that jumps.
 CREEPING = 1e-3
 
