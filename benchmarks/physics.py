@@ -5,7 +5,8 @@
 `real_time_factor`: simulated over real time of one moving arm with 20 blocks that lie on tables, without a picture; with the blocks
 asleep, as in the moving part of a rehearsal, and awake, as while they settle. `rehearsal_s`: plans of 1, 10 and 60 s among the same
 blocks; what comes after the motion apart. `gravity_rel_error`: largest difference to Pinocchio's torques at rest over 1000 poses,
-of the largest torque of a pose. `inverse_dynamics_rel_rms`: torques of a motion against Pinocchio's inverse dynamics.
+of the largest torque of a pose. `inverse_dynamics_rel_rms`: torques of a motion against Pinocchio's inverse dynamics. `live`: the
+twin beside the whole system (`physics_live.py`), one kind after the other.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ import argparse
 import json
 import os
 import platform
+import subprocess
+import sys
 import time
 from importlib.metadata import version
 from pathlib import Path
@@ -36,6 +39,7 @@ from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.self_collision import read_self_collision
 
 ROOT = Path(__file__).resolve().parents[1]
+LIVE = Path(__file__).with_name("physics_live.py")
 PACKAGES = ("mujoco-core", "numpy", "pin", "coal")
 START = np.radians((0.0, -90.0, 90.0, 0.0, 45.0, 0.0))
 GOAL = START + np.array((1.0, 0.3, -0.4, 0.8, -0.6, 1.2))
@@ -138,6 +142,12 @@ class Bench:
         return model
 
 
+def live(twin: str) -> dict[str, float]:
+    """Return rate, jitter and cost of a twin beside the whole system."""
+    run = subprocess.run([sys.executable, LIVE, twin], stdout=subprocess.PIPE, text=True, check=True)
+    return json.loads(run.stdout)
+
+
 def rounded(value: float) -> float:
     """Return a figure to three significant digits."""
     return float(f"{value:.3g}")
@@ -173,6 +183,7 @@ def main() -> None:
         "rehearsal_s": {f"{duration:g}": bench.rehearsal(duration) for duration in PLANS},
         "gravity_rel_error": rounded(bench.gravity_rel_error()),
         "inverse_dynamics_rel_rms": rounded(bench.inverse_dynamics_rel_rms()),
+        "live": {twin: live(twin) for twin in ("mujoco", "kinematic")},
     }
     for name, values in figures["real_time_factor"].items():
         print(f"real time factor, blocks {name:<8} {values:>10}")
@@ -180,6 +191,8 @@ def main() -> None:
         print(
             f"rehearsal of {name:>2} s [s]          " + "".join(f"{key:>10} {value}" for key, value in values.items())
         )
+    for twin, values in figures["live"].items():
+        print(f"live {twin:<27} " + "".join(f"{key:>14} {value}" for key, value in values.items()))
     for name in ("gravity_rel_error", "inverse_dynamics_rel_rms"):
         print(f"{name:<32} {figures[name]:>10}")
     options.output.parent.mkdir(parents=True, exist_ok=True)

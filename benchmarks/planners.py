@@ -14,23 +14,20 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import signal
-import socket
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import actionlib
 import numpy as np
 import rospy
 from actionlib_msgs.msg import GoalStatus
+from bringup import START, bringup
 from construction_twin.msg import Execution, Sync
-from link_world import environment, free_port, wait_for
+from link_world import environment, wait_for
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
@@ -45,29 +42,9 @@ WAY, DURATION = (0.4, 0.1, -0.2, 0.4, -0.2, 0.4), 4.0
 CANCELLED, CANCELLED_TIME, PART, CANCELS = 1.0, 1.8, 0.5, 7
 #: A measured pose that is this close to where the arm ends is at rest [rad].
 REST = 1e-4
-#: Longest wait for one step of the benchmark, and for the system [s].
-PATIENCE, START = 30.0, 90.0
+#: Longest wait for one step of the benchmark [s].
+PATIENCE = 30.0
 ROBOT, CLIENT = "kr120", "bench_planners"
-
-
-@contextmanager
-def system() -> Iterator[None]:
-    """Run bringup with the mock arm, on ports of its own, and a node of this process beside it."""
-    with tempfile.TemporaryDirectory() as folder:
-        port = free_port()
-        os.environ |= {"ROS_MASTER_URI": f"http://127.0.0.1:{port}", "ROS_IP": "127.0.0.1", "ROS_HOME": folder}
-        ports = [f"broker_port:={free_port()}", f"rsi_port:={free_port(socket.SOCK_DGRAM)}"]
-        trusted = f"auto_approve_sources:=/{ROBOT}/{CLIENT}_cancels"
-        with open(Path(folder) / "launch.log", "w") as log:
-            run = subprocess.Popen(
-                ["roslaunch", "-p", str(port), "construction_twin", "bringup.launch", *ports, trusted],
-                stdout=log, stderr=subprocess.STDOUT, start_new_session=True,
-            )  # fmt: skip
-            try:
-                yield
-            finally:
-                run.send_signal(signal.SIGINT)  # lets it end its nodes
-                run.wait(60)
 
 
 class Bench:
@@ -201,7 +178,8 @@ def main() -> None:
         return
     messages = control_messages()
     figures: dict[str, object] = {"environment": environment()}
-    with system():
+    trusted = f"auto_approve_sources:=/{ROBOT}/{CLIENT}_cancels"
+    with bringup(trusted):
         for part in PARTS:
             figures[part] = measured(part)
             print(f"{part}: {figures[part]}", flush=True)
