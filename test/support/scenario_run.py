@@ -101,7 +101,7 @@ class ScenarioRun:
         if content.get("executor", {}).get("rehearsal") == "require":
             self.chain.executor.rehearsal = RehearsalCheck(required=True)
             files = str(ROOT / "config/kr120_self_collision.yaml"), DRIVES
-            self._rehearsal = prepared(ROBOT, *files, tuple(content["rehearsal"]["payload"]))
+            self._rehearsal = prepared(ROBOT, *files, payload=tuple(content["rehearsal"]["payload"]))
         #: What the gateway sent.
         self.trace: list[TraceEntry] = []
         self.chain.gateway.trace = self._on_reply

@@ -56,7 +56,7 @@ class TorqueDifference:
 
 
 @dataclass(frozen=True, slots=True)
-class _Motion:
+class Motion:
     """What the arm should do in the cycle that ends with a stamp: its middle position, and mean speed and acceleration."""
 
     stamp: int
@@ -73,6 +73,8 @@ class TorqueWatch:
 
     Attributes:
         compared: How often torques were compared since the start.
+        motions: What the arm should do in each cycle that is kept, the newest last.
+        motions: What the arm should do in each cycle that is kept, the newest last.
         difference: The present one; None while the torques agree, and before they could be compared.
     """
 
@@ -90,7 +92,7 @@ class TorqueWatch:
     def restart(self) -> None:
         """Forget motion and differences: a new command session."""
         self.difference: TorqueDifference | None = None
-        self._motions: deque[_Motion] = deque(maxlen=HISTORY)
+        self.motions: deque[Motion] = deque(maxlen=HISTORY)
         self._stamp = 0
         self._command: tuple[float, ...] = ()
         self._q: tuple[float, ...] = ()
@@ -104,7 +106,7 @@ class TorqueWatch:
         gap = stamp - self._stamp
         if not self._command or gap > LONGEST_GAP:
             self._q, self._speed = command, (0.0,) * len(command)
-            self._motions.clear()
+            self.motions.clear()
             self._stamp, before, gap = stamp - CYCLE_NS, command, CYCLE_NS
         else:
             before = self._command
@@ -120,8 +122,8 @@ class TorqueWatch:
         (xx, xv), (vx, vv) = self._lag
         q = tuple([u + xx * (x - u) + xv * v for u, x, v in zip(target, self._q, self._speed)])
         speed = tuple([vx * (x - u) + vv * v for u, x, v in zip(target, self._q, self._speed)])
-        self._motions.append(
-            _Motion(
+        self.motions.append(
+            Motion(
                 stamp,
                 tuple([(a + b) / 2.0 for a, b in zip(self._q, q)]),
                 tuple([(b - a) / CYCLE for a, b in zip(self._q, q)]),
@@ -133,7 +135,7 @@ class TorqueWatch:
     def expected(self, stamp: int) -> tuple[float, ...] | None:
         """Return the torques of the cycle that ends with a command stamp [ns], shape (n,); None when its motion is not known."""
         later = None
-        for motion in reversed(self._motions):
+        for motion in reversed(self.motions):
             if motion.stamp <= stamp:
                 if later is None:
                     return self._torques(motion) if motion.stamp == stamp else None
@@ -145,7 +147,7 @@ class TorqueWatch:
             later = motion
         return None
 
-    def _torques(self, motion: _Motion) -> tuple[float, ...]:
+    def _torques(self, motion: Motion) -> tuple[float, ...]:
         return tuple(self._dynamics(motion.q, motion.speed, motion.acceleration))
 
     def on_torques(self, measured: Sequence[float], command_stamp: int) -> TorqueDifference | None:

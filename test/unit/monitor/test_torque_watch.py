@@ -79,7 +79,7 @@ def test_the_expected_motion_is_that_of_the_realistic_servo(scale):
         stamp = FIRST + k * CYCLE_NS
         found.on_command(stamp, command)
         q = servo.step(command)
-        motion = found._motions[-1]
+        motion = found.motions[-1]
         assert motion.speed == pytest.approx([(b - a) / CYCLE for a, b in zip(before, q)], abs=1e-9)
         before = q
         assert found.expected(stamp)[0] == pytest.approx(INERTIA * motion.acceleration[0])
@@ -100,7 +100,7 @@ def test_whatever_comes_a_motion_is_kept_for_at_most_two_seconds_and_in_order(co
     for step, angle in commands:
         stamp += step
         found.on_command(stamp, (angle, -angle))
-        kept = [motion.stamp for motion in found._motions]
+        kept = [motion.stamp for motion in found.motions]
         assert len(kept) <= HISTORY and kept == sorted(set(kept))
         assert all(math.isfinite(value) for value in found.expected(kept[-1]))
 

@@ -59,11 +59,15 @@ class World:
             lambda session: self.parameters.update({PARAMETER: session}),
         )
 
-    def start(self, sync=None) -> module.PcaMonitorNode:
-        """Return a monitor, and keep its gate; `sync` is a publisher in place of the one that notes what it is given."""
+    def start(self, sync=None, watched: WatchedArm | None = None) -> module.PcaMonitorNode:
+        """Return a monitor, and keep its gate, which watches torques of `watched`.
+
+        `sync` is a publisher in place of the one that notes what it is given.
+        """
         behaviour = Behaviour(**SETTINGS)
         limits, codec = MotionLimits.of(ROBOT), JointStringCodec.of(ROBOT, 6)
-        self.gate = Gate(limits, codec, behaviour.gate_settings(True), self.steady)
+        settings = behaviour.gate_settings(True) if watched is None else GateSettings(policy="resume")
+        self.gate = Gate(limits, codec, settings, self.steady, watched)
         outputs = self.outputs if sync is None else replace(self.outputs, sync=sync)
         return module.PcaMonitorNode(
             self.gate,
@@ -376,10 +380,7 @@ class TestStopped:
 
 def watching(world):
     """Return a monitor whose gate watches torques; every motion takes none."""
-    node = world.start()
-    limits, codec = MotionLimits.of(ROBOT), JointStringCodec.of(ROBOT, 6)
-    watched = WatchedArm(lambda q, speed, acceleration: (0.0,) * 6, (100.0,) * 6)
-    node._gate = world.gate = Gate(limits, codec, GateSettings(policy="resume"), world.steady, watched)
+    node = world.start(watched=WatchedArm(lambda q, speed, acceleration: (0.0,) * 6, (100.0,) * 6))
     for _ in range(60):
         world.pass_time()
         node.on_twin(world.wall - CYCLE_NS, HOME)
