@@ -181,7 +181,7 @@ def test_a_kinematic_twin_has_one_pose_and_nobody_reads_another():
     [
         ((), "config/kr120_drives.yaml"),
         (("track:=true",), "config/kr120_track_drives.yaml"),
-        (("track:=true", "robot_config:=/an/arm.yaml"), ""),
+        (("track:=true", "robot_xacro:=/an/arm.xacro"), ""),
         (("robot:=another",), "config/kr120_drives.yaml"),
         (("robot_xacro:=/an/arm.xacro",), ""),
     ],
