@@ -18,7 +18,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Clearance
 from construction_twin.scene.collision_bodies import UNKNOWN, Body, RobotBodies, make_reliable, measured
-from construction_twin.scene.distance_bounds import Motion, body_levers, levers
+from construction_twin.scene.distance_bounds import Motion, PairLevers, body_levers
 from construction_twin.scene.near_bodies import NearBodies
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import Scene, SceneObject, product
@@ -340,18 +340,16 @@ class CollisionWorld:
             contact
         """
         world = self._beside(qs, 0.0)
-        row = self.all_free(qs)
-        if row == 0:
-            found = world._checks.contact(qs[0])
-            assert found is not None, "all_free and contact disagree"
-            return 0.0, found
-        # what comes before a row in contact may touch earlier, between two rows
-        before = world._checks.first_contact(self._rows(qs if row is None else qs[: row + 1]))
-        if before is None and row is not None:
-            found = world._checks.contact(qs[row])
-            assert found is not None, "all_free and contact disagree"
-            return float(row), found
-        return before
+        found, apart = world._checks.first_contact(self._rows(qs))
+        if apart:
+            return None
+        # something is as near as its margin: what each row says by itself decides
+        row = self.all_free(qs if found is None else qs[: 1 + int(found[0])])
+        if row is None or (found is not None and found[0] <= row):
+            return found
+        contact = world._checks.contact(qs[row])
+        assert contact is not None, "all_free and contact disagree"
+        return float(row), contact
 
     def clearance_of(self, qs: np.ndarray, changing: bool = False) -> tuple[Clearance, float]:
         """Return the smallest distance over a motion, also between its rows, and where it is.
@@ -400,6 +398,7 @@ class _Checks:
         self._data = self._model.createData()
         self._geometry_data = self._geometry.createData()
         make_reliable(self._geometry_data, [margin for _, _, margin in pairs])
+        self._margins = np.array([margin for _, _, margin in pairs])
         self._q = np.zeros(robot.size)
         self._last: tuple[bytes, Motion] | None = None
         self._steady: dict[int, bool] = {}
@@ -446,14 +445,14 @@ class _Checks:
                 return self._clearance(pair)
         return Clearance(np.inf)
 
-    def first_contact(self, rows: np.ndarray) -> tuple[float, Contact] | None:
-        """Return where two bodies first touch on a motion through rows in Pinocchio's order, and which."""
+    def first_contact(self, rows: np.ndarray) -> tuple[tuple[float, Contact] | None, bool]:
+        """Return where two bodies first touch on a motion through rows in Pinocchio's order, and which; and whether all is apart."""
         if not self._pairs:
-            return None
-        found = self._motion(rows).first_contact(
-            np.array([margin for _, _, margin in self._pairs]), lambda place, pair: self._touches(rows, place, pair)
+            return None, True
+        found, apart = self._motion(rows).first_contact(
+            self._margins, lambda place, pair: self._touches(rows, place, pair)
         )
-        return None if found is None else (found[0], Contact(self._names[found[1]]))
+        return None if found is None else (found[0], Contact(self._names[found[1]])), apart
 
     def clearance_of(self, rows: np.ndarray, changing: bool) -> tuple[Clearance, float]:
         """Return the smallest distance of a pair on a motion through rows in Pinocchio's order, and its place."""
@@ -484,16 +483,29 @@ class _Checks:
         """Return a motion's bounds; the last one is kept, because it is asked for its contacts, then for its clearance."""
         key = rows.tobytes()
         if self._last is None or self._last[0] != key:
-            factors = levers(self._robot, self._bodies, self._pairs, np.abs(rows).max(axis=0))
-            steps = np.abs(np.diff(rows, axis=0)) @ factors
-            travel = np.vstack([np.zeros(len(self._pairs)), np.cumsum(steps, axis=0)])
             motion = Motion(
-                travel,
+                self._levers.travel(rows),
+                len(self._pairs),
                 lambda row: self._distances(rows[row]),
-                lambda place, pair: self._measure_pair(rows, place, pair),
+                lambda places, pairs: self._measure(rows, places, pairs),
             )
             self._last = key, motion
         return self._last[1]
+
+    @cached_property
+    def _levers(self) -> PairLevers:
+        return PairLevers(self._robot, self._bodies, self._pairs)
+
+    def _measure(self, rows: np.ndarray, places: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+        """Return the distances of some pairs, each at a place on a motion [m]."""
+        distances, placed = np.empty(len(places)), -1.0
+        for index in np.argsort(places, kind="stable").tolist():
+            place, pair = float(places[index]), int(pairs[index])
+            if place != placed:
+                self._place(rows, place)
+                placed = place
+            distances[index] = self._measure_placed(pair)
+        return distances
 
     def _place(self, rows: np.ndarray, place: float) -> None:
         """Move the bodies to a place on a motion."""
@@ -503,8 +515,12 @@ class _Checks:
 
     def _measure_pair(self, rows: np.ndarray, place: float, pair: int) -> float:
         self._place(rows, place)
-        pinocchio.computeDistance(self._geometry, self._geometry_data, pair)
-        return self._known(pair)
+        return self._measure_placed(pair)
+
+    def _measure_placed(self, pair: int) -> float:
+        """Return the distance of a pair where the bodies are now [m]."""
+        distance = pinocchio.computeDistance(self._geometry, self._geometry_data, pair).min_distance
+        return distance if distance > UNKNOWN else self._known(pair)
 
     def _touches(self, rows: np.ndarray, place: float, pair: int) -> bool:
         self._place(rows, place)
