@@ -362,8 +362,7 @@ class CollisionWorld:
             changing: As of `clearance`.
 
         Returns:
-            clearance: As from `clearance`, within 1e-6 m in the rows, and between them within 1e-4 m or a hundredth of it,
-                whichever is more; its time is 0.
+            clearance: As from `clearance`, within 1e-4 m or a hundredth of it, whichever is more; its time is 0.
             place: In rows: 3.5 is half way from row 3 to row 4.
         """
         gap = _NEAR
@@ -456,7 +455,7 @@ class _Checks:
 
     def clearance_of(self, rows: np.ndarray, changing: bool) -> tuple[Clearance, float]:
         """Return the smallest distance of a pair on a motion through rows in Pinocchio's order, and its place."""
-        steady: list[int] = []
+        steady = [pair for pair, known in self._steady.items() if known] if changing else []
         while len(steady) < len(self._pairs):
             place, pair = self._motion(rows).smallest(steady)
             if changing and self._is_steady(pair):

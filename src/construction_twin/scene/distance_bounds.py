@@ -17,9 +17,9 @@ from construction_twin.scene.collision_bodies import Body, RobotBodies
 
 #: Accuracy of a measured distance [m]: Coal's own tolerance.
 TOLERANCE = 1e-6
-#: A smallest distance may be larger than the smallest between two rows by so much [m], or by this part of it if that is more: a
-#: body that turns beside another at a constant distance would take hundreds of measurements a row.
-BETWEEN, BETWEEN_PART = 1e-4, 0.01
+#: A smallest distance may be larger than the smallest there is by so much [m], or by this part of it if that is more: a body that
+#: turns beside another at a constant distance would take hundreds of measurements a row.
+ACCURACY, ACCURACY_PART = 1e-4, 0.01
 #: A contact is sought in ever shorter parts of a motion, until no point of a pair moves further than this [m].
 RESOLUTION = 2e-5
 #: A stretch between two rows is divided no nearer to its ends than this part of it.
@@ -199,7 +199,7 @@ class Motion:
         measure_row: Callable[[int], np.ndarray],
         measure: Callable[[np.ndarray, np.ndarray], np.ndarray],
     ):
-        self._travel, self._measure = travel, measure
+        self._travel, self._measure, self._count = travel, measure, pairs
         rows = np.unique(np.linspace(0, travel.rows - 1, 1 + -(-travel.rows // _STRIDE)).astype(int))
         known = np.array([measure_row(int(row)) for row in rows])
         # all that was measured, and the stretches between
@@ -218,17 +218,16 @@ class Motion:
 
         Returns:
             place
-            pair: Where the smallest distance is. No other in a row is smaller by more than `TOLERANCE`, and none between two rows
-                by more than `BETWEEN` or `BETWEEN_PART` of it.
+            pair: Where the smallest distance is. No other is smaller by more than `ACCURACY` or `ACCURACY_PART` of it.
         """
-        left_out = list(without)
+        wanted = np.ones(self._count, dtype=bool)
+        wanted[list(without)] = False
         while True:
-            wanted = np.where(np.isin(self._pairs, left_out), math.inf, self._distances)
-            closest = int(np.argmin(wanted))
-            best, gaps = float(wanted[closest]), self._gaps
-            open_ = (gaps.bounds < best - TOLERANCE) & ~np.isin(gaps.pairs, left_out)
-            near_enough = gaps.bounds >= best - max(BETWEEN, BETWEEN_PART * best)
-            chosen = np.flatnonzero(open_ & ~(near_enough & (gaps.highs - gaps.lows <= 1.0)))
+            distances = np.where(wanted[self._pairs], self._distances, math.inf)
+            closest = int(np.argmin(distances))
+            best, gaps = float(distances[closest]), self._gaps
+            below = best - max(ACCURACY, ACCURACY_PART * best)
+            chosen = np.flatnonzero((gaps.bounds < below) & wanted[gaps.pairs])
             if not len(chosen):
                 return float(self._places[closest]), int(self._pairs[closest])
             self._divide(_first_of(chosen, gaps.bounds[chosen]))
