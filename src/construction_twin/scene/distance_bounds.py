@@ -25,11 +25,11 @@ RESOLUTION = 2e-5
 #: A stretch between two rows is divided no nearer to its ends than this part of it.
 _EDGE = 0.1
 #: Every so many rows all pairs are measured before the search begins.
-_STRIDE = 64
+_STRIDE = 256
 #: One pose stands for so many rows; the levers are larger by the way to the others.
 _GROUP = 4
 #: So many stretches are divided together, those first where most is to be expected.
-_TOGETHER = 16
+_TOGETHER = 64
 #: Accuracy of a distance from an axis, which is computed from a difference of squares [m].
 _ROUNDING = 1e-6
 
@@ -206,9 +206,11 @@ class Motion:
         self._places = np.repeat(rows.astype(float), pairs)
         self._pairs = np.tile(np.arange(pairs), len(rows))
         self._distances = known.ravel()
-        self._gaps = _Gaps.between(
-            travel, self._places[:-pairs], self._places[pairs:], self._pairs[pairs:], known[:-1].ravel(), known[1:].ravel()
-        )
+        moved = travel.at(self._places, self._pairs)
+        self._gaps = _Gaps(
+            self._pairs[pairs:], self._places[:-pairs], self._places[pairs:], known[:-1].ravel(), known[1:].ravel(),
+            moved[:-pairs], moved[pairs:],
+        )  # fmt: skip
 
     def smallest(self, without: Sequence[int] = ()) -> tuple[float, int]:
         """Find the smallest distance of all pairs anywhere on the motion.
@@ -270,54 +272,67 @@ class Motion:
 
     def _divide(self, chosen: np.ndarray) -> None:
         """Measure somewhere within stretches, and put their two parts in their place."""
-        gaps = self._gaps
-        lows, highs, pairs = gaps.lows[chosen], gaps.highs[chosen], gaps.pairs[chosen]
-        at_lows, at_highs = gaps.at_lows[chosen], gaps.at_highs[chosen]
-        places = _middles(lows, highs, at_lows, at_highs, gaps.ways[chosen])
-        distances = self._measure(places, pairs)
+        gap = self._gaps.some(chosen)
+        places = gap.middles()
+        distances, moved = self._measure(places, gap.pairs), self._travel.at(places, gap.pairs)
         self._places = np.concatenate((self._places, places))
-        self._pairs = np.concatenate((self._pairs, pairs))
+        self._pairs = np.concatenate((self._pairs, gap.pairs))
         self._distances = np.concatenate((self._distances, distances))
-        before = _Gaps.between(self._travel, lows, places, pairs, at_lows, distances)
-        after = _Gaps.between(self._travel, places, highs, pairs, distances, at_highs)
-        self._gaps = gaps.replaced(chosen, before, after)
+        self._gaps.replace(
+            chosen,
+            _Gaps(gap.pairs, gap.lows, places, gap.at_lows, distances, gap.moved_lows, moved),
+            _Gaps(gap.pairs, places, gap.highs, distances, gap.at_highs, moved, gap.moved_highs),
+        )
 
 
-@dataclass(frozen=True, eq=False)
 class _Gaps:
-    """Stretches of a motion between two measured places, each of one pair; arrays of shape (k,).
+    """Stretches of a motion between two measured places, each of one pair.
 
-    Attributes:
+    Attributes, arrays of shape (k,):
+        pairs
         lows, highs: The two places.
         at_lows, at_highs: The distances there [m].
-        ways: Travel of the pair from one to the other [m].
+        moved_lows, moved_highs: The travel of the pair up to there [m].
+        ways: Its travel from one to the other [m].
         bounds: Nowhere on the stretch the distance is smaller [m].
     """
 
-    lows: np.ndarray
-    highs: np.ndarray
-    pairs: np.ndarray
-    at_lows: np.ndarray
-    at_highs: np.ndarray
-    ways: np.ndarray
-    bounds: np.ndarray
+    _NAMES = ("pairs", "lows", "highs", "at_lows", "at_highs", "moved_lows", "moved_highs", "ways", "bounds")
 
-    @classmethod
-    def between(
-        cls, travel: Travel, lows: np.ndarray, highs: np.ndarray, pairs: np.ndarray, at_lows: np.ndarray, at_highs: np.ndarray
-    ) -> _Gaps:
-        """Return the stretches between measured places."""
-        ways = travel.at(highs, pairs) - travel.at(lows, pairs)
-        return cls(lows, highs, pairs, at_lows, at_highs, ways, (at_lows + at_highs - ways) / 2)
+    def __init__(
+        self,
+        pairs: np.ndarray,
+        lows: np.ndarray,
+        highs: np.ndarray,
+        at_lows: np.ndarray,
+        at_highs: np.ndarray,
+        moved_lows: np.ndarray,
+        moved_highs: np.ndarray,
+    ):
+        self.pairs, self.lows, self.highs = pairs, lows, highs
+        self.at_lows, self.at_highs = at_lows, at_highs
+        self.moved_lows, self.moved_highs = moved_lows, moved_highs
+        self.ways = moved_highs - moved_lows
+        self.bounds = (at_lows + at_highs - self.ways) / 2
 
-    def replaced(self, which: np.ndarray, first: _Gaps, second: _Gaps) -> _Gaps:
-        """Return the stretches with two parts in the place of some."""
-        replaced = []
-        for name in _Gaps.__annotations__:
-            values = getattr(self, name).copy()
+    def some(self, which: np.ndarray) -> _Gaps:
+        """Return some of the stretches."""
+        return _Gaps(*(getattr(self, name)[which] for name in self._NAMES[:7]))
+
+    def replace(self, which: np.ndarray, first: _Gaps, second: _Gaps) -> None:
+        """Put two parts in the place of some stretches."""
+        for name in self._NAMES:
+            values = getattr(self, name)
             values[which] = getattr(first, name)
-            replaced.append(np.concatenate((values, getattr(second, name))))
-        return _Gaps(*replaced)
+            setattr(self, name, np.concatenate((values, getattr(second, name))))
+
+    def middles(self) -> np.ndarray:
+        """Return about where the bounds from both ends meet: in a row as long as there is one in between, then between two."""
+        # not too near an end, or the search would hardly get on
+        part = np.clip(0.5 + 0.5 * (self.at_lows - self.at_highs) / np.maximum(self.ways, 1e-300), _EDGE, 1.0 - _EDGE)
+        places = self.lows + part * (self.highs - self.lows)
+        first, last = np.floor(self.lows) + 1.0, np.ceil(self.highs) - 1.0
+        return np.where(first <= last, np.clip(np.round(places), first, last), places)
 
 
 def _first_of(chosen: np.ndarray, order: np.ndarray) -> np.ndarray:
@@ -325,14 +340,3 @@ def _first_of(chosen: np.ndarray, order: np.ndarray) -> np.ndarray:
     if len(chosen) <= _TOGETHER:
         return chosen
     return chosen[np.argsort(order, kind="stable")[:_TOGETHER]]
-
-
-def _middles(
-    lows: np.ndarray, highs: np.ndarray, at_lows: np.ndarray, at_highs: np.ndarray, ways: np.ndarray
-) -> np.ndarray:
-    """Return about where the bounds from both ends meet: in a row as long as there is one in between, then between two."""
-    # not too near an end, or the search would hardly get on
-    part = np.clip(0.5 + 0.5 * (at_lows - at_highs) / np.maximum(ways, 1e-300), _EDGE, 1.0 - _EDGE)
-    places = lows + part * (highs - lows)
-    first, last = np.floor(lows) + 1.0, np.ceil(highs) - 1.0
-    return np.where(first <= last, np.clip(np.round(places), first, last), places)
