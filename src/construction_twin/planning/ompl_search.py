@@ -18,9 +18,8 @@ from ompl import util as ou
 from construction_twin.core.motion_errors import NoPathError
 from construction_twin.planning.motion_validator import MotionValidator
 from construction_twin.planning.path_search import PathQuery
+from construction_twin.planning.path_shortening import shortened
 
-#: Distance of the points between which a path is pulled tight [rad]: shorter costs more checks and gains little.
-ROPE_STEP = 1.0
 #: Points closer than this are one [rad] or [m], per joint.
 SAME_POINT = 1e-9
 
@@ -71,12 +70,10 @@ class OmplSearch:
         search.solve(ob.timedPlannerTerminationCondition(budget))
         if not problem.hasExactSolution():
             raise NoPathError(self.name, budget)
-        path = problem.getSolutionPath()
-        _shorten(path, information)
         joints = range(len(query.start))
-        points = _without_repeats(np.array([_values(state, joints) for state in path.getStates()]))
-        # OMPL's shortcuts may miss the straight line from start to goal
-        return points[[0, -1]] if len(points) > 2 and query.validator.free(points[0], points[-1]) else points
+        found = problem.getSolutionPath().getStates()
+        points = _without_repeats(np.array([_values(state, joints) for state in found]))
+        return shortened(points, query.validator.free)
 
 
 def _without_repeats(points: np.ndarray) -> np.ndarray:
@@ -109,17 +106,6 @@ def _problem(information: ob.SpaceInformation, start: np.ndarray, goals: Sequenc
         targets.addState(_state(information, goal))
     problem.setGoal(targets)
     return problem
-
-
-def _shorten(path: og.PathGeometric, information: ob.SpaceInformation) -> None:
-    """Shorten a path in place: by removing points, and by pulling it tight like a rope.
-
-    It ends when nothing is gained any more, not after a time, so the result is the same on every machine.
-    """
-    simplifier = og.PathSimplifier(information)
-    simplifier.reduceVertices(path)
-    simplifier.ropeShortcutPath(path, ROPE_STEP)
-    simplifier.reduceVertices(path)
 
 
 def _state(information: ob.SpaceInformation, q: np.ndarray) -> ob.State:

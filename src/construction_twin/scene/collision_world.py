@@ -24,8 +24,9 @@ from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.self_collision import SelfCollision
 
-#: Pinocchio's broad phases: for few bodies, comparing every box with every box is fastest; for many bodies, a tree.
-_FEW = pinocchio.BroadPhaseManager_NaiveCollisionManager
+#: Pinocchio's broad phases: for few bodies, comparing one box around each group of bodies that move together, then every box with
+#: every box, is fastest; for many bodies, a tree.
+_FEW = pinocchio.TreeBroadPhaseManager_NaiveCollisionManager
 _MANY = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager
 MANY_BODIES = 128
 #: So far around the arm bodies are looked for first when a motion's clearance is measured among many [m].
@@ -36,9 +37,6 @@ _KEPT = 8
 _CLOSE = 0.03
 #: At so many poses a pair is measured before its distance counts as one that no joint changes, and what is a change [m].
 _POSES, _CHANGE = 64, 1e-3
-#: With another arm in the world most bodies stand still; this broad phase first compares one box around each group of bodies
-#: that move together.
-_WITH_NEIGHBOUR = pinocchio.TreeBroadPhaseManager_NaiveCollisionManager
 
 
 @dataclass(frozen=True)
@@ -307,9 +305,10 @@ class CollisionWorld:
         Args:
             qs: Shape (m, n). [rad] or [m]
         """
+        world = self
         # poses far from each other come near most objects: all are checked
-        close = len(qs) > 1 and float(np.abs(np.diff(qs, axis=0)).max()) <= _CLOSE
-        world = self._beside(qs, 0.0) if close else self
+        if len(self._near) > MANY_BODIES and len(qs) > 1 and float(np.abs(np.diff(qs, axis=0)).max()) <= _CLOSE:
+            world = self._beside(qs, 0.0)
         is_free = world._checks.is_free
         return next((row for row, q in enumerate(qs) if not is_free(q)), None)
 
@@ -405,7 +404,7 @@ class _Checks:
         self._order = slice(None) if np.array_equal(robot.order, np.arange(robot.size)) else robot.order
         self._follow = robot.follow if robot.followers else None
         # one call per question: boxes around the bodies first, shapes only where the boxes overlap
-        manager = _WITH_NEIGHBOUR if neighbour else _FEW if len(bodies) <= MANY_BODIES else _MANY
+        manager = _FEW if neighbour or len(bodies) <= MANY_BODIES else _MANY
         self._broad_phase = manager(self._model, self._geometry, self._geometry_data)
 
     def is_free(self, q: JointValues) -> bool:

@@ -27,7 +27,7 @@ _EDGE = 0.1
 #: Every so many rows all pairs are measured before the search begins.
 _STRIDE = 256
 #: One pose stands for so many rows; the levers are larger by the way to the others.
-_GROUP = 4
+_GROUP = 8
 #: So many stretches are divided together, those first where most is to be expected.
 _TOGETHER = 64
 #: Accuracy of a distance from an axis, which is computed from a difference of squares [m].
