@@ -35,7 +35,7 @@ def shortened(path: np.ndarray, free: Callable[[np.ndarray, np.ndarray], bool]) 
         for index in np.argsort(-gains, axis=None, kind="stable").tolist():
             first, last = divmod(index, len(points))
             if gains[first, last] < least:
-                return _corners(points)
+                return _fewer(_corners(points), free)
             pair = keys[first], keys[last]
             if pair in blocked:
                 continue
@@ -44,7 +44,19 @@ def shortened(path: np.ndarray, free: Callable[[np.ndarray, np.ndarray], bool]) 
                 break
             blocked.add(pair)
         else:
-            return _corners(points)
+            return _fewer(_corners(points), free)
+
+
+def _fewer(points: np.ndarray, free: Callable[[np.ndarray, np.ndarray], bool]) -> np.ndarray:
+    """Return the path without the corners that need not be: each one slows the motion, however little it makes it longer."""
+    index = 1
+    while index < len(points) - 1:
+        if free(points[index - 1], points[index + 1]):
+            points = np.delete(points, index, axis=0)
+            index = max(1, index - 1)
+        else:
+            index += 1
+    return points
 
 
 def _gains(points: np.ndarray) -> np.ndarray:

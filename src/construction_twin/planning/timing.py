@@ -17,7 +17,7 @@ from construction_twin.core.motion_errors import DurationError, JointRangeError,
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.planning.curves import JointCurve, interpolated, monotone, rounded
-from construction_twin.planning.limit_usage import check_range, sampled_usage
+from construction_twin.planning.limit_usage import check_range, largest_jerk, sampled_usage
 from construction_twin.planning.request_limits import PlanBounds, check_path, check_request, distinct
 from construction_twin.planning.time_scaling import (
     JERK_FRACTION,
@@ -45,8 +45,8 @@ STRETCH_STEP = 1e-4
 STRETCH_ROUNDS = 20
 #: A motion that is more than this many times too fast somewhere is slowed there; a smaller excess is removed by slowing the
 #: whole motion.
-LOCAL_SLOWING = 1.04
-LOCAL_ROUNDS = 2
+LOCAL_SLOWING = 1.02
+LOCAL_ROUNDS = 3
 #: The same for `time_curve`, where slowing the whole motion would also slow the parts that run at the tool's speed.
 CURVE_SLOWING = 1.002
 CURVE_ROUNDS = 8
@@ -286,6 +286,7 @@ class _Request:
             sampled = sampled_usage(trajectory, self.robot)
             check_range(sampled.positions, self.robot)
             factor = float(np.max(self._too_fast(sampled.velocity, sampled.acceleration, sampled.jerk)))
+            factor = max(factor, float(np.cbrt(largest_jerk(trajectory, self.robot))))
             if factor <= 1.0:
                 return TimedCurve(trajectory, scaling, stretch)
             stretch *= factor * (1.0 + STRETCH_STEP)
