@@ -28,7 +28,7 @@ from construction_twin.robot.description import RobotModel
 STAGES = 100
 PIECE_STAGES = 2
 #: Second smoothing window [s]: over this time the jerk rises to its limit.
-JERK_RISE = 0.04
+JERK_RISE = 0.02
 #: Fraction of the jerk limit that is planned with; the quintics of the trajectory exceed it slightly.
 JERK_FRACTION = 0.96
 #: Fraction of the speed at which the curve itself uses up the jerk limit: what the motion adds by speeding up and slowing down
