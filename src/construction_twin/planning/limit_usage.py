@@ -101,7 +101,8 @@ def _knot_jerks(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 def _inner_jerks(trajectory: Trajectory) -> np.ndarray:
     """Return the size of the jerk where it turns within each segment, 0 where it does not, shape (k - 1, n)."""
     h = np.diff(trajectory.times)[:, None]
-    first, second, third = (6.0 * trajectory.coefficients[:, 3], 24.0 * trajectory.coefficients[:, 4], 60.0 * trajectory.coefficients[:, 5])
+    coefficients = trajectory.coefficients
+    first, second, third = 6.0 * coefficients[:, 3], 24.0 * coefficients[:, 4], 60.0 * coefficients[:, 5]
     with np.errstate(divide="ignore", invalid="ignore"):
         at = -0.5 * second / third
     inside = (at > 0.0) & (at < h)

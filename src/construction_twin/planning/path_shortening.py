@@ -68,9 +68,7 @@ def _gains(points: np.ndarray) -> np.ndarray:
 def _divided(path: np.ndarray) -> np.ndarray:
     """Return the path with points in between, at most `SPACING` apart."""
     counts = np.ceil(np.linalg.norm(np.diff(path, axis=0), axis=1) / SPACING).astype(int)
-    pieces = [
-        a + (np.arange(count) / count)[:, None] * (b - a) for a, b, count in zip(path[:-1], path[1:], counts)
-    ]
+    pieces = [a + (np.arange(count) / count)[:, None] * (b - a) for a, b, count in zip(path[:-1], path[1:], counts)]
     return np.concatenate([*pieces, path[-1:]])
 
 

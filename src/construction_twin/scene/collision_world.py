@@ -444,7 +444,7 @@ class _Checks:
         return Clearance(np.inf)
 
     def first_contact(self, rows: np.ndarray) -> tuple[tuple[float, Contact] | None, bool]:
-        """Return where two bodies first touch on a motion through rows in Pinocchio's order, and which; and whether all is apart."""
+        """Return where two bodies first touch on a motion, rows in Pinocchio's order, and which; also whether all is apart."""
         if not self._pairs:
             return None, True
         found, apart = self._motion(rows).first_contact(

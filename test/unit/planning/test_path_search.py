@@ -18,8 +18,8 @@ from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.curves import rounded
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
 from construction_twin.planning.path_search import PathQuery
-from construction_twin.planning.path_shortening import shortened
 from construction_twin.planning.path_searches import path_search
+from construction_twin.planning.path_shortening import shortened
 from construction_twin.planning.planner import Planner, PlannerSettings
 from construction_twin.robot.description import read_robot_files
 from construction_twin.scene.collision_world import CollisionWorld
@@ -143,7 +143,9 @@ def test_a_path_that_only_the_coarse_check_calls_free_is_not_returned():
     jumping = [seed for seed in range(1, 9) if _coarse_path_touches(edges, goal, seed)]
     assert jumping, "no seed jumps over the sheet, so this shows nothing"
     for seed in jumping:
-        path = path_search("RRTConnect").find(PathQuery(np.zeros(6), [goal], edges, -2 * np.ones(6), 2 * np.ones(6), seed), 5.0)
+        path = path_search("RRTConnect").find(
+            PathQuery(np.zeros(6), [goal], edges, -2 * np.ones(6), 2 * np.ones(6), seed), 5.0
+        )
         assert all(edges.free(a, b) for a, b in zip(path, path[1:]))
 
 

@@ -130,7 +130,9 @@ def test_rounded_to_the_wire_it_is_still_within_the_limits():
 
 def test_uses_the_limits_it_is_given():
     use = limit_use(time_path(np.array([HOME, GOAL]), ROBOT), ROBOT)
-    assert max(use.velocity / VELOCITY_FRACTION, use.acceleration / ACCELERATION_FRACTION) == pytest.approx(1.0, rel=5e-3)
+    assert max(use.velocity / VELOCITY_FRACTION, use.acceleration / ACCELERATION_FRACTION) == pytest.approx(
+        1.0, rel=5e-3
+    )
     assert 0.9 <= use.jerk <= 1.0
 
 
@@ -212,7 +214,10 @@ def test_a_linear_joint_is_timed_like_the_others():
     start, goal = np.array(TRACK.home), np.array(TRACK.home) + [0.4, 0.3, 0, 0, 0, 0, 0.5]
     motion = time_path(np.array([start, goal]), TRACK)
     use = limit_use(motion, TRACK)
-    assert max(use.velocity / VELOCITY_FRACTION, use.acceleration / ACCELERATION_FRACTION) <= 1 + 1e-6 and use.jerk <= 1.0 + 1e-6
+    assert (
+        max(use.velocity / VELOCITY_FRACTION, use.acceleration / ACCELERATION_FRACTION) <= 1 + 1e-6
+        and use.jerk <= 1.0 + 1e-6
+    )
     assert motion.duration >= minimum_duration(start, goal, TRACK)
 
 
