@@ -3,8 +3,10 @@
     python benchmarks/planning.py --output results/bench/planning.json
     python benchmarks/planning.py --generate [--seed 1]        writes benchmarks/problems/*.csv anew
 
-Per scene: success; median and 95th percentile of the time for planning and timing together, and the median time of the
-dense re-check after it, from each problem's first run; collisions found by python-fcl at every 1 ms of these plans; the
+Per scene: success; median and 95th percentile of the time for planning and timing together, the median time of the
+dense re-check after it, and median and 95th percentile of both together (`review_ms`: from the request to a plan that can be
+reviewed), from each problem's first run; their mean length [rad] and duration [s]; how many exceed a jerk limit at any 1 ms, and by
+how much of it at most; collisions found by python-fcl at every 1 ms of these plans; the
 mean ratio of their joint path length to the shortest of all runs, and of their duration to the lower bound that the
 limits alone set. Every run has its own seed.
 """
@@ -28,6 +30,7 @@ from construction_twin.core.motion_errors import NoPathError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
+from construction_twin.planning.recheck import ROUNDING
 from construction_twin.planning.timing import minimum_duration
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.plan import Plan
@@ -41,7 +44,10 @@ BUDGET, LONG_BUDGET = 5.0, 60.0
 #: Spacing of the independent check [s].
 CHECK_STEP = 0.001
 PACKAGES = ("numpy", "scipy", "ompl", "toppra", "pin", "coal", "python-fcl", "py-opw-kinematics")
-COLUMNS = ("problems", "success", "median_ms", "p95_ms", "recheck_ms", "collisions", "length_ratio", "duration_ratio")
+COLUMNS = (
+    "problems", "success", "median_ms", "p95_ms", "recheck_ms", "collisions", "length", "length_ratio", "duration",
+    "duration_ratio",
+)  # fmt: skip
 
 
 class Bench:
@@ -85,6 +91,8 @@ class Bench:
             sys.exit(f"{name}: none of {len(problems)} problems was solved; there is nothing to measure")
         times = [plan.planning_time * 1e3 for plan in first]
         ratios = [length(row[0]) / min(map(length, found)) for row, found in zip(tried, plans) if row[0] is not None]
+        reviews = [1e3 * (plan.planning_time + plan.report.recheck_time) for plan in first]
+        jerks = [self.jerk_usage(plan) for plan in first]
         bounds = [minimum_duration(*plan.trajectory.positions[[0, -1]], self.robot) for plan in first]
         return {
             "problems": len(problems),
@@ -92,12 +100,21 @@ class Bench:
             "median_ms": rounded(np.median(times)),
             "p95_ms": rounded(np.percentile(times, 95)),
             "recheck_ms": rounded(np.median([plan.report.recheck_time * 1e3 for plan in first])),
+            "review_ms": {"median": rounded(np.median(reviews)), "p95": rounded(np.percentile(reviews, 95))},
             "collisions": self.collisions(first, description),
+            "jerk_exceeded": sum(usage > 1.0 + ROUNDING for usage in jerks),
+            "jerk_usage": rounded(max(jerks)),
+            "length": rounded(np.mean([length(plan) for plan in first])),
+            "duration": rounded(np.mean([plan.trajectory.duration for plan in first])),
             "length_ratio": rounded(np.mean(ratios)),
             "duration_ratio": rounded(
                 np.mean([plan.trajectory.duration / bound for plan, bound in zip(first, bounds)])
             ),
         }
+
+    def jerk_usage(self, plan: Plan) -> float:
+        """Return the largest fraction of a joint's jerk limit at any millisecond."""
+        return float(np.max(np.abs(plan.trajectory.sample_many(milliseconds(plan))[3]) / self.robot.jerk))
 
     def collisions(self, plans: list[Plan], description: dict) -> int:
         """Return how many plans touch something at any millisecond, as python-fcl sees it."""
@@ -106,7 +123,7 @@ class Bench:
         checker = FclChecker(self.robot, description, set(self.self_collision.ignored))
         touching = 0
         for plan in plans:
-            times = np.append(np.arange(0.0, plan.trajectory.duration, CHECK_STEP), plan.trajectory.duration)
+            times = milliseconds(plan)
             contacts = checker.contacts(plan.trajectory.sample_many(times)[0])
             if contacts:
                 row, first, second = contacts[0]
@@ -121,6 +138,11 @@ def solve(planner: Planner, start: np.ndarray, goal: np.ndarray, world: Collisio
         return planner.plan_to_joints(start, goal, PlanRequest("bench", 0), world)
     except NoPathError:
         return None
+
+
+def milliseconds(plan: Plan) -> np.ndarray:
+    """Return the times at which a plan is checked independently [s]."""
+    return np.append(np.arange(0.0, plan.trajectory.duration, CHECK_STEP), plan.trajectory.duration)
 
 
 def length(plan: Plan) -> float:

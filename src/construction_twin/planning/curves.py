@@ -38,6 +38,7 @@ class JointCurve:
 
     def __init__(self, pieces: PPoly):
         self._derivatives = (pieces, pieces.derivative(1), pieces.derivative(2))
+        self._third = pieces.derivative(3)
         self.knots = pieces.x
         self.length = float(pieces.x[-1])
         self.joints = pieces.c.shape[2]
@@ -54,6 +55,19 @@ class JointCurve:
             Shape (m, n)
         """
         return self._derivatives[order](s)
+
+    def largest_third(self, s: np.ndarray) -> np.ndarray:
+        """Return the size of the third derivative, which jumps at the knots: there the larger one of both sides.
+
+        Args:
+            s: Shape (m,). Within [0, `length`].
+
+        Returns:
+            Shape (m, n)
+        """
+        margin = SAME_KNOT * self.length
+        before, after = np.maximum(s - margin, 0.0), np.minimum(s + margin, self.length - margin)
+        return np.maximum(np.abs(self._third(before)), np.abs(self._third(after)))
 
 
 def straight(start: np.ndarray, goal: np.ndarray, pace: np.ndarray) -> JointCurve:

@@ -73,6 +73,12 @@ def sampled_usage(trajectory: Trajectory, robot: RobotModel) -> SampledUsage:
     return SampledUsage(times, q, velocity / robot.velocity, acceleration / robot.acceleration, jerk / robot.jerk)
 
 
+def largest_jerk(trajectory: Trajectory, robot: RobotModel) -> float:
+    """Return the largest fraction of a joint's jerk limit anywhere on the quintics, between the samples too."""
+    before, after = _knot_jerks(trajectory)
+    return float(np.max(np.maximum(np.maximum(before, after), _inner_jerks(trajectory)) / robot.jerk))
+
+
 def range_excess(q: np.ndarray, robot: RobotModel) -> np.ndarray:
     """Return by how much joint values are out of range [rad] or [m], shape (m, n); 0 within `SAME_POINT` of the range."""
     excess = np.maximum(np.array(robot.lower) - q, q - np.array(robot.upper))
@@ -90,6 +96,18 @@ def _knot_jerks(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     after = (step - (36.0 * v0 + 24.0 * v1) * h - (9.0 * a0 - 3.0 * a1) * h**2) / h**3
     before = (step - (24.0 * v0 + 36.0 * v1) * h - (3.0 * a0 - 9.0 * a1) * h**2) / h**3
     return np.abs(before), np.abs(after)
+
+
+def _inner_jerks(trajectory: Trajectory) -> np.ndarray:
+    """Return the size of the jerk where it turns within each segment, 0 where it does not, shape (k - 1, n)."""
+    h = np.diff(trajectory.times)[:, None]
+    coefficients = trajectory.coefficients
+    first, second, third = 6.0 * coefficients[:, 3], 24.0 * coefficients[:, 4], 60.0 * coefficients[:, 5]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = -0.5 * second / third
+    inside = (at > 0.0) & (at < h)
+    at = np.where(inside, at, 0.0)
+    return np.where(inside, np.abs(first + (second + third * at) * at), 0.0)
 
 
 def check_range(q: np.ndarray, robot: RobotModel) -> None:

@@ -30,7 +30,12 @@ class MotionValidator:
 
     def __init__(self, world: CollisionWorld, levers: np.ndarray, step: float):
         self.world = world
+        self._levers, self._step = levers, step
         self._states_per_unit = levers / step
+
+    def coarser(self, times: float) -> MotionValidator:
+        """Return a check of motions in the same world whose step is so many times as long."""
+        return MotionValidator(self.world, self._levers, times * self._step)
 
     def free(self, start: np.ndarray, end: np.ndarray) -> bool:
         """Return whether nothing touches between `start`, which is not checked, and `end`, which is.

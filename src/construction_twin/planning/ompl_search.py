@@ -18,9 +18,10 @@ from ompl import util as ou
 from construction_twin.core.motion_errors import NoPathError
 from construction_twin.planning.motion_validator import MotionValidator
 from construction_twin.planning.path_search import PathQuery
+from construction_twin.planning.path_shortening import shortened
 
-#: Distance of the points between which a path is pulled tight [rad]: shorter costs more checks and gains little.
-ROPE_STEP = 1.0
+#: The search itself checks motions with a step so many times as long as what is asked of its path.
+COARSER = 4.0
 #: Points closer than this are one [rad] or [m], per joint.
 SAME_POINT = 1e-9
 
@@ -58,11 +59,20 @@ class OmplSearch:
 
     def find(self, query: PathQuery, budget: float) -> np.ndarray:
         """Find a path from the start to one of the goals; the budget is of OMPL's own clock, shortening comes on top."""
+        # most edges of a search are in no path: they are checked coarsely first, and the path that comes of them as asked
+        for times in (COARSER, 1.0):
+            points = self._search(query, query.validator.coarser(times), budget)
+            path = shortened(points, query.validator.free)
+            if times == 1.0 or all(query.validator.free(*edge) for edge in zip(path, path[1:])):
+                break
+        return path
+
+    def _search(self, query: PathQuery, validator: MotionValidator, budget: float) -> np.ndarray:
         # without OMPL's log: results and errors are returned, and its warning that a seed was set late concerns only random
         # generators that already exist, of which there are none here
         ou.noOutputHandler()
         ou.RNG.setSeed(query.seed)
-        information = _space_information(query)
+        information = _space_information(query, validator)
         goals = query.goals[:1] if issubclass(self._kind, og.PRM) else query.goals
         problem = _problem(information, query.start, goals)
         search = self._kind(information)
@@ -71,12 +81,9 @@ class OmplSearch:
         search.solve(ob.timedPlannerTerminationCondition(budget))
         if not problem.hasExactSolution():
             raise NoPathError(self.name, budget)
-        path = problem.getSolutionPath()
-        _shorten(path, information)
         joints = range(len(query.start))
-        points = _without_repeats(np.array([_values(state, joints) for state in path.getStates()]))
-        # OMPL's shortcuts may miss the straight line from start to goal
-        return points[[0, -1]] if len(points) > 2 and query.validator.free(points[0], points[-1]) else points
+        found = problem.getSolutionPath().getStates()
+        return _without_repeats(np.array([_values(state, joints) for state in found]))
 
 
 def _without_repeats(points: np.ndarray) -> np.ndarray:
@@ -86,7 +93,7 @@ def _without_repeats(points: np.ndarray) -> np.ndarray:
     return kept
 
 
-def _space_information(query: PathQuery) -> ob.SpaceInformation:
+def _space_information(query: PathQuery, validator: MotionValidator) -> ob.SpaceInformation:
     joints = range(len(query.start))
     limits = ob.RealVectorBounds(len(joints))
     for joint in joints:
@@ -96,7 +103,7 @@ def _space_information(query: PathQuery) -> ob.SpaceInformation:
     space.setBounds(limits)
     information = ob.SpaceInformation(space)
     information.setStateValidityChecker(lambda state: bool(query.validator.world.is_free(_values(state, joints))))
-    information.setMotionValidator(_OmplValidator(information, query.validator, joints))
+    information.setMotionValidator(_OmplValidator(information, validator, joints))
     information.setup()
     return information
 
@@ -109,17 +116,6 @@ def _problem(information: ob.SpaceInformation, start: np.ndarray, goals: Sequenc
         targets.addState(_state(information, goal))
     problem.setGoal(targets)
     return problem
-
-
-def _shorten(path: og.PathGeometric, information: ob.SpaceInformation) -> None:
-    """Shorten a path in place: by removing points, and by pulling it tight like a rope.
-
-    It ends when nothing is gained any more, not after a time, so the result is the same on every machine.
-    """
-    simplifier = og.PathSimplifier(information)
-    simplifier.reduceVertices(path)
-    simplifier.ropeShortcutPath(path, ROPE_STEP)
-    simplifier.reduceVertices(path)
 
 
 def _state(information: ob.SpaceInformation, q: np.ndarray) -> ob.State:

@@ -35,7 +35,7 @@ from construction_twin.scene.collision_world import CollisionWorld
 
 #: How often a path is timed, each time with corners half as wide, before another path is searched.
 TIMINGS_TRIED = 3
-#: The finest check of motions has their step halved this many times; a path that was found is checked with it.
+#: The step of the check of motions is halved at most this many times. What it misses the re-check finds.
 FINEST_HALVING = 2
 #: A joint with a larger range is searched only half of this to either side of the motion's ends [rad].
 TURN = 2.0 * np.pi
@@ -266,7 +266,7 @@ class Planner:
         self, start: np.ndarray, goals: list[np.ndarray], request: PlanRequest, world: CollisionWorld, began: float
     ) -> _Found:
         settings = self._settings
-        validator = MotionValidator(world, world.levers, settings.edge_step)
+        validator = self._validator(world, 0)
         for goal in goals:
             if validator.free(start, goal):
                 timed = self._timed(np.array([start, goal]), request, world)
@@ -287,8 +287,12 @@ class Planner:
                 return _Found(self._search.name, timed)
             # the path passed through something thinner than the step of its check: check with smaller steps
             attempt += 1
-            validator = MotionValidator(world, world.levers, settings.edge_step / 2 ** min(attempt, FINEST_HALVING))
+            validator = self._validator(world, attempt)
         raise NoPathError(self._search.name, self._clock() - began)
+
+    def _validator(self, world: CollisionWorld, attempt: int) -> MotionValidator:
+        """Return a check of motions with a step that is half as long at each further attempt."""
+        return MotionValidator(world, world.levers, self._settings.edge_step / 2 ** min(attempt, FINEST_HALVING))
 
     def _bounds(self, start: np.ndarray, goals: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return the joint values to search: for a revolute joint with more than one turn, one turn around the ends."""
@@ -305,13 +309,13 @@ class Planner:
         speed_scale = request.speed_scale
         if speed_scale is None:  # a duration already determines the speed, so the default applies only without one
             speed_scale = self._settings.speed_scale if request.duration is None else 1.0
-        fine = MotionValidator(world, world.levers, self._settings.edge_step / 2**FINEST_HALVING)
-        rounder = CornerRounding(fine, np.array(self._robot.velocity))
-        for _ in range(TIMINGS_TRIED):
-            tightened = rounder.tightened(path)
-            if tightened is None:
-                return None
-            path = tightened
+        pace = np.array(self._robot.velocity)
+        for attempt in range(TIMINGS_TRIED):
+            if len(path) > 2:
+                tightened = CornerRounding(self._validator(world, attempt), pace).tightened(path)
+                if tightened is None:
+                    return None
+                path = tightened
             trajectory = time_path(
                 path,
                 self._robot,
@@ -325,7 +329,9 @@ class Planner:
             try:
                 return _Timed(trajectory, recheck(trajectory, self._robot, world, self._clock))
             except CollisionError as error:
-                if request.waypoints is not None and len(path) > 2:
+                if len(path) == 2:
+                    return None
+                if request.waypoints is not None:
                     found = Sentence("motion.leaves_path", count=request.waypoints, problem=error.sentence)
                     raise PlanningError(found) from error
                 path = with_midpoints(path)

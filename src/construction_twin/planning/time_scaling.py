@@ -28,9 +28,12 @@ from construction_twin.robot.description import RobotModel
 STAGES = 100
 PIECE_STAGES = 2
 #: Second smoothing window [s]: over this time the jerk rises to its limit.
-JERK_RISE = 0.04
+JERK_RISE = 0.02
 #: Fraction of the jerk limit that is planned with; the quintics of the trajectory exceed it slightly.
 JERK_FRACTION = 0.96
+#: Fraction of the speed at which the curve itself uses up the jerk limit: what the motion adds by speeding up and slowing down
+#: along a bend must find room beside it. Of 0.7 to 1, this makes the shortest motions.
+CURVE_JERK = 0.8
 #: Shortest first smoothing window [s].
 SHORTEST_WINDOW = 0.02
 #: Largest ds/dt, as a multiple of the median of what the velocity limits allow along the curve.
@@ -154,6 +157,11 @@ class TimeScalingSearch:
             bound = np.min(limits.velocity / np.abs(self._first), axis=1)
         # where the curve's derivative vanishes (at a sharp corner), the velocity limits do not bound ds/dt
         self._top = np.minimum(np.minimum(bound, LARGEST_RATE * np.median(bound)), top_speed)
+        if isinstance(curve, JointCurve):
+            # at even speed along the curve, its third derivative alone is a jerk
+            with np.errstate(divide="ignore"):
+                even = np.min(np.cbrt(limits.jerk / curve.largest_third(self._grid)), axis=1)
+            self._top = np.minimum(self._top, CURVE_JERK * even)
         self._first_window: float | None = None
 
     def slow_down(self, at: np.ndarray, speed: np.ndarray) -> None:

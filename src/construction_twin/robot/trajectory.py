@@ -56,6 +56,11 @@ class Trajectory:
         object.__setattr__(self, "_coefficients", _quintic_coefficients(self))
 
     @property
+    def coefficients(self) -> np.ndarray:
+        """Of the quintics by ascending power of the time since their first waypoint, shape (k - 1, 6, n); not to be changed."""
+        return self._coefficients
+
+    @property
     def duration(self) -> float:
         """Time of the last waypoint [s]."""
         return self._knots[-1]

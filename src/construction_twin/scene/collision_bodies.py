@@ -10,6 +10,7 @@ import itertools
 import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from xml.etree import ElementTree
 
 import coal
@@ -129,6 +130,45 @@ class RobotBodies:
         """Put the joints that follow where they are, in values of Pinocchio's order, shape (m, size) or (size,)."""
         for at, leader, factor, offset in self.followers:
             rows[..., at] = factor * rows[..., leader] + offset
+
+    @cached_property
+    def joint_axes(self) -> tuple[tuple[int, np.ndarray, bool], ...]:
+        """Of each joint, parents first: Pinocchio's index, its axis in its own frame, shape (3,), and whether it is prismatic."""
+        data, neutral = self.model.createData(), pinocchio.neutral(self.model)
+        axes = []
+        for joint in range(1, self.model.njoints):
+            column = pinocchio.computeJointJacobian(self.model, data, neutral, joint)[:, self.model.joints[joint].idx_v]
+            linear = self.model.joints[joint].shortname().startswith("JointModelP")
+            axes.append((joint, column[:3] if linear else column[3:], linear))
+        return tuple(axes)
+
+    def joint_places(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return where all joints are at many joint values at once.
+
+        Args:
+            rows: Shape (m, size). Pinocchio's order.
+
+        Returns:
+            rotations: Shape (m, j, 3, 3).
+            positions: Shape (m, j, 3) [m]. Of every joint of the model by Pinocchio's index, 0 is the world.
+        """
+        rotations = np.empty((len(rows), self.model.njoints, 3, 3))
+        positions = np.zeros((len(rows), self.model.njoints, 3))
+        rotations[:, 0] = np.eye(3)
+        for joint, axis, linear in self.joint_axes:
+            parent, placement = self.model.parents[joint], self.model.jointPlacements[joint]
+            q = rows[:, self.model.joints[joint].idx_q]
+            before = rotations[:, parent]
+            positions[:, joint] = positions[:, parent] + before @ placement.translation
+            before = before @ placement.rotation
+            if linear:
+                positions[:, joint] += q[:, None] * (before @ axis)
+                rotations[:, joint] = before
+            else:
+                cross = pinocchio.skew(axis)
+                turns = np.sin(q)[:, None, None] * cross + (1.0 - np.cos(q))[:, None, None] * (cross @ cross)
+                rotations[:, joint] = before + before @ turns
+        return rotations, positions
 
     def link_pose(self, q: JointValues, link: str) -> Pose:
         """Return a link's pose in the base_link.

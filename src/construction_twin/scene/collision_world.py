@@ -18,14 +18,15 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Clearance
 from construction_twin.scene.collision_bodies import UNKNOWN, Body, RobotBodies, make_reliable, measured
-from construction_twin.scene.distance_bounds import Motion, body_levers, levers
+from construction_twin.scene.distance_bounds import Motion, PairLevers, body_levers
 from construction_twin.scene.near_bodies import NearBodies
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.self_collision import SelfCollision
 
-#: Pinocchio's broad phases: for few bodies, comparing every box with every box is fastest; for many bodies, a tree.
-_FEW = pinocchio.BroadPhaseManager_NaiveCollisionManager
+#: Pinocchio's broad phases: for few bodies, comparing one box around each group of bodies that move together, then every box with
+#: every box, is fastest; for many bodies, a tree.
+_FEW = pinocchio.TreeBroadPhaseManager_NaiveCollisionManager
 _MANY = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager
 MANY_BODIES = 128
 #: So far around the arm bodies are looked for first when a motion's clearance is measured among many [m].
@@ -36,9 +37,6 @@ _KEPT = 8
 _CLOSE = 0.03
 #: At so many poses a pair is measured before its distance counts as one that no joint changes, and what is a change [m].
 _POSES, _CHANGE = 64, 1e-3
-#: With another arm in the world most bodies stand still; this broad phase first compares one box around each group of bodies
-#: that move together.
-_WITH_NEIGHBOUR = pinocchio.TreeBroadPhaseManager_NaiveCollisionManager
 
 
 @dataclass(frozen=True)
@@ -307,9 +305,10 @@ class CollisionWorld:
         Args:
             qs: Shape (m, n). [rad] or [m]
         """
+        world = self
         # poses far from each other come near most objects: all are checked
-        close = len(qs) > 1 and float(np.abs(np.diff(qs, axis=0)).max()) <= _CLOSE
-        world = self._beside(qs, 0.0) if close else self
+        if len(self._near) > MANY_BODIES and len(qs) > 1 and float(np.abs(np.diff(qs, axis=0)).max()) <= _CLOSE:
+            world = self._beside(qs, 0.0)
         is_free = world._checks.is_free
         return next((row for row, q in enumerate(qs) if not is_free(q)), None)
 
@@ -340,18 +339,16 @@ class CollisionWorld:
             contact
         """
         world = self._beside(qs, 0.0)
-        row = self.all_free(qs)
-        if row == 0:
-            found = world._checks.contact(qs[0])
-            assert found is not None, "all_free and contact disagree"
-            return 0.0, found
-        # what comes before a row in contact may touch earlier, between two rows
-        before = world._checks.first_contact(self._rows(qs if row is None else qs[: row + 1]))
-        if before is None and row is not None:
-            found = world._checks.contact(qs[row])
-            assert found is not None, "all_free and contact disagree"
-            return float(row), found
-        return before
+        found, apart = world._checks.first_contact(self._rows(qs))
+        if apart:
+            return None
+        # something is as near as its margin: what each row says by itself decides
+        row = self.all_free(qs if found is None else qs[: 1 + int(found[0])])
+        if row is None or (found is not None and found[0] <= row):
+            return found
+        contact = world._checks.contact(qs[row])
+        assert contact is not None, "all_free and contact disagree"
+        return float(row), contact
 
     def clearance_of(self, qs: np.ndarray, changing: bool = False) -> tuple[Clearance, float]:
         """Return the smallest distance over a motion, also between its rows, and where it is.
@@ -364,8 +361,7 @@ class CollisionWorld:
             changing: As of `clearance`.
 
         Returns:
-            clearance: As from `clearance`, within 1e-6 m in the rows, and between them within 1e-4 m or a hundredth of it,
-                whichever is more; its time is 0.
+            clearance: As from `clearance`, within 1e-4 m or a hundredth of it, whichever is more; its time is 0.
             place: In rows: 3.5 is half way from row 3 to row 4.
         """
         gap = _NEAR
@@ -400,6 +396,7 @@ class _Checks:
         self._data = self._model.createData()
         self._geometry_data = self._geometry.createData()
         make_reliable(self._geometry_data, [margin for _, _, margin in pairs])
+        self._margins = np.array([margin for _, _, margin in pairs])
         self._q = np.zeros(robot.size)
         self._last: tuple[bytes, Motion] | None = None
         self._steady: dict[int, bool] = {}
@@ -407,7 +404,7 @@ class _Checks:
         self._order = slice(None) if np.array_equal(robot.order, np.arange(robot.size)) else robot.order
         self._follow = robot.follow if robot.followers else None
         # one call per question: boxes around the bodies first, shapes only where the boxes overlap
-        manager = _WITH_NEIGHBOUR if neighbour else _FEW if len(bodies) <= MANY_BODIES else _MANY
+        manager = _FEW if neighbour or len(bodies) <= MANY_BODIES else _MANY
         self._broad_phase = manager(self._model, self._geometry, self._geometry_data)
 
     def is_free(self, q: JointValues) -> bool:
@@ -446,18 +443,18 @@ class _Checks:
                 return self._clearance(pair)
         return Clearance(np.inf)
 
-    def first_contact(self, rows: np.ndarray) -> tuple[float, Contact] | None:
-        """Return where two bodies first touch on a motion through rows in Pinocchio's order, and which."""
+    def first_contact(self, rows: np.ndarray) -> tuple[tuple[float, Contact] | None, bool]:
+        """Return where two bodies first touch on a motion, rows in Pinocchio's order, and which; also whether all is apart."""
         if not self._pairs:
-            return None
-        found = self._motion(rows).first_contact(
-            np.array([margin for _, _, margin in self._pairs]), lambda place, pair: self._touches(rows, place, pair)
+            return None, True
+        found, apart = self._motion(rows).first_contact(
+            self._margins, lambda place, pair: self._touches(rows, place, pair)
         )
-        return None if found is None else (found[0], Contact(self._names[found[1]]))
+        return None if found is None else (found[0], Contact(self._names[found[1]])), apart
 
     def clearance_of(self, rows: np.ndarray, changing: bool) -> tuple[Clearance, float]:
         """Return the smallest distance of a pair on a motion through rows in Pinocchio's order, and its place."""
-        steady: list[int] = []
+        steady = [pair for pair, known in self._steady.items() if known] if changing else []
         while len(steady) < len(self._pairs):
             place, pair = self._motion(rows).smallest(steady)
             if changing and self._is_steady(pair):
@@ -484,16 +481,29 @@ class _Checks:
         """Return a motion's bounds; the last one is kept, because it is asked for its contacts, then for its clearance."""
         key = rows.tobytes()
         if self._last is None or self._last[0] != key:
-            factors = levers(self._robot, self._bodies, self._pairs, np.abs(rows).max(axis=0))
-            steps = np.abs(np.diff(rows, axis=0)) @ factors
-            travel = np.vstack([np.zeros(len(self._pairs)), np.cumsum(steps, axis=0)])
             motion = Motion(
-                travel,
+                self._levers.travel(rows),
+                len(self._pairs),
                 lambda row: self._distances(rows[row]),
-                lambda place, pair: self._measure_pair(rows, place, pair),
+                lambda places, pairs: self._measure(rows, places, pairs),
             )
             self._last = key, motion
         return self._last[1]
+
+    @cached_property
+    def _levers(self) -> PairLevers:
+        return PairLevers(self._robot, self._bodies, self._pairs)
+
+    def _measure(self, rows: np.ndarray, places: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+        """Return the distances of some pairs, each at a place on a motion [m]."""
+        distances, placed = np.empty(len(places)), -1.0
+        for index in np.argsort(places, kind="stable").tolist():
+            place, pair = float(places[index]), int(pairs[index])
+            if place != placed:
+                self._place(rows, place)
+                placed = place
+            distances[index] = self._measure_placed(pair)
+        return distances
 
     def _place(self, rows: np.ndarray, place: float) -> None:
         """Move the bodies to a place on a motion."""
@@ -503,8 +513,12 @@ class _Checks:
 
     def _measure_pair(self, rows: np.ndarray, place: float, pair: int) -> float:
         self._place(rows, place)
-        pinocchio.computeDistance(self._geometry, self._geometry_data, pair)
-        return self._known(pair)
+        return self._measure_placed(pair)
+
+    def _measure_placed(self, pair: int) -> float:
+        """Return the distance of a pair where the bodies are now [m]."""
+        distance = pinocchio.computeDistance(self._geometry, self._geometry_data, pair).min_distance
+        return distance if distance > UNKNOWN else self._known(pair)
 
     def _touches(self, rows: np.ndarray, place: float, pair: int) -> bool:
         self._place(rows, place)

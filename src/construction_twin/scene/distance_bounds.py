@@ -7,11 +7,9 @@ Pinocchio's order.
 
 from __future__ import annotations
 
-import heapq
 import math
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,48 +17,131 @@ from construction_twin.scene.collision_bodies import Body, RobotBodies
 
 #: Accuracy of a measured distance [m]: Coal's own tolerance.
 TOLERANCE = 1e-6
-#: A smallest distance may be larger than the smallest between two rows by so much [m], or by this part of it if that is more: a
-#: body that turns beside another at a constant distance would take hundreds of measurements a row.
-BETWEEN, BETWEEN_PART = 1e-4, 0.01
+#: A smallest distance may be larger than the smallest there is by so much [m], or by this part of it if that is more: a body that
+#: turns beside another at a constant distance would take hundreds of measurements a row.
+ACCURACY, ACCURACY_PART = 1e-4, 0.01
 #: A contact is sought in ever shorter parts of a motion, until no point of a pair moves further than this [m].
 RESOLUTION = 2e-5
 #: A stretch between two rows is divided no nearer to its ends than this part of it.
 _EDGE = 0.1
 #: Every so many rows all pairs are measured before the search begins.
-_STRIDE = 64
+_STRIDE = 256
+#: One pose stands for so many rows; the levers are larger by the way to the others.
+_GROUP = 8
+#: So many stretches are divided together, those first where most is to be expected.
+_TOGETHER = 64
+#: Accuracy of a distance from an axis, which is computed from a difference of squares [m].
+_ROUNDING = 1e-6
 
 
-class _Gap(NamedTuple):
-    """A pair between two measured places, ordered by the lower bound of its distance there."""
-
-    bound: float
-    low: float
-    high: float
-    pair: int
-    at_low: float
-    at_high: float
-
-
-def levers(robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple], strokes: np.ndarray) -> np.ndarray:
-    """Return how far the two bodies of each pair can move relative to each other per unit of each joint.
+class PairLevers:
+    """How far the two bodies of each pair can move relative to each other, on any motion.
 
     Args:
         pairs: Their first two entries are indices into `bodies`.
-        strokes: Shape (size,). Largest absolute value of each joint, Pinocchio's order; used for prismatic joints [m].
-
-    Returns:
-        Shape (size, p). [m/rad], or 1 for prismatic joints; Pinocchio's order.
     """
-    model = robot.model
-    per_body, _ = body_levers(robot, bodies, strokes)
-    moves = np.array(
-        [[place in joints for place in range(model.nq)] for joints in map(partial(_joints_below, robot), bodies)]
-    ).T
-    if not len(pairs):
-        return np.zeros((model.nq, 0))
-    first, second = np.array([(pair[0], pair[1]) for pair in pairs]).T
-    # a joint that moves both bodies moves them together
-    return np.where(moves[:, first] ^ moves[:, second], per_body[:, first] + per_body[:, second], 0.0)
+
+    def __init__(self, robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple]):
+        model = robot.model
+        self._robot = robot
+        self._moving = [body for body in bodies if body.joint]
+        self._largest, _ = body_levers(robot, self._moving, robot.strokes)
+        self._centres = np.array([body.placement.act(np.array(body.geometry.aabb_center)) for body in self._moving])
+        self._radii = np.array([body.geometry.aabb_radius for body in self._moving])
+        self._joints = np.array([body.joint for body in self._moving], dtype=int)
+        self._linear = np.zeros(model.nq, dtype=bool)
+        self._axes = np.zeros((model.nq, 3))
+        self._of_place = np.zeros(model.nq, dtype=int)
+        for joint, axis, linear in robot.joint_axes:
+            place = model.joints[joint].idx_q
+            self._axes[place], self._linear[place], self._of_place[place] = axis, linear, joint
+        # the column after those of the moving bodies is that of all that stands
+        columns = np.cumsum([body.joint > 0 for body in bodies]) - 1
+        columns[[not body.joint for body in bodies]] = len(self._moving)
+        below = np.zeros((len(bodies), model.nq), dtype=bool)
+        for index, body in enumerate(bodies):
+            below[index, sorted(_joints_below(robot, body))] = True
+        first, second = np.array([(pair[0], pair[1]) for pair in pairs], dtype=int).reshape(-1, 2).T
+        # a joint that moves both bodies moves them together
+        apart = below[first] ^ below[second]
+        self._columns = columns[first], columns[second]
+        self._moves = apart & below[first], apart & below[second]
+
+    def travel(self, rows: np.ndarray) -> Travel:
+        """Return the travel of all pairs on a motion, each joint going evenly from one row to the next.
+
+        Args:
+            rows: Shape (m, n). Joint values, Pinocchio's order.
+        """
+        steps = np.abs(np.diff(rows, axis=0))
+        way = np.vstack([np.zeros(rows.shape[1]), np.cumsum(steps, axis=0)])
+        first = np.arange(0, max(1, len(rows) - 1), _GROUP)
+        # up to the first row of the next group: what lies between the two is covered, too
+        last = np.minimum(first + _GROUP, len(rows) - 1)
+        middle = (first + last) // 2
+        aside = np.maximum(way[middle] - way[first], way[last] - way[middle])
+        levers = self._levers(rows[middle], aside)
+        moved = np.zeros((len(rows), len(self._moving) + 1, rows.shape[1]))
+        group = np.arange(len(rows) - 1) // _GROUP
+        np.cumsum(steps[:, None, :] * levers[group], axis=0, out=moved[1:, :-1])
+        return Travel(moved, self._columns, self._moves)
+
+    def _levers(self, rows: np.ndarray, aside: np.ndarray) -> np.ndarray:
+        """Return how far any point of a moving body moves at most per unit of each joint, near some poses.
+
+        Args:
+            rows: Shape (g, n).
+            aside: Shape (g, n). So far each joint may be from there.
+
+        Returns:
+            Shape (g, b, n). [m/rad], or 1 for prismatic joints.
+        """
+        rotations, positions = self._robot.joint_places(rows)
+        centres = (rotations[:, self._joints] @ self._centres[:, :, None])[..., 0] + positions[:, self._joints]
+        axes = (rotations[:, self._of_place] @ self._axes[:, :, None])[..., 0]
+        offsets = centres[:, :, None] - positions[:, None, self._of_place]
+        along = np.einsum("gbnx,gnx->gbn", offsets, axes)
+        squares = np.einsum("gbnx,gbnx->gbn", offsets, offsets) - along**2
+        levers = np.sqrt(np.maximum(squares, 0.0)) + (self._radii[:, None] + _ROUNDING)
+        # neither the body nor the axis is further from where it is at that pose than the joints can have carried it
+        levers += (aside @ self._largest)[:, :, None]
+        return np.where(self._linear, 1.0, np.minimum(levers, self._largest.T))
+
+
+@dataclass(frozen=True, eq=False)
+class Travel:
+    """For each pair, an upper bound of the relative motion of its bodies from the first row on.
+
+    Attributes:
+        moved: Shape (m, b + 1, n). How far a point of each body has been carried by each joint up to each row [m]; the last body
+            stands.
+        columns: For both bodies of each pair, shape (p,): their place in `moved`.
+        moves: For both bodies of each pair, shape (p, n): the joints that move this one and not the other.
+    """
+
+    moved: np.ndarray
+    columns: tuple[np.ndarray, np.ndarray]
+    moves: tuple[np.ndarray, np.ndarray]
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of the motion."""
+        return len(self.moved)
+
+    def at(self, places: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+        """Return the travel of some pairs, each up to a place [m], shape (k,).
+
+        Args:
+            places, pairs: Shape (k,).
+        """
+        row = places.astype(int)
+        after, part = np.minimum(row + 1, len(self.moved) - 1), (places - row)[:, None]
+        total = np.zeros(len(places))
+        for columns, moves in zip(self.columns, self.moves):
+            column = columns[pairs]
+            low, high = self.moved[row, column], self.moved[after, column]
+            total += np.einsum("kn,kn->k", low + part * (high - low), moves[pairs])
+        return total
 
 
 def body_levers(robot: RobotBodies, bodies: Sequence[Body], strokes: np.ndarray) -> tuple[np.ndarray, list[float]]:
@@ -103,25 +184,33 @@ def _joints_below(robot: RobotBodies, body: Body) -> set[int]:
 class Motion:
     """The motion of many pairs through rows of joint values, each joint going evenly from one row to the next.
 
-    A place on it is a number of rows: 3.5 is half way from row 3 to row 4.
+    A place on it is a number of rows: 3.5 is half way from row 3 to row 4. What was measured for one question serves the next.
 
     Args:
-        travel: Shape (m, p). For each pair, an upper bound of the relative motion of its bodies from the first row to each row [m].
+        pairs: Their number, at least 1.
         measure_row: Returns the distances of all pairs in a row, shape (p,) [m].
-        measure: Returns the distance of one pair at a place [m]: ``measure(place, pair)``.
+        measure: Returns the distances of some pairs, each at a place [m]: ``measure(places, pairs)``, arrays of shape (k,).
     """
 
     def __init__(
         self,
-        travel: np.ndarray,
+        travel: Travel,
+        pairs: int,
         measure_row: Callable[[int], np.ndarray],
-        measure: Callable[[float, int], float],
+        measure: Callable[[np.ndarray, np.ndarray], np.ndarray],
     ):
-        self._travel, self._measure = travel, measure
-        # beyond the last row nothing moves; the table needs one row more to interpolate in
-        self._steps = np.vstack([np.diff(travel, axis=0), np.zeros((1, travel.shape[1]))])
-        self._rows = np.unique(np.linspace(0, len(travel) - 1, 1 + -(-len(travel) // _STRIDE)).astype(int))
-        self._known = np.array([measure_row(int(row)) for row in self._rows])
+        self._travel, self._measure, self._count = travel, measure, pairs
+        rows = np.unique(np.linspace(0, travel.rows - 1, 1 + -(-travel.rows // _STRIDE)).astype(int))
+        known = np.array([measure_row(int(row)) for row in rows])
+        # all that was measured, and the stretches between
+        self._places = np.repeat(rows.astype(float), pairs)
+        self._pairs = np.tile(np.arange(pairs), len(rows))
+        self._distances = known.ravel()
+        moved = travel.at(self._places, self._pairs)
+        self._gaps = _Gaps(
+            self._pairs[pairs:], self._places[:-pairs], self._places[pairs:], known[:-1].ravel(), known[1:].ravel(),
+            moved[:-pairs], moved[pairs:],
+        )  # fmt: skip
 
     def smallest(self, without: Sequence[int] = ()) -> tuple[float, int]:
         """Find the smallest distance of all pairs anywhere on the motion.
@@ -131,106 +220,123 @@ class Motion:
 
         Returns:
             place
-            pair: Where the smallest distance is. No other in a row is smaller by more than `TOLERANCE`, and none between two rows
-                by more than `BETWEEN` or `BETWEEN_PART` of it.
+            pair: Where the smallest distance is. No other is smaller by more than `ACCURACY` or `ACCURACY_PART` of it.
         """
-        known = self._known
-        if len(without):
-            known = known.copy()
-            known[:, list(without)] = math.inf
-        at, closest = np.unravel_index(np.argmin(known), known.shape)
-        best, best_place, best_pair = float(known[at, closest]), float(self._rows[at]), int(closest)
-        heap = self._gaps(known, best - TOLERANCE)
-        while heap and heap[0].bound < best - TOLERANCE:
-            gap = heapq.heappop(heap)
-            if gap.high - gap.low <= 1 and gap.bound >= best - max(BETWEEN, BETWEEN_PART * best):
-                continue
-            place = self._middle(gap)
-            distance = self._measure(place, gap.pair)
-            if distance < best:
-                best, best_place, best_pair = distance, place, gap.pair
-            for half in self._halves(gap, place, distance):
-                if half.bound < best - TOLERANCE:
-                    heapq.heappush(heap, half)
-        return best_place, best_pair
+        wanted = np.ones(self._count, dtype=bool)
+        wanted[list(without)] = False
+        while True:
+            distances = np.where(wanted[self._pairs], self._distances, math.inf)
+            closest = int(np.argmin(distances))
+            best, gaps = float(distances[closest]), self._gaps
+            below = best - max(ACCURACY, ACCURACY_PART * best)
+            chosen = np.flatnonzero((gaps.bounds < below) & wanted[gaps.pairs])
+            if not len(chosen):
+                return float(self._places[closest]), int(self._pairs[closest])
+            self._divide(_first_of(chosen, gaps.bounds[chosen]))
 
-    def first_contact(self, margins: np.ndarray, touches: Callable[[float, int], bool]) -> tuple[float, int] | None:
-        """Find where two bodies first touch; None if none do anywhere on the motion.
+    def first_contact(
+        self, margins: np.ndarray, touches: Callable[[float, int], bool]
+    ) -> tuple[tuple[float, int] | None, bool]:
+        """Find where two bodies first touch.
 
         Args:
             margins: Shape (p,). At this distance or less two bodies touch [m].
             touches: Whether a pair touches at a place, asked where the distance says so: ``touches(place, pair)``.
 
         Returns:
-            place
-            pair: No contact is earlier, except one during which no point of a pair moves further than `RESOLUTION`: two bodies then
-                come closer than the margin by no more than half of that.
+            first: Place and pair; None: none do anywhere on the motion. No contact is earlier, except one during which no point
+                of a pair moves further than `RESOLUTION`: two bodies then come closer than the margin by no more than half of
+                that.
+            apart: Nothing touches, and the bounds leave no place for such an exception either.
         """
         first: tuple[float, int] | None = None
-        heap = self._gaps(self._known, margins + TOLERANCE)
-        for row, known in zip(self._rows.tolist(), self._known):
-            for pair in np.flatnonzero(known <= margins + TOLERANCE).tolist():
-                if (first is None or row < first[0]) and touches(float(row), pair):
-                    first = float(row), pair
-        # earlier ones first: a contact that is found ends the search of all that comes later
-        order = [(gap.low, gap) for gap in heap]
-        heapq.heapify(order)
-        while order and (first is None or order[0][0] < first[0]):
-            _, gap = heapq.heappop(order)
-            if self._way(gap) <= RESOLUTION:
-                continue
-            place = self._middle(gap)
-            distance = self._measure(place, gap.pair)
-            if distance <= margins[gap.pair] + TOLERANCE and (first is None or place < first[0]):
-                first = (place, gap.pair) if touches(place, gap.pair) else first
-            for half in self._halves(gap, place, distance):
-                if half.bound < margins[gap.pair] + TOLERANCE:
-                    heapq.heappush(order, (half.low, half))
-        return first
+        asked, clear = 0, True
+        limits = margins + TOLERANCE
+        while True:
+            within = asked + np.flatnonzero(self._distances[asked:] <= limits[self._pairs[asked:]])
+            asked = len(self._distances)
+            for index in within[np.argsort(self._places[within], kind="stable")].tolist():
+                clear = False
+                place, pair = float(self._places[index]), int(self._pairs[index])
+                if (first is None or place < first[0]) and touches(place, pair):
+                    first = place, pair
+            gaps = self._gaps
+            open_ = gaps.bounds < limits[gaps.pairs]
+            if first is not None:
+                open_ &= gaps.lows < first[0]
+            chosen = np.flatnonzero(open_ & (gaps.ways > RESOLUTION))
+            if not len(chosen):
+                return first, clear and not open_.any()
+            # earlier ones first: a contact that is found ends the search of all that comes later
+            self._divide(_first_of(chosen, gaps.lows[chosen]))
 
-    def _gaps(self, known: np.ndarray, below: np.ndarray | float) -> list[_Gap]:
-        """Return the stretches between measured rows on which a pair may be closer than a distance, as a heap."""
-        rows = self._rows
-        bounds = (known[:-1] + known[1:] - np.diff(self._travel[rows], axis=0)) / 2
-        heap = [
-            _Gap(
-                bounds[gap, pair],
-                float(rows[gap]),
-                float(rows[gap + 1]),
-                int(pair),
-                known[gap, pair],
-                known[gap + 1, pair],
-            )
-            for gap, pair in np.argwhere(bounds < below)
-        ]
-        heapq.heapify(heap)
-        return heap
+    def _divide(self, chosen: np.ndarray) -> None:
+        """Measure somewhere within stretches, and put their two parts in their place."""
+        gap = self._gaps.some(chosen)
+        places = gap.middles()
+        distances, moved = self._measure(places, gap.pairs), self._travel.at(places, gap.pairs)
+        self._places = np.concatenate((self._places, places))
+        self._pairs = np.concatenate((self._pairs, gap.pairs))
+        self._distances = np.concatenate((self._distances, distances))
+        self._gaps.replace(
+            chosen,
+            _Gaps(gap.pairs, gap.lows, places, gap.at_lows, distances, gap.moved_lows, moved),
+            _Gaps(gap.pairs, places, gap.highs, distances, gap.at_highs, moved, gap.moved_highs),
+        )
 
-    def _at(self, place: float, pair: int) -> float:
-        """Return the travel of a pair up to a place [m]."""
-        row = int(place)
-        return float(self._travel[row, pair] + (place - row) * self._steps[row, pair])
 
-    def _way(self, gap: _Gap) -> float:
-        return self._at(gap.high, gap.pair) - self._at(gap.low, gap.pair)
+class _Gaps:
+    """Stretches of a motion between two measured places, each of one pair.
 
-    def _middle(self, gap: _Gap) -> float:
-        """Return where the bounds from both ends meet: in a row as long as there is one in between, then between two."""
-        low, high, moved = gap.low, gap.high, self._travel[:, gap.pair]
-        meet = (self._at(low, gap.pair) + self._at(high, gap.pair) + gap.at_low - gap.at_high) / 2
-        first, last = math.floor(low) + 1, math.ceil(high) - 1
-        if first <= last:
-            return float(np.searchsorted(moved[first:last], meet) + first)
-        row = int(low)
-        step = self._steps[row, gap.pair]
-        place = row + (meet - moved[row]) / step if step > 0.0 else low
+    Attributes, arrays of shape (k,):
+        pairs
+        lows, highs: The two places.
+        at_lows, at_highs: The distances there [m].
+        moved_lows, moved_highs: The travel of the pair up to there [m].
+        ways: Its travel from one to the other [m].
+        bounds: Nowhere on the stretch the distance is smaller [m].
+    """
+
+    _NAMES = ("pairs", "lows", "highs", "at_lows", "at_highs", "moved_lows", "moved_highs", "ways", "bounds")
+
+    def __init__(
+        self,
+        pairs: np.ndarray,
+        lows: np.ndarray,
+        highs: np.ndarray,
+        at_lows: np.ndarray,
+        at_highs: np.ndarray,
+        moved_lows: np.ndarray,
+        moved_highs: np.ndarray,
+    ):
+        self.pairs, self.lows, self.highs = pairs, lows, highs
+        self.at_lows, self.at_highs = at_lows, at_highs
+        self.moved_lows, self.moved_highs = moved_lows, moved_highs
+        self.ways = moved_highs - moved_lows
+        self.bounds = (at_lows + at_highs - self.ways) / 2
+
+    def some(self, which: np.ndarray) -> _Gaps:
+        """Return some of the stretches."""
+        return _Gaps(*(getattr(self, name)[which] for name in self._NAMES[:7]))
+
+    def replace(self, which: np.ndarray, first: _Gaps, second: _Gaps) -> None:
+        """Put two parts in the place of some stretches."""
+        for name in self._NAMES:
+            values = getattr(self, name)
+            values[which] = getattr(first, name)
+            setattr(self, name, np.concatenate((values, getattr(second, name))))
+
+    def middles(self) -> np.ndarray:
+        """Return about where the bounds from both ends meet: in a row as long as there is one in between, then between two."""
         # not too near an end, or the search would hardly get on
-        edge = _EDGE * (high - low)
-        return min(max(place, low + edge), high - edge)
+        part = np.clip(0.5 + 0.5 * (self.at_lows - self.at_highs) / np.maximum(self.ways, 1e-300), _EDGE, 1.0 - _EDGE)
+        places = self.lows + part * (self.highs - self.lows)
+        first, last = np.floor(self.lows) + 1.0, np.ceil(self.highs) - 1.0
+        return np.where(first <= last, np.clip(np.round(places), first, last), places)
 
-    def _halves(self, gap: _Gap, place: float, distance: float) -> Iterator[_Gap]:
-        """Return the parts of a stretch before and after a place that was measured."""
-        middle = self._at(place, gap.pair)
-        before, after = middle - self._at(gap.low, gap.pair), self._at(gap.high, gap.pair) - middle
-        yield _Gap((gap.at_low + distance - before) / 2, gap.low, place, gap.pair, gap.at_low, distance)
-        yield _Gap((distance + gap.at_high - after) / 2, place, gap.high, gap.pair, distance, gap.at_high)
+
+def _first_of(chosen: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """Return at most `_TOGETHER` of them, those of the lowest order."""
+    if len(chosen) <= _TOGETHER:
+        return chosen
+    return chosen[np.argsort(order, kind="stable")[:_TOGETHER]]

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import pinocchio
 
 from construction_twin.scene.collision_bodies import Body, RobotBodies
 from construction_twin.scene.distance_bounds import body_levers
@@ -43,7 +42,7 @@ class NearBodies:
         if not len(near) or not self._moving:
             return sorted([*self._moving, *self._standing.tolist()])
         chosen, travel = self._groups(rows)
-        rotations, positions = self._joint_places(chosen)
+        rotations, positions = self._robot.joint_places(chosen)
         for column, (body, middle, half) in enumerate(self._parts):
             rotation = rotations[:, body.joint]
             half = np.abs(rotation @ body.placement.rotation) @ half + travel[:, column, None]
@@ -65,17 +64,6 @@ class NearBodies:
         middle = (first + last) // 2
         factors, _ = body_levers(self._robot, [body for body, _, _ in self._parts], np.abs(rows).max(axis=0))
         return rows[middle], np.maximum(way[middle] - way[first], way[last] - way[middle]) @ factors
-
-    def _joint_places(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the rotation, shape (g, j, 3, 3), and position, shape (g, j, 3), of every joint in every row."""
-        model = self._robot.model
-        data = model.createData()
-        rotations, positions = np.empty((len(rows), model.njoints, 3, 3)), np.empty((len(rows), model.njoints, 3))
-        for row, q in enumerate(rows):
-            pinocchio.forwardKinematics(model, data, q)
-            for joint, place in enumerate(data.oMi):
-                rotations[row, joint], positions[row, joint] = place.rotation, place.translation
-        return rotations, positions
 
 
 def _local_box(body: Body) -> tuple[np.ndarray, np.ndarray]:

@@ -52,10 +52,10 @@ class TaskLimits:
         free_budget: Time for the search of one free way [s].
     """
 
-    budget: float = 20.0
+    budget: float = 1.2
     solutions: int = 8
     pairs: int = 6
-    free_budget: float = 3.0
+    free_budget: float = 0.7
 
 
 class Failed(Exception):

@@ -19,6 +19,7 @@ from construction_twin.planning.curves import rounded
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
 from construction_twin.planning.path_search import PathQuery
 from construction_twin.planning.path_searches import path_search
+from construction_twin.planning.path_shortening import shortened
 from construction_twin.planning.planner import Planner, PlannerSettings
 from construction_twin.robot.description import read_robot_files
 from construction_twin.scene.collision_world import CollisionWorld
@@ -127,6 +128,51 @@ def test_a_path_begins_at_the_start_and_ends_at_one_of_the_goals():
     assert path[-1].tobytes() in [goal.tobytes() for goal in goals]
     assert all(edges.free(a, b) for a, b in zip(path, path[1:]))
     assert np.max(np.abs(np.diff(path, axis=0)), axis=1).min() > 0.0
+
+
+def test_a_path_that_only_the_coarse_check_calls_free_is_not_returned():
+    class Thin(Recorder):
+        """A sheet that a search with long steps jumps over, with a hole aside."""
+
+        def is_free(self, q) -> bool:
+            return not (0.5 < q[0] < 0.53 and abs(q[1]) < 0.6)
+
+    edges = MotionValidator(Thin(), np.ones(6), 0.02)
+    goal = np.eye(6)[0]
+    # the start is so chosen that long steps miss the sheet
+    jumping = [seed for seed in range(1, 9) if _coarse_path_touches(edges, goal, seed)]
+    assert jumping, "no seed jumps over the sheet, so this shows nothing"
+    for seed in jumping:
+        path = path_search("RRTConnect").find(
+            PathQuery(np.zeros(6), [goal], edges, -2 * np.ones(6), 2 * np.ones(6), seed), 5.0
+        )
+        assert all(edges.free(a, b) for a, b in zip(path, path[1:]))
+
+
+def _coarse_path_touches(edges: MotionValidator, goal: np.ndarray, seed: int) -> bool:
+    coarse = edges.coarser(4.0)
+    query = PathQuery(np.zeros(6), [goal], coarse, -2 * np.ones(6), 2 * np.ones(6), seed)
+    path = path_search("RRTConnect").find(query, 5.0)
+    return not all(edges.free(a, b) for a, b in zip(path, path[1:]))
+
+
+def test_shortcuts_make_a_path_shorter_and_keep_its_ends_and_it_free():
+    def free(first, second) -> bool:
+        line = first + np.linspace(0.0, 1.0, 400)[:, None] * (second - first)
+        return not np.any(np.linalg.norm(line, axis=1) < 1.0)
+
+    path = np.array([[-2.0, 0.0], [-2.0, 3.0], [0.0, 3.0], [0.5, 2.0], [2.0, 3.0], [2.0, 0.0]])
+    short = shortened(path, free)
+    assert short[0].tobytes() == path[0].tobytes() and short[-1].tobytes() == path[-1].tobytes()
+    assert all(free(a, b) for a, b in zip(short, short[1:]))
+    lengths = [np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)) for points in (path, short)]
+    # the shortest way round the disc: two tangents and an arc
+    shortest = 2.0 * np.sqrt(3.0) + np.pi / 3.0
+    assert shortest <= lengths[1] < 1.08 * shortest < lengths[0]
+    assert shortened(short, free).shape[0] <= short.shape[0]
+    np.testing.assert_array_equal(shortened(path[:2], free), path[:2])
+    straight = shortened(np.array([[-2.0, 2.0], [0.0, 3.0], [2.0, 2.0]]), free)
+    np.testing.assert_array_equal(straight, [[-2.0, 2.0], [2.0, 2.0]])
 
 
 def test_the_search_stays_within_its_bounds():

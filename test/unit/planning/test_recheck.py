@@ -13,7 +13,7 @@ import pytest
 from construction_twin.core.motion_errors import CollisionError, LimitError
 from construction_twin.core.units import CYCLE
 from construction_twin.planning.recheck import check_limits, recheck
-from construction_twin.planning.timing import LIMIT_FRACTION, time_path
+from construction_twin.planning.timing import VELOCITY_FRACTION, time_path
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.plan import Clearance
 from construction_twin.robot.trajectory import Trajectory
@@ -61,7 +61,7 @@ def test_measures_every_sample():
     assert np.max(np.abs(world.seen[1] - MOTION.sample(CYCLE)[0])) < 1e-12
     assert result.clearance == Clearance(1.0 - GOAL[0], ("link_1", "wall"), (1.0, 2.0, 3.0), MOTION.duration)
     assert result.recheck_time == 0.25
-    assert max(result.usage.velocity) <= LIMIT_FRACTION * (1 + 1e-6) and result.usage.velocity[2:] == (
+    assert max(result.usage.velocity) <= VELOCITY_FRACTION * (1 + 1e-6) and result.usage.velocity[2:] == (
         0,
         0,
         0,

@@ -17,7 +17,14 @@ from construction_twin.core.units import CYCLE, format_allowance
 from construction_twin.planning.curves import JointCurve
 from construction_twin.planning.limit_usage import sampled_usage
 from construction_twin.planning.time_scaling import RestToRest
-from construction_twin.planning.timing import LIMIT_FRACTION, minimum_duration, time_curve, time_path, with_midpoints
+from construction_twin.planning.timing import (
+    ACCELERATION_FRACTION,
+    VELOCITY_FRACTION,
+    minimum_duration,
+    time_curve,
+    time_path,
+    with_midpoints,
+)
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.trajectory import Trajectory
 
@@ -44,8 +51,8 @@ def check_motion(motion: Trajectory, start: np.ndarray, goal: np.ndarray, fracti
         assert not rest.any()
     samples = [motion.sample(i * CYCLE) for i in range(-2, int(motion.duration / CYCLE) + 4)]
     q, qd, qdd = (np.array(column) for column in zip(*samples))
-    velocity = fraction * LIMIT_FRACTION * np.array(ROBOT.velocity) * (1 + 1e-6)
-    acceleration = fraction * LIMIT_FRACTION * np.array(ROBOT.acceleration) * (1 + 1e-6)
+    velocity = fraction * VELOCITY_FRACTION * np.array(ROBOT.velocity) * (1 + 1e-6)
+    acceleration = fraction * ACCELERATION_FRACTION * np.array(ROBOT.acceleration) * (1 + 1e-6)
     assert np.all(q >= LOWER - 1e-9) and np.all(q <= UPPER + 1e-9)
     assert np.all(np.abs(qd) <= velocity) and np.all(np.abs(np.diff(q, axis=0)) / CYCLE <= velocity)
     assert np.all(np.abs(qdd) <= acceleration)
@@ -123,7 +130,9 @@ def test_rounded_to_the_wire_it_is_still_within_the_limits():
 
 def test_uses_the_limits_it_is_given():
     use = limit_use(time_path(np.array([HOME, GOAL]), ROBOT), ROBOT)
-    assert max(use.velocity, use.acceleration) == pytest.approx(LIMIT_FRACTION, rel=5e-3)
+    assert max(use.velocity / VELOCITY_FRACTION, use.acceleration / ACCELERATION_FRACTION) == pytest.approx(
+        1.0, rel=5e-3
+    )
     assert 0.9 <= use.jerk <= 1.0
 
 
@@ -180,8 +189,8 @@ def test_the_acceleration_scale_is_its_own():
     gentle = time_path(path, ROBOT, speed_scale=0.8, acceleration_scale=0.1)
     use = limit_use(gentle, ROBOT)
     assert (
-        use.acceleration <= 0.1 * LIMIT_FRACTION * (1 + 1e-6)
-        and 0.1 * LIMIT_FRACTION < use.velocity <= 0.8 * LIMIT_FRACTION
+        use.acceleration <= 0.1 * ACCELERATION_FRACTION * (1 + 1e-6)
+        and 0.1 * VELOCITY_FRACTION < use.velocity <= 0.8 * VELOCITY_FRACTION
     )
     same = time_path(path, ROBOT, speed_scale=0.8, acceleration_scale=0.8)
     assert same.content_hash() == time_path(path, ROBOT, speed_scale=0.8).content_hash()
@@ -205,7 +214,10 @@ def test_a_linear_joint_is_timed_like_the_others():
     start, goal = np.array(TRACK.home), np.array(TRACK.home) + [0.4, 0.3, 0, 0, 0, 0, 0.5]
     motion = time_path(np.array([start, goal]), TRACK)
     use = limit_use(motion, TRACK)
-    assert max(use.velocity, use.acceleration) <= LIMIT_FRACTION * (1 + 1e-6) and use.jerk <= 1.0 + 1e-6
+    assert (
+        max(use.velocity / VELOCITY_FRACTION, use.acceleration / ACCELERATION_FRACTION) <= 1 + 1e-6
+        and use.jerk <= 1.0 + 1e-6
+    )
     assert motion.duration >= minimum_duration(start, goal, TRACK)
 
 
@@ -341,3 +353,13 @@ def test_limit_use_refuses_a_motion_out_of_range():
 
 def test_with_midpoints_halves_every_segment():
     assert with_midpoints(np.array([[0.0], [2.0], [3.0]])).ravel().tolist() == [0.0, 1.0, 2.0, 2.5, 3.0]
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_jerk_is_inside_between_the_samples_too(seed):
+    rng = np.random.default_rng(seed)
+    path = HOME + np.cumsum(rng.normal(0.0, 0.4, (rng.integers(2, 6), 6)), axis=0) * 0.5
+    path = np.clip(path, ROBOT.lower, ROBOT.upper)
+    motion = time_path(path, ROBOT, corner_fraction=1.0)
+    jerk = np.abs(motion.sample_many(np.arange(0.0, motion.duration, 0.0005))[3])
+    assert np.max(jerk / ROBOT.jerk) <= 1.0 + 1e-6

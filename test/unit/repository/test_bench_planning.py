@@ -15,7 +15,10 @@ from planning_cell import CHAIN, ROBOT, ROOT, SELF_COLLISION, bench_world
 from construction_twin.planning.motion_validator import MotionValidator
 
 FOLDER = ROOT / "benchmarks"
-FIGURES = {"problems", "success", "median_ms", "p95_ms", "recheck_ms", "collisions", "length_ratio", "duration_ratio"}
+FIGURES = {
+    "problems", "success", "median_ms", "p95_ms", "recheck_ms", "review_ms", "collisions", "length", "length_ratio", "duration",
+    "duration_ratio", "jerk_exceeded", "jerk_usage",
+}  # fmt: skip
 
 
 @pytest.fixture
@@ -88,3 +91,5 @@ def test_a_small_run_writes_every_figure(checker, tmp_path):
         assert (row["problems"], row["success"], row["collisions"]) == (3, 1.0, 0)
         assert row["length_ratio"] >= 1.0 and row["duration_ratio"] >= 1.0
         assert 0.0 < row["median_ms"] <= row["p95_ms"] and row["recheck_ms"] > 0.0
+        assert row["median_ms"] < row["review_ms"]["median"] <= row["review_ms"]["p95"]
+        assert row["jerk_exceeded"] == 0 and 0.5 < row["jerk_usage"] <= 1.0
