@@ -4,7 +4,8 @@
 
 `check`: rows of 10, 50 and 200 bricks as copies of the sample's, in the brick wall's cell with the stock filled again, all
 processes together. `samples`: every task of both sample models, in order, each in the scene that its turn finds; success is the
-part of the tasks that can be planned, and the median is that of the planning of one task, one at a time.
+part of the tasks that can be planned, and the median is that of the planning of one task, one at a time. `impossible`: the tasks of
+the brick wall under a lid that leaves room for the bricks and not for the tool; how long until each is refused.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ COUNTS = (10, 50, 200)
 SAMPLES = ("timber_panel", "brick_wall")
 #: Bricks of one course of the wall that is checked.
 COURSE = 10
+#: Over the wall: there is room for bricks below it, and none for tool and hand.
+LID = {"shape": "box", "size": [3.2, 0.9, 0.1], "position": [0.0, 1.5575, 0.95], "fixed": True}
 ARM = Arm(
     ROOT / "urdf/kr120_track.urdf.xacro",
     ROOT / "config/kr120_track.yaml",
@@ -76,6 +79,18 @@ def refilled(folder: Path) -> Path:
         content[key] = str((cell("brick_wall").parent / content[key]).resolve())
     content["racks"]["bricks"]["refill"] = True
     path = folder / "cell.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
+
+
+def under_a_lid(folder: Path) -> Path:
+    """Write the brick wall's cell with a lid over the wall, and return its path."""
+    path = refilled(folder)
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    scene = yaml.safe_load(Path(content["scene"]).read_text(encoding="utf-8"))
+    scene["objects"]["lid"] = LID
+    content["scene"] = str(folder / "scene.yaml")
+    Path(content["scene"]).write_text(yaml.safe_dump(scene), encoding="utf-8")
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return path
 
@@ -122,6 +137,16 @@ def main() -> None:
         for task in checked.tasks:
             if not task.possible:
                 print(f"  {task.name}: {task.stage}: {task.reason}", flush=True)
+    with tempfile.TemporaryDirectory() as folder:
+        tried = setup(sample("brick_wall"), under_a_lid(Path(folder)), Path(folder))
+        checked = check_all(replace(tried, changes=0.0), 1)
+    refused = [task.planning for task in checked.tasks if not task.possible]
+    figures["impossible"] = {
+        "refused": len(refused) / len(checked.tasks),
+        "told_s_median": round(statistics.median(refused), 3),
+        "told_s_max": round(max(refused), 3),
+    }
+    print(f"impossible: {figures['impossible']}", flush=True)
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
     print(options.output)
