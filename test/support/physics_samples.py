@@ -15,7 +15,8 @@ from construction_twin.physics.drive import ArmDrives, drives_of, read_drives
 from construction_twin.physics.model import Load, PhysicsModel, build_model
 from construction_twin.physics.rehearsal import Rehearsal
 from construction_twin.physics.report import RehearsalReport
-from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.robot.description import RobotModel, load_robot, read_robot_files
+from construction_twin.robot.new_robot import new_description
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport, content_hash
 from construction_twin.robot.segments import Segment
 from construction_twin.robot.trajectory import Trajectory
@@ -35,6 +36,9 @@ READY = np.radians((0.0, -90.0, 90.0, 0.0, 45.0, 0.0))
 def robot_of(name: str) -> RobotModel:
     if name in ("kr120", "kr120_track"):
         return kr120() if name == "kr120" else track7()
+    if name == "balanced_like":
+        urdf = (ROOT / f"test/data/{name}.urdf").read_text()
+        return load_robot(urdf, new_description(urdf, name, "base_link", "tool0", 1.0))
     if name == "ur_like_gripper":
         return read_robot_files(ROOT / f"test/data/{name}.urdf.xacro", ROOT / f"test/data/{name}.yaml")
     return read_robot_files(ROOT / f"test/data/{name}.urdf", ROOT / f"test/data/{name}.yaml")

@@ -387,7 +387,7 @@ class _Builder:
         for at, leader, factor, offset in self._robot_bodies.followers:
             self._spec.add_equality(
                 type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=places[at], name2=places[leader],
-                data=[offset, factor, 0.0, 0.0, 0.0] + [0.0] * 6,
+                data=[offset, factor] + [0.0] * 10,
             )  # fmt: skip
 
 
