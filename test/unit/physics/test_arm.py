@@ -95,7 +95,7 @@ def test_a_leader_gives_the_torque_of_what_follows_it_too():
     difference = (np.array(found) - expected)[5:-5]
     assert np.sqrt(np.mean(difference**2)) < 0.002 * np.sqrt(np.mean(expected**2))
     # without them the shoulder needs another torque
-    alone, still = InverseDynamics(replace(physics, shares=None, followers=())), np.zeros(6)
+    alone, still = InverseDynamics(replace(physics, shares=None)), np.zeros(6)
     assert np.abs(alone.torques(start, still, still) - dynamics.torques(start, still, still)).max() > 0.1
 
 
