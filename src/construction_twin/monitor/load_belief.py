@@ -30,7 +30,7 @@ class LoadBelief:
         return self._load is not None and self._load == self._modelled
 
     def on_execution(self, active: bool, at_boundary: bool, expected_scene: str) -> None:
-        """Take whether a plan is played, whether it stands at a boundary, and the hash of the scene that it waits for; empty: none."""
+        """Take whether a plan is played and stands at a boundary, and the hash of the scene that it waits for; empty: none."""
         self._at_boundary = active and at_boundary
         if not active:
             self._expected = ""

@@ -33,10 +33,16 @@ SWITCH = {
 }
 
 
-@pytest.mark.parametrize("order", list(itertools.permutations(SWITCH)))
+#: The executor goes on after it has waited, and a model is made after its scene was heard.
+ORDERS = [
+    order
+    for order in itertools.permutations(SWITCH)
+    if order.index("waits") < order.index("goes on") and order.index("scene") < order.index("model")
+]
+
+
+@pytest.mark.parametrize("order", ORDERS)
 def test_in_any_order_it_counts_only_when_all_is_known(order):
-    if order.index("goes on") < order.index("waits") or order.index("model") < order.index("scene"):
-        pytest.skip("one is the other's consequence")
     belief = believing()
     belief.on_execution(True, True, "")
     for step in order:

@@ -23,8 +23,8 @@ from construction_twin.monitor.gate import Gate, GateSettings, WatchedArm
 from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.ros.nodes import pca_monitor as module
 from construction_twin.ros.messages.scene_convert import scene_to_msg
+from construction_twin.ros.nodes import pca_monitor as module
 from construction_twin.ros.shared.stop_memory import PARAMETER
 from construction_twin.ros.transport.joint_stream import from_time, to_time
 from construction_twin.scene.objects import Scene, SceneObject
@@ -62,7 +62,9 @@ class World:
             lambda session: self.parameters.update({PARAMETER: session}),
         )
 
-    def start(self, sync=None, watched: WatchedArm | None = None, loads: module.Loads | None = None) -> module.PcaMonitorNode:
+    def start(
+        self, sync=None, watched: WatchedArm | None = None, loads: module.Loads | None = None
+    ) -> module.PcaMonitorNode:
         """Return a monitor, and keep its gate, which watches torques of `watched`.
 
         `sync` is a publisher in place of the one that notes what it is given.
