@@ -74,12 +74,12 @@ class TorqueWatch:
     Attributes:
         compared: How often torques were compared since the start.
         motions: What the arm should do in each cycle that is kept, the newest last.
-        motions: What the arm should do in each cycle that is kept, the newest last.
         difference: The present one; None while the torques agree, and before they could be compared.
     """
 
     def __init__(self, settings: TorqueSettings, dynamics: InverseDynamics):
         self._dynamics = dynamics
+        self._counts = True
         self.compared = 0
         self.configure(settings)
         self.restart()
@@ -98,6 +98,21 @@ class TorqueWatch:
         self._q: tuple[float, ...] = ()
         self._speed: tuple[float, ...] = ()
         self._streak: list[int] = []
+        #: Torques of cycles that end with this command stamp or before it are not compared.
+        self._before = 0
+
+    def believe(self, dynamics: InverseDynamics) -> None:
+        """Expect what another model says from the next torques on: the arm carries something else."""
+        self._dynamics = dynamics
+
+    def count(self, counts: bool) -> None:
+        """Say whether torques count: not while nobody knows what the arm carries. When they count again, from the next command on.
+
+        A difference that there is stays until torques are compared that agree.
+        """
+        if counts and not self._counts:
+            self._before, self._streak = self._stamp, []
+        self._counts = counts
 
     def on_command(self, stamp: int, command: tuple[float, ...]) -> None:
         """Take a command that goes to the arm, shape (n,), with its stamp [ns]; one that is not newer than the last is ignored."""
@@ -153,12 +168,14 @@ class TorqueWatch:
     def on_torques(self, measured: Sequence[float], command_stamp: int) -> TorqueDifference | None:
         """Take what the axes gave in the cycle that ends with a command stamp, shape (n,); nan for an axis that is not told.
 
-        What cannot be compared, because no command belongs to it or its motion is not known, changes nothing.
+        What cannot be compared, because no command belongs to it, its motion is not known or what the arm carries is not, changes
+        nothing.
 
         Returns:
             The present difference: of the axis that is furthest over its threshold; None while there is none.
         """
-        expected = self.expected(command_stamp) if command_stamp else None
+        compares = self._counts and command_stamp > self._before
+        expected = self.expected(command_stamp) if compares else None
         if expected is None:
             return self.difference
         self.compared += 1

@@ -7,6 +7,7 @@ an element of a building.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 from construction_twin.physics.mass import of_shape
 from construction_twin.scene.collision_bodies import RobotBodies
@@ -19,6 +20,11 @@ TOOL = "tool"
 def body_of(name: str) -> str:
     """Return the body that an object is part of."""
     return name.partition("/")[0]
+
+
+def carried_part(scene: Scene) -> Scene:
+    """Return what the arm carries in a scene, alone: what it may touch is left out, because most of that is not there."""
+    return replace(scene, objects=tuple(replace(item, touch=()) for item in scene.objects if item.link))
 
 
 def masses_of(known: Mapping[str, float], scenes: Iterable[Scene], bodies: RobotBodies) -> dict[str, float]:

@@ -5,11 +5,15 @@ Joints in the order of ``robot.joint_names``. It touches nothing: a collision is
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import mujoco
 import numpy as np
 
 from construction_twin.physics.arm import CREEPING, Servo, SimulatedArm
 from construction_twin.physics.drive import ArmDrives
+from construction_twin.physics.known_mass import carried_part, masses_of
 from construction_twin.physics.mass import MassProperties
 from construction_twin.physics.model import Load, PhysicsModel, build_model
 from construction_twin.robot.description import JointValues
@@ -18,13 +22,27 @@ from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import SelfCollision
 
 
-def bare_model(bodies: RobotBodies, drives: ArmDrives, flange: MassProperties | None = None) -> PhysicsModel:
-    """Return the model of an arm with nothing around it, and a payload in the frame of its tip link; None: it carries nothing.
+def bare_model(
+    bodies: RobotBodies,
+    drives: ArmDrives,
+    flange: MassProperties | None = None,
+    scene: Scene = Scene(),
+    known: Mapping[str, float] = MappingProxyType({}),
+) -> PhysicsModel:
+    """Return the model of an arm with nothing around it.
+
+    Args:
+        flange: A payload in the frame of the tip link that it carries at all times; None: none.
+        scene: It also carries what it does in this scene.
+        known: Masses of bodies there, see `physics.known_mass` [kg].
 
     Raises:
+        SceneError: If an object's link does not exist, or its mesh cannot be used.
         ConfigurationError: If an inertia of the URDF is none.
     """
-    physics = build_model(bodies, Scene(), SelfCollision({}, ""), drives, Load(flange=flange))
+    carried = carried_part(scene)
+    load = Load(masses_of(known, (carried,), bodies), flange=flange)
+    physics = build_model(bodies, carried, SelfCollision({}, ""), drives, load)
     # no link is to find another one in its way
     physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     return physics

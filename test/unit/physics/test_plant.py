@@ -9,8 +9,11 @@ from physics_samples import READY, bodies_of, drives, dynamics_of, robot_of
 from scene_samples import random_poses
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.units import CYCLE_NS
+from construction_twin.monitor.torque_watch import TorqueSettings, TorqueWatch
 from construction_twin.physics.mass import payload_of
 from construction_twin.physics.plant import InverseDynamics, Plant, bare_model
+from construction_twin.scene.objects import Scene, SceneObject
 
 PAYLOAD = (60.0, 0.0, 0.0, 0.2)
 FAST = 60.0, 0.8
@@ -85,6 +88,42 @@ def test_a_push_is_resisted_by_its_own_axis_and_by_no_other(joint):
     assert abs(np.delete(change, joint)).max() < 1.0
     arm.push(joint, 0.0)
     np.testing.assert_allclose(settled(arm), before, atol=0.01)
+
+
+def largest_difference(arm: Plant, watch: TorqueWatch, way, first: int) -> float:
+    """Move along a way of cosines from READY; return the most that torques differ from what is expected, of the axes' limits."""
+    worst = 0.0
+    for k in range(200):
+        q = READY + (1.0 - np.cos(np.pi * k / 100)) / 2.0 * np.array(way)
+        stamp = (first + k) * CYCLE_NS
+        watch.on_command(stamp, tuple(q))
+        arm.cycle(q)
+        expected = watch.expected(stamp)
+        worst = max(worst, float((abs(arm.torque - np.array(expected)) / np.array(drives().torque)).max()))
+    return worst
+
+
+def test_what_a_plan_picks_up_and_releases_is_expected_of_the_scene_s_model():
+    """An arm that takes up 60 kg on its way: with the model of the scene of the moment torques agree, with another they do not."""
+    tile = SceneObject("tile/a", "box", (0.6, 0.6, 0.05), (0.0, 0.0, 0.2), link=robot_of("kr120").tip_link)
+    holding = bare_model(bodies_of("kr120"), drives(), None, Scene((tile,)), {"tile": 60.0})
+    models = {"empty": bare(), "holding": holding}
+    # the arm that has it, and has not
+    arm = Plant(holding, models["empty"], *FAST)
+    watch = TorqueWatch(TorqueSettings((np.inf,) * 6, 1, *FAST), InverseDynamics(models["empty"]).torques)
+    arm.carry(False)
+    arm.place(READY)
+    way, first = (0.3, 0.2, -0.2, 0.1, 0.2, 0.1), 1000
+    for carries in (False, True, False):
+        arm.carry(carries)
+        believed, other = ("holding", "empty") if carries else ("empty", "holding")
+        for name, holds in ((believed, True), (other, False)):
+            settled(arm)
+            watch.restart()
+            watch.believe(InverseDynamics(models[name]).torques)
+            difference = largest_difference(arm, watch, way, first)
+            assert (difference < 0.01) is holds and (difference > 0.1) is not holds, (carries, name, difference)
+            first += 1000
 
 
 def test_a_push_on_a_track_is_a_force_along_it():

@@ -95,6 +95,7 @@ DEPLOYMENT = {
         "realtime_priority",
         "transition_file",
         "torque_watch",
+        "tool",
         "drives",
         "payload",
     },

@@ -5,30 +5,37 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import pydantic
 import rospy
 
-from construction_twin.core.errors import ConfigurationError, RequestRefused
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused
 from construction_twin.core.extras import check_extras
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.reports import HoldReport, SyncReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.monitor.gate import REPLAN, Cause, Gate, WatchedArm
+from construction_twin.monitor.load_belief import LoadBelief
 from construction_twin.monitor.replan import ReplanGoal, ReplanGoals
 from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncState, Transition
+from construction_twin.monitor.torque_watch import InverseDynamics
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.msg import AxisTorque, Execution, Feedback, Hold, Link, Plan, Sync
+from construction_twin.msg import AxisTorque, Execution, Feedback, Hold, Link, Plan, Sync, WorkTasks
+from construction_twin.msg import Scene as SceneMsg
 from construction_twin.msg import Transition as TransitionMsg
+from construction_twin.physics.known_mass import body_of, carried_part
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
+from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.element_masses import element_masses, tool_mass
 from construction_twin.ros.shared.launch_arguments import arm_of, decimals_of, payload_of_launch
+from construction_twin.ros.shared.model_builder import ModelBuilder
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.params import NodeSettings
 from construction_twin.ros.shared.ports import (
@@ -46,6 +53,7 @@ from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
 from construction_twin.ros.shared.transition_report import TransitionReport
 from construction_twin.ros.transport.joint_stream import from_time, now_ns, to_time
 from construction_twin.ros.transport.publisher import Sink
+from construction_twin.scene.objects import Scene
 from construction_twin.srv import (
     ConfigureGate,
     ConfigureGateRequest,
@@ -53,6 +61,9 @@ from construction_twin.srv import (
     PlanToJointsResponse,
 )
 from construction_twin.views.preflight import is_true
+
+if TYPE_CHECKING:
+    from construction_twin.physics.model import PhysicsModel
 
 #: Setpoints kept while the gate is busy, 0.1 s: what is older it does not let pass.
 SETPOINTS_KEPT = 25
@@ -69,6 +80,7 @@ class Settings(NodeSettings, Behaviour):
     transition_file: Annotated[str, pydantic.Field(min_length=1)]
     torque_watch: bool
     drives: str
+    tool: str = ""
     payload: list[Annotated[float, pydantic.Field(allow_inf_nan=False)]] = []
 
 
@@ -89,6 +101,20 @@ class Outputs:
     remember: Callable[[str], None]
 
 
+@dataclass(frozen=True)
+class Loads:
+    """How the monitor learns what torques an arm needs for what it carries.
+
+    Attributes:
+        build: Returns the torques of the arm that carries what it does in a scene, with masses of bodies (`physics.known_mass`)
+            [kg], and what of it is an estimate, one sentence each. May take its time. Raises ConstructionTwinError.
+        masses: What the tool weighs [kg].
+    """
+
+    build: Callable[[Scene, Mapping[str, float]], tuple[InverseDynamics, tuple[str, ...]]]
+    masses: Mapping[str, float]
+
+
 class PcaMonitorNode:
     """ROS around a Gate; `start` gives it parameters, topics and services.
 
@@ -100,6 +126,7 @@ class PcaMonitorNode:
         diagnostics: Counts what is refused.
         stopped_in: The session in which a monitor before this one was STOPPED: the gate stays so until the link tells of another
             session.
+        loads: Where torques are watched; None: what the gate was given first is believed for good.
     """
 
     def __init__(
@@ -112,6 +139,7 @@ class PcaMonitorNode:
         outputs: Outputs,
         diagnostics: NodeDiagnostics,
         stopped_in: str = "",
+        loads: Loads | None = None,
     ):
         self._gate = gate
         self._behaviour = behaviour
@@ -137,6 +165,16 @@ class PcaMonitorNode:
         #: The executor's sentence while a plan is being executed, at rest or not; empty otherwise.
         self._executing = ""
         self._diagnostics = diagnostics
+        self._loads = loads
+        self._belief = LoadBelief()
+        self._scene: Scene | None = None
+        self._masses: dict[str, float] = {}
+        #: Why there is no model of the newest load; empty: there is, or it is being made.
+        self._load_problem = Sentence("reason.gate.load_awaited") if loads is not None else ""
+        #: One model at a time, of the newest scene and masses: two threads bring them.
+        self._loading = threading.Lock()
+        if loads is not None:
+            self._note_load()
 
     # -- the path; all times but those of stamps and reports are monotonic
 
@@ -190,6 +228,58 @@ class PcaMonitorNode:
         if self._changes:
             self._publish(now)
 
+    def on_scene(self, message: SceneMsg) -> None:
+        """Take what the arm carries. In rospy's thread of this connection, which may wait."""
+        with self._loading:
+            try:
+                self._scene = scene_from_msg(message)
+            except ConstructionTwinError as error:
+                self._diagnostics.refuse("scene", str(error))
+                return
+            self._follow_load()
+
+    def on_tasks(self, message: WorkTasks) -> None:
+        """Take what elements weigh. In rospy's thread of this connection, which may wait."""
+        with self._loading:
+            self._masses = element_masses(message)
+            self._follow_load()
+
+    def _follow_load(self) -> None:
+        """Have the model carry what the arm does in the newest scene; meanwhile torques do not count."""
+        loads, scene = self._loads, self._scene
+        if loads is None or scene is None:
+            return
+        carried = carried_part(scene)
+        bodies = {body_of(item.name) for item in carried.objects}
+        masses = {body: mass for body, mass in {**self._masses, **loads.masses}.items() if body in bodies}
+        load = carried.objects, masses
+        with self._lock:
+            self._belief.on_scene(scene.hash, load)
+            self._note_load()
+            if self._belief.is_modelled:
+                self._load_problem = ""
+                return
+        try:
+            dynamics, remarks = loads.build(carried, masses)
+        except ConstructionTwinError as error:
+            self._load_problem = Sentence("reason.gate.load_unknown", problem=str(error))
+            self._diagnostics.refuse("load", str(error))
+            return
+        with self._lock:
+            if self._gate.watch_of_torques is not None:
+                self._gate.watch_of_torques.believe(dynamics)
+            self._belief.on_model(load)
+            self._note_load()
+        self._load_problem = ""
+        rospy.loginfo("expects torques of the arm with its payload and: %s", ", ".join(sorted(bodies)) or "nothing")
+        for remark in remarks:
+            rospy.loginfo("%s", remark)
+
+    def _note_load(self) -> None:
+        """Let torques count while what the arm carries is known; under the lock."""
+        if self._gate.watch_of_torques is not None and self._loads is not None:
+            self._gate.watch_of_torques.count(self._belief.counts)
+
     def on_link(self, message: Link) -> None:
         """Take the link's state; a new session restarts the gate."""
         now = time.monotonic_ns()
@@ -241,6 +331,9 @@ class PcaMonitorNode:
         """Note which plan is played."""
         active = message.state not in (Execution.WAITING, Execution.IDLE)
         self._executing = f"plan {message.plan_id} is {message.text}" if active else ""
+        with self._lock:
+            self._belief.on_execution(active, message.at_boundary, message.expected_scene)
+            self._note_load()
         self._goals.on_execution(message.plan_id, message.state == Execution.PLAYING, from_time(message.header.stamp))
 
     def _note_changes(self) -> None:
@@ -360,7 +453,8 @@ class PcaMonitorNode:
         watch, watched = self._gate.watch_of_torques, ""
         if watch is not None:
             values["torques compared"] = watch.compared
-            if self._compares and gate.state is SyncState.IN_SYNC and not watch.compared:
+            watched = self._load_problem
+            if not watched and self._compares and gate.state is SyncState.IN_SYNC and not watch.compared:
                 watched = Sentence("reason.gate.no_torques")
         level = {SyncState.IN_SYNC: OK, SyncState.STOPPED: ERROR, SyncState.FAULT: ERROR}.get(gate.state, WARN)
         sentence = "; ".join(filter(None, (f"{gate.state.name}: {gate.reason}", problem, watched)))
@@ -391,13 +485,31 @@ def watched_arm(settings: Settings, robot: RobotModel) -> WatchedArm:
     # only here: what simulates is not everywhere
     from construction_twin.physics.drive import drives_of, read_drives
     from construction_twin.physics.mass import payload_of
-    from construction_twin.physics.plant import InverseDynamics, bare_model
+    from construction_twin.physics.plant import bare_model
     from construction_twin.scene.collision_bodies import RobotBodies
 
     drives = read_drives(settings.drives, robot) if settings.drives else drives_of(robot)
     model = bare_model(RobotBodies(robot), drives, payload_of(settings.payload, "payload"))
-    dynamics = InverseDynamics(model)
-    return WatchedArm(lambda *motion: tuple(map(float, dynamics.torques(*motion))), drives.torque)
+    return WatchedArm(dynamics_of(model), drives.torque)
+
+
+def dynamics_of(model: PhysicsModel) -> InverseDynamics:
+    """Return the torques that motions of an arm take, by its model."""
+    from construction_twin.physics.plant import InverseDynamics as OfModel
+
+    found = OfModel(model)
+    return lambda *motion: tuple(map(float, found.torques(*motion)))
+
+
+def loads_of(settings: Settings, robot: RobotModel) -> Loads:
+    """Return how the monitor learns what the arm carries beside the payload; raises like `read_tool`."""
+    builder = ModelBuilder(robot, settings.drives, tuple(settings.payload))
+
+    def build(scene: Scene, masses: Mapping[str, float]) -> tuple[InverseDynamics, tuple[str, ...]]:
+        model = builder.build_carrying(scene, masses)
+        return dynamics_of(model), model.remarks
+
+    return Loads(build, tool_mass(settings.tool))
 
 
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode:
@@ -420,6 +532,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode
         ),
         ports.diagnostics,
         ports.parameters[PARAMETER] if compares else "",
+        loads_of(settings, robot) if watches_torques(settings) else None,
     )
 
 
@@ -443,6 +556,8 @@ INTERFACE = Interface(
         PoseSubscription("twin/joint_states", PcaMonitorNode.on_twin),
         PoseSubscription("physical/feedback", PcaMonitorNode.on_feedback, FEEDBACK_KEPT, Feedback),
         Subscription("physical/torque", AxisTorque, PcaMonitorNode.on_torques, queue_size=50, when=watches_torques),
+        Subscription("scene", SceneMsg, PcaMonitorNode.on_scene, queue_size=1, when=watches_torques),
+        Subscription("work/tasks", WorkTasks, PcaMonitorNode.on_tasks, queue_size=1, when=watches_torques),
         PoseSubscription("next/joint_states", PcaMonitorNode.on_next, SETPOINTS_KEPT),
         Subscription("plan", Plan, PcaMonitorNode.on_plan, queue_size=5),
         Subscription("execution", Execution, PcaMonitorNode.on_execution, queue_size=5),
@@ -458,6 +573,7 @@ FILE = ConfigFile(
         "decimals": decimals_of(given),
         "torque_watch": is_true(given, "torque_watch"),
         "drives": given.get("drives", ""),
+        "tool": given.get("tool", ""),
         "payload": payload_of_launch(given.get("payload", "")),
     }
 )

@@ -7,6 +7,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import pydantic
@@ -330,9 +331,10 @@ def _simulation(settings: Settings, robot: RobotModel, ports: Ports) -> Simulati
     # only here: what simulates is not everywhere
     from construction_twin.physics.live_twin import LiveTwin
 
+    builder = ModelBuilder(robot, settings.drives, tuple(settings.payload))
     return Simulation(
         LiveTwin(),
-        ModelBuilder(robot, settings.self_collision, settings.drives, tuple(settings.payload)).build,
+        partial(builder.build, self_collision=settings.self_collision),
         tool_mass(settings.tool),
         robot.joint_names,
         ports.publishers["twin/commanded"],

@@ -1,4 +1,4 @@
-"""The process that builds models for the twin with mass: to compile a scene with many meshes takes longer than a cycle.
+"""The process that builds models for nodes with a cycle to keep: to compile a scene with many meshes takes longer than a cycle.
 
 ``python -m construction_twin.ros.shared.model_builder`` is started by the node (`work.worker.Worker`), and ends when that does. It
 speaks no ROS. It runs behind everything else, although the node that starts it has a real-time priority.
@@ -23,21 +23,26 @@ class ModelBuilder:
     """The process, as the node sees it.
 
     Args:
-        self_collision, drives: YAML files, absolute paths; no file of drives: what the URDF says.
+        drives: YAML file, absolute path; empty: what the URDF says.
         payload: At the flange at all times, see `payload_of`.
     """
 
-    def __init__(self, robot: RobotModel, self_collision: str, drives: str, payload: tuple[float, ...] = ()):
+    def __init__(self, robot: RobotModel, drives: str, payload: tuple[float, ...] = ()):
         self._worker = Worker((sys.executable, "-m", __name__))
-        self._arm = {"robot": robot, "self_collision": self_collision, "drives": drives, "payload": payload}
+        self._arm = {"robot": robot, "drives": drives, "payload": payload}
 
-    def build(self, scene: Scene, masses: Mapping[str, float]) -> PhysicsModel:
+    def build(self, scene: Scene, masses: Mapping[str, float], self_collision: str) -> PhysicsModel:
         """Return the model of the arm in a scene; raises WorkerError with the sentence of what went wrong there.
 
         Args:
             masses: Of bodies that the arm carries, see `physics.known_mass` [kg].
+            self_collision: YAML of the link pairs that are not checked, absolute path.
         """
-        return self._worker.ask("build", **self._arm, scene=scene, masses=dict(masses))
+        return self._worker.ask("build", **self._arm, scene=scene, masses=dict(masses), self_collision=self_collision)
+
+    def build_carrying(self, scene: Scene, masses: Mapping[str, float]) -> PhysicsModel:
+        """Return the model of the arm with what it carries in a scene and nothing around it; otherwise as `build`."""
+        return self._worker.ask("build_carrying", **self._arm, scene=scene, masses=dict(masses))
 
     def close(self) -> None:
         """End the process."""
@@ -46,31 +51,40 @@ class ModelBuilder:
 
 def main() -> None:
     """Serve the node."""
-    from construction_twin.physics.drive import drives_of, read_drives
+    from construction_twin.physics.drive import ArmDrives, drives_of, read_drives
     from construction_twin.physics.known_mass import masses_of
     from construction_twin.physics.mass import payload_of
     from construction_twin.physics.model import Load, build_model
+    from construction_twin.physics.plant import bare_model
     from construction_twin.scene.collision_bodies import RobotBodies
     from construction_twin.scene.self_collision import read_self_collision
 
     read: dict[str, RobotBodies] = {}
 
+    def arm_of(robot: RobotModel, drives: str) -> tuple[RobotBodies, ArmDrives]:
+        # it is always the same arm; its meshes are read once
+        bodies = read.get(robot.name) or read.setdefault(robot.name, RobotBodies(robot))
+        return bodies, read_drives(drives, robot) if drives else drives_of(robot)
+
     def build(
         robot: RobotModel,
-        self_collision: str,
         drives: str,
         payload: tuple[float, ...],
         scene: Scene,
         masses: Mapping[str, float],
+        self_collision: str,
     ) -> PhysicsModel:
-        # it is always the same arm; its meshes are read once
-        bodies = read.get(robot.name) or read.setdefault(robot.name, RobotBodies(robot))
-        known = read_drives(drives, robot) if drives else drives_of(robot)
+        bodies, known = arm_of(robot, drives)
         load = Load(masses_of(masses, (scene,), bodies), flange=payload_of(payload, "payload"))
         return build_model(bodies, scene, read_self_collision(self_collision, robot), known, load)
 
+    def build_carrying(
+        robot: RobotModel, drives: str, payload: tuple[float, ...], scene: Scene, masses: Mapping[str, float]
+    ) -> PhysicsModel:
+        return bare_model(*arm_of(robot, drives), payload_of(payload, "payload"), scene, masses)
+
     release_realtime()
-    serve_parent({"build": build})
+    serve_parent({"build": build, "build_carrying": build_carrying})
 
 
 if __name__ == "__main__":
