@@ -138,11 +138,13 @@ def pss_mb(pid: int) -> float | None:
 
 
 def name_of(pid: int) -> str:
-    """Return the name of a process's program: of a Python program that of its file."""
+    """Return the name of a process's program: of a Python program that of its file or module."""
     try:
         words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
     except OSError:
         return "ended"
+    if words[1:2] == ["-m"]:
+        return words[2]
     python = "python" in Path(words[0]).name
     return Path(next((word for word in words[1:] if "/" in word), words[0]) if python else words[0]).name
 
