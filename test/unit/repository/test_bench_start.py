@@ -62,6 +62,8 @@ def test_a_program_has_the_name_of_its_file_or_module(start, command, name):
     link_world = importlib.import_module("link_world")
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         try:
+            # while it becomes that program it has no command line
+            link_world.wait_for(Path(f"/proc/{process.pid}/cmdline").read_text, 10.0, "a program")
             assert start.name_of(process.pid) == name
         finally:
             process.kill()

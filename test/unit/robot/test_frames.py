@@ -108,7 +108,11 @@ def test_roll_pitch_yaw_is_what_scipy_makes_of_it(rpy):
     assert abs(quaternion @ expected.as_quat()) == pytest.approx(1.0, abs=1e-14)
 
 
-@given(st.tuples(*[st.floats(-1.0, 1.0) | st.sampled_from([0.0, 1e-9, -1e-9])] * 4).filter(lambda q: np.linalg.norm(q) > 1e-3))
+@given(
+    st.tuples(*[st.floats(-1.0, 1.0) | st.sampled_from([0.0, 1e-9, -1e-9])] * 4).filter(
+        lambda q: np.linalg.norm(q) > 1e-3
+    )
+)
 def test_quaternions_are_those_of_scipy(values):
     rotation = Rotation.from_quat(values)
     np.testing.assert_allclose(quaternion_to_rotation(rotation.as_quat()), rotation.as_matrix(), atol=1e-14)

@@ -13,7 +13,10 @@ HEAVY = {"scipy", "coal", "pinocchio", "ompl", "toppra", "mujoco", "matplotlib"}
 @pytest.mark.parametrize(
     ("node", "needed"),
     [
-        *((name, set()) for name in ("executor", "pca_monitor", "mqtt_bridge", "mqtt_review", "mqtt_planner", "mock_rsi")),
+        *(
+            (name, set())
+            for name in ("executor", "pca_monitor", "mqtt_bridge", "mqtt_review", "mqtt_planner", "mock_rsi")
+        ),
         *((name, set()) for name in ("virtual_robot", "startup", "static_frames", "sync_view", "speed_limits")),
         ("scene", {"coal", "pinocchio"}),
         ("neighbour", {"coal", "pinocchio"}),

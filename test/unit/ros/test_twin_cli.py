@@ -121,10 +121,12 @@ def test_who_stops_a_robot_waits_for_no_library_that_plans_or_draws():
     assert not {"scipy", "coal", "ompl", "toppra", "matplotlib", "ifcopenshell"} & set(done.stdout.split())
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["plan", "--help"], ["plan", "--joints", "no numbers"], ["nonsense"]])
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["plan", "--help"], ["plan", "--joints", "no numbers"], ["nonsense"]]
+)
 def test_help_and_a_refused_option_wait_for_no_ros(arguments):
-    loaded = "print(*sorted(sys.modules), file=sys.stderr)"
-    code = f"import sys, atexit; atexit.register(lambda: {loaded}); from construction_twin.ros.commands.twin_line import main; main()"
+    loaded = "import atexit, sys; atexit.register(lambda: print(*sys.modules, file=sys.stderr))"
+    code = f"{loaded}; from construction_twin.ros.commands.twin_line import main; main()"
     done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
     assert done.returncode == (0 if "--help" in arguments else 2)
     assert not {"rospy", "rosgraph", "numpy", "pydantic"} & set(done.stderr.splitlines()[-1].split())
