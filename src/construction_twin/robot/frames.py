@@ -106,7 +106,7 @@ def rotation_to_quaternion(rotation: np.ndarray) -> np.ndarray:
 
 
 def _canonical(x: float, y: float, z: float, w: float) -> np.ndarray:
-    """Return the unit quaternion along this one, of the two that mean the same turn: w >= 0; where w is 0, the first other one > 0."""
+    """Return the unit quaternion along this one, of two that mean one turn: w >= 0; where w is 0, the first other one > 0."""
     first = next(filter(None, (w, x, y, z)))
     return np.array([x, y, z, w]) * (math.copysign(1.0, first) / math.hypot(x, y, z, w))
 
