@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import py_opw_kinematics
 
 from construction_twin.kinematics.axes import TOLERANCE, Axis, intersection, joint_axes
 from construction_twin.kinematics.chain import Chain, Pose, to_pose
+
+if TYPE_CHECKING:
+    import py_opw_kinematics
 
 #: Poses on which the parameters are checked against KDL.
 _CHECKS = 50
@@ -70,6 +72,8 @@ class OpwModel:
 
     def solver(self) -> py_opw_kinematics.Robot:
         """Return the package's solver for these parameters, in radians."""
+        import py_opw_kinematics  # with scipy.spatial: a start checks the nodes' settings without either
+
         lengths = {name: getattr(self, name) for name in ("a1", "a2", "b", "c1", "c2", "c3", "c4")}
         a1, a2, a3, a4, a5, a6 = (sign < 0 for sign in self.signs)
         model = py_opw_kinematics.KinematicModel(**lengths, offsets=self.offsets, flip_axes=(a1, a2, a3, a4, a5, a6))

@@ -16,7 +16,6 @@ from xml.etree import ElementTree
 import coal
 import numpy as np
 import pinocchio
-from scipy.spatial import ConvexHull
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
@@ -281,6 +280,8 @@ def _stl(shape: coal.CollisionGeometry) -> bytes:
         corners = vertices[triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     else:
+        from scipy.spatial import ConvexHull  # `preflight` loads this module at every start
+
         hull = ConvexHull(np.array(shape.points(), dtype=float))
         corners, normals = hull.points[hull.simplices], hull.equations[:, :3]
         inward = (

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from construction_twin.physics.mass import of_shape
-from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
+
+if TYPE_CHECKING:
+    from construction_twin.scene.collision_bodies import RobotBodies
 
 #: The body of a tool's objects.
 TOOL = "tool"
@@ -35,6 +37,9 @@ def masses_of(known: Mapping[str, float], scenes: Iterable[Scene], bodies: Robot
     Args:
         known: Of bodies [kg].
     """
+    # nodes that only name bodies wait for no library of shapes
+    from construction_twin.physics.mass import of_shape
+
     pieces: dict[str, dict[str, float]] = {}
     for scene in scenes:
         for item in scene.objects:

@@ -1,23 +1,19 @@
 """Orientations: rotation matrices inside, quaternions towards ROS, KUKA's A, B, C towards RSI.
 
 KUKA's angles turn about Z, then the new Y, then the new X: ``R = Rz(A) Ry(B) Rx(C)`` (docs/rsi.md, section 10).
-Radians, where a name does not say degrees. Quaternions are in ROS order x, y, z, w. scipy's rotations are imported where they are
-used: they take a third of a second to load, and who calls `twin stop` needs none.
+Radians, where a name does not say degrees. Quaternions are in ROS order x, y, z, w. scipy has all of this too, and takes a quarter
+of a second to load: every program of a start would wait for it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from construction_twin.core.motion_errors import KinematicsError
 from construction_twin.core.sentences import Sentence
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
 
 #: Below this |cos B| the angles A and C turn about the same axis and only their sum or difference is defined.
 _GIMBAL = 1e-12
@@ -71,18 +67,20 @@ def abc_to_rotation(a: float, b: float, c: float) -> np.ndarray:
 
 def rpy_to_rotation(rpy_deg: Sequence[float]) -> np.ndarray:
     """Return the rotation matrix, shape (3, 3), of roll, pitch and yaw about fixed axes, as in URDF and our YAML files [deg]."""
-    return _of_rpy(rpy_deg).as_matrix()
+    roll, pitch, yaw = map(math.radians, rpy_deg)
+    return abc_to_rotation(yaw, pitch, roll)  # about fixed axes is about the new ones in the reverse order
 
 
 def rpy_to_quaternion(rpy_deg: Sequence[float]) -> np.ndarray:
     """Return the unit quaternion x, y, z, w with w >= 0 of roll, pitch and yaw about fixed axes [deg]."""
-    return _of_rpy(rpy_deg).as_quat(canonical=True)
-
-
-def _of_rpy(rpy_deg: Sequence[float]) -> Rotation:
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_euler("xyz", rpy_deg, degrees=True)
+    halves = [math.radians(angle) / 2.0 for angle in rpy_deg]
+    (sin_r, sin_p, sin_y), (cos_r, cos_p, cos_y) = map(math.sin, halves), map(math.cos, halves)
+    return _canonical(
+        sin_r * cos_p * cos_y - cos_r * sin_p * sin_y,
+        cos_r * sin_p * cos_y + sin_r * cos_p * sin_y,
+        cos_r * cos_p * sin_y - sin_r * sin_p * cos_y,
+        cos_r * cos_p * cos_y + sin_r * sin_p * sin_y,
+    )
 
 
 def rotation_to_quaternion(rotation: np.ndarray) -> np.ndarray:
@@ -94,9 +92,23 @@ def rotation_to_quaternion(rotation: np.ndarray) -> np.ndarray:
     Returns:
         Shape (4,). x, y, z, w with w >= 0.
     """
-    from scipy.spatial.transform import Rotation
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.asarray(rotation, dtype=float).tolist()
+    trace = xx + yy + zz
+    # each row is the quaternion times four of its own elements: by the largest of them nothing is divided by a small number
+    largest = max(xx, yy, zz, trace)
+    if largest == trace:
+        return _canonical(zy - yz, xz - zx, yx - xy, 1.0 + trace)
+    if largest == xx:
+        return _canonical(1.0 - trace + 2.0 * xx, xy + yx, zx + xz, zy - yz)
+    if largest == yy:
+        return _canonical(xy + yx, 1.0 - trace + 2.0 * yy, yz + zy, xz - zx)
+    return _canonical(zx + xz, yz + zy, 1.0 - trace + 2.0 * zz, yx - xy)
 
-    return Rotation.from_matrix(rotation).as_quat(canonical=True)
+
+def _canonical(x: float, y: float, z: float, w: float) -> np.ndarray:
+    """Return the unit quaternion along this one, of two that mean one turn: w >= 0; where w is 0, the first other one > 0."""
+    first = next(filter(None, (w, x, y, z)))
+    return np.array([x, y, z, w]) * (math.copysign(1.0, first) / math.hypot(x, y, z, w))
 
 
 def quaternion_to_rotation(quaternion) -> np.ndarray:
@@ -114,6 +126,11 @@ def quaternion_to_rotation(quaternion) -> np.ndarray:
     values = np.asarray(quaternion, dtype=float)
     if values.shape != (4,) or not abs(np.linalg.norm(values) - 1.0) <= _NORM_TOLERANCE:
         raise KinematicsError(Sentence("motion.pose.quaternion", found=str(values.tolist())))
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_quat(values).as_matrix()
+    x, y, z, w = (values / np.linalg.norm(values)).tolist()
+    return np.array(
+        [
+            [x * x - y * y - z * z + w * w, 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), y * y - x * x - z * z + w * w, 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), z * z - x * x - y * y + w * w],
+        ]
+    )

@@ -12,7 +12,6 @@ from collections.abc import Iterable
 import coal
 import numpy as np
 import pinocchio
-from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
@@ -86,6 +85,9 @@ def _shapes(geometry: coal.CollisionGeometry, margin: float) -> list[tuple[str, 
 
 def _grown(points: np.ndarray, margin: float) -> _Mesh:
     """Return the convex body of points with every face moved outwards: it holds each point that is within the margin."""
+    # loaded when a hull is grown: the node `scene` loads this module, and begins sooner by a quarter of a second
+    from scipy.spatial import ConvexHull, HalfspaceIntersection
+
     planes = ConvexHull(points).equations.copy()
     planes[:, -1] -= margin
     hull = ConvexHull(HalfspaceIntersection(planes, points.mean(axis=0)).intersections)

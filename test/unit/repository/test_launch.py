@@ -108,6 +108,11 @@ def test_all_but_the_named_nodes_are_started_again():
     )
 
 
+def test_no_node_makes_threads_for_matrices():
+    config = read_launch("bringup", "tool_marker:=true", "separation:=true", "console:=true")
+    assert {("OPENBLAS_NUM_THREADS", "1") in node.env_args for node in config.nodes} == {True}
+
+
 @pytest.mark.parametrize("given, path, reply", [((), "40", "50"), (("realtime:=0",), "0", "0")])
 def test_gateway_and_mock_come_before_everything_else_on_the_path(given, path, reply):
     """What answers the controller waits for no other node."""

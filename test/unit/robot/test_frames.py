@@ -94,3 +94,40 @@ def test_roll_pitch_and_yaw_turn_about_fixed_axes_as_urdf_says():
     np.testing.assert_allclose(rpy_to_rotation(rpy_deg), abc_to_rotation(yaw, pitch, roll), atol=1e-15)
     np.testing.assert_allclose(quaternion_to_rotation(rpy_to_quaternion(rpy_deg)), rpy_to_rotation(rpy_deg), atol=1e-15)
     assert rpy_to_quaternion((0.0, 0.0, 270.0))[3] >= 0.0
+
+
+RPY = st.tuples(*[st.floats(-720.0, 720.0) | st.sampled_from([0.0, 90.0, -90.0, 180.0, 360.0])] * 3)
+
+
+@given(RPY)
+def test_roll_pitch_yaw_is_what_scipy_makes_of_it(rpy):
+    expected = Rotation.from_euler("xyz", rpy, degrees=True)
+    np.testing.assert_allclose(rpy_to_rotation(rpy), expected.as_matrix(), atol=1e-14)
+    quaternion = rpy_to_quaternion(rpy)
+    assert quaternion[3] >= 0.0
+    assert abs(quaternion @ expected.as_quat()) == pytest.approx(1.0, abs=1e-14)
+
+
+@given(
+    st.tuples(*[st.floats(-1.0, 1.0) | st.sampled_from([0.0, 1e-9, -1e-9])] * 4).filter(
+        lambda q: np.linalg.norm(q) > 1e-3
+    )
+)
+def test_quaternions_are_those_of_scipy(values):
+    rotation = Rotation.from_quat(values)
+    np.testing.assert_allclose(quaternion_to_rotation(rotation.as_quat()), rotation.as_matrix(), atol=1e-14)
+    quaternion = rotation_to_quaternion(rotation.as_matrix())
+    assert np.linalg.norm(quaternion) == pytest.approx(1.0, abs=1e-15)
+    # half a turn has two quaternions with w = 0, of which rounding chooses
+    assert abs(quaternion @ rotation.as_quat()) == pytest.approx(1.0, abs=1e-14)
+    assert quaternion[3] >= 0.0
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_half_a_turn_has_a_positive_axis(axis):
+    turn = np.zeros(3)
+    turn[axis] = -math.pi
+    expected = np.zeros(4)
+    expected[axis] = 1.0
+    exact = np.round(Rotation.from_rotvec(turn).as_matrix())
+    np.testing.assert_array_equal(rotation_to_quaternion(exact), expected)

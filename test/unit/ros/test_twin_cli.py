@@ -18,6 +18,7 @@ from sentence_checks import holds
 from construction_twin.core.errors import ConfigurationError, SilenceError
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.commands import twin as twin_cli
+from construction_twin.ros.commands import twin_line
 from construction_twin.views.arguments import Exit
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -118,3 +119,21 @@ def test_who_stops_a_robot_waits_for_no_library_that_plans_or_draws():
     code = "import sys, construction_twin.ros.commands.twin; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not {"scipy", "coal", "ompl", "toppra", "matplotlib", "ifcopenshell"} & set(done.stdout.split())
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["plan", "--help"], ["plan", "--joints", "no numbers"], ["nonsense"]]
+)
+def test_help_and_a_refused_option_wait_for_no_ros(arguments):
+    loaded = "import atexit, sys; atexit.register(lambda: print(*sys.modules, file=sys.stderr))"
+    code = f"{loaded}; from construction_twin.ros.commands.twin_line import main; main()"
+    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
+    assert done.returncode == (0 if "--help" in arguments else 2)
+    assert not {"rospy", "rosgraph", "numpy", "pydantic"} & set(done.stderr.splitlines()[-1].split())
+
+
+def test_remappings_are_no_options(capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["twin", "__name:=x", "--completion", "bash"])
+    with pytest.raises(SystemExit) as ended:
+        twin_line.main()
+    assert ended.value.code == 0 and "_shtab_twin" in capsys.readouterr().out

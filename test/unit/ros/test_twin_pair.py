@@ -19,7 +19,7 @@ from construction_twin.broker.make_site import SiteFolder
 from construction_twin.console.paired import DeviceCookie, PairingError
 from construction_twin.console.pairings import Pairings, hash_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused
-from construction_twin.ros.commands import twin
+from construction_twin.ros.commands import twin, twin_line
 from construction_twin.ros.commands.twin_pair import PairCommand
 from construction_twin.views.arguments import Exit, check, parser
 
@@ -175,5 +175,5 @@ def test_what_does_not_fit_together_is_said(words):
 
 def test_no_master_is_asked(monkeypatch, site, tmp_path, capsys):
     monkeypatch.setattr(twin, "connect", lambda *_: pytest.fail("asked for a master"))
-    assert twin.main(["pair", "--list", "--pairings", str(tmp_path / "pairings")]) is Exit.DONE
-    assert twin.main(["pair", "eve", "--site", str(site), "--pairings", str(tmp_path / "pairings")]) is Exit.USAGE
+    assert twin_line.main(["pair", "--list", "--pairings", str(tmp_path / "pairings")]) is Exit.DONE
+    assert twin_line.main(["pair", "eve", "--site", str(site), "--pairings", str(tmp_path / "pairings")]) is Exit.USAGE

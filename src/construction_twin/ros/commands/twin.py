@@ -1,4 +1,4 @@
-"""The command `twin`: plan, review and watch one robot from a terminal. Its options are in `views.arguments`.
+"""The command `twin`: plan, review and watch one robot from a terminal. `twin_line` reads its options.
 
 What only one step needs is imported in that step: nobody who calls `twin stop` waits for libraries that plan or draw.
 """
@@ -28,7 +28,7 @@ from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.shared.robot_listener import RobotListener
-from construction_twin.views.arguments import TRIGGERS, Exit, check, parser, split_lists
+from construction_twin.views.arguments import TRIGGERS, Exit
 from construction_twin.views.goals import joint_goal, pose_goal
 from construction_twin.views.texts import caller_line, plan_lines, status_lines
 
@@ -266,17 +266,8 @@ def connect(options: argparse.Namespace) -> None:
         raise SilenceError(namespace, Sentence("view.silent.no_robot"), known)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; return an exit code of `views.arguments.Exit`.
-
-    Args:
-        arguments: Default: the process's, without ROS's remappings.
-    """
-    command_line = parser(os.environ.get("ROS_NAMESPACE", "").strip("/") or "kr120")
-    options = command_line.parse_args(split_lists(rospy.myargv()[1:] if arguments is None else arguments))
-    problem = check(options)
-    if problem:
-        command_line.error(problem)
+def run(options: argparse.Namespace) -> int:
+    """Do what a command line says; return an exit code of `views.arguments.Exit`."""
     try:
         if options.command == "pair":
             from construction_twin.ros.commands.twin_pair import PairCommand
