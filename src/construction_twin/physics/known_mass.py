@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from construction_twin.physics.mass import of_shape
+from construction_twin.physics.mass import of_object
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
 
@@ -34,7 +34,7 @@ def masses_of(known: Mapping[str, float], scenes: Iterable[Scene], bodies: Robot
         for item in scene.objects:
             body = body_of(item.name)
             if item.link and body in known and item.name not in pieces.get(body, ()):
-                pieces.setdefault(body, {})[item.name] = of_shape(bodies.place(item, scene.names).geometry).mass
+                pieces.setdefault(body, {})[item.name] = of_object(bodies.place(item, scene.names)).mass
     return {
         name: known[body] * volume / sum(volumes.values())
         for body, volumes in pieces.items()
