@@ -10,8 +10,8 @@ from construction_twin.scene.solids import parts, solid, union
 
 #: Most pieces.
 _MOST = 32
-#: Triangles beyond which a mesh is not divided: they are those of curved faces, of which every one would be a cut.
-_MOST_TRIANGLES = 1000
+#: Triangles beyond which a mesh is not divided: those of curved faces would each be a cut, and that takes seconds.
+_MOST_TRIANGLES = 300
 
 
 def convex_pieces(vertices: np.ndarray, triangles: np.ndarray) -> list[np.ndarray] | None:
