@@ -13,8 +13,8 @@ import manifold3d
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from construction_twin.scene.triangle_mesh import surface
 from construction_twin.scene.solids import hull_solid, mesh_of, triangle_area, union
+from construction_twin.scene.triangle_mesh import surface
 
 #: What lies further outside of all pieces is not held [m]; also the thickness below which a leftover is rounding.
 HELD = 1e-6

@@ -113,7 +113,7 @@ class Shapes:
         """
         sunk = Pose(base_T_frame.position - FALL * up, base_T_frame.rotation)
         for other in self._around(items, [base_T_frame, sunk], list(others), FALL):
-            solid = not isinstance(self._geometry(other), coal.BVHModelBase)
+            solid = not any(isinstance(shape, coal.BVHModelBase) for shape in self._shapes(other))
             for item in items:
                 low = self._distance(item, sunk, other, 0.0)
                 if low > 0.0:

@@ -28,7 +28,7 @@ from construction_twin.scene.containment import HELD, excess, extra_volume, lost
 from construction_twin.scene.convex_cells import convex_cells
 from construction_twin.scene.mesh_file import MOST_TRIANGLES
 from construction_twin.scene.objects import SceneObject
-from construction_twin.scene.solids import hull_solid, mesh_of, parts, solid, triangle_area, welded
+from construction_twin.scene.solids import hull_solid, mesh_of, parts, solid, welded
 from construction_twin.scene.triangle_mesh import hull_mesh
 from construction_twin.work.building import Body, Element, Extrusion
 from construction_twin.work.convex_decomposition import decomposed

@@ -61,7 +61,9 @@ def rotation(w: float, x: float, y: float, z: float) -> np.ndarray:
 )
 @settings(deadline=None, max_examples=40)
 def test_pieces_are_the_mesh_wherever_it_lies(name, quaternion, place, scale, seed):
-    corners = scale * extruded(SHAPES[name][0]) @ rotation(*(np.array(quaternion) / np.linalg.norm(quaternion))).T + place
+    corners = (
+        scale * extruded(SHAPES[name][0]) @ rotation(*(np.array(quaternion) / np.linalg.norm(quaternion))).T + place
+    )
     vertices, triangles = indexed(corners)
     pieces = convex_pieces(vertices, triangles)
     assert pieces is not None and len(pieces) == {"L": 2, "U": 3}[name]
@@ -138,7 +140,9 @@ def test_a_carried_mesh_is_one_body_with_the_mass_of_the_mesh(tmp_path):
     assert [remark.values["object"] for remark in physics.remarks if remark.key == "physics.remark.object_mass"] == [
         "part"
     ]
-    loose = model_of(scene=Scene((SceneObject("part", "mesh", (), (2.0, 0.0, 1.0), mesh=path),)), load=Load({}, frozenset({"part"})))
+    loose = model_of(
+        scene=Scene((SceneObject("part", "mesh", (), (2.0, 0.0, 1.0), mesh=path),)), load=Load({}, frozenset({"part"}))
+    )
     assert loose.model.body("part").mass[0] == pytest.approx(1000.0 * mesh.computeVolume(), rel=1e-9)
     assert list(loose.loose) == ["part"]
 
@@ -178,7 +182,9 @@ def test_the_same_mesh_gives_the_same_pieces_and_is_divided_once(tmp_path, monke
     calls = []
     divide = module.convex_pieces
     monkeypatch.setattr(module, "convex_pieces", lambda *given: calls.append(1) or divide(*given))
-    one, other = (SceneObject(name, "mesh", (), (2.0, y, 1.0), mesh=path) for name, y in (("one", -1.0), ("other", 1.0)))
+    one, other = (
+        SceneObject(name, "mesh", (), (2.0, y, 1.0), mesh=path) for name, y in (("one", -1.0), ("other", 1.0))
+    )
     bodies = type(bodies_of("kr120"))(robot_of("kr120"))
     placed = bodies.place_all(Scene((one, other)))
     assert [body.owner for body in placed] == ["one"] * 3 + ["other"] * 3 and calls == [1]
