@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from xml.etree import ElementTree
+
 import coal
 import manifold3d
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from physics_samples import READY, bodies_of, model_of, pairs_of, robot_of
+from physics_samples import READY, bodies_of, drives, model_of, pairs_of, robot_of
 from scene_samples import box_triangles, bracket_triangles, write_obj, write_stl
 
 from construction_twin.kinematics.chain import Chain
+from construction_twin.physics.gazebo_world import world_of
 from construction_twin.physics.model import Load
 from construction_twin.scene import convex_pieces as module
-from construction_twin.scene.collision_bodies import measured, mesh_triangles, scene_geometry, scene_shapes
+from construction_twin.scene.collision_bodies import is_convex, measured, mesh_triangles, scene_geometry, scene_shapes
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.containment import distances, excess, lost
 from construction_twin.scene.convex_pieces import convex_pieces
+from construction_twin.scene.mesh_file import parse_mesh
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.solids import mesh_of, solid
 
@@ -145,6 +149,31 @@ def test_a_carried_mesh_is_one_body_with_the_mass_of_the_mesh(tmp_path):
     )
     assert loose.model.body("part").mass[0] == pytest.approx(1000.0 * mesh.computeVolume(), rel=1e-9)
     assert list(loose.loose) == ["part"]
+
+
+def test_gazebo_has_the_same_pieces(tmp_path):
+    path = write_stl(tmp_path / "u.stl", extruded(U))
+    part = SceneObject("part", "mesh", (), (0.0, 0.0, 0.3), mesh=path, link="tool0")
+    stand = SceneObject("stand", "mesh", (), (2.0, 0.0, 1.0), mesh=path)
+    world = world_of(bodies_of("kr120"), Scene((part, stand)), drives(), tmp_path)
+    root = ElementTree.fromstring(world.sdf)
+    for name in ("part", "stand"):
+        touched = [one for one in root.iter("collision") if one.get("name").startswith(name)]
+        assert len(touched) == 3
+    # each is convex
+    meshes = [world.meshes[name] for name in world.meshes]
+    assert len(meshes) == 6
+    for contents in meshes:
+        assert is_convex(*indexed(_stl_corners(contents)))
+    masses = [remark.values for remark in world.remarks if remark.key == "physics.remark.object_mass"]
+    assert [(one["object"], one["mass"]) for one in masses] == [
+        ("part", pytest.approx(1000.0 * scene_geometry(part).computeVolume(), rel=1e-6))
+    ]
+
+
+def _stl_corners(contents: bytes) -> np.ndarray:
+    vertices, triangles = parse_mesh("a piece", "piece.stl", contents, (1.0, 1.0, 1.0))
+    return vertices[triangles]
 
 
 @pytest.mark.parametrize(
