@@ -6,6 +6,7 @@ plugin (gazebo/) moves the arm; it calculates with the chain that stands in its 
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
 from collections.abc import Iterable, Mapping
@@ -21,7 +22,7 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
 from construction_twin.physics.constants import FRICTION, GRAVITY, STEP
 from construction_twin.physics.drive import ArmDrives
-from construction_twin.physics.mass import MassProperties, of_link, of_shape, together
+from construction_twin.physics.mass import MassProperties, of_link, of_object, of_shape, together
 from construction_twin.robot.packages import Packages
 from construction_twin.scene.collision_bodies import Body, RobotBodies, mesh_triangles
 from construction_twin.scene.objects import Scene
@@ -78,7 +79,7 @@ class _Builder:
     def __init__(self, bodies: RobotBodies, scene: Scene, drives: ArmDrives, folder: Path):
         check_serial(bodies)
         self._bodies, self._scene, self._drives, self._folder = bodies, scene, drives, folder
-        self._own = (*bodies.bodies, *(bodies.place(item, scene.names) for item in scene.objects))
+        self._own = (*bodies.bodies, *bodies.place_all(scene))
         self._meshes: dict[str, bytes] = {}
         self._remarks: list[str] = []
         self._looks = _looks(bodies)
@@ -187,12 +188,12 @@ class _Builder:
         parts = [of_link(name, model.inertias[index], shapes)]
         if parts[0].estimated:
             self._remarks.append(Sentence("physics.remark.link_mass", joint=name, mass=parts[0].mass))
-        for one in own:
-            if one.item is not None:
-                parts.append(of_shape(one.geometry).at(one.placement))
-                self._remarks.append(
-                    Sentence("physics.remark.object_mass", object=one.owner, mass=of_shape(one.geometry).mass)
-                )
+        objects = (one for one in own if one.item is not None)
+        for owner, placed in itertools.groupby(objects, key=lambda one: one.owner):
+            pieces = list(placed)
+            part = of_object(pieces)
+            parts.append(part.at(pieces[0].placement))
+            self._remarks.append(Sentence("physics.remark.object_mass", object=owner, mass=part.mass))
         return together(parts)
 
     def _add_shapes(

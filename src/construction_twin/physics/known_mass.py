@@ -38,14 +38,14 @@ def masses_of(known: Mapping[str, float], scenes: Iterable[Scene], bodies: Robot
         known: Of bodies [kg].
     """
     # nodes that only name bodies wait for no library of shapes
-    from construction_twin.physics.mass import of_shape
+    from construction_twin.physics.mass import of_object
 
     pieces: dict[str, dict[str, float]] = {}
     for scene in scenes:
         for item in scene.objects:
             body = body_of(item.name)
             if item.link and body in known and item.name not in pieces.get(body, ()):
-                pieces.setdefault(body, {})[item.name] = of_shape(bodies.place(item, scene.names).geometry).mass
+                pieces.setdefault(body, {})[item.name] = of_object(bodies.place(item, scene.names)).mass
     return {
         name: known[body] * volume / sum(volumes.values())
         for body, volumes in pieces.items()

@@ -15,6 +15,7 @@ import pinocchio
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
+from construction_twin.scene.collision_bodies import Body
 
 #: Taken for a shape of unknown material [kg/m^3]: between spruce and aluminium, as what a lab carries is.
 UNKNOWN_DENSITY = 1000.0
@@ -99,6 +100,16 @@ def of_shape(geometry: coal.CollisionGeometry, density: float = UNKNOWN_DENSITY)
     squares = size**2
     inertia = np.diag(mass / 12.0 * (squares.sum() - squares))
     return MassProperties(mass, np.array(geometry.aabb_center, dtype=float).ravel(), inertia, True)
+
+
+def of_object(pieces: Sequence[Body]) -> MassProperties:
+    """Return the properties of a scene object of one density, in its own frame.
+
+    Args:
+        pieces: What `RobotBodies.place` gives.
+    """
+    parts = [of_shape(piece.geometry) for piece in pieces]
+    return parts[0] if len(parts) == 1 else together(parts)
 
 
 def of_link(name: str, inertia: pinocchio.Inertia, shapes: Sequence[MassProperties]) -> MassProperties:

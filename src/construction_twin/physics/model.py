@@ -7,7 +7,7 @@ is the root of the URDF's tree; SI; joints in the order of ``robot.joint_names``
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import coal
@@ -19,7 +19,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.physics.constants import FRICTION, GRAVITY, STEP
 from construction_twin.physics.drive import ArmDrives
 from construction_twin.physics.known_mass import body_of
-from construction_twin.physics.mass import MassProperties, of_link, of_shape, together
+from construction_twin.physics.mass import MassProperties, of_link, of_object, of_shape, together
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.scene.collision_bodies import Body, RobotBodies, is_convex, mesh_triangles
 from construction_twin.scene.collision_world import checked_pairs
@@ -159,7 +159,7 @@ class _Builder:
         self._self_collision: SelfCollision = self_collision
         self._drives: ArmDrives = drives
         self._load: Load = load
-        self._own = (*bodies.bodies, *(bodies.place(item, scene.names) for item in scene.objects))
+        self._own = (*bodies.bodies, *bodies.place_all(scene))
         self._remarks: list[str] = []
         self._owners: list[str] = []
         #: Loose bodies, each with the placement of its first piece, which is where its frame is.
@@ -250,11 +250,9 @@ class _Builder:
             _set_mass(body, inertia)
             made.append(body)
         for link, shapes in itertools.groupby(self._robot_bodies.bodies, key=lambda one: one.owner):
-            holder = None
-            for number, one in enumerate(shapes):
-                # a body of its own per link: pairs are left out link by link
-                holder = holder or made[one.joint].add_body(name=link)
-                self._add_geom(holder, one, number, massless=True)
+            pieces = list(shapes)
+            # a body of its own per link: pairs are left out link by link
+            self._add_geoms(made[pieces[0].joint].add_body(name=link), pieces)
         return made
 
     def _add_objects(self, joints: list) -> list[tuple[Body, MassProperties]]:
@@ -263,9 +261,10 @@ class _Builder:
         apart = {name for item in self._scene.objects for name in item.touch} | {
             item.name for item in self._scene.objects if item.touch
         }
-        for one in (each for each in self._own if each.item is not None):
-            name = one.owner
-            properties = of_shape(one.geometry)
+        objects = (each for each in self._own if each.item is not None)
+        for name, placed in itertools.groupby(objects, key=lambda each: each.owner):
+            pieces = list(placed)
+            one, properties = pieces[0], of_object(pieces)
             if name in self._load.masses:
                 properties = properties.scaled_to(self._load.masses[name])
             if one.joint:
@@ -275,20 +274,21 @@ class _Builder:
                     name=name, pos=one.placement.translation, quat=_quaternion(one.placement.rotation)
                 )
                 _set_mass(holder, properties)
-                self._add_geom(holder, one, 0, massless=True, placed=False)
+                self._add_geoms(holder, pieces, placed=False)
                 carried.append((one, properties))
             elif body_of(name) in self._load.loose:
                 if properties.estimated:
                     self._remarks.append(Sentence("physics.remark.object_mass", object=name, mass=properties.mass))
-                self._add_loose(one, properties)
+                self._add_loose(pieces, properties)
             elif name in apart:
-                self._add_geom(self._spec.worldbody.add_body(name=name), one, 0, massless=True)
+                self._add_geoms(self._spec.worldbody.add_body(name=name), pieces)
             else:
-                self._add_geom(self._spec.worldbody, one, 0, massless=True)
+                self._add_geoms(self._spec.worldbody, pieces)
         return carried
 
-    def _add_loose(self, one: Body, properties: MassProperties) -> None:
-        """Add one object that can be moved: all pieces of a body move as one."""
+    def _add_loose(self, pieces: Sequence[Body], properties: MassProperties) -> None:
+        """Add one object that can be moved: all objects of a body move as one."""
+        one = pieces[0]
         body = body_of(one.owner)
         known = self._loose.get(body)
         if known is None:
@@ -302,7 +302,7 @@ class _Builder:
         # a body of its own per object: pairs are left out object by object
         piece = whole.add_body(name=one.owner, pos=relative.translation, quat=_quaternion(relative.rotation))
         _set_mass(piece, properties)
-        self._add_geom(piece, one, 0, massless=True, placed=False)
+        self._add_geoms(piece, pieces, placed=False)
 
     def _add_flange_load(self, joints: list, carried: list[tuple[Body, MassProperties]]) -> MassProperties | None:
         """Add the mass without a shape, and return all that the last joint carries beside its links, in its frame."""
@@ -317,23 +317,24 @@ class _Builder:
             parts.append(part)
         return together(parts) if parts else None
 
-    def _add_geom(self, holder, one: Body, number: int, massless: bool, placed: bool = True) -> None:
-        """Add one shape; what it cannot be is its convex hull, and a remark."""
-        placement = one.placement if placed else pinocchio.SE3.Identity()
-        shape = _shape(self._spec, f"{one.owner}\n{number}", one.geometry)
-        if shape is None:
-            self._remarks.append(Sentence("physics.remark.flat", object=one.owner))
-            return
-        kind, values, is_hull = shape
-        if is_hull:
-            self._remarks.append(Sentence("physics.remark.hull", object=one.owner))
-        holder.add_geom(
-            name=f"{one.owner}\n{number}\n{len(self._owners)}", type=kind,
-            pos=placement.translation, quat=_quaternion(placement.rotation),
-            contype=1, conaffinity=1, mass=0.0 if massless else None,
-            friction=[FRICTION, 0.005, 0.0001], solref=list(_CONTACT), **values,
-        )  # fmt: skip
-        self._owners.append(one.owner)
+    def _add_geoms(self, holder, pieces: Iterable[Body], placed: bool = True) -> None:
+        """Add the shapes of a link or an object; what one cannot be is its convex hull, and a remark."""
+        for number, one in enumerate(pieces):
+            placement = one.placement if placed else pinocchio.SE3.Identity()
+            shape = _shape(self._spec, f"{one.owner}\n{number}", one.geometry)
+            if shape is None:
+                self._remarks.append(Sentence("physics.remark.flat", object=one.owner))
+                continue
+            kind, values, is_hull = shape
+            if is_hull:
+                self._remarks.append(Sentence("physics.remark.hull", object=one.owner))
+            holder.add_geom(
+                name=f"{one.owner}\n{number}\n{len(self._owners)}", type=kind,
+                pos=placement.translation, quat=_quaternion(placement.rotation),
+                contype=1, conaffinity=1, mass=0.0,
+                friction=[FRICTION, 0.005, 0.0001], solref=list(_CONTACT), **values,
+            )  # fmt: skip
+            self._owners.append(one.owner)
 
     def _exclude_pairs(self) -> None:
         """Leave out the pairs of the arm, and what it carries, that the planner does not check."""
@@ -341,9 +342,10 @@ class _Builder:
         checked = self._checked()
         named = {one.owner: one for one in self._own}
         mobile = {name for name in on_arm if named[name].joint}
-        standing = [
+        # an object may be several pieces: each name once
+        standing = dict.fromkeys(
             one.owner for one in self._own if one.item is not None and not one.joint and self._has_body(one.owner)
-        ]
+        )
         for first, second in itertools.combinations((*on_arm, *standing), 2):
             if (first in mobile or second in mobile) and frozenset((first, second)) not in checked:
                 self._spec.add_exclude(bodyname1=first, bodyname2=second)

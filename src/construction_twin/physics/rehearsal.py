@@ -246,7 +246,7 @@ class _Run:
         bodies = of.bodies
         frame = bodies.model.frames[bodies.model.getFrameId(tip)]
         to_tip = frame.placement.inverse()
-        pieces = [bodies.place(item, scene.names) for item in carried]
+        pieces = [piece for item in carried for piece in bodies.place(item, scene.names)]
         grip = of.grip.on([replace(piece, placement=to_tip * piece.placement) for piece in pieces])
         name = body_of(carried[0].name)
         if not len(grip.cups):

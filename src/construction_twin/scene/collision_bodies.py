@@ -24,8 +24,8 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.packages import with_mesh_files
 from construction_twin.scene.mesh_file import parse_mesh
-from construction_twin.scene.objects import SceneObject, listed, read_mesh_file
-from construction_twin.scene.triangle_mesh import surface
+from construction_twin.scene.objects import Scene, SceneObject, listed, read_mesh_file
+from construction_twin.scene.triangle_mesh import hull_mesh, surface
 
 #: A closed mesh is convex when no vertex lies further outside one of its faces than this fraction of its size.
 _CONVEX_TOLERANCE = 1e-6
@@ -82,7 +82,7 @@ class RobotBodies:
 
     def __init__(self, robot: RobotModel):
         self.robot = robot
-        self._meshes: dict[tuple[str, tuple[float, ...]], coal.CollisionGeometry] = {}
+        self._meshes: dict[tuple[str, tuple[float, ...]], tuple[coal.CollisionGeometry, ...]] = {}
         try:
             urdf = with_mesh_files(_of_single_joints(robot))
             full = pinocchio.buildModelFromXML(urdf)
@@ -189,8 +189,8 @@ class RobotBodies:
         base_T_link = self.root_T_base.inverse() * frame
         return Pose(base_T_link.translation.copy(), base_T_link.rotation.copy())
 
-    def place(self, item: SceneObject, objects: Collection[str] = ()) -> Body:
-        """Return the body of a scene object.
+    def place(self, item: SceneObject, objects: Collection[str] = ()) -> tuple[Body, ...]:
+        """Return the bodies of a scene object: one, or the convex pieces of its mesh, all with its name; see `scene_shapes`.
 
         Args:
             objects: Names of the objects of its scene, which it may name in `touch`.
@@ -209,21 +209,25 @@ class RobotBodies:
         if item.name in self.link_joints:
             raise SceneError("an object's name", item.name, Sentence("expected.scene.free_name"))
         pose = pinocchio.SE3(item.pose.rotation, item.pose.position)
-        geometry = self._geometry(item)
-        if not item.link:
-            return Body(item.name, "", 0, self.root_T_base * pose, geometry, item)
-        frame = self.model.frames[self.model.getFrameId(item.link, pinocchio.FrameType.BODY)]
-        return Body(item.name, item.link, frame.parentJoint, frame.placement * pose, geometry, item)
+        link, joint, placement = "", 0, self.root_T_base * pose
+        if item.link:
+            frame = self.model.frames[self.model.getFrameId(item.link, pinocchio.FrameType.BODY)]
+            link, joint, placement = item.link, frame.parentJoint, frame.placement * pose
+        return tuple(Body(item.name, link, joint, placement, shape, item) for shape in self._shapes(item))
 
-    def _geometry(self, item: SceneObject) -> coal.CollisionGeometry:
-        """Return an object's shape; a mesh is read once, and again only when its contents are others."""
+    def place_all(self, scene: Scene) -> tuple[Body, ...]:
+        """Return the bodies of all objects of a scene, in its order; see `place`."""
+        return tuple(body for item in scene.objects for body in self.place(item, scene.names))
+
+    def _shapes(self, item: SceneObject) -> tuple[coal.CollisionGeometry, ...]:
+        """Return an object's shapes; a mesh is read and divided once, and again only when its contents are others."""
         if not item.mesh:
-            return scene_geometry(item)
+            return scene_shapes(item)
         key = (item.mesh_digest, item.size)
         if key not in self._meshes:
             if len(self._meshes) >= _MESHES_KEPT:
                 self._meshes.clear()
-            self._meshes[key] = scene_geometry(item)
+            self._meshes[key] = scene_shapes(item)
         return self._meshes[key]
 
 
@@ -259,9 +263,9 @@ def _of_single_joints(robot: RobotModel) -> str:
 
 
 def scene_geometry(item: SceneObject) -> coal.CollisionGeometry:
-    """Return the shape of a scene object, centred in the object's frame.
+    """Return the shape of a scene object, centred in the object's frame: one, of a mesh that is not convex its surface.
 
-    A closed convex mesh is solid. Any other mesh is a surface: an arm completely inside it is not in contact with it.
+    What contacts are checked with are `scene_shapes`.
 
     Raises:
         SceneError: If its mesh file has changed since the object was made, or cannot be used: see `mesh_file.parse_mesh`.
@@ -273,6 +277,38 @@ def scene_geometry(item: SceneObject) -> coal.CollisionGeometry:
     if item.shape == "sphere":
         return coal.Sphere(*item.size)
     return _mesh(item)
+
+
+def scene_shapes(item: SceneObject) -> tuple[coal.CollisionGeometry, ...]:
+    """Return the shapes of which a scene object consists, in its frame: what the planner and the simulation check contacts with.
+
+    A closed mesh is solid; one that is not convex becomes convex pieces (`convex_pieces`). What cannot be divided stays a surface:
+    an arm completely inside it is not in contact with it.
+
+    Raises:
+        SceneError: As `scene_geometry`.
+    """
+    whole = scene_geometry(item)
+    if not isinstance(whole, coal.BVHModelBase):
+        return (whole,)
+    # loaded here: most scenes have no such mesh, and manifold3d and scipy.spatial are tens of MB
+    from scipy.spatial import ConvexHull  # noqa: PLC0415
+
+    from construction_twin.scene.convex_pieces import convex_pieces  # noqa: PLC0415
+
+    pieces = convex_pieces(*mesh_triangles(whole))
+    if pieces is None:
+        return (whole,)
+    shapes = []
+    for corners in pieces:
+        piece = surface(*hull_mesh(ConvexHull(corners)))
+        try:
+            piece.buildConvexHull(True, "Qt")
+        except RuntimeError:
+            # too thin for coal: a part less would be a hole
+            return (whole,)
+        shapes.append(piece.convex)
+    return tuple(shapes)
 
 
 def _mesh(item: SceneObject) -> coal.CollisionGeometry:

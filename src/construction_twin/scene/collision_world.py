@@ -140,7 +140,7 @@ class CollisionWorld:
         self.self_collision = self_collision
         self._robot_bodies = robot_bodies
         if own is None:
-            own = (*robot_bodies.bodies, *(robot_bodies.place(item, scene.names) for item in scene.objects))
+            own = (*robot_bodies.bodies, *robot_bodies.place_all(scene))
         self._own, self._obstacles, self._only = own, obstacles, only
         self._kept: dict[tuple[float, bytes], CollisionWorld] = {}
 

@@ -145,7 +145,7 @@ class Neighbour:
         names = [item.name for item in items]
         other = object.__new__(Neighbour)
         other.__dict__.update(self.__dict__)
-        carried = (self._robot_bodies.place(item, names) for item in items if item.link)
+        carried = (body for item in items if item.link for body in self._robot_bodies.place(item, names))
         other._use((*self._robot_bodies.bodies, *carried))
         return other
 

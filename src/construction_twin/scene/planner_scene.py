@@ -74,7 +74,7 @@ def planner_scene(bodies: RobotBodies, scene: Scene, self_collision: SelfCollisi
     Raises:
         SceneError: If the scene names links or objects that do not exist, or a mesh cannot be read.
     """
-    own = (*bodies.bodies, *(bodies.place(item, scene.names) for item in scene.objects))
+    own = (*bodies.bodies, *bodies.place_all(scene))
     names = tuple(dict.fromkeys(body.owner for body in own))
     index = {name: number for number, name in enumerate(names)}
     allowed = np.ones((len(names), len(names)), dtype=bool)

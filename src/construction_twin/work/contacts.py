@@ -7,6 +7,7 @@ goes straight to it or from it; every other body keeps the scene's padding all t
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
@@ -17,7 +18,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_quaternion
 from construction_twin.robot.plan import Clearance
 from construction_twin.robot.tool import ToolFile, ToolShape
-from construction_twin.scene.collision_bodies import measured, scene_geometry
+from construction_twin.scene.collision_bodies import measured, scene_shapes
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
@@ -58,7 +59,7 @@ class Shapes:
     """Distances between objects of scenes, each shape built once."""
 
     def __init__(self) -> None:
-        self._geometries: dict[tuple[str, tuple[float, ...], str], coal.CollisionGeometry] = {}
+        self._geometries: dict[tuple[str, tuple[float, ...], str], tuple[coal.CollisionGeometry, ...]] = {}
         # by identity, with the object itself, so that its identity stays its own
         self._balls: dict[int, tuple[SceneObject, tuple[float, ...]]] = {}
 
@@ -112,7 +113,7 @@ class Shapes:
         """
         sunk = Pose(base_T_frame.position - FALL * up, base_T_frame.rotation)
         for other in self._around(items, [base_T_frame, sunk], list(others), FALL):
-            solid = not isinstance(self._geometry(other), coal.BVHModelBase)
+            solid = not any(isinstance(shape, coal.BVHModelBase) for shape in self._shapes(other))
             for item in items:
                 low = self._distance(item, sunk, other, 0.0)
                 if low > 0.0:
@@ -133,43 +134,57 @@ class Shapes:
         margins = [padding + STEP + max(item.padding, other.padding) for item in moving for other in others]
         near = np.zeros(len(others), dtype=bool)
         for item, margin in zip(moving, np.reshape(margins, (len(moving), len(others)))):
-            shape = self._geometry(item)
-            middle = item.pose.rotation @ shape.aabb_center + item.pose.position
+            centre, radius = self._ball_of(item)
+            middle = item.pose.rotation @ centre + item.pose.position
             for pose in way:
                 apart = balls[:, :3] - (pose.rotation @ middle + pose.position)
-                near |= np.linalg.norm(apart, axis=1) <= balls[:, 3] + shape.aabb_radius + margin
+                near |= np.linalg.norm(apart, axis=1) <= balls[:, 3] + radius + margin
         return [other for other, is_near in zip(others, near) if is_near]
 
     def _ball(self, item: SceneObject) -> tuple[float, ...]:
         """Return the middle and the radius of the ball around a standing object [m]."""
         if id(item) not in self._balls:
-            shape = self._geometry(item)
-            x, y, z = item.pose.rotation @ shape.aabb_center + item.pose.position
+            centre, radius = self._ball_of(item)
+            x, y, z = item.pose.rotation @ centre + item.pose.position
             if len(self._balls) >= _BALLS:
                 self._balls.clear()
-            self._balls[id(item)] = item, (x, y, z, shape.aabb_radius)
+            self._balls[id(item)] = item, (x, y, z, radius)
         return self._balls[id(item)][1]
 
     def _distance(self, item: SceneObject, base_T_frame: Pose, other: SceneObject, limit: float) -> float:
         """Return the distance of an object in a frame from a standing one; inf if it is surely more than the limit."""
-        first, second = self._geometry(item), self._geometry(other)
+        (first, radius), (second, other_radius) = self._ball_of(item), self._ball_of(other)
         at, there = product(base_T_frame, item.pose), other.pose
-        apart = at.rotation @ first.aabb_center + at.position - there.rotation @ second.aabb_center - there.position
-        if apart @ apart > (first.aabb_radius + second.aabb_radius + limit) ** 2:
+        apart = at.rotation @ first + at.position - there.rotation @ second - there.position
+        if apart @ apart > (radius + other_radius + limit) ** 2:
             return np.inf
-        return measured(first, _transform(at), second, _transform(there)).min_distance
+        one, two = _transform(at), _transform(there)
+        return min(
+            measured(shape, one, against, two).min_distance
+            for shape, against in itertools.product(self._shapes(item), self._shapes(other))
+        )
 
     def _comes_near(self, item: SceneObject, way: Sequence[Pose], other: SceneObject, margin: float) -> bool:
         # between two places nothing comes closer than half of their distance
         limit = margin + 0.5 * STEP
         return any(self._distance(item, pose, other, limit) <= limit for pose in way)
 
-    def _geometry(self, item: SceneObject) -> coal.CollisionGeometry:
+    def _ball_of(self, item: SceneObject) -> tuple[np.ndarray, float]:
+        """Return the middle, in the object's frame, and the radius of a ball around an object [m]."""
+        shapes = self._shapes(item)
+        if len(shapes) == 1:
+            return np.array(shapes[0].aabb_center), shapes[0].aabb_radius
+        low = np.min([shape.aabb_local.min_ for shape in shapes], axis=0)
+        high = np.max([shape.aabb_local.max_ for shape in shapes], axis=0)
+        return 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+
+    def _shapes(self, item: SceneObject) -> tuple[coal.CollisionGeometry, ...]:
         key = (item.shape, item.size, item.mesh_digest)
         if key not in self._geometries:
-            shape = scene_geometry(item)
-            shape.computeLocalAABB()
-            self._geometries[key] = shape
+            shapes = scene_shapes(item)
+            for shape in shapes:
+                shape.computeLocalAABB()
+            self._geometries[key] = shapes
         return self._geometries[key]
 
 

@@ -24,23 +24,16 @@ from construction_twin.core.files import read_file, write_whole
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BodyError, WorkError
 from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.scene.containment import HELD, excess, extra_volume, lost
+from construction_twin.scene.convex_cells import convex_cells
 from construction_twin.scene.mesh_file import MOST_TRIANGLES
 from construction_twin.scene.objects import SceneObject
+from construction_twin.scene.solids import hull_solid, mesh_of, parts, solid, welded
 from construction_twin.scene.triangle_mesh import hull_mesh
 from construction_twin.work.building import Body, Element, Extrusion
-from construction_twin.work.containment import HELD, excess, lost
-from construction_twin.work.convex_cells import convex_cells
 from construction_twin.work.convex_decomposition import decomposed
 from construction_twin.work.convex_polygons import convex_polygons
-from construction_twin.work.solids import (
-    hull_solid,
-    mesh_of,
-    parts,
-    prism,
-    solid,
-    triangle_area,
-    welded,
-)
+from construction_twin.work.prisms import prism
 
 #: Changes when the same body would give other pieces.
 _VERSION = 2
@@ -293,8 +286,8 @@ def _judged(
     if any(hull_solid(points).is_empty() for points in pieces):
         return Sentence("work.body.flat"), 0.0
     if exact and closed is not None:
-        difference = sum(hull_solid(points).volume() for points in pieces) - closed.volume()
-        if abs(difference) > HELD * triangle_area(vertices, triangles):
+        difference = extra_volume(closed, pieces)
+        if difference:
             return Sentence("work.body.more", volume=difference), 0.0
     # manifold3d is not asked where faces lie in the same planes: with the same volume, points on the surface suffice
     outside = lost(vertices, triangles, None if exact else closed, pieces)

@@ -73,7 +73,7 @@ def test_twice_the_load_is_twice_the_usage(force, moment, factor):
 def test_only_the_cups_that_lie_on_the_workpiece_hold():
     bodies, item = bodies_of("kr120"), board(0.15, 0.2)
     frame = bodies.model.frames[bodies.model.getFrameId(TIP)]
-    piece = bodies.place(item, (item.name,))
+    (piece,) = bodies.place(item, (item.name,))
     at_tip = replace(piece, placement=frame.placement.inverse() * piece.placement)
     assert GRIP.on([at_tip]).cups.tolist() == [[0.1, -0.1], [0.1, 0.1]]
     assert len(GRIP.on([]).cups) == 0

@@ -180,8 +180,8 @@ def test_what_a_workpiece_may_touch_is_no_contact():
     assert {"tile", "table"} not in [{owners[geom] for geom in geoms} for geoms in touching.contact.geom]
 
 
-def corner_mesh(path) -> str:
-    """Write an L of two boxes, which is not convex, and return its path."""
+def corner_mesh(path, closed: bool = True) -> str:
+    """Write an L of two boxes, which is not convex, and return its path; not closed: a triangle is missing at its end."""
     triangles = []
     outline = [(0.0, 0.0), (0.4, 0.0), (0.4, 0.1), (0.1, 0.1), (0.1, 0.4), (0.0, 0.4)]
     for low, high in zip(outline, outline[1:] + outline[:1]):
@@ -191,15 +191,16 @@ def corner_mesh(path) -> str:
     for one, two, three in ((0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)):
         triangles.append([(*outline[corner], 0.1) for corner in (one, two, three)])
         triangles.append([(*outline[corner], 0.0) for corner in (three, two, one)])
-    return write_stl(path, np.array(triangles))
+    return write_stl(path, np.array(triangles if closed else triangles[:-1]))
 
 
-def test_a_mesh_that_is_not_convex_is_its_hull_and_says_so(tmp_path):
-    corner = SceneObject("corner", "mesh", (), (1.5, 0.0, 1.0), mesh=corner_mesh(tmp_path / "l.stl"))
+def test_a_mesh_that_cannot_be_divided_is_its_hull_and_says_so(tmp_path):
+    corner = SceneObject("corner", "mesh", (), (1.5, 0.0, 1.0), mesh=corner_mesh(tmp_path / "l.stl", closed=False))
     physics = model_of(scene=Scene((corner,)))
     assert [remark.values["object"] for remark in physics.remarks if remark.key == "physics.remark.hull"] == ["corner"]
-    # its mass is that of the mesh, not of the hull
-    loose = model_of(scene=Scene((corner,)), load=Load({}, frozenset({"corner"})))
+    # of the bodies that can be moved the mass is that of the mesh, not of the hull
+    whole = SceneObject("corner", "mesh", (), (1.5, 0.0, 1.0), mesh=corner_mesh(tmp_path / "whole.stl"))
+    loose = model_of(scene=Scene((whole,)), load=Load({}, frozenset({"corner"})))
     assert loose.model.body("corner").mass[0] == pytest.approx(1000.0 * (0.4 * 0.1 + 0.3 * 0.1) * 0.1, rel=1e-6)
     # a probe in the notch, where only the hull is
     probe = SceneObject("probe", "sphere", (0.03,), (1.65, 0.15, 1.05))

@@ -91,8 +91,9 @@ def test_two_meshes_meet(tmp_path):
         checked = world(carried, shelf, padding=padding)
         assert checked.is_free(HOME) is free, (gap, padding, checked.contact(HOME))
         if gap > 0:
-            (pair,) = [pair for pair in checked.distances(HOME) if pair.between == ("part", "shelf")]
-            assert pair.distance == pytest.approx(gap, abs=1e-6)
+            # of each two of their pieces
+            found = [pair.distance for pair in checked.distances(HOME) if pair.between == ("part", "shelf")]
+            assert min(found) == pytest.approx(gap, abs=1e-6)
 
 
 def hanging(triangles: np.ndarray) -> np.ndarray:

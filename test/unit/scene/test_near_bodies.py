@@ -79,7 +79,7 @@ def test_the_clearance_is_right_where_nothing_is_near():
 def test_what_is_left_out_is_further_than_the_gap():
     robot, gap, scene = kr120(), 0.15, many(0.0)
     placed = RobotBodies(robot)
-    bodies = (*placed.bodies, *(placed.place(item, scene.names) for item in scene.objects))
+    bodies = (*placed.bodies, *placed.place_all(scene))
     qs = motions(robot, 3, rows=40)[1]
     near = NearBodies(placed, bodies).near(qs, gap)
     left = [body.owner for index, body in enumerate(bodies) if index not in near and body.item is not None]

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from construction_twin.core.work_errors import BodyError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.collision_bodies import scene_geometry
+from construction_twin.scene.containment import points_on
+from construction_twin.scene.solids import mesh_of
 from construction_twin.work.building import Body, Element, Extrusion
-from construction_twin.work.containment import points_on
 from construction_twin.work.convex_bodies import Pieces
 from construction_twin.work.element_bodies import BodySettings, ElementShape, element_shapes
-from construction_twin.work.solids import mesh_of
 
 M = manifold3d.Manifold
 HERE = Pose(np.zeros(3), np.eye(3))

@@ -182,9 +182,7 @@ def _check_drives(given: Given, robot: RobotModel) -> None:
 def _check_scene(given: Given, robot: RobotModel) -> None:
     """Place the objects as the nodes do: by names of links and objects that exist, with meshes that can be used."""
     scene = read_scene(given["scene"])
-    bodies = RobotBodies(robot)
-    for item in scene.objects:
-        bodies.place(item, scene.names)
+    RobotBodies(robot).place_all(scene)
 
 
 def _check_cell(given: Given, robot: RobotModel) -> None:

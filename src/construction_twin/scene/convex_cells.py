@@ -10,7 +10,7 @@ import manifold3d
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from construction_twin.work.solids import mesh_of
+from construction_twin.scene.solids import mesh_of
 
 #: Distance from a plane within which a point lies on it [m].
 _ON = 1e-8

@@ -13,8 +13,8 @@ import manifold3d
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from construction_twin.scene.solids import hull_solid, mesh_of, triangle_area, union
 from construction_twin.scene.triangle_mesh import surface
-from construction_twin.work.solids import hull_solid, mesh_of, triangle_area, union
 
 #: What lies further outside of all pieces is not held [m]; also the thickness below which a leftover is rounding.
 HELD = 1e-6
@@ -45,6 +45,16 @@ def lost(
         if rest.volume() > HELD * triangle_area(vertices, triangles):
             outside = max(outside, float(_outside(mesh_of(rest)[0], planes).max(initial=0.0)), 2.0 * HELD)
     return outside if outside > HELD else 0.0
+
+
+def extra_volume(body: manifold3d.Manifold, pieces: Sequence[np.ndarray]) -> float:
+    """Return by how much more volume pieces without overlaps have than a closed body [m^3]; 0: the same, but for rounding.
+
+    Args:
+        pieces: Each of shape (k, 3)
+    """
+    difference = sum(hull_solid(points).volume() for points in pieces) - body.volume()
+    return difference if abs(difference) > HELD * body.surface_area() else 0.0
 
 
 def points_on(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
