@@ -16,8 +16,8 @@ from construction_twin.controller.port import ControllerStatus
 from construction_twin.controller.telegram import Telegram
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
-from construction_twin.core.records import document
 from construction_twin.core.pace import STEADY
+from construction_twin.core.records import document
 from construction_twin.core.sentences import Sentence, Value
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.state_table import Machine

@@ -1,7 +1,7 @@
 """The servos' lag, refined while the arm works: slowly, and only so far that a fault is never taken for a servo.
 
 Nothing but the lag of each joint is learned. What does not grow with the speed, as a slip, a drift, or a payload that pulls a joint
-down, leaves no trace in it: the estimate is the slope of the residual over the speed, whatever the residual's mean. Standard library
+down, leaves no trace in it: the estimate is the slope of the residual over the speed, whatever its mean and its growth with time. Standard library
 only; s, rad.
 """
 
@@ -72,22 +72,39 @@ class Refinement:
 
 
 class _Slope:
-    """How a value grows with another: a straight line by least squares, its mean whatever it is."""
+    """How a value grows with another, by least squares: its mean, and what grows with time, is taken out first."""
 
-    __slots__ = ("_mean_x", "_mean_y", "_xx", "_xy", "count")
+    __slots__ = ("_late", "_squares", "_with_y", "count")
 
     def __init__(self) -> None:
         self.count = 0
-        self._mean_x = self._mean_y = self._xx = self._xy = 0.0
+        self._late = 0.0
+        #: Sums of the products of 1, time and x with each other (the upper half), and with y.
+        self._squares = [0.0] * 6
+        self._with_y = [0.0] * 3
 
     def add(self, x: float, y: float) -> None:
         self.count += 1
-        away = x - self._mean_x
-        self._mean_x += away / self.count
-        self._mean_y += (y - self._mean_y) / self.count
-        self._xx += away * (x - self._mean_x)
-        self._xy += away * (y - self._mean_y)
+        # of the size of a speed, so that no sum drowns another
+        self._late += 1.0 / ENOUGH
+        t, squares, with_y = self._late, self._squares, self._with_y
+        squares[0] += 1.0
+        squares[1] += t
+        squares[2] += x
+        squares[3] += t * t
+        squares[4] += t * x
+        squares[5] += x * x
+        with_y[0] += y
+        with_y[1] += t * y
+        with_y[2] += x * y
 
     @property
     def value(self) -> float:
-        return self._xy / self._xx if self._xx > 0.0 else 0.0
+        """The slope; 0 where x tells nothing that mean and time do not."""
+        (n, t, x, tt, tx, xx), (y, ty, xy) = self._squares, self._with_y
+        times = tt - t * t / n
+        along = (tx - t * x / n) / times if times else 0.0
+        alone = xx - x * x / n - along * (tx - t * x / n)
+        if not alone > 1e-9 * xx:
+            return 0.0
+        return (xy - x * y / n - along * (ty - t * y / n)) / alone
