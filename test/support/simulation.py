@@ -203,7 +203,14 @@ class SimulatedChain:
             physical=Stream(received, measured, received),
             feedback=FeedbackStream(received, measured, received, seq, command_stamps),
             plans=played,
+            expected=self._expected(),
         )
+
+    def _expected(self) -> Stream | None:
+        if not self.expected:
+            return None
+        stamps, poses = map(np.array, zip(*self.expected))
+        return Stream(stamps, poses, stamps)
 
     # -- events
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import pydantic
 import yaml
@@ -12,8 +12,11 @@ import yaml
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import configuration_error
-from construction_twin.servo.identify import IdentifiedJoint
 from construction_twin.servo.model import JointServo, ServoModel
+
+if TYPE_CHECKING:
+    # the monitor reads files, and has no use for what finds servos
+    from construction_twin.servo.identify import IdentifiedJoint
 
 _Number = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 

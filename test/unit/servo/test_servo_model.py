@@ -23,6 +23,8 @@ SERVOS = st.builds(
     st.floats(0.0, 3e-4),
     st.sampled_from((0.0, 0.002)),
 )
+#: A held target makes a quick servo's answer ripple within the cycle; its end is not the mean [s].
+RIPPLE = 0.05 * CYCLE
 TARGETS = st.lists(st.floats(-0.02, 0.02), min_size=4, max_size=60).map(lambda steps: 1.0 + np.cumsum(steps))
 
 
@@ -53,7 +55,7 @@ def test_on_a_ramp_it_trails_by_its_lag(servo, speed):
     targets = speed * CYCLE * np.arange(10_000)
     servo = replace(servo, backlash=0.0)
     behind = targets[-1] - response(servo, targets, CYCLE)[-1]
-    assert behind == pytest.approx(servo.lag(CYCLE) * speed, abs=1e-6)
+    assert behind == pytest.approx(servo.lag(CYCLE) * speed, abs=abs(speed) * RIPPLE + 1e-6)
 
 
 @settings(max_examples=60, deadline=None)
