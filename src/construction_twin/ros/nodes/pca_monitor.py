@@ -80,18 +80,18 @@ class Outputs:
     """What the monitor says, and to whom.
 
     Attributes:
-        expected: Takes where the arm's servos should have it; None: nobody knows these.
         plan_to_joints: The planner's service; takes the fields of its request as keywords.
         remember: Keeps the session in which the gate is STOPPED beyond this process; takes "" when it is not.
+        expected: Takes where the arm's servos should have it; None: nobody knows these.
     """
 
     command: Sink
-    expected: Sink | None
     sync: Sink
     hold: Sink
     transitions: TransitionReport
     plan_to_joints: Callable[..., PlanToJointsResponse]
     remember: Callable[[str], None]
+    expected: Sink | None = None
 
 
 class PcaMonitorNode:
@@ -429,12 +429,12 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode
         settings.sync_rate,
         Outputs(
             ports.publishers["command/joint_states"],
-            ports.publishers.get("expected/joint_states"),
             ports.publishers["sync"],
             ports.publishers["hold"],
             TransitionReport(settings.transition_file, names, ports.publishers["transitions"]),
             rospy.ServiceProxy("plan_to_joints", PlanToJoints),
             ports.keeper(PARAMETER),
+            ports.publishers.get("expected/joint_states"),
         ),
         ports.diagnostics,
         ports.parameters[PARAMETER] if compares else "",
