@@ -19,7 +19,7 @@ from construction_twin.evaluation.driven import drives_of
 from construction_twin.mock.faults import Fault
 from construction_twin.mock.program import MockSettings, build_controller
 from construction_twin.monitor.gate import GateSettings
-from construction_twin.monitor.states import SyncState
+from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.physics.drive import drives_of as urdf_drives
 from construction_twin.physics.drive import read_drives
 from construction_twin.physics.mass import payload_of
@@ -140,15 +140,15 @@ class ForeignArm:
         plain = urdf_drives(ROBOT)
         self._full = InverseDynamics(bare_model(bodies, plain, payload_of([mass, 0.0, 0.0, 0.2], "payload")))
         self._bare = InverseDynamics(bare_model(bodies, plain))
-        self._before, self._speed = self._plant.q, np.zeros(len(NAMES))
+        self._speed = np.zeros(len(NAMES))
         self.carries = True
         chain.observe = self._act
 
     def _act(self) -> None:
-        q = self._plant.q
-        speed = (q - self._before) / CYCLE
+        # of the motion that the servos want: torques from the measured acceleration would be another control loop
+        q, speed = self._plant.q, self._plant._arm._speed
         growth = (speed - self._speed) / CYCLE
-        self._before, self._speed = q, speed
+        self._speed = speed
         torque = -self._rubbing * np.clip(speed / 0.005, -1.0, 1.0)
         if self.carries:
             torque -= self._full.torques(q, speed, growth) - self._bare.torques(q, speed, growth)
@@ -163,10 +163,8 @@ class Work:
         self.chain = chain
         self._poses = poses(seed)
         self._sum, self._count = np.zeros(len(NAMES)), 0
-        #: Shape (n,). Largest residual of a pose while the gate was open.
-        self.largest = np.zeros(len(NAMES))
-        #: Times at which the gate closed [s].
-        self.holds = 0
+        #: Changes of the gate's state, oldest first.
+        self.changes: list[Transition] = []
 
     def run(self, duration: float, between: Callable[[int], object] = lambda number: None, **timing) -> None:
         """Move from pose to pose until `duration` [s] have passed; `between` is called with the number of each plan, at rest."""
@@ -187,6 +185,21 @@ class Work:
                 return
 
     @property
+    def holds(self) -> list[str]:
+        """Why the gate closed, each time."""
+        left = [change for change in self.changes if change.source is SyncState.IN_SYNC is not change.target]
+        return [str(change) for change in left]
+
+    @property
+    def largest(self) -> np.ndarray:
+        """Largest residual of a pose that was judged and agreed, since this was set to zero last, shape (n,)."""
+        return np.array(self.chain.gate.watch_of_servos.largest)
+
+    def forget(self) -> None:
+        """Begin anew with `largest`."""
+        self.chain.gate.watch_of_servos.largest = (0.0,) * len(NAMES)
+
+    @property
     def average(self) -> np.ndarray:
         """Mean absolute residual, shape (n,)."""
         return self._sum / max(1, self._count)
@@ -200,11 +213,7 @@ class Work:
             residual = np.abs(np.array([each[0] for each in pairs]) - np.array([each[1] for each in pairs]))
             self._sum += residual.sum(axis=0)
             self._count += len(residual)
-            self.largest = np.maximum(self.largest, residual.max(axis=0))
-        self.holds += sum(
-            change.source is SyncState.IN_SYNC and change.target is not SyncState.IN_SYNC
-            for change in chain.transitions
-        )
+        self.changes += chain.transitions
         for kept in (chain.feedback, chain.expected, chain.twin_poses, chain.measured, chain.corrections, chain.transitions):
             kept.clear()
 
