@@ -27,20 +27,22 @@ sys.path.insert(0, str(ROOT / "test/support"))
 from chain_samples import ROBOT, make_plan, play_to_the_end  # noqa: E402
 from servo_chain import (  # noqa: E402
     NAMES,
-    ForeignArm,
+    ForeignPlant,
+    LadenServo,
     Work,
-    carry,
     fault_in_motion,
     identified,
     model_of,
     poses,
     servo_chain,
+    servo_of,
     slip,
 )
 
 from construction_twin.core.units import NANOSECONDS  # noqa: E402
 from construction_twin.evaluation.summary import evaluate  # noqa: E402
 from construction_twin.mock.faults import Fault  # noqa: E402
+from construction_twin.mock.servo import Servo  # noqa: E402
 from construction_twin.servo.model import ServoModel  # noqa: E402
 
 #: Slips that are tried, the smallest first [deg], and at which part of a sweep.
@@ -51,11 +53,9 @@ IDENTIFIED, TASK = 12, 20
 OTHER_MASS, OTHER_FRICTION, OTHER_TIME = 120.0, 0.05, 300.0
 
 
-def identify_arm(servo: str, foreign: bool = False) -> tuple[ServoModel, dict]:
+def identify_arm(arm: Servo | None = None) -> tuple[ServoModel, dict]:
     """Return the model of an arm as a recording of some motion gives it, and how well it explains that."""
-    chain = servo_chain(None, servo)
-    if foreign:
-        ForeignArm(chain, OTHER_MASS / 2, OTHER_FRICTION)
+    chain = servo_chain(None, arm=arm)
     for goal in itertools.islice(poses(1), IDENTIFIED):
         play_to_the_end(chain, make_plan(chain, goal))
     found = identified(chain)
@@ -93,10 +93,11 @@ def table_1(model: ServoModel) -> dict[str, float]:
 
 def hour(model: ServoModel, duration: float) -> dict:
     """Return what came of a long run with the realistic servo and changing payloads."""
-    chain = servo_chain(model)
+    servo = LadenServo()
+    chain = servo_chain(model, arm=servo)
     work, softer = Work(chain, 3), itertools.cycle((0.0, 0.03, 0.01, 0.02))
     begin, started = chain.now, time.monotonic()
-    work.run(duration, lambda number: carry(chain, next(softer)) if number % 20 == 0 else None)
+    work.run(duration, lambda number: servo.carry(next(softer)) if number % 20 == 0 else None)
     watch = chain.gate.watch_of_servos
     return {
         "simulated_s": (chain.now - begin) // NANOSECONDS,
@@ -110,10 +111,11 @@ def hour(model: ServoModel, duration: float) -> dict:
 
 def other_arm(duration: float) -> dict:
     """Return what came of an arm with mass that is not of the model's class."""
-    model, residuals = identify_arm("physics", foreign=True)
-    chain = servo_chain(model, "physics")
-    foreign, work = ForeignArm(chain, OTHER_MASS, OTHER_FRICTION), Work(chain, 4)
-    work.run(duration, lambda number: setattr(foreign, "carries", number % 2 == 0))
+    model, residuals = identify_arm(servo_of(ForeignPlant(OTHER_MASS / 2, OTHER_FRICTION)))
+    plant = ForeignPlant(OTHER_MASS, OTHER_FRICTION)
+    chain = servo_chain(model, arm=servo_of(plant))
+    work = Work(chain, 4)
+    work.run(duration, lambda number: setattr(plant, "laden", number % 2 == 0))
     return {
         "payload_kg": OTHER_MASS,
         "friction": OTHER_FRICTION,
@@ -144,7 +146,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=ROOT / "results/bench/monitor.json", help="file of the figures")
     parser.add_argument("--hour", type=float, default=3600.0, help="length of the long run [s] (default: 3600)")
     options = parser.parse_args()
-    model, residuals = identify_arm("realistic")
+    model, residuals = identify_arm()
     long = hour(model, options.hour)
     figures = {
         "stall_samples": stalls(model),

@@ -17,13 +17,14 @@ from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.evaluation.driven import drives_of
 from construction_twin.mock.faults import Fault
-from construction_twin.mock.program import MockSettings, build_controller
-from construction_twin.monitor.gate import GateSettings
+from construction_twin.mock.physics_servo import PhysicsServo
+from construction_twin.mock.program import MockSettings, axis_angles, build_controller, joint_angles
+from construction_twin.mock.servo import RealisticServo, Servo
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.physics.drive import drives_of as urdf_drives
 from construction_twin.physics.drive import read_drives
 from construction_twin.physics.mass import payload_of
-from construction_twin.physics.plant import InverseDynamics, bare_model
+from construction_twin.physics.plant import InverseDynamics, Plant, bare_model
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.scene.collision_bodies import RobotBodies
@@ -41,12 +42,16 @@ ROOM = np.array((1.5, 0.6, 0.6, 1.5, 1.0, 2.0))
 
 
 def servo_chain(
-    model: ServoModel | None = NOMINAL, servo: str = "realistic", gate: GateSettings = GateSettings(), **mock
+    model: ServoModel | None = NOMINAL, servo: str = "realistic", arm: Servo | None = None, **mock
 ) -> SimulatedChain:
-    """Return a chain that is ready for a plan; `mock` are settings of the mock."""
+    """Return a chain that is ready for a plan; `mock` are settings of the mock, `arm` stands in its place."""
     config = gateway_config(ROBOT, SETTINGS | {"decimals": 3})
     values = {"gateway_host": "simulated", "gateway_port": 1, "servo": servo, "drives": DRIVES} | mock
-    chain = SimulatedChain(ROBOT, config, build_controller(MockSettings(**values), ROBOT), gate, servos=model)
+    controller = build_controller(MockSettings(**values), ROBOT)
+    if arm is not None:
+        arm.reset(controller.measured)
+        controller.servo = arm
+    chain = SimulatedChain(ROBOT, config, controller, servos=model)
     assert chain.run_until(lambda: chain.ready, 5.0), chain.gate.reason
     chain.run_for(0.5)
     return chain
@@ -115,45 +120,65 @@ def model_of(found: Identified) -> ServoModel:
     return ServoModel(NAMES, tuple(joint.servo for joint in found.joints), found.cycle_ns)
 
 
-def carry(chain: SimulatedChain, softer: float) -> None:
-    """Have the mock's realistic servo carry something: its frequency falls by a fraction."""
-    chain.controller.servo._transition = transition_matrix(60.0 * (1.0 - softer), 0.8, CYCLE)
+class LadenServo(RealisticServo):
+    """The mock's realistic servo, which may carry something: that makes it softer."""
+
+    def carry(self, softer: float) -> None:
+        """Let the frequency fall by a fraction."""
+        self._transition = transition_matrix(60.0 * (1.0 - softer), 0.8, CYCLE)
 
 
-class ForeignArm:
-    """Makes the mock's arm with mass one that its own servos do not know: friction, and a payload that nobody told them of.
+class ForeignPlant(Plant):
+    """An arm that its own servos do not know: friction, and a payload that nobody told them of.
 
     Both act as torques from outside, so that the servos hold against them only with their stiffness, which has no integral part.
 
     Args:
-        mass: Payload that the servos do not know, at 0.2 m before the flange [kg]; see `carries`.
+        mass: Payload that the servos do not know, 0.2 m before the flange [kg]; see `laden`.
         friction: Of each axis, as a fraction of what its drive can give.
 
     Attributes:
-        carries: Whether the arm has the payload now.
+        laden: Whether the arm has the payload now.
     """
 
-    def __init__(self, chain: SimulatedChain, mass: float, friction: float):
-        self._plant = chain.controller.servo._plant
+    def __init__(self, mass: float, friction: float):
         drives, bodies = read_drives(DRIVES, ROBOT), RobotBodies(ROBOT)
+        known = bare_model(bodies, drives)
         self._rubbing = friction * np.array(drives.torque)
         plain = urdf_drives(ROBOT)
         self._full = InverseDynamics(bare_model(bodies, plain, payload_of([mass, 0.0, 0.0, 0.2], "payload")))
         self._bare = InverseDynamics(bare_model(bodies, plain))
-        self._speed = np.zeros(len(NAMES))
-        self.carries = True
-        chain.observe = self._act
+        self.laden = True
+        super().__init__(known, known, 60.0, 0.8)
+        self._answer, self._speed = self._arm.answer, np.zeros(len(NAMES))
 
-    def _act(self) -> None:
+    def place(self, q) -> None:
+        super().place(q)
+        self._answer, self._speed = self._arm.answer, np.zeros(len(NAMES))
+
+    def cycle(self, setpoint: np.ndarray, cycles: int = 1) -> None:
         # of the motion that the servos want: torques from the measured acceleration would be another control loop
-        q, speed = self._plant.q, self._plant._arm._speed
+        speed = (self._arm.answer - self._answer) / CYCLE
         growth = (speed - self._speed) / CYCLE
-        self._speed = speed
+        self._answer, self._speed = self._arm.answer, speed
         torque = -self._rubbing * np.clip(speed / 0.005, -1.0, 1.0)
-        if self.carries:
-            torque -= self._full.torques(q, speed, growth) - self._bare.torques(q, speed, growth)
+        if self.laden:
+            torque -= self._full.torques(self.q, speed, growth) - self._bare.torques(self.q, speed, growth)
         for joint, each in enumerate(torque.tolist()):
-            self._plant.push(joint, each)
+            self.push(joint, each)
+        super().cycle(setpoint, cycles)
+
+
+def servo_of(plant: ForeignPlant) -> Servo:
+    """Return the axes of the mock that such an arm is moved by."""
+    return PhysicsServo(
+        plant,
+        lambda q: axis_angles(ROBOT, tuple(q)),
+        lambda angles: joint_angles(ROBOT, tuple(angles)),
+        [axis.sign for axis in ROBOT.axes],
+        False,
+        math.radians(3e-5),
+    )
 
 
 class Work:

@@ -9,14 +9,15 @@ import pytest
 from chain_samples import ROBOT, make_plan, play_to_the_end
 from servo_chain import (
     NOMINAL,
-    ForeignArm,
+    ForeignPlant,
+    LadenServo,
     Work,
-    carry,
     fault_in_motion,
     identified,
     model_of,
     poses,
     servo_chain,
+    servo_of,
     slip,
     sweep,
 )
@@ -24,6 +25,7 @@ from servo_chain import (
 from construction_twin.evaluation.summary import evaluate
 from construction_twin.mock.faults import Fault
 from construction_twin.monitor.states import SyncEvent, SyncState
+from construction_twin.mqtt.messages import Control
 
 JOINTS = range(len(ROBOT.joint_names))
 
@@ -75,18 +77,20 @@ def test_a_slow_drift_is_found_when_it_has_come_to_the_threshold_and_not_learned
 
 
 def test_a_payload_that_makes_the_servos_much_softer_is_found():
-    chain = servo_chain()
+    servo = LadenServo()
+    chain = servo_chain(arm=servo)
     work = Work(chain, 7)
     work.run(20.0)
-    carry(chain, 0.4)
+    servo.carry(0.4)
     work.run(60.0)
     assert work.holds and max(map(abs, chain.gate.watch_of_servos.refinement.later)) <= 0.002
 
 
 def test_a_payload_within_the_rating_holds_nothing_and_is_refined():
-    chain = servo_chain()
+    servo = LadenServo()
+    chain = servo_chain(arm=servo)
     work = Work(chain, 8)
-    carry(chain, 0.03)
+    servo.carry(0.03)
     work.run(15.0)
     before = work.largest
     changes = []
@@ -124,9 +128,9 @@ def test_a_speed_limit_and_a_pause_close_nothing():
     plan, fastest, _ = sweep(chain, 0)
     chain.play(plan)
     chain.run_for(0.5 * fastest)
-    chain.gateway._player.limit(0.2)
+    chain.gateway.on_control(Control("1", chain.gateway.session, "speed_limit", 0.2), chain.now)
     chain.run_for(0.5)
-    chain.gateway._player.limit(1.0)
+    chain.gateway.on_control(Control("2", chain.gateway.session, "speed_limit", 1.0), chain.now)
     chain.run_for(0.5)
     chain.executor.pause(chain.now)
     chain.run_for(2.0)
@@ -144,15 +148,13 @@ def test_the_arm_with_mass_is_followed_with_known_payloads():
 
 
 def test_an_arm_of_another_class_is_held_to_the_threshold_by_what_was_identified():
-    chain = servo_chain(servo="physics")
-    foreign = ForeignArm(chain, 60.0, 0.05)
+    chain = servo_chain(arm=servo_of(ForeignPlant(60.0, 0.05)))
     for goal in itertools.islice(poses(4), 5):
         play_to_the_end(chain, make_plan(chain, goal))
     model = model_of(identified(chain))
-    chain = servo_chain(model, servo="physics")
-    foreign = ForeignArm(chain, 120.0, 0.05)
-    work = Work(chain, 9)
-    work.run(30.0, lambda number: setattr(foreign, "carries", number % 2 == 0))
+    plant = ForeignPlant(120.0, 0.05)
+    work = Work(servo_chain(model, arm=servo_of(plant)), 9)
+    work.run(30.0, lambda number: setattr(plant, "laden", number % 2 == 0))
     assert not work.holds and 1e-5 < work.largest.max() < 0.01
 
 
