@@ -28,7 +28,7 @@ from construction_twin.physics.plant import InverseDynamics, Plant, bare_model
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.servo.identify import Identified, identify
+from construction_twin.servo.identification import Identified, identify
 from construction_twin.servo.model import JointServo, ServoModel
 
 NAMES = ROBOT.joint_names
@@ -239,7 +239,14 @@ class Work:
             self._sum += residual.sum(axis=0)
             self._count += len(residual)
         self.changes += chain.transitions
-        for kept in (chain.feedback, chain.expected, chain.twin_poses, chain.measured, chain.corrections, chain.transitions):
+        for kept in (
+            chain.feedback,
+            chain.expected,
+            chain.twin_poses,
+            chain.measured,
+            chain.corrections,
+            chain.transitions,
+        ):
             kept.clear()
 
 

@@ -1,8 +1,8 @@
 """From a recording to what drove the arm: the targets that the controller took, cycle by cycle, beside where the arm was.
 
-A state without a gap before it tells one cycle. Its command stamp says which target the controller took, by the commands that were
-recorded: a reply that did not arrive shows as a stamp that comes twice. Where the gateway braked, settled or stretched the motion, the
-stamps lose the pace of the cycles, or the gate is closed; such rows drive the model on, and are not judged.
+A state without a gap before it tells one cycle. Its command stamp says which target the controller took, by the commands that
+were recorded: a reply that did not arrive shows as a stamp that comes twice. Where the gateway braked, settled or stretched the
+motion, the stamps lose the pace of the cycles, or the gate is closed; such rows drive the model on, and are not judged.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.alignment import TwinPath
 from construction_twin.evaluation.recording import Recording
-from construction_twin.servo.identify import Drive
+from construction_twin.servo.identification import Drive
 
 #: An arm whose target has not changed for so long rests [ns].
 RESTED = NANOSECONDS // 5

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.figures import COLOURS, INK
-from construction_twin.servo.identify import Drive, IdentifiedJoint, response
+from construction_twin.servo.identification import Drive, IdentifiedJoint, response
 
 #: Drawn of a recording at most [cycles]: around where a joint is fastest.
 SHOWN = 750

@@ -14,6 +14,7 @@ from construction_twin.gateway.smoothing import Smoother
 from construction_twin.gateway.speed_governor import Governor
 from construction_twin.gateway.stop_report import Braking
 
+
 @dataclass(frozen=True, slots=True)
 class _Stall:
     """A stream that was given up: whose, how late its next command was then [ns], and when [ns]."""

@@ -176,9 +176,7 @@ class Gate:
     ):
         self._limits = limits
         #: Compares the arm with where its servos should have it; None: nobody knows these.
-        self.watch_of_servos = (
-            ServoWatch(servos, settings.comparison(limits).threshold) if servos is not None else None
-        )
+        self.watch_of_servos = ServoWatch(servos, settings.comparison(limits).threshold) if servos is not None else None
         self._watched = watched
         #: Compares torques; None: they are not watched.
         self.watch_of_torques = (

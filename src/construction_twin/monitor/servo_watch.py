@@ -1,10 +1,10 @@
 """Is the arm where its servos should have it? The model of the servos is driven by the targets that the controller really took.
 
-What the controller took in a cycle is told by the command stamp of the pose at its end: the commands at that stamp, by the playout's own
-interpolation. A reply that did not arrive is in it: its stamp comes twice. What is not in it is how the gateway leaves the path of the
-commands: it brakes, settles on a stream, or stretches it. So the model is judged only where the arm is moved as it was commanded: the
-stamps have kept the pace of the cycles, the gate was open, and model and arm have agreed, all that for `STEADY`. Pure: stamps come in as
-arguments (ns). Joints in the robot's order; rad, prismatic joints m.
+What the controller took in a cycle is told by the command stamp of the pose at its end: the commands at that stamp, by the
+playout's own interpolation. A reply that did not arrive is in it: its stamp comes twice. What is not in it is how the gateway
+leaves the path of the commands: it brakes, settles on a stream, or stretches it. So the model is judged only where the arm is
+moved as it was commanded: the stamps have kept the pace of the cycles, the gate was open, and model and arm have agreed, all that
+for `STEADY`. Pure: stamps come in as arguments (ns). Joints in the robot's order; rad, prismatic joints m.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from construction_twin.servo.refine import Refinement
 
 #: States that may be missing between two poses, in cycles: what lay between them is known as well.
 LONGEST_GAP = 25
-#: So many poses in a row must differ. A telegram that was lost on its way leaves the model a cycle behind for one pose: at full speed
-#: further than the threshold. The next pose shows by its stamp that the motion was put off.
+#: So many poses in a row must differ. A telegram that was lost on its way leaves the model a cycle behind for one pose: at full
+#: speed further than the threshold. The next pose shows by its stamp that the motion was put off.
 SAMPLES = 2
 #: Before it is judged, the model must have agreed within this fraction of the threshold.
 SHARE = 0.8

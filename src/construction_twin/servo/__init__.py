@@ -11,9 +11,9 @@ from construction_twin.core.exports import lazy_exports
 if TYPE_CHECKING:
     from construction_twin.servo.file import read_servos as read_servos
     from construction_twin.servo.file import servo_file as servo_file
-    from construction_twin.servo.identify import Drive as Drive
-    from construction_twin.servo.identify import Identified as Identified
-    from construction_twin.servo.identify import identify as identify
+    from construction_twin.servo.identification import Drive as Drive
+    from construction_twin.servo.identification import Identified as Identified
+    from construction_twin.servo.identification import identify as identify
     from construction_twin.servo.model import JointServo as JointServo
     from construction_twin.servo.model import ServoModel as ServoModel
     from construction_twin.servo.model import ServoState as ServoState

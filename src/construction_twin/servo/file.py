@@ -16,7 +16,7 @@ from construction_twin.servo.model import JointServo, ServoModel
 
 if TYPE_CHECKING:
     # the monitor reads files, and has no use for what finds servos
-    from construction_twin.servo.identify import IdentifiedJoint
+    from construction_twin.servo.identification import IdentifiedJoint
 
 _Number = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 
@@ -91,7 +91,7 @@ def servo_file(joints: Sequence[IdentifiedJoint], cycle_ns: int, source: str) ->
             for joint in joints
         },
     }
-    head = "# How the arm's servos answer: written by `rosrun construction_twin identify`, read by the launch argument servo_model.\n"
+    head = "# How the arm's servos answer: written by `identify`, read by the launch argument servo_model.\n"
     return head + yaml.safe_dump(content, sort_keys=False)
 
 

@@ -1,7 +1,8 @@
-"""Where a servo has its joint: a lag of second order behind a delayed target, with feed-forward and backlash. Standard library only.
+"""Where a servo has its joint: a lag of second order behind a delayed target, with feed-forward and backlash.
 
-The target of a cycle is held during it, and what counts is the position at its end: as the controller's next telegram tells it. Of a
-delay that is not a whole number of cycles, the cycle's first part still has the target before. Angles in rad, prismatic joints in m.
+The target of a cycle is held during it, and what counts is the position at its end: as the controller's next telegram tells it.
+Of a delay that is not a whole number of cycles, the cycle's first part still has the target before. Standard library only. Angles
+in rad, prismatic joints in m.
 """
 
 from __future__ import annotations
@@ -35,7 +36,10 @@ class JointServo:
     backlash: float = 0.0
 
     def lag(self, period: float) -> float:
-        """Return how long it trails a target of constant speed [s], with cycles of `period` [s]: a held target is half a cycle ahead."""
+        """Return how long it trails a target of constant speed [s], with cycles of `period` [s].
+
+        A held target is half a cycle ahead on average.
+        """
         return 2.0 * self.zeta / self.omega + (self.delay - 0.5) * period - self.velocity
 
     def parts(self, period: float) -> tuple[int, _Matrix, _Matrix]:

@@ -1,8 +1,8 @@
 """The servos' lag, refined while the arm works: slowly, and only so far that a fault is never taken for a servo.
 
 Nothing but the lag of each joint is learned. What does not grow with the speed, as a slip, a drift, or a payload that pulls a joint
-down, leaves no trace in it: the estimate is the slope of the residual over the speed, whatever its mean and its growth with time. Standard library
-only; s, rad.
+down, leaves no trace in it: the estimate is the slope of the residual over the speed, whatever its mean and its growth with time.
+Standard library only; s, rad.
 """
 
 from __future__ import annotations

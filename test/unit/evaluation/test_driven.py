@@ -12,7 +12,7 @@ from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.evaluation.driven import cycle_of, drives_of
 from construction_twin.evaluation.recording import FeedbackStream, StateChange
-from construction_twin.servo.identify import identify
+from construction_twin.servo.identification import identify
 
 
 @pytest.fixture(scope="module")

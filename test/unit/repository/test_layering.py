@@ -337,7 +337,14 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
         (
             MonitorSettings,
             "pca_monitor",
-            {"arm": "mock", "decimals": 3, "transition_file": "t.jsonl", "torque_watch": False, "drives": "", "servo_model": ""},
+            {
+                "arm": "mock",
+                "decimals": 3,
+                "transition_file": "t.jsonl",
+                "torque_watch": False,
+                "drives": "",
+                "servo_model": "",
+            },
         ),
         (ExecutorSettings, "executor", {"arm": "mock", "review_file": "reviews.jsonl"}),
         (FollowSettings, "follow_joint_trajectory", {"arm": "mock"}),

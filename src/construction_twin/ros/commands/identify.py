@@ -18,7 +18,7 @@ from construction_twin.evaluation.figures import DPI
 from construction_twin.ros.commands.bag import read_recording
 from construction_twin.ros.commands.evaluate import print_files
 from construction_twin.servo.file import servo_file
-from construction_twin.servo.identify import Identified, identify
+from construction_twin.servo.identification import Identified, identify
 
 #: Columns of the printed table: what they are called, and in which unit.
 COLUMNS = (
@@ -88,7 +88,7 @@ def servo_table(found: Identified) -> Table:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="identify",
-        description="Find how the arm's servos answer their targets: a file for the launch argument servo_model, and a figure per joint.",
+        description="Find how the arm's servos answer their targets: a file for the argument servo_model, and a figure per joint.",
     )
     parser.add_argument(
         "bag", type=Path, help="a bag with at least twin, physical, physical/feedback and command/joint_states"

@@ -10,7 +10,7 @@ import pytest
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.servo.file import read_servos, servo_file
-from construction_twin.servo.identify import Drive, identify, response
+from construction_twin.servo.identification import Drive, identify, response
 from construction_twin.servo.model import JointServo
 
 #: One step of the wire, 3 decimals of a degree [rad].
