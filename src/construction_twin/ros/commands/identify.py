@@ -22,8 +22,8 @@ from construction_twin.servo.identification import Identified, identify
 
 #: Columns of the printed table: what they are called, and in which unit.
 COLUMNS = (
-    "joint", "omega [rad/s]", "zeta", "delay [cycles]", "velocity [ms]", "acceleration [ms^2]", "backlash [mrad]",
-    "lag [ms]", "residual rms [urad]", "largest [urad]",
+    "joint", "omega, rad/s", "zeta", "delay, cycles", "velocity, ms", "acceleration, ms^2", "backlash, mrad",
+    "lag, ms", "residual rms, urad", "largest, urad",
 )  # fmt: skip
 
 
