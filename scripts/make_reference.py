@@ -106,6 +106,7 @@ COMMANDS: list[tuple[str, str, list[str]]] = [
     ("python -m construction_twin.mock", "construction_twin.mock", []),
     ("ik_report", "nodes/ik_report", []),
     ("rehearse", "nodes/rehearse", []),
+    ("identify", "nodes/identify", []),
     ("new_arm", "nodes/new_arm", []),
     ("self_collision", "nodes/self_collision", []),
     ("srdf", "nodes/srdf", []),

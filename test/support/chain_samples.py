@@ -17,6 +17,7 @@ from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.servo.model import ServoModel
 from construction_twin.twin.backend import KinematicBackend, TwinBackend
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -31,13 +32,14 @@ def make_chain(
     link: SimulatedLink = SimulatedLink(),
     gate: GateSettings = GateSettings(),
     backend: TwinBackend = KinematicBackend(),
+    servos: ServoModel | None = None,
     **settings,
 ) -> SimulatedChain:
     """Return a chain that is ready for a plan; `settings` are the gateway's."""
     config = gateway_config(ROBOT, SETTINGS | {"decimals": decimals} | settings)
     shared = {name: settings[name] for name in ("ethernet_xml", "tool") if name in settings}
     mock = MockSettings(gateway_host="simulated", gateway_port=1, servo=servo, cycle=config.cycle, **shared)
-    chain = SimulatedChain(ROBOT, config, build_controller(mock, ROBOT), gate, link, backend=backend)
+    chain = SimulatedChain(ROBOT, config, build_controller(mock, ROBOT), gate, link, backend=backend, servos=servos)
     assert chain.run_until(lambda: chain.ready, 5.0), (
         chain.supervisor.reason,
         chain.executor.reason,

@@ -40,6 +40,7 @@ from construction_twin.mqtt.messages import CommandProperties, StateProperties, 
 from construction_twin.review.plan_under_review import Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
+from construction_twin.servo.model import ServoModel
 from construction_twin.twin.backend import KinematicBackend, TwinBackend
 from construction_twin.twin.virtual_robot import VirtualRobot
 
@@ -75,6 +76,7 @@ class SimulatedChain:
         planner: Makes a plan from a pose to another [rad]: asked when the gate closes during a plan and the policy is to re-plan.
         backend: What simulates the twin.
         watched: Whose torques the gate watches; None: it does not.
+        servos: What the gate knows of the arm's servos; None: nothing.
         restart_after: A controller that has stopped starts a new RSI session after this time [s]; 0: it stays stopped.
 
     Attributes:
@@ -93,6 +95,7 @@ class SimulatedChain:
         restart_after: float = 0.0,
         backend: TwinBackend = KinematicBackend(),
         watched: WatchedArm | None = None,
+        servos: ServoModel | None = None,
     ):
         self.robot = robot
         self.now = EPOCH
@@ -105,7 +108,7 @@ class SimulatedChain:
         self.executor = Executor(robot)
         self.verdicts: list[Verdict] = []
         self.codec = JointStringCodec.of(robot, config.decimals)
-        self.gate = Gate(MotionLimits.of(robot), self.codec, gate, EPOCH, watched)
+        self.gate = Gate(MotionLimits.of(robot), self.codec, gate, EPOCH, watched, servos)
         #: Changes of the gate's state, oldest first.
         self.transitions: list[Transition] = []
         self.planner = planner
@@ -117,6 +120,8 @@ class SimulatedChain:
         self.corrections: list[tuple[int, tuple[float, ...]]] = []
         self.twin_poses: list[tuple[int, tuple[float, ...]]] = []
         self.feedback: list[tuple[int, tuple[float, ...], int, int]] = []
+        #: Where the gate expected the servos to have the arm [rad].
+        self.expected: list[tuple[int, tuple[float, ...]]] = []
         #: Where the arm really was at the beginning of each of the controller's cycles [rad].
         self.measured: list[tuple[int, tuple[float, ...]]] = []
         self.commands_sent = 0
@@ -198,7 +203,14 @@ class SimulatedChain:
             physical=Stream(received, measured, received),
             feedback=FeedbackStream(received, measured, received, seq, command_stamps),
             plans=played,
+            expected=self._expected(),
         )
+
+    def _expected(self) -> Stream | None:
+        if not self.expected:
+            return None
+        stamps, poses = map(np.array, zip(*self.expected))
+        return Stream(stamps, poses, stamps)
 
     # -- events
 
@@ -358,7 +370,10 @@ class SimulatedChain:
         if not self.twin.follow(self.now, q):
             self.twin.take_over(q)
         self.supervisor.on_pose(q, self.now)
-        self.gate.on_physical(q, properties.command_stamp, self.now)
+        self.gate.on_physical(q, properties.command_stamp, self.now, seq=properties.seq)
+        watch = self.gate.watch_of_servos
+        if watch is not None and watch.expected:
+            self.expected.append((self.now, watch.expected))
         self._note_transitions()
         self.feedback.append((self.now, q, properties.seq, properties.command_stamp))
 

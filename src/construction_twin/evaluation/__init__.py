@@ -2,7 +2,7 @@
 
 In: joint states, feedback, plans, executions and link reports, of a bag or another recording. Out: error tables beside those of
 the paper, timing, figures, ``summary.json``, ``report.html``, and ``replay.json``, which a browser plays. May import ``core``,
-``robot`` and ``kinematics``.
+``servo``, ``robot`` and ``kinematics``.
 """
 
 from typing import TYPE_CHECKING

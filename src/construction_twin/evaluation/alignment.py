@@ -1,4 +1,4 @@
-"""Pairs every physical sample with a twin pose, by three alignments, because the paper does not say which one it used.
+"""Pairs every physical sample with a pose, by four alignments. The paper does not say which one it used.
 
 ``instant``
     The physical pose at ROS time t (reception in the bridge) against the twin's pose at the same ROS time. The difference
@@ -9,6 +9,8 @@
 ``lag_removed``
     ``by_command`` with one constant lag L >= 0, the same for all joints, taken out: twin(command_stamp - L). L minimises
     the sum of squared differences over all joints and samples.
+``expected``
+    The physical pose against where the gate's model of the servos had the arm (`construction_twin.servo`), as it was recorded.
 
 The twin is known at its own stamps and interpolated in between by a cubic, with the playout's arithmetic
 (`construction_twin.core.interpolation`): what the gateway plays between two commands is then exactly what is compared.
@@ -194,6 +196,24 @@ def align_lag_removed(recording: Recording, window: Window, lag_ns: float) -> Al
     Returns and raises as `align_by_command`.
     """
     return _align_command("lag_removed", recording, window, lag_ns)
+
+
+def align_expected(recording: Recording, window: Window) -> Alignment | None:
+    """Pair each physical sample inside the window with the pose that the gate expected of the servos.
+
+    Returns:
+        None when the recording holds none inside the window.
+    """
+    if recording.expected is None:
+        return None
+    physical, expected = recording.physical, recording.expected
+    stamps, rows, others = np.intersect1d(physical.stamps, expected.stamps, return_indices=True)
+    inside = window.contains(stamps)
+    if not inside.any():
+        return None
+    errors = physical.positions[rows[inside]] - expected.positions[others[inside]]
+    skipped = int(np.count_nonzero(window.contains(physical.stamps))) - len(errors)
+    return Alignment("expected", stamps[inside], errors, skipped)
 
 
 def estimate_lag(recording: Recording, window: Window) -> float | None:

@@ -29,6 +29,7 @@ TWIN = "twin/joint_states"
 PHYSICAL = "physical/joint_states"
 FEEDBACK = "physical/feedback"
 COMMAND = "command/joint_states"
+EXPECTED = "expected/joint_states"
 EXECUTION = "execution"
 PLAN = "plan"
 LINK = "link"
@@ -36,7 +37,7 @@ SYNC = "sync"
 REVIEW = "review"
 MOCK = "mock_rsi/status"
 #: Topics read, relative to the robot's namespace. Only twin and physical have to be there.
-TOPICS = (TWIN, PHYSICAL, FEEDBACK, COMMAND, EXECUTION, PLAN, LINK, SYNC, REVIEW, MOCK)
+TOPICS = (TWIN, PHYSICAL, FEEDBACK, COMMAND, EXPECTED, EXECUTION, PLAN, LINK, SYNC, REVIEW, MOCK)
 #: Reports whose changes of state are told, and what they are called.
 REPORTS = {SYNC: "gate", EXECUTION: "execution", LINK: "link"}
 
@@ -46,6 +47,7 @@ TYPES = {
     PHYSICAL: "sensor_msgs/JointState",
     FEEDBACK: "construction_twin/Feedback",
     COMMAND: "sensor_msgs/JointState",
+    EXPECTED: "sensor_msgs/JointState",
     EXECUTION: "construction_twin/Execution",
     PLAN: "construction_twin/Plan",
     LINK: "construction_twin/Link",
@@ -175,6 +177,7 @@ class _Run:
             waypoints={message.id: len(message.trajectory.points) for _, message in messages[PLAN]},
             links=tuple(_link(received, message) for received, message in messages[LINK]),
             mock=_mock(messages[MOCK]),
+            expected=self._stream(EXPECTED) if messages[EXPECTED] else None,
             changes=self._changes(),
             verdicts=self._verdicts(),
         )

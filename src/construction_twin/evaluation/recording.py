@@ -155,6 +155,8 @@ class Recording:
         mock: The mock controller's status (keys ``state``, ``counters``, ``config``); None when no mock reported, so that the arm
             may have been a real one.
         changes, verdicts: In order of time.
+        expected: Where the gate's model of the servos had the arm, stamped as the physical sample that it was compared with; None
+            when it had none.
         linear: Those of `joint_names` that are prismatic: m in place of rad. A bag does not say so; `write_report` takes it from
             the robot.
 
@@ -176,6 +178,7 @@ class Recording:
     linear: tuple[str, ...] = ()
     changes: tuple[StateChange, ...] = ()
     verdicts: tuple[RecordedVerdict, ...] = ()
+    expected: Stream | None = None
 
     def __post_init__(self):
         if not self.joint_names:
@@ -184,7 +187,7 @@ class Recording:
             count = len(getattr(self, name))
             if count < 2:
                 raise ConstructionTwinError(Sentence("view.recording.few", count=count, name=name))
-        for name in ("twin", "physical", "feedback", "command"):
+        for name in ("twin", "physical", "feedback", "command", "expected"):
             stream = getattr(self, name)
             if stream is not None and stream.positions.shape[1] != len(self.joint_names):
                 raise ConstructionTwinError(

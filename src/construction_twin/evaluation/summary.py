@@ -56,6 +56,7 @@ def evaluate(recording: Recording) -> Evaluation:
         alignments={
             "by_command": alignment.align_by_command(recording, window),
             "instant": alignment.align_instant(recording, window),
+            "expected": alignment.align_expected(recording, window),
             "lag_removed": None if lag_ns is None else alignment.align_lag_removed(recording, window, lag_ns),
         },
     )

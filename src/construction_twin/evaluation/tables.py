@@ -19,11 +19,12 @@ from rich.table import Table
 from construction_twin.evaluation.alignment import Alignment
 from construction_twin.evaluation.paper import NOTE, SAMPLES, WAYPOINTS, paper_error
 
-#: The three alignments in the order they are printed, with what each compares.
+#: The alignments in the order they are printed, with what each compares.
 ALIGNMENTS = {
     "by_command": "physical against the twin's pose for the same command",
     "instant": "physical against the twin's pose at the same ROS time",
     "lag_removed": "by_command with one constant lag taken out",
+    "expected": "physical against where the model of its servos has the arm",
 }
 SIMULATION = "This is a simulation: the arm was the mock controller of this package, not a robot."
 #: Names and fractions of the reported percentiles.

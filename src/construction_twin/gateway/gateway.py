@@ -16,6 +16,7 @@ from construction_twin.controller.port import ControllerStatus
 from construction_twin.controller.telegram import Telegram
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
+from construction_twin.core.pace import STEADY
 from construction_twin.core.records import document
 from construction_twin.core.sentences import Sentence, Value
 from construction_twin.core.side_effects import SideEffects
@@ -51,8 +52,6 @@ from construction_twin.mqtt.requests import answer_limits
 
 #: States in which nothing is commanded, and the held pose follows what a program of the controller does.
 HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
-#: What disturbs a motion shows in the torques for so long after it [ns]: by then a servo has forgotten it.
-STEADY = NANOSECONDS // 5
 #: An arm may begin a session this many start tolerances away from the held pose: its first command may be one away from either.
 DISPLACED = 2.0
 #: Why no switch is armed, and armed ones are void.

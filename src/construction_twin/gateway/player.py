@@ -6,15 +6,13 @@ from collections import Counter
 from dataclasses import dataclass
 
 from construction_twin.core.follower import Follower
+from construction_twin.core.pace import keeps_pace
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.playout import Playout, PlayoutBounds
 from construction_twin.gateway.smoothing import Smoother
 from construction_twin.gateway.speed_governor import Governor
 from construction_twin.gateway.stop_report import Braking
-
-#: A playout that is slower or faster than its stream by more than one part in so many does not move the arm as commanded.
-PACE = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +127,7 @@ class Player:
 
     def keeps_pace(self, elapsed: int) -> bool:
         """Return whether the last step through the stream was as long as its time, `elapsed` [ns], but for what a clock drifts."""
-        return bool(self._stamp_before) and abs(self.stamp - self._stamp_before - elapsed) <= elapsed // PACE
+        return bool(self._stamp_before) and keeps_pace(self.stamp - self._stamp_before, elapsed)
 
     def stand(self, follower: Follower, pause: int, taken_back: bool) -> None:
         """Go on from where HOLDON keeps the arm, while a stream is followed.

@@ -1,7 +1,8 @@
 """Algorithm 1 of the paper as a gate in the command path.
 
 In: next setpoints, poses of the twin and of the physical arm, the state of plan and link. Out: the setpoints that may pass, the
-gate's state, its transitions and their log, and requests for a new plan. May import ``core``, ``review`` and ``mqtt``.
+gate's state, its transitions and their log, and requests for a new plan. May import ``core``, ``servo``, ``review``
+and ``mqtt``.
 """
 
 from typing import TYPE_CHECKING
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from construction_twin.monitor.replan import ReplanGoal as ReplanGoal
     from construction_twin.monitor.replan import ReplanGoals as ReplanGoals
     from construction_twin.monitor.round_trip import RoundTrips as RoundTrips
+    from construction_twin.monitor.servo_watch import ServoWatch as ServoWatch
     from construction_twin.monitor.settings import Behaviour as Behaviour
     from construction_twin.monitor.states import SyncEvent as SyncEvent
     from construction_twin.monitor.states import SyncState as SyncState

@@ -19,6 +19,7 @@ from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.comparison import Comparison, ComparisonSettings, PoseComparison
 from construction_twin.monitor.round_trip import RoundTrips
+from construction_twin.monitor.servo_watch import ServoDifference, ServoWatch
 from construction_twin.monitor.states import (
     HELD_STATES,
     Action,
@@ -37,6 +38,7 @@ from construction_twin.monitor.torque_watch import (
     thresholds,
 )
 from construction_twin.mqtt.joint_string import JointStringCodec
+from construction_twin.servo.model import ServoModel
 
 #: What may happen after a violation.
 REPLAN, RESUME, STOP = "replan", "resume", "stop"
@@ -158,6 +160,7 @@ class Gate:
         codec: The wire's; everything that passes is rounded by it, so that both robots execute identical numbers.
         now: [ns]
         watched: None: torques are not watched.
+        servos: How the arm's servos answer; None: nobody says, and the arm is compared with the twin alone.
 
     Raises ConfigurationError.
     """
@@ -169,8 +172,11 @@ class Gate:
         settings: GateSettings,
         now: int = 0,
         watched: WatchedArm | None = None,
+        servos: ServoModel | None = None,
     ):
         self._limits = limits
+        #: Compares the arm with where its servos should have it; None: nobody knows these.
+        self.watch_of_servos = ServoWatch(servos, settings.comparison(limits).threshold) if servos is not None else None
         self._watched = watched
         #: Compares torques; None: they are not watched.
         self.watch_of_torques = (
@@ -202,6 +208,8 @@ class Gate:
         self.comparison = PoseComparison(self.settings.comparison(self._limits))
         if self.watch_of_torques is not None:
             self.watch_of_torques.restart()
+        if self.watch_of_servos is not None:
+            self.watch_of_servos.restart()
         #: Nominal stamp of the last setpoint that passed [ns]; 0 when none.
         self.held_stamp = 0
         self._check = MotionCheck(self._limits, self._codec.decimals)
@@ -315,6 +323,8 @@ class Gate:
         comparison = settings.comparison(self._limits)
         if self.watch_of_torques is not None and self._watched is not None:
             self.watch_of_torques.configure(settings.torques(self._limits.names, self._watched.limits))
+        if self.watch_of_servos is not None:
+            self.watch_of_servos.configure(comparison.threshold)
         self.comparison.configure(comparison)
         self.settings = settings
         self._fire(SyncEvent.CONFIGURED, reason, now)
@@ -334,15 +344,18 @@ class Gate:
         self.comparison.twin.add(stamp, q)
 
     def on_physical(
-        self, q: tuple[float, ...], command_stamp: int, now: int, received: int | None = None
+        self, q: tuple[float, ...], command_stamp: int, now: int, received: int | None = None, seq: int = 0
     ) -> Comparison | None:
         """Take a physical pose. The first one above a threshold closes the gate at once.
+
+        Where the servos are known it is compared with where they should have the arm, too; either difference closes the gate.
 
         Args:
             q: Shape (n,). [rad]
             command_stamp: See `PoseComparison.compare`.
             now: [ns]
             received: Time of reception on the clock of the stamps [ns], for the report alone; by default `now`.
+            seq: The gateway's counter of its states; 0: not known, and so is what the servos should do.
 
         Returns:
             None when the twin's pose for that stamp is not known.
@@ -350,9 +363,14 @@ class Gate:
         continued = self._fresh(now)
         round_trip = self._round_trips.since(command_stamp, now)
         comparison = self.comparison.compare(q, command_stamp, now if received is None else received, round_trip)
+        servos = self._compare_servos(q, seq, command_stamp, comparison)
         if comparison is None:
             return None
         self._last_feedback = now
+        if servos is not None:
+            self._agreed, self._agreed_since = False, None
+            self._close_for(self._servo_sentence(servos), now)
+            return comparison
         if not comparison.agrees:
             self._agreed, self._agreed_since = False, None
             self._on_difference(comparison, now)
@@ -363,6 +381,24 @@ class Gate:
         if not self._agreed:
             self._note_agreement(comparison, now)
         return comparison
+
+    def _compare_servos(
+        self, q: tuple[float, ...], seq: int, command_stamp: int, comparison: Comparison | None
+    ) -> ServoDifference | None:
+        watch = self.watch_of_servos
+        if watch is None or not self.settings.compares:
+            return None
+        in_sync = self.state is SyncState.IN_SYNC and comparison is not None and comparison.agrees
+        return watch.on_pose(q, seq, command_stamp, in_sync)
+
+    def _servo_sentence(self, difference: ServoDifference) -> Sentence:
+        unit = "m" if self._limits.linear[difference.joint] else "rad"
+        return Sentence(
+            "reason.gate.servo",
+            joint=self._limits.names[difference.joint],
+            difference=Quantity(difference.residual, unit),
+            threshold=Quantity(difference.threshold, unit),
+        )
 
     def on_torques(self, torques: Sequence[float], command_stamp: int, now: int) -> TorqueDifference | None:
         """Take what the axes give. A difference that lasts closes the gate, and keeps it closed.
@@ -447,6 +483,8 @@ class Gate:
             passed = self._checked(stamp, theta_next, now)
         if passed and self.watch_of_torques is not None:
             self.watch_of_torques.on_command(stamp, passed)
+        if passed and self.watch_of_servos is not None:
+            self.watch_of_servos.on_command(stamp, passed)
         return passed
 
     def watch(self, now: int) -> None:
@@ -455,10 +493,19 @@ class Gate:
             if self.settings.compares and not self._fresh(now) and self._last_feedback is not None:
                 age = (now - self._last_feedback) / NANOSECONDS
                 self._close(SyncEvent.FEEDBACK_STALE, Sentence("reason.gate.feedback_old", age=age), now)
+            elif self.watch_of_servos is not None and self.watch_of_servos.refinement.due and self.rests(now):
+                self._refine(self.watch_of_servos, now)
         elif self._held_too_long(now) and self.state in HELD_STATES:
             held = (now - self._closed_at) / NANOSECONDS
             sentence = Sentence("reason.gate.gave_up", held=held, reason=self._machine.reason)
             self._fire(SyncEvent.GAVE_UP, sentence, now)
+
+    def _refine(self, watch: ServoWatch, now: int) -> None:
+        """Let what was learned of the servos take effect, at rest; a change is a transition."""
+        changes = watch.refine()
+        if changes:
+            told = ", ".join(f"{name} {1e3 * change:+.2f} ms" for name, change in changes.items())
+            self._fire(SyncEvent.SERVOS_REFINED, Sentence("reason.gate.refined", lags=told), now)
 
     def _held_too_long(self, now: int) -> bool:
         return now - self._closed_at > self.settings.give_up_time * NANOSECONDS
@@ -483,8 +530,12 @@ class Gate:
             difference=Quantity(comparison.error[joint], unit),
             threshold=Quantity(comparison.threshold[joint], unit),
         )
+        self._close_for(sentence, now)
+
+    def _close_for(self, sentence: Sentence, now: int) -> None:
+        """Take that the poses differ, and close the gate where that closes it."""
         self._difference = self._difference or Cause(sentence, now)
-        if closes:
+        if self._machine.row(SyncEvent.POSE_DIFFERS, SyncOccasion(now=now)) is not None:
             self._close(SyncEvent.POSE_DIFFERS, sentence, now)
 
     def _close(self, event: SyncEvent, reason: str, now: int) -> None:
@@ -500,6 +551,9 @@ class Gate:
         # whatever closed the gate, agreement counts from now on
         self._agreed, self._agreed_since = False, None
         self._policy, self._closed_at, self._counted = self.settings.policy, now, False
+        if self.watch_of_servos is not None:
+            # what stops here is not what the gateway plays: it brakes
+            self.watch_of_servos.doubt()
 
     def _hold_and_count(self, now: int) -> None:
         self._hold(now)

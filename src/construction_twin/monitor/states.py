@@ -45,6 +45,7 @@ class SyncEvent(Enum):
     GAVE_UP = "gave_up"
     STOPPED_BEFORE = "stopped_before"
     CONFIGURED = "configured"
+    SERVOS_REFINED = "servos_refined"
 
 
 class Guard(Enum):
@@ -85,6 +86,7 @@ TABLE: tuple[Row, ...] = (
     *rows(_S.WAITING, _E.CONFIGURED, _S.WAITING, Action.KEEP_REASON),
     *rows(_S.IN_SYNC, _E.CONFIGURED, _S.IN_SYNC, Action.KEEP_REASON),
     *rows(_S.STOPPED, _E.CONFIGURED, _S.STOPPED, Action.KEEP_REASON),
+    *rows(_S.IN_SYNC, _E.SERVOS_REFINED, _S.IN_SYNC, Action.KEEP_REASON),
     *rows((_S.WAITING, *HELD_STATES), _E.OPENED, _S.IN_SYNC),
     *rows(_S.IN_SYNC, _E.POSE_DIFFERS, _S.HOLDING, Action.HOLD_AND_COUNT),
     # what pushes on the arm, or what it has lost, shows before the arm is off its way

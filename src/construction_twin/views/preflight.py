@@ -58,6 +58,7 @@ OPTIONAL_FILES = (
     "cell",
     "tool",
     "drives",
+    "servo_model",
     "bridge_account",
     "gateway_account",
     "console_certificate",

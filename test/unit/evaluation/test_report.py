@@ -137,7 +137,7 @@ def test_csv_has_a_row_per_alignment_and_joint_beside_the_papers(full_summary):
 def test_csv_leaves_unknown_alignments_and_foreign_joints_empty():
     table = {"rail": {"avg_rad": 1e-6, "max_rad": 2e-6}}
     rows = list(csv.DictReader(io.StringIO(tables.table_csv({"instant": table, "by_command": None}))))
-    assert [row["avg_rad"] for row in rows] == ["", "1e-06", ""]
+    assert [row["avg_rad"] for row in rows] == ["", "1e-06", "", ""]
     assert rows[1]["paper_avg_rad"] == "" and rows[1]["avg_ratio"] == ""
 
 

@@ -115,7 +115,7 @@ def test_an_event_leads_where_the_table_says_or_nowhere(state, event):
     if row is None or row.target is None:
         assert (machine.state, machine.reason) == before and not machine.changed and machine.take() == []
         return
-    reason = before[1] if event is SyncEvent.CONFIGURED else "why"
+    reason = before[1] if event in (SyncEvent.CONFIGURED, SyncEvent.SERVOS_REFINED) else "why"
     assert (machine.state, machine.reason, machine.changed) == (row.target, reason, True)
     (change,) = machine.take()
     assert (change.at, change.source, change.target, change.event) == (7, state, row.target, event)

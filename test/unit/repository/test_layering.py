@@ -98,6 +98,7 @@ DEPLOYMENT = {
         "tool",
         "drives",
         "payload",
+        "servo_model",
     },
     "mock_rsi": {"gateway_host", "gateway_port", "make", "ethernet_xml", "tool", "drives", "payload"},
     "experiment": {"results_dir"},
@@ -337,7 +338,14 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
         (
             MonitorSettings,
             "pca_monitor",
-            {"arm": "mock", "decimals": 3, "transition_file": "t.jsonl", "torque_watch": False, "drives": ""},
+            {
+                "arm": "mock",
+                "decimals": 3,
+                "transition_file": "t.jsonl",
+                "torque_watch": False,
+                "drives": "",
+                "servo_model": "",
+            },
         ),
         (ExecutorSettings, "executor", {"arm": "mock", "review_file": "reviews.jsonl"}),
         (FollowSettings, "follow_joint_trajectory", {"arm": "mock"}),

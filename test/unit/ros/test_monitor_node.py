@@ -427,7 +427,14 @@ def test_a_watch_that_hears_nothing_says_so(world):
 
 def test_it_listens_only_where_it_watches_an_arm():
     (hears,) = (each for each in module.INTERFACE.hears if each.topic == "physical/torque")
-    plain = SETTINGS | {"arm": "mock", "decimals": 3, "sync_rate": 50.0, "transition_file": "t", "drives": ""}
+    plain = SETTINGS | {
+        "arm": "mock",
+        "decimals": 3,
+        "sync_rate": 50.0,
+        "transition_file": "t",
+        "drives": "",
+        "servo_model": "",
+    }
     told = [
         hears.when(module.Settings(**plain | {"arm": arm, "torque_watch": watch}))
         for arm, watch in (("mock", True), ("mock", False), ("none", True))

@@ -58,6 +58,7 @@ from construction_twin.scene.cell import load_cell
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
+from construction_twin.servo.file import read_servos
 from construction_twin.views.preflight import NONE, has_gateway_here, is_bare, is_true, notes, problem
 from construction_twin.views.roslaunch_call import RoslaunchCall, argument_problem, known_arguments
 from construction_twin.work.site import read_site
@@ -177,6 +178,11 @@ def _check_rehearsal(given: Given, robot: RobotModel) -> None:
 def _check_drives(given: Given, robot: RobotModel) -> None:
     if given["drives"]:
         read_drives(given["drives"], robot)
+
+
+def _check_servos(given: Given, robot: RobotModel) -> None:
+    if given["servo_model"]:
+        read_servos(given["servo_model"], robot.joint_names)
 
 
 def _check_scene(given: Given, robot: RobotModel) -> None:
@@ -306,6 +312,7 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("work_model", _check_work),
     ("rehearsal", _check_rehearsal),
     ("drives", _check_drives),
+    ("servo_model", _check_servos),
     ("scene", _check_scene),
     ("cell", _check_cell),
     ("bridge_account", _check_account("bridge_account")),

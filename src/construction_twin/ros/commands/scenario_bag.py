@@ -26,6 +26,7 @@ TOPICS = (
     "physical/joint_states",
     "physical/feedback",
     "command/joint_states",
+    "expected/joint_states",
     "sync",
     "transitions",
     "plan",

@@ -21,6 +21,7 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.monitor.gate import REPLAN, Cause, Gate, WatchedArm
 from construction_twin.monitor.load_belief import LoadBelief
 from construction_twin.monitor.replan import ReplanGoal, ReplanGoals
+from construction_twin.monitor.servo_watch import ServoWatch
 from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.monitor.torque_watch import InverseDynamics
@@ -54,6 +55,7 @@ from construction_twin.ros.shared.transition_report import TransitionReport
 from construction_twin.ros.transport.joint_stream import from_time, now_ns, to_time
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.objects import Scene
+from construction_twin.servo.file import read_servos
 from construction_twin.srv import (
     ConfigureGate,
     ConfigureGateRequest,
@@ -82,6 +84,7 @@ class Settings(NodeSettings, Behaviour):
     drives: str
     tool: str = ""
     payload: list[Annotated[float, pydantic.Field(allow_inf_nan=False)]] = []
+    servo_model: str
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,7 @@ class Outputs:
     Attributes:
         plan_to_joints: The planner's service; takes the fields of its request as keywords.
         remember: Keeps the session in which the gate is STOPPED beyond this process; takes "" when it is not.
+        expected: Takes where the arm's servos should have it; None: nobody knows these.
     """
 
     command: Sink
@@ -99,6 +103,7 @@ class Outputs:
     transitions: TransitionReport
     plan_to_joints: Callable[..., PlanToJointsResponse]
     remember: Callable[[str], None]
+    expected: Sink | None = None
 
 
 @dataclass(frozen=True)
@@ -204,17 +209,22 @@ class PcaMonitorNode:
         with self._lock:
             self._gate.on_twin(stamp, q)
 
-    def on_feedback(self, received: int, q: tuple[float, ...], _seq: int, command_stamp: int) -> None:
-        """Take the arm's pose [rad], when the bridge received it and which command it answers [ns]."""
+    def on_feedback(self, received: int, q: tuple[float, ...], seq: int, command_stamp: int) -> None:
+        """Take the arm's pose [rad], when the bridge received it, its number, and which command it answers [ns]."""
         now = time.monotonic_ns()
         # what waited in a queue is not fresh because it is read now. Both stamps are taken moments apart: a clock that is
         # set makes a single pose look old, never the ones before it
         self._heard = max(self._heard, now - max(now_ns() - received, 0))
         with self._lock:
-            self._gate.on_physical(q, command_stamp, self._heard, received)
+            self._gate.on_physical(q, command_stamp, self._heard, received, seq)
             self._note_changes()
+            servos = self._gate.watch_of_servos
+            expected = servos.expected if servos is not None else ()
         if self._changes:
             self._publish(now)
+        if expected and self._outputs.expected is not None:
+            # with the stamp of the pose that it was compared with
+            self._outputs.expected.publish(received, expected)
 
     def on_torques(self, message: AxisTorque) -> None:
         """Take what the arm's axes give."""
@@ -450,6 +460,7 @@ class PcaMonitorNode:
             "violations": gate.violations,
             "refused setpoints": gate.refused,
         }
+        values |= _servo_values(gate.watch_of_servos)
         watch, watched = self._gate.watch_of_torques, ""
         if watch is not None:
             values["torques compared"] = watch.compared
@@ -467,7 +478,13 @@ def make_gate(settings: Settings, robot: RobotModel, now: int) -> Gate:
     """Return the gate of a robot; ConfigurationError where the parameters do not fit it."""
     codec = JointStringCodec.of(robot, settings.decimals)
     watched = watched_arm(settings, robot) if watches_torques(settings) else None
-    return Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), now, watched)
+    servos = read_servos(settings.servo_model, robot.joint_names) if knows_servos(settings) else None
+    return Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), now, watched, servos)
+
+
+def knows_servos(settings: Settings) -> bool:
+    """Return whether the arm is compared with a model of its servos: not without an arm."""
+    return bool(settings.servo_model) and settings.arm != "none"
 
 
 def watches_torques(settings: Settings) -> bool:
@@ -529,11 +546,25 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode
             TransitionReport(settings.transition_file, names, ports.publishers["transitions"]),
             rospy.ServiceProxy("plan_to_joints", PlanToJoints),
             ports.keeper(PARAMETER),
+            ports.publishers.get("expected/joint_states"),
         ),
         ports.diagnostics,
         ports.parameters[PARAMETER] if compares else "",
         loads_of(settings, robot) if watches_torques(settings) else None,
     )
+
+
+def _servo_values(watch: ServoWatch | None) -> dict[str, str | int]:
+    """Return what `/diagnostics` says of the model of the servos."""
+    if watch is None:
+        return {"servo model": "none: the arm is compared with the twin alone"}
+    later = ", ".join(f"{1e3 * lag:+.2f}" for lag in watch.refinement.later)
+    return {
+        "servo model": "judges" if watch.judges else "waits until the arm has moved as commanded",
+        "compared with it": watch.judged,
+        "largest residual": f"{max(watch.largest):.6f}",
+        "lag beyond the file [ms]": later,
+    }
 
 
 def _hold_message(cause: Cause | None, now: int) -> Hold:
@@ -548,6 +579,7 @@ INTERFACE = Interface(
     parameters=(SharedParameter(PARAMETER, "", kept=True),),
     publishes=(
         PosePublication("command/joint_states"),
+        PosePublication("expected/joint_states", when=knows_servos),
         Publication("sync", Sync, queue_size=50, latch=True, tcp_nodelay=True),
         Publication("hold", Hold, queue_size=5, latch=True),
         Publication("transitions", TransitionMsg, queue_size=50, latch=True),
@@ -575,6 +607,7 @@ FILE = ConfigFile(
         "drives": given.get("drives", ""),
         "tool": given.get("tool", ""),
         "payload": payload_of_launch(given.get("payload", "")),
+        "servo_model": given.get("servo_model", ""),
     }
 )
 NODE = NodeShell(

@@ -1,0 +1,176 @@
+"""Is the arm where its servos should have it? The model of the servos is driven by the targets that the controller really took.
+
+What the controller took in a cycle is told by the command stamp of the pose at its end: the commands at that stamp, by the
+playout's own interpolation. A reply that did not arrive is in it: its stamp comes twice. What is not in it is how the gateway
+leaves the path of the commands: it brakes, settles on a stream, or stretches it. So the model is judged only where the arm is
+moved as it was commanded: the stamps have kept the pace of the cycles, the gate was open, and model and arm have agreed, all that
+for `STEADY`. Pure: stamps come in as arguments (ns). Joints in the robot's order; rad, prismatic joints m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from construction_twin.core.pace import STEADY, keeps_pace
+from construction_twin.monitor.comparison import TwinHistory
+from construction_twin.servo.model import ServoModel, ServoState
+from construction_twin.servo.refine import Refinement
+
+#: States that may be missing between two poses, in cycles: what lay between them is known as well.
+LONGEST_GAP = 25
+#: So many poses in a row must differ. A telegram that was lost on its way leaves the model a cycle behind for one pose: at full
+#: speed further than the threshold. The next pose shows by its stamp that the motion was put off.
+SAMPLES = 2
+#: Before it is judged, the model must have agreed within this fraction of the threshold.
+SHARE = 0.8
+
+
+@dataclass(frozen=True)
+class ServoDifference:
+    """A joint that is not where its servo should have it.
+
+    Attributes:
+        joint: Index of the joint that uses most of its threshold.
+        residual, threshold: [rad], [m]
+    """
+
+    joint: int
+    residual: float
+    threshold: float
+
+
+class ServoWatch:
+    """Compares the arm with the model of its servos.
+
+    Args:
+        model: As identified.
+        threshold: Shape (n,). Largest residual that still counts as agreement, at any speed [rad], [m].
+
+    Attributes:
+        expected: Shape (n,). Where the servos should have the arm, for the last pose [rad]; () when it is not known.
+        judges: Whether the last pose was judged.
+        judged: How many were, since the start.
+        largest: Shape (n,). Largest residual of a judged pose that agreed, since the start [rad].
+        difference: The present one; None while there is none.
+    """
+
+    def __init__(self, model: ServoModel, threshold: Sequence[float]):
+        self.refinement = Refinement(model)
+        self.judged = 0
+        self.largest = (0.0,) * len(model.names)
+        self.configure(threshold)
+        self.restart()
+
+    def configure(self, threshold: Sequence[float]) -> None:
+        """Judge by another threshold, shape (n,), from the next pose on."""
+        self._threshold = tuple(threshold)
+
+    def restart(self) -> None:
+        """Forget commands and motion, not what was learned of the servos: a new command session."""
+        self._commands = TwinHistory()
+        self.lose()
+
+    def lose(self) -> None:
+        """Take that nothing is known of what the arm is told."""
+        self._state: ServoState | None = None
+        self._stamp = self._seq = 0
+        self.expected: tuple[float, ...] = ()
+        self.doubt()
+
+    def doubt(self) -> None:
+        """Judge nothing until the arm has moved as commanded for `STEADY`: the gate is closed."""
+        self.judges = False
+        self.difference: ServoDifference | None = None
+        self._steady = 0
+        self._streak = 0
+
+    def on_command(self, stamp: int, command: tuple[float, ...]) -> None:
+        """Take a command that goes to the arm, shape (n,), with its stamp [ns]."""
+        self._commands.add(stamp, command)
+
+    def on_pose(self, q: Sequence[float], seq: int, command_stamp: int, in_sync: bool) -> ServoDifference | None:
+        """Take a pose of the arm.
+
+        Args:
+            q: Shape (n,). Measured [rad].
+            seq: The gateway's counter of its states, one per cycle; 0: not known.
+            command_stamp: Of the target that it answers [ns]; 0: not known.
+            in_sync: Whether the gate is open, and twin and arm agree.
+
+        Returns:
+            The present difference; None while there is none, and while nothing is judged.
+        """
+        before = self.expected
+        if seq and seq == self._seq and self._state is not None:
+            return self.difference
+        if not seq or not command_stamp or not self._follow(seq, command_stamp):
+            self.lose()
+            return None
+        residual = tuple([measured - wanted for measured, wanted in zip(q, self.expected)])
+        if not in_sync:
+            self.doubt()
+            return None
+        self._judge(residual)
+        if self.judges and self.difference is None and not self._streak and len(before) == len(residual):
+            self.largest = tuple([max(most, abs(each)) for most, each in zip(self.largest, residual)])
+            period = self.refinement.model.period
+            self.refinement.learn(residual, [(b - a) / period for a, b in zip(before, self.expected)])
+        return self.difference
+
+    def refine(self) -> dict[str, float]:
+        """Let what was learned of the servos take effect; call it at rest.
+
+        Returns:
+            The change of each joint's lag by its name [s]; empty when there is none.
+        """
+        changes = self.refinement.take()
+        if changes and self._state is not None:
+            self._state.configure(self.refinement.model)
+        return changes
+
+    def _follow(self, seq: int, stamp: int) -> bool:
+        """Drive the model by the targets up to a stamp; return whether they are known."""
+        cycle = self.refinement.model.cycle_ns
+        cycles, begin = seq - self._seq, self._stamp
+        if self._state is None or not 0 < cycles <= LONGEST_GAP:
+            target = self._target(stamp)
+            if target is None:
+                return False
+            self.doubt()
+            self._state = ServoState(self.refinement.model, target)
+            self.expected = target
+        else:
+            advance = stamp - begin
+            if keeps_pace(advance, cycles * cycle):
+                self._steady += cycles * cycle
+            else:
+                self.doubt()
+            for number in range(1, cycles + 1):
+                target = self._target(begin + advance * number // cycles)
+                if target is None:
+                    return False
+                self.expected = self._state.advance(target)
+        self._seq, self._stamp = seq, stamp
+        return True
+
+    def _target(self, stamp: int) -> tuple[float, ...] | None:
+        found = self._commands.at(stamp)
+        return None if found is None else found[0]
+
+    def _judge(self, residual: tuple[float, ...]) -> None:
+        fraction = 1.0 if self.judges else SHARE
+        # written so that a nan does not agree
+        agrees = all([abs(each) <= fraction * limit for each, limit in zip(residual, self._threshold)])
+        if not self.judges:
+            if not agrees:
+                self._steady = 0
+            self.judges = self._steady >= STEADY
+            return
+        self.judged += 1
+        self._streak = 0 if agrees else min(self._streak + 1, SAMPLES)
+        self.difference = self._found(residual) if self._streak >= SAMPLES else None
+
+    def _found(self, residual: tuple[float, ...]) -> ServoDifference:
+        joint = max(range(len(residual)), key=lambda each: abs(residual[each]) / self._threshold[each])
+        return ServoDifference(joint, abs(residual[joint]), self._threshold[joint])

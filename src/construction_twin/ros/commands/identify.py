@@ -1,0 +1,98 @@
+"""Command line: finds how the arm's servos answer from a bag, and writes it for the monitor. Runs without a ROS master."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import rospy
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.files import check_writable, write_whole
+from construction_twin.evaluation.driven import cycle_of, drives_of
+from construction_twin.evaluation.figures import DPI
+from construction_twin.ros.commands.bag import read_recording
+from construction_twin.ros.commands.evaluate import print_files
+from construction_twin.servo.file import servo_file
+from construction_twin.servo.identification import Identified, identify
+
+#: Columns of the printed table: what they are called, and in which unit.
+COLUMNS = (
+    "joint", "omega, rad/s", "zeta", "delay, cycles", "velocity, ms", "acceleration, ms^2", "backlash, mrad",
+    "lag, ms", "residual rms, urad", "largest, urad",
+)  # fmt: skip
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Identify the servos from the bag named on the command line.
+
+    Args:
+        arguments: Default: the process's, without what roslaunch adds.
+
+    Returns:
+        0, or 1 after a sentence on standard error.
+    """
+    options = _parser().parse_args(rospy.myargv()[1:] if arguments is None else arguments)
+    directory = options.output or options.bag.with_suffix("").with_name(options.bag.stem + "_servos")
+    console = Console(highlight=False)
+    try:
+        check_writable(directory)
+        recording = read_recording(options.bag, options.robot)
+        cycle_ns = cycle_of(recording)
+        drives = drives_of(recording, cycle_ns)
+        found = identify(recording.joint_names, drives, cycle_ns)
+        directory.mkdir(parents=True, exist_ok=True)
+        path = directory / "servos.yaml"
+        write_whole(path, servo_file(found.joints, cycle_ns, options.bag.name))
+        figures = [_draw(directory, drives, joint, found) for joint in range(len(found.joints))]
+    except (ConstructionTwinError, OSError) as error:
+        print(f"identify: {error}", file=sys.stderr)
+        return 1
+    console.print(servo_table(found))
+    print_files(console, [path, *figures])
+    return 0
+
+
+def _draw(directory: Path, drives, joint: int, found: Identified) -> Path:
+    # matplotlib takes a second
+    from construction_twin.evaluation.servo_figure import fit_figure
+
+    each = found.joints[joint]
+    path = directory / f"{each.name}.png"
+    fit_figure(drives, joint, each, found.cycle_ns, "rad, m").savefig(path, dpi=DPI)
+    return path
+
+
+def servo_table(found: Identified) -> Table:
+    """Return what was found, one row per joint: each fitted parameter with its standard deviation; what was not needed is empty."""
+    table = Table(title=f"servos, cycle {found.cycle_ns // 1_000_000} ms; +- one standard deviation", box=box.SIMPLE)
+    for column in COLUMNS:
+        table.add_column(column, justify="left" if column == "joint" else "right")
+    for each in found.joints:
+        scales = {"omega": 1.0, "zeta": 1.0, "delay": 1.0, "velocity": 1e3, "acceleration": 1e6, "backlash": 1e3}
+        cells = [
+            f"{scale * getattr(each.servo, name):.4g} +- {scale * each.deviations[name]:.1g}"
+            if name in each.deviations
+            else ""
+            for name, scale in scales.items()
+        ]
+        lag = f"{1e3 * each.servo.lag(found.cycle_ns * 1e-9):.3f} +- {1e3 * each.lag_error:.1g}"
+        table.add_row(each.name, *cells, lag, f"{1e6 * each.residual_rms:.1f}", f"{1e6 * each.residual_max:.1f}")
+    return table
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="identify",
+        description="Find how the arm's servos answer their targets: a file for the argument servo_model, and a figure per joint.",
+    )
+    parser.add_argument(
+        "bag", type=Path, help="a bag with at least twin, physical, physical/feedback and command/joint_states"
+    )
+    parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the files (default: BAG + _servos)")
+    parser.add_argument("--robot", metavar="NAMESPACE", help="which robot, when the bag holds several, e.g. /kr120")
+    return parser

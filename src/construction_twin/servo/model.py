@@ -1,0 +1,145 @@
+"""Where a servo has its joint: a lag of second order behind a delayed target, with feed-forward and backlash.
+
+The target of a cycle is held during it, and what counts is the position at its end: as the controller's next telegram tells it.
+Of a delay that is not a whole number of cycles, the cycle's first part still has the target before. Standard library only. Angles
+in rad, prismatic joints in m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from construction_twin.core.servo_lag import transition_matrix
+from construction_twin.core.units import NANOSECONDS
+
+_Matrix = tuple[tuple[float, float], tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class JointServo:
+    """How one joint answers its targets.
+
+    Attributes:
+        omega, zeta: Natural frequency [rad/s] and damping [1] of the lag, both > 0.
+        delay: From a target to its effect [cycles], not below 0.
+        velocity: Feed-forward of the target's velocity [s].
+        acceleration: Feed-forward of the target's acceleration [s^2].
+        backlash: How far the joint may lie behind in each change of direction [rad], [m], not below 0.
+    """
+
+    omega: float
+    zeta: float
+    delay: float = 0.0
+    velocity: float = 0.0
+    acceleration: float = 0.0
+    backlash: float = 0.0
+
+    def lag(self, period: float) -> float:
+        """Return how long it trails a target of constant speed [s], with cycles of `period` [s].
+
+        A held target is half a cycle ahead on average.
+        """
+        return 2.0 * self.zeta / self.omega + (self.delay - 0.5) * period - self.velocity
+
+    def parts(self, period: float) -> tuple[int, _Matrix, _Matrix]:
+        """Return whole cycles of the delay, and the transitions of a cycle's two parts: with the target before, and its own."""
+        whole = int(self.delay)
+        first = (self.delay - whole) * period
+        return (
+            whole,
+            transition_matrix(self.omega, self.zeta, first),
+            transition_matrix(self.omega, self.zeta, period - first),
+        )
+
+
+@dataclass(frozen=True)
+class ServoModel:
+    """The servos of an arm.
+
+    Attributes:
+        names: Length n. Joint names.
+        servos: Length n.
+        cycle_ns: Of the controller for which they were identified [ns].
+    """
+
+    names: tuple[str, ...]
+    servos: tuple[JointServo, ...]
+    cycle_ns: int
+
+    @property
+    def period(self) -> float:
+        """Length of a cycle [s]."""
+        return self.cycle_ns / NANOSECONDS
+
+    def slower(self, lags: Sequence[float]) -> ServoModel:
+        """Return the same servos with more lag each, length n [s]."""
+        servos = [replace(servo, velocity=servo.velocity - lag) for servo, lag in zip(self.servos, lags)]
+        return replace(self, servos=tuple(servos))
+
+
+class ServoState:
+    """Where the model has the arm, one target per cycle.
+
+    Args:
+        q: Shape (n,). Where it stands at rest.
+    """
+
+    def __init__(self, model: ServoModel, q: Sequence[float]):
+        self._joints = [_Joint(servo, model.period, start) for servo, start in zip(model.servos, q)]
+
+    @property
+    def position(self) -> tuple[float, ...]:
+        """Shape (n,). At the end of the last cycle [rad]."""
+        return tuple([joint.position for joint in self._joints])
+
+    def configure(self, model: ServoModel) -> None:
+        """Go on with other servos, which forget the targets before: a change at rest moves nothing."""
+        for joint, servo in zip(self._joints, model.servos):
+            joint.configure(servo, model.period)
+
+    def advance(self, target: Sequence[float]) -> tuple[float, ...]:
+        """Take a cycle's target, shape (n,), and return the position at its end, shape (n,) [rad]."""
+        return tuple([joint.advance(goal) for joint, goal in zip(self._joints, target)])
+
+
+class _Joint:
+    """One joint of a `ServoState`."""
+
+    __slots__ = ("_before", "_earlier", "_speed", "_waiting", "_x", "configured", "position")
+
+    def __init__(self, servo: JointServo, period: float, start: float):
+        self.position = self._x = start
+        self._speed = 0.0
+        #: The last target, and the one before it.
+        self._before = self._earlier = start
+        self.configure(servo, period)
+
+    def configure(self, servo: JointServo, period: float) -> None:
+        whole, (first_x, first_v), (second_x, second_v) = servo.parts(period)
+        self.configured = (
+            *first_x,
+            *first_v,
+            *second_x,
+            *second_v,
+            servo.velocity / period,
+            servo.acceleration / (period * period),
+            servo.backlash / 2.0,
+        )
+        #: References that have no effect yet, the oldest first.
+        self._waiting = [self._before] * (whole + 1)
+
+    def advance(self, target: float) -> float:
+        axx, axv, avx, avv, bxx, bxv, bvx, bvv, velocity, acceleration, play = self.configured
+        step = target - self._before
+        reference = target + velocity * step + acceleration * (step - self._before + self._earlier)
+        self._earlier, self._before = self._before, target
+        waiting = self._waiting
+        waiting.append(reference)
+        old, new = waiting[0], waiting[1]
+        del waiting[0]
+        error, speed = self._x - old, self._speed
+        error, speed = old + axx * error + axv * speed - new, avx * error + avv * speed
+        self._x, self._speed = new + bxx * error + bxv * speed, bvx * error + bvv * speed
+        self.position = min(max(self.position, self._x - play), self._x + play) if play else self._x
+        return self.position

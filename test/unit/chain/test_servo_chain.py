@@ -1,0 +1,167 @@
+"""The whole chain with a model of the arm's servos at the gate: what is found, how soon, and what is no fault."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from chain_samples import ROBOT, make_plan, play_to_the_end
+from servo_chain import (
+    NOMINAL,
+    ForeignPlant,
+    LadenServo,
+    Work,
+    fault_in_motion,
+    identified,
+    model_of,
+    poses,
+    servo_chain,
+    servo_of,
+    slip,
+    sweep,
+)
+
+from construction_twin.evaluation.summary import evaluate
+from construction_twin.mock.faults import Fault
+from construction_twin.monitor.states import SyncEvent, SyncState
+from construction_twin.mqtt.messages import Control
+
+JOINTS = range(len(ROBOT.joint_names))
+
+
+def axis(joint: int) -> str:
+    return ROBOT.axes[joint].name
+
+
+@pytest.mark.parametrize("joint", JOINTS, ids=axis)
+def test_a_joint_that_stalls_at_full_speed_is_found_within_three_poses(joint):
+    samples, reason = fault_in_motion(NOMINAL, joint, Fault("stall", axis(joint)))
+    assert samples <= 3 and ROBOT.joint_names[joint] in reason and "servo" in reason
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 1.0])
+@pytest.mark.parametrize("joint", JOINTS, ids=axis)
+def test_a_slip_of_three_quarters_of_a_degree_is_found_at_any_speed(joint, share):
+    for angle in (0.75, -0.75):
+        samples, reason = fault_in_motion(NOMINAL, joint, slip(joint, angle), share)
+        assert samples == 2 and ROBOT.joint_names[joint] in reason
+
+
+def test_without_a_model_the_gate_does_what_it_did():
+    samples, reason = fault_in_motion(None, 0, slip(0, 0.75))
+    assert samples is None and reason == ""
+
+
+@pytest.mark.parametrize(
+    "fault", [Fault("drift", "A2", (0.02,)), Fault("backlash", "A2", (0.045,)), Fault("slow", "A2", (0.4,))], ids=str
+)
+def test_a_drift_a_backlash_and_a_slow_joint_are_found_and_not_learned(fault):
+    chain = servo_chain()
+    work = Work(chain, 5)
+    work.run(20.0)
+    assert not work.holds
+    chain.faults.inject(fault)
+    work.run(60.0)
+    assert work.holds
+    assert max(map(abs, chain.gate.watch_of_servos.refinement.later)) <= 0.002
+
+
+def test_a_slow_drift_is_found_when_it_has_come_to_the_threshold_and_not_learned():
+    chain = servo_chain()
+    chain.faults.inject(Fault("drift", "A1", (2e-4,)))
+    work = Work(chain, 6)
+    work.run(90.0)
+    assert work.holds and np.abs(chain.gate.watch_of_servos.refinement.later).max() < 2e-4
+    assert work.largest[0] == pytest.approx(0.01, abs=5e-4)
+
+
+def test_a_payload_that_makes_the_servos_much_softer_is_found():
+    servo = LadenServo()
+    chain = servo_chain(arm=servo)
+    work = Work(chain, 7)
+    work.run(20.0)
+    servo.carry(0.4)
+    work.run(60.0)
+    assert work.holds and max(map(abs, chain.gate.watch_of_servos.refinement.later)) <= 0.002
+
+
+def test_a_payload_within_the_rating_holds_nothing_and_is_refined():
+    servo = LadenServo()
+    chain = servo_chain(arm=servo)
+    work = Work(chain, 8)
+    servo.carry(0.03)
+    work.run(15.0)
+    before = work.largest
+    changes = []
+    work.run(90.0, lambda number: changes.append(chain.gate.watch_of_servos.refinement.later))
+    assert not work.holds
+    later = np.array(chain.gate.watch_of_servos.refinement.later)
+    # 3 % of 60 rad/s are 0.8 ms
+    assert later == pytest.approx(np.full(6, 2 * 0.8 / 60.0 * (1 / 0.97 - 1)), abs=2.5e-4)
+    work.forget()
+    work.run(15.0)
+    assert (work.largest < 0.6 * before).all()
+    assert (np.abs(np.diff(np.array(changes), axis=0)) <= 0.0005 + 1e-12).all()
+
+
+def test_table_1_with_the_realistic_servo_leaves_rounding():
+    chain = servo_chain()
+    for goal in itertools.islice(poses(2), 3):
+        play_to_the_end(chain, make_plan(chain, goal))
+    expected = evaluate(chain.recording()).alignments["expected"]
+    assert len(expected.stamps) > 100
+    assert (expected.average <= 2e-5).all() and (expected.maximum <= 2e-5).all()
+
+
+def test_lost_datagrams_at_full_speed_close_nothing():
+    chain = servo_chain()
+    chain.faults.inject(Fault("drop", "", (0.003,)))
+    work = Work(chain, 11)
+    work.run(60.0)
+    assert chain.controller.counters["missed"] > 10
+    assert not work.holds
+
+
+def test_a_speed_limit_and_a_pause_close_nothing():
+    chain = servo_chain()
+    plan, fastest, _ = sweep(chain, 0)
+    chain.play(plan)
+    chain.run_for(0.5 * fastest)
+    chain.gateway.on_control(Control("1", chain.gateway.session, "speed_limit", 0.2), chain.now)
+    chain.run_for(0.5)
+    chain.gateway.on_control(Control("2", chain.gateway.session, "speed_limit", 1.0), chain.now)
+    chain.run_for(0.5)
+    chain.executor.pause(chain.now)
+    chain.run_for(2.0)
+    chain.executor.resume()
+    assert chain.run_until(lambda: chain.executor.outcome == "finished", 10.0)
+    assert chain.gate.state is SyncState.IN_SYNC and chain.gate.watch_of_servos.judged > 200
+
+
+def test_the_arm_with_mass_is_followed_with_known_payloads():
+    for payload in ([], [120.0, 0.0, 0.0, 0.2]):
+        chain = servo_chain(servo="physics", payload=payload)
+        work = Work(chain, 3)
+        work.run(8.0)
+        assert not work.holds and work.largest.max() < 2e-4
+
+
+def test_an_arm_of_another_class_is_held_to_the_threshold_by_what_was_identified():
+    chain = servo_chain(arm=servo_of(ForeignPlant(60.0, 0.05)))
+    for goal in itertools.islice(poses(4), 5):
+        play_to_the_end(chain, make_plan(chain, goal))
+    model = model_of(identified(chain))
+    plant = ForeignPlant(120.0, 0.05)
+    work = Work(servo_chain(model, arm=servo_of(plant)), 9)
+    work.run(30.0, lambda number: setattr(plant, "laden", number % 2 == 0))
+    assert not work.holds and 1e-5 < work.largest.max() < 0.01
+
+
+def test_refinement_is_told_as_a_transition():
+    chain = servo_chain(NOMINAL.slower((0.001,) * 6))
+    work = Work(chain, 10)
+    work.run(60.0)
+    told = [change for change in work.changes if change.event is SyncEvent.SERVOS_REFINED]
+    assert told and all(change.source is change.target is SyncState.IN_SYNC for change in told)
+    assert "joint_a1" in " ".join(str(change.reason) for change in told)
