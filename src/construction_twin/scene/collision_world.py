@@ -309,7 +309,8 @@ class CollisionWorld:
         # poses far from each other come near most objects: all are checked
         if len(self._near) > MANY_BODIES and len(qs) > 1 and float(np.abs(np.diff(qs, axis=0)).max()) <= _CLOSE:
             world = self._beside(qs, 0.0)
-        return world._checks.first_touching(self._rows(qs))
+        is_free = world._checks.is_free
+        return next((row for row, q in enumerate(qs) if not is_free(q)), None)
 
     def clearance(self, q: JointValues, changing: bool = False) -> Clearance:
         """Return the smallest distance of a checked pair; the padding is not subtracted.
@@ -410,12 +411,6 @@ class _Checks:
         """Return whether nothing touches."""
         self._take(q)
         return not pinocchio.computeCollisions(self._model, self._data, self._broad_phase, self._q, True)
-
-    def first_touching(self, rows: np.ndarray) -> int | None:
-        """Return the first of many rows in Pinocchio's order in which something touches, None when nothing does in any."""
-        # as `is_free`, without what a question for one pose costs beside the check itself
-        touches, checked = pinocchio.computeCollisions, (self._model, self._data, self._broad_phase)
-        return next((number for number, row in enumerate(rows) if touches(*checked, row, True)), None)
 
     def contact(self, q: JointValues) -> Contact | None:
         """Return a pair that touches, or None."""
