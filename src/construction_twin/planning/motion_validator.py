@@ -81,8 +81,8 @@ def _middle_first(count: int) -> np.ndarray:
 class ShortcutCheck:
     """Whether straight edges between a few points are free, as `MotionValidator.free`, for many edges that resemble each other.
 
-    What was found of an edge and of a point is kept. What one edge touches, the next one probably touches too: it is looked at
-    first beside the last contact.
+    What was found of an edge and of its end is kept. What one edge touches, the next one probably touches too: the point of it that
+    is closest to the last contact is checked first, and the other states only if that one is free.
     """
 
     def __init__(self, validator: MotionValidator):
@@ -109,7 +109,9 @@ class ShortcutCheck:
         return self._points[point]
 
     def _between_free(self, start: np.ndarray, end: np.ndarray) -> bool:
-        world = self._validator.world
+        world, states = self._validator.world, self._validator.states(start, end)[1:]
+        if not len(states):
+            return True
         if self._contact is not None:
             displacement = end - start
             part = (self._contact - start) @ displacement / (displacement @ displacement)
@@ -117,12 +119,10 @@ class ShortcutCheck:
             if not world.is_free(beside):
                 self._contact = beside
                 return False
-        states = self._validator.states(start, end)[1:]
         row = world.all_free(states)
-        if row is None:
-            return True
-        self._contact = states[row]
-        return False
+        if row is not None:
+            self._contact = states[row]
+        return row is None
 
 
 class CornerRounding:
