@@ -43,8 +43,12 @@ class MotionValidator:
         Args:
             start, end: Shape (n,). [rad] or [m]
         """
+        return self.world.all_free(self.states(start, end)) is None
+
+    def states(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """Return the states that `free` checks, in its order, shape (m, n): `end` is the first."""
         displacement = end - start
-        return self.world.all_free(start + _middle_first(self.count(displacement)) * displacement) is None
+        return start + _middle_first(self.count(displacement)) * displacement
 
     def count(self, displacement: np.ndarray) -> int:
         """Return how many states of a straight motion are checked, at least 1.
@@ -72,6 +76,53 @@ def _middle_first(count: int) -> np.ndarray:
     fractions = np.array(order)[:, None] / count
     fractions.flags.writeable = False
     return fractions
+
+
+class ShortcutCheck:
+    """Whether straight edges between a few points are free, as `MotionValidator.free`, for many edges that resemble each other.
+
+    What was found of an edge and of its end is kept. What one edge touches, the next one probably touches too: the point of it that
+    is closest to the last contact is checked first, and the other states only if that one is free.
+    """
+
+    def __init__(self, validator: MotionValidator):
+        self._validator = validator
+        self._edges: dict[tuple[bytes, bytes], bool] = {}
+        self._points: dict[bytes, bool] = {}
+        self._contact: np.ndarray | None = None
+
+    def free(self, start: np.ndarray, end: np.ndarray) -> bool:
+        """Return whether nothing touches between `start`, which is not checked, and `end`, which is.
+
+        Args:
+            start, end: Shape (n,). [rad] or [m]
+        """
+        edge = start.tobytes(), end.tobytes()
+        if edge not in self._edges:
+            self._edges[edge] = self._end_free(end) and self._between_free(start, end)
+        return self._edges[edge]
+
+    def _end_free(self, end: np.ndarray) -> bool:
+        point = end.tobytes()
+        if point not in self._points:
+            self._points[point] = self._validator.world.is_free(end)
+        return self._points[point]
+
+    def _between_free(self, start: np.ndarray, end: np.ndarray) -> bool:
+        world, states = self._validator.world, self._validator.states(start, end)[1:]
+        if not len(states):
+            return True
+        if self._contact is not None:
+            displacement = end - start
+            part = (self._contact - start) @ displacement / (displacement @ displacement)
+            beside = start + min(max(part, 0.0), 1.0) * displacement
+            if not world.is_free(beside):
+                self._contact = beside
+                return False
+        row = world.all_free(states)
+        if row is not None:
+            self._contact = states[row]
+        return row is None
 
 
 class CornerRounding:

@@ -16,7 +16,7 @@ from construction_twin.core.motion_errors import NoPathError, PlanningError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.curves import rounded
-from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
+from construction_twin.planning.motion_validator import CornerRounding, MotionValidator, ShortcutCheck
 from construction_twin.planning.path_search import PathQuery
 from construction_twin.planning.path_searches import path_search
 from construction_twin.planning.path_shortening import shortened
@@ -118,6 +118,41 @@ def test_a_path_that_touches_by_itself_is_given_up():
     assert rounding.tightened(path) is None
     assert rounding.tightened(path[:2]) is None
     np.testing.assert_array_equal(rounding.tightened(-path[:2]), -path[:2])
+
+
+@given(st.lists(st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6), min_size=2, max_size=6))
+def test_a_shortcut_is_free_only_if_the_whole_edge_is_and_blocked_only_by_a_contact(points):
+    points = np.array([*points, points[0]])
+    edges = MotionValidator(Recorder(most=0.5), np.ones(6), 0.1)
+    check = ShortcutCheck(edges)
+    for start in points:
+        for end in points:
+            if not np.array_equal(start, end):
+                found = check.free(start, end)
+                assert found == check.free(start, end)
+                assert edges.free(start, end) if found else max(start[0], end[0]) > 0.5
+    same = check.free(points[0], points[-1])
+    assert same == (points[0][0] <= 0.5)
+
+
+def test_shortcuts_ask_nothing_twice_and_look_beside_the_last_contact_first():
+    class Pole(Recorder):
+        def is_free(self, q) -> bool:
+            return super().is_free(q) and not (0.4 < q[0] < 0.45 and abs(q[1]) < 0.3)
+
+    pole, end = Pole(), np.eye(6)[0]
+    check = ShortcutCheck(MotionValidator(pole, np.ones(6), 0.02))
+    assert not check.free(np.zeros(6), end)
+    first = len(pole.asked)
+    assert first > 3
+    assert not check.free(np.zeros(6), end)
+    assert len(pole.asked) == first
+    # another edge to the same end: one question, beside where the first one touched
+    assert not check.free(0.1 * np.eye(6)[1], end)
+    assert len(pole.asked) == first + 1
+    # what the last contact does not tell, the states of the edge do
+    assert not check.free(np.array([0.42, 2.0, 0.0, 0.0, 0.0, 0.0]), np.array([0.42, -2.0, 0.0, 0.0, 0.0, 0.0]))
+    assert check.free(np.eye(6)[1], end + np.eye(6)[1])
 
 
 def test_a_path_begins_at_the_start_and_ends_at_one_of_the_goals():
