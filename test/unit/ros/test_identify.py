@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import rosbag
 from chain_samples import make_plan, play_to_the_end
+from construction_twin.msg import Feedback
 from sensor_msgs.msg import JointState
 from servo_chain import NAMES, poses, servo_chain
 
 from construction_twin.core.units import CYCLE
 from construction_twin.evaluation.summary import evaluate
-from construction_twin.msg import Feedback
 from construction_twin.ros.commands.bag import read_recording
 from construction_twin.ros.commands.identify import main
 from construction_twin.ros.transport.joint_stream import to_time
