@@ -26,7 +26,6 @@ from construction_twin.ros.nodes import pca_monitor as module
 from construction_twin.ros.shared.stop_memory import PARAMETER
 from construction_twin.ros.transport.joint_stream import from_time, to_time
 from construction_twin.servo.model import JointServo, ServoModel
-from construction_twin.servo.model import JointServo, ServoModel
 
 HOME = ROBOT.home
 SETTINGS = {
