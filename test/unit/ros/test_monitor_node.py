@@ -28,6 +28,7 @@ from construction_twin.ros.nodes import pca_monitor as module
 from construction_twin.ros.shared.stop_memory import PARAMETER
 from construction_twin.ros.transport.joint_stream import from_time, to_time
 from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.servo.model import JointServo, ServoModel
 
 HOME = ROBOT.home
 SETTINGS = {
@@ -60,7 +61,10 @@ class World:
             SimpleNamespace(report=self.report, flush=lambda: None, problem="", values=dict),
             self.plan_to_joints,
             lambda session: self.parameters.update({PARAMETER: session}),
+            self.topic("expected/joint_states"),
         )
+        #: What the gate knows of the arm's servos.
+        self.servos: ServoModel | None = None
 
     def start(
         self, sync=None, watched: WatchedArm | None = None, loads: module.Loads | None = None
@@ -72,7 +76,7 @@ class World:
         behaviour = Behaviour(**SETTINGS)
         limits, codec = MotionLimits.of(ROBOT), JointStringCodec.of(ROBOT, 6)
         settings = behaviour.gate_settings(True) if watched is None else GateSettings(policy="resume")
-        self.gate = Gate(limits, codec, settings, self.steady, watched)
+        self.gate = Gate(limits, codec, settings, self.steady, watched, servos=self.servos)
         outputs = self.outputs if sync is None else replace(self.outputs, sync=sync)
         return module.PcaMonitorNode(
             self.gate,
@@ -379,6 +383,52 @@ class TestStopped:
         node.on_link(Link(session="s2", state=Link.ARMED))
         self.wait_for(world, node, "")
         opened(world)
+
+
+# -- servos
+
+
+def known_servos(world):
+    """Return a monitor that knows the servos of an arm that answers each command two cycles later, and has judged it at rest."""
+    world.servos = ServoModel(ROBOT.joint_names, (JointServo(60.0, 0.8),) * 6, CYCLE_NS)
+    node = world.start()
+    cycles(world, node, HOME, 120)
+    assert world.gate.state is SyncState.IN_SYNC
+    return node
+
+
+def cycles(world, node, measured, count):
+    for _ in range(count):
+        world.pass_time()
+        node.on_twin(world.wall - CYCLE_NS, HOME)
+        answered = world.wall - 2 * CYCLE_NS if world.gate.held else 0
+        node.on_feedback(world.wall, measured, world.wall // CYCLE_NS, answered)
+        node.on_next(world.wall, HOME)
+
+
+def test_it_publishes_where_the_servos_should_have_the_arm_and_says_that_it_judges_by_it(world):
+    node = known_servos(world)
+    published = [q for name, q in world.said if name == "expected/joint_states"]
+    assert len(published) > 60 and published[-1] == pytest.approx(HOME, abs=1e-6)
+    values = node.report().values
+    assert values["servo model"] == "judges" and values["compared with it"] > 0
+
+
+def test_without_a_model_it_publishes_none_and_says_so(world):
+    node = world.start()
+    cycles(world, node, HOME, 60)
+    assert [name for name, _ in world.said if name == "expected/joint_states"] == []
+    assert node.report().values["servo model"].startswith("none")
+
+
+def test_it_publishes_expected_poses_only_with_a_model_and_an_arm():
+    (topic,) = (each for each in module.INTERFACE.publishes if each.topic == "expected/joint_states")
+    plain = SETTINGS | {"decimals": 3, "sync_rate": 50.0, "transition_file": "t", "drives": "", "torque_watch": False}
+    told = [
+        topic.when(module.Settings(**plain | {"arm": arm, "servo_model": file}))
+        for arm, file in (("mock", "servos.yaml"), ("mock", ""), ("none", "servos.yaml"))
+    ]
+    assert told == [True, False, False]
 
 
 # -- torques
