@@ -21,7 +21,8 @@ from roslaunch import arg_dump, rlutil
 from construction_twin.console.plain_http import HSTS_S, LONGEST_HSTS_S
 from construction_twin.core import extras
 from construction_twin.ros.commands.node_files import node_shells
-from construction_twin.ros.shared.frame_listener import FRAMES, PUBLISHERS, SIMULATED as SIMULATED_TREE
+from construction_twin.ros.shared.frame_listener import FRAMES, PUBLISHERS
+from construction_twin.ros.shared.frame_listener import SIMULATED as SIMULATED_TREE
 from construction_twin.views.preflight import NUMBERS, notes
 
 ROOT = Path(__file__).resolve().parents[3]
