@@ -74,7 +74,10 @@ _EXPLAINED = {
     ("executor", "neighbour"): "name of the other robot whose verdicts on `conflict` are asked for; empty: none",
     ("mqtt_bridge", "protocol"): "MQTT version: 5 or 3.1.1",
     ("static_frames", "parent"): "frame in which the robot stands",
-    ("static_frames", "prefixes"): "tf prefixes of the robot's copies: twin, physical, preview",
+    (
+        "static_frames",
+        "prefixes",
+    ): "tf prefixes of the robot's copies: twin, physical, preview; of a twin with mass simulated, too",
     (
         "static_frames",
         "chain_only",

@@ -135,6 +135,10 @@ class PhysicsTwinTest(RobotTest):
                 commanded.wait_for_more(WATCH)
                 np.testing.assert_array_equal(commanded.positions()[-1], before)
                 self.assert_close(before, twin)
+                # tf of the twin and MoveIt's start are made of this
+                shown = rospy.wait_for_message("joint_states", JointState, 5.0)
+                told = dict(zip(shown.name, shown.position))
+                np.testing.assert_array_equal([told[name] for name in names], before)
                 # neither was there a gap of the streams
                 stamps = np.diff([message.header.stamp.to_sec() for message in twin.messages])
                 self.assertLess(stamps.max(), 0.1)

@@ -15,12 +15,14 @@ from xml.etree import ElementTree
 
 import pytest
 import yaml
-from launch_files import Reader, asked, node_arguments, node_names, parameters, read_launch, refusal
+from launch_files import Reader, asked, node_arguments, node_names, parameters, poses_in_tf, read_launch, refusal
 from roslaunch import arg_dump, rlutil
 
 from construction_twin.console.plain_http import HSTS_S, LONGEST_HSTS_S
 from construction_twin.core import extras
 from construction_twin.ros.commands.node_files import node_shells
+from construction_twin.ros.shared.frame_listener import FRAMES, PUBLISHERS
+from construction_twin.ros.shared.frame_listener import SIMULATED as SIMULATED_TREE
 from construction_twin.views.preflight import NUMBERS, notes
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -142,8 +144,8 @@ def test_what_takes_the_commands_is_started_and_nothing_else_of_it(arguments, no
     )
 
 
-#: Those that compare or draw the simulated pose, or only wait for it.
-SIMULATED = {"pca_monitor", "joint_velocities", "startup"}
+#: Those that compare the simulated pose, or only wait for it.
+SIMULATED = {"pca_monitor", "startup"}
 
 
 @pytest.mark.parametrize("twin", ["mujoco", "gazebo"])
@@ -162,6 +164,33 @@ def test_who_decides_what_is_commanded_never_reads_a_simulated_pose(twin):
     assert {name for name in readers if not remapped[name]} == SIMULATED
     # and the twin itself publishes both
     assert not remapped["virtual_robot"]
+
+
+@pytest.mark.parametrize("twin", ["mujoco", "gazebo"])
+def test_frames_that_goals_are_looked_up_in_are_no_simulated_pose_s(twin):
+    """tf and joint_states are ways to a goal, too."""
+    readers = {shell.name for shell in node_shells() if set(FRAMES) & set(shell.interface.listeners)}
+    assert readers == {"planner", "scene", "work"}
+    found = poses_in_tf(f"twin:={twin}")
+    assert found == {
+        ("robot_state_publisher", "twin"): "twin/commanded",
+        ("simulated_state_publisher", SIMULATED_TREE): "twin/effort",
+        ("physical_state_publisher", "physical"): "physical/joint_states",
+        ("preview_state_publisher", "preview"): "preview/joint_states",
+    }
+    # what is believed of tf is all but the simulated tree
+    believed = {(nodes[0], tree) for tree, nodes in PUBLISHERS.items()}
+    assert believed == {key for key in found if key[1] != SIMULATED_TREE}
+    static = parameters("bringup", f"twin:={twin}")
+    assert f"kr120/{SIMULATED_TREE}" in static["/kr120/static_frames/prefixes"]
+    assert f"kr120/{SIMULATED_TREE}" in static["/kr120/static_frames/chain_only"]
+
+
+def test_the_kinematic_twin_s_frames_are_its_one_pose_and_there_is_no_simulated_tree():
+    found = poses_in_tf()
+    assert found["robot_state_publisher", "twin"] == "twin/joint_states"
+    assert SIMULATED_TREE not in {tree for _, tree in found}
+    assert parameters("bringup")["/kr120/static_frames/prefixes"] == ["kr120/twin", "kr120/physical", "kr120/preview"]
 
 
 def test_gazebo_is_started_for_a_twin_in_it_alone_with_its_words_and_the_arm_s_drives():

@@ -183,3 +183,13 @@ def test_a_clock_that_is_set_back_empties_the_buffer(world):
     world.say("/anybody", "map")
     world.say("/anybody", "map")
     assert world.listener.buffer.cleared == 1
+
+
+@pytest.mark.parametrize("topic", ["/tf", "/tf_static"])
+@pytest.mark.parametrize("node", ["/kr120/simulated_state_publisher", "/kr120/static_frames", PLAYER])
+def test_nothing_is_looked_up_in_a_simulated_pose_and_hearing_it_is_no_fault(world, topic, node):
+    world.say(node, "kr120/simulated/tool0", "/kr120/simulated/link_1", topic=topic)
+    assert world.heard == {} and world.refused == []
+    # a frame of that name that is of no robot's tree is as any other
+    world.say(PLAYER, "simulated", "site/simulated", topic=topic, x=1.0)
+    assert world.heard == {"simulated": 1.0, "site/simulated": 1.0}

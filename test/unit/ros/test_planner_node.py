@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,19 +22,26 @@ from construction_twin.srv import (
     PlanWorkRequest,
     PlanWorkResponse,
 )
+from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
+from launch_files import poses_in_tf
 from planning_cell import HOME, LEFT, RIGHT, ROBOT, ROOT, WALL, standing
 from std_srvs.srv import TriggerRequest
+from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory
 from unplugged import Unplugged, over_the_wire
 
+from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning import work_plan
 from construction_twin.planning.timing import time_path
+from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.ros.messages import convert
-from construction_twin.ros.messages.scene_convert import object_to_msg, scene_to_msg
+from construction_twin.ros.messages.scene_convert import object_to_msg, scene_to_msg, tf_frame
 from construction_twin.ros.nodes import planner as module
 from construction_twin.ros.nodes.planner import NODE, Settings
+from construction_twin.ros.shared import frame_listener
 from construction_twin.ros.shared.frames import Frames
-from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.ros.transport import subscriber
+from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
 
 HELD = SceneObject("block", "box", (0.3, 0.3, 0.3), (0.0, 0.0, 0.25), link="tool0")
@@ -44,10 +52,12 @@ SCENE = Scene((BLOCK,), 0.01)
 class Bench:
     """The node without ROS: its topics and services as calls, its messages through the wire format."""
 
-    def __init__(self, monkeypatch):
+    def __init__(self, monkeypatch, tf_prefix: str = "", tf: tf2_ros.Buffer | None = None):
         self.pose = tuple(HOME)
+        tf = tf2_ros.Buffer(debug=False) if tf is None else tf
+        base = tf_frame(tf_prefix, ROBOT.base_link)
         values = yaml.safe_load((ROOT / "config/planner.yaml").read_text())
-        values |= {"self_collision": str(ROOT / "config/kr120_self_collision.yaml"), "tf_prefix": "", "seed": 1}
+        values |= {"self_collision": str(ROOT / "config/kr120_self_collision.yaml"), "tf_prefix": tf_prefix, "seed": 1}
         values |= {"max_waypoints": 600}
         patch = monkeypatch.setattr
         patch(module, "neighbour_settings", lambda: None)
@@ -56,7 +66,9 @@ class Bench:
         patch(
             module,
             "listen_to_frames",
-            lambda robot, prefix, *_: Frames(robot, prefix, tf2_ros.Buffer(debug=False).lookup_transform, str),
+            lambda robot, prefix, *_: Frames(
+                robot, prefix, lambda frame, stamp: tf.lookup_transform(base, frame, stamp), tf.all_frames_as_yaml
+            ),
         )
         patch(module.rospy, "resolve_name", lambda name: f"/kr120/{name}")
         patch(module.rospy.Time, "now", staticmethod(lambda: rospy.Time(7)))
@@ -286,3 +298,65 @@ def test_an_engagement_whose_path_makes_no_sense_is_an_answer(bench):
     )
     answer = bench.services["plan_way_back"](TriggerRequest())
     assert not answer.success and not bench.published["plan"]
+
+
+#: The arm with mass hangs lower than it is told to [rad].
+SAGGED = np.array(HOME) + [0.0, 0.03, 0.02, 0.0, 0.0, 0.0]
+#: What is on each stream of poses.
+STREAMS = {
+    "twin/commanded": HOME, "twin/joint_states": SAGGED, "twin/effort": SAGGED, "physical/joint_states": HOME,
+    "preview/joint_states": HOME,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("twin", ["mujoco", "gazebo"])
+def test_a_goal_at_the_tool_is_where_the_tool_is_commanded_to_be_although_the_simulated_arm_sags(monkeypatch, twin):
+    """By the launch file's own word on what each tree of tf is made of."""
+    receive = {}
+
+    def subscribe(topic, _kind, take, **_):
+        receive[topic] = take
+        return SimpleNamespace(resolved_name=topic, impl=SimpleNamespace(connections=[]))
+
+    chain, tip = Chain(ROBOT), ROBOT.tip_link
+    with monkeypatch.context() as patch:
+        patch.setattr(subscriber.rospy, "Subscriber", subscribe)
+        patch.setattr(frame_listener.rospy.Time, "now", staticmethod(lambda: rospy.Time(7)))
+        buffer = tf2_ros.Buffer(debug=False)
+        patch.setattr(frame_listener.tf2_ros, "Buffer", lambda: buffer)
+        frame_listener.FrameListener(lambda *said: pytest.fail(str(said)))
+        trees = poses_in_tf(f"twin:={twin}")
+        assert any(STREAMS[topic] is SAGGED for topic in trees.values())
+        for (node, tree), topic in trees.items():
+            pose = chain.forward(STREAMS[topic])
+            prefix = f"kr120/{tree}"
+            transforms = [
+                placed("world", f"{prefix}/{ROBOT.base_link}", Pose(np.zeros(3), np.eye(3))),
+                placed(f"{prefix}/{ROBOT.base_link}", f"{prefix}/{tip}", pose),
+            ]
+            message = TFMessage(transforms)
+            message._connection_header = {"callerid": f"/kr120/{node}"}
+            receive["/tf_static"](message)
+    bench = Bench(monkeypatch, "kr120/twin", buffer)
+    bench.show(Scene((), 0.01))
+    wanted = product(chain.forward(HOME), Pose(np.array([0.0, 0.0, 0.05]), np.eye(3)))
+    for frame in (tip, f"kr120/twin/{tip}"):
+        request = PlanToPoseRequest()
+        request.goal.header.frame_id = frame
+        request.goal.pose.position.z, request.goal.pose.orientation.w = 0.05, 1.0
+        answer = bench.services["plan_to_pose"](over_the_wire(request))
+        assert answer.success, answer.message
+        plan = convert.trajectory_from_msg(bench.published["plan"][-1].trajectory)
+        reached = chain.forward(plan.positions[-1])
+        assert np.allclose(reached.position, wanted.position, atol=1e-4)
+    request.goal.header.frame_id = f"kr120/simulated/{tip}"
+    answer = bench.services["plan_to_pose"](over_the_wire(request))
+    assert not answer.success and "no transform from frame 'kr120/simulated/tool0'" in answer.message
+
+
+def placed(parent: str, child: str, pose: Pose) -> TransformStamped:
+    message = TransformStamped(child_frame_id=child)
+    message.header.frame_id = parent
+    message.transform.translation = Vector3(*pose.position)
+    message.transform.rotation = Quaternion(*rotation_to_quaternion(pose.rotation))
+    return message

@@ -1,4 +1,8 @@
-"""joint_velocities: the twin's pose at a low rate with velocities, which joint_state_publisher reads for `joint_states`."""
+"""joint_velocities: the twin's pose at a low rate with velocities, which joint_state_publisher reads for `joint_states`.
+
+Of a twin with mass that is the commanded pose: MoveIt starts from it, and goals in a link's frame are looked up in
+the tf made of it.
+"""
 
 from __future__ import annotations
 

@@ -3,6 +3,9 @@
 Frames of a robot's three trees (``<robot>/twin``, ``physical``, ``preview``) come from the nodes of its bringup. Any other frame,
 of a table or a building model, may come from anybody, but from one node at a time: the first one, until it is gone. What a second
 one says is refused and counted. So a bag that is played into a live system moves no frame that is there.
+
+Frames of ``<robot>/simulated``, where an arm with mass would be, are for people to look at: nothing is looked up in them, because a
+simulated pose is never commanded.
 """
 
 from __future__ import annotations
@@ -24,6 +27,8 @@ PUBLISHERS = {
     "physical": ("physical_state_publisher", "static_frames"),
     "preview": ("preview_state_publisher", "static_frames"),
 }
+#: The tree of a simulated pose, which nothing here is told of.
+SIMULATED = "simulated"
 #: Messages that are kept for a callback that is busy: about a second of three trees and of other robots'.
 _QUEUE = 100
 #: Refused static transforms that are kept; of more the oldest are forgotten.
@@ -67,6 +72,8 @@ class FrameListener:
             self._forget_what_lies_ahead()
             for transform in message.transforms:
                 frame = transform.child_frame_id.lstrip("/")
+                if _tree(frame)[1] == SIMULATED:
+                    continue
                 problem = self._problem(frame, caller)
                 # what it says now is newer
                 self._kept.pop((frame, caller), None)
@@ -118,8 +125,7 @@ class FrameListener:
     def _problem(self, frame: str, caller: str) -> str:
         """Return why a node may not publish a frame; "" when it may."""
         who = caller or "a node without a name"
-        robot, _, rest = frame.partition("/")
-        tree = rest.partition("/")[0] if "/" in rest else ""
+        robot, tree = _tree(frame)
         if tree in PUBLISHERS:
             expected = [f"/{robot}/{name}" for name in PUBLISHERS[tree]]
             if caller in expected:
@@ -132,3 +138,9 @@ class FrameListener:
             self._own(frame, caller)
             return ""
         return f"message from {who}; {owner} publishes the frame {frame} on /tf: end one of the two"
+
+
+def _tree(frame: str) -> tuple[str, str]:
+    """Return robot and tree of a frame ``<robot>/<tree>/<link>``; of any other one the tree is ""."""
+    robot, _, rest = frame.partition("/")
+    return robot, rest.partition("/")[0] if "/" in rest else ""

@@ -44,7 +44,7 @@ class Frames:
         self._known = known
 
     def tf_name(self, frame: str) -> str:
-        """Return the tf frame that a person means: a link of the robot by its URDF name is the twin's; empty is the base."""
+        """Return the tf frame that a person means: a link by its URDF name is the twin's, as commanded; empty is the base."""
         return self._links.get(frame, frame) if frame else self.base
 
     def transform(self, frame: str, stamp: rospy.Time) -> TransformStamped:
