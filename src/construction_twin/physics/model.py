@@ -294,7 +294,11 @@ class _Builder:
         if known is None:
             # in every scene the same piece, whatever the order of the objects: states go from one scene to the next
             first = min(
-                (each for each in self._own if each.item and not each.joint and self._load.loose.get(each.owner) == body),
+                (
+                    each
+                    for each in self._own
+                    if each.item and not each.joint and self._load.loose.get(each.owner) == body
+                ),
                 key=lambda each: each.owner,
             ).placement
             whole = self._spec.worldbody.add_body(

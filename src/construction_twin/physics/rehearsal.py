@@ -312,7 +312,9 @@ class _Run:
                 if known is None:
                     known = RehearsedContact(*names, at, self._in_base(data.contact.pos[largest[names][1]]), 0.0, 0.0)
                 self._contacts[names] = replace(
-                    known, force=float(np.maximum(known.force, size)), seconds=known.seconds + physics.model.opt.timestep
+                    known,
+                    force=float(np.maximum(known.force, size)),
+                    seconds=known.seconds + physics.model.opt.timestep,
                 )
 
     def _in_base(self, point: np.ndarray) -> tuple[float, float, float]:
@@ -567,7 +569,7 @@ def _speed_place(arm: SimulatedArm, name: str) -> int:
 def _is_broken(data: mujoco.MjData) -> bool:
     """Return whether the numbers are no motion any more; MuJoCo itself starts anew then, and counts."""
     warnings = mujoco.mjtWarning
-    return not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()) or any(
+    return not np.isfinite(data.qpos).all() or any(
         data.warning[kind].number
         for kind in (warnings.mjWARN_BADQPOS, warnings.mjWARN_BADQVEL, warnings.mjWARN_BADQACC)
     )
