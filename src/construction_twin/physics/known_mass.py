@@ -1,4 +1,4 @@
-"""Masses that somebody has said, of bodies that are several objects of a scene.
+"""Bodies that are several objects of a scene, and the masses that somebody has said of them.
 
 A body is all objects whose names begin with the same part before a ``/``: ``tool/post`` and ``tool/frame``, or the convex pieces of
 an element of a building.

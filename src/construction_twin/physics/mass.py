@@ -21,6 +21,8 @@ from construction_twin.scene.collision_bodies import Body
 UNKNOWN_DENSITY = 1000.0
 #: A body of no volume, a plate of a surface mesh, has this mass [kg]: MuJoCo simulates nothing that weighs nothing.
 LEAST_MASS = 1e-3
+#: No payload of a number is heavier [kg] or farther from the tip link [m].
+_LARGEST_PAYLOAD, _LARGEST_DISTANCE = 1e4, 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +61,14 @@ def payload_of(numbers: Sequence[float], name: str) -> MassProperties | None:
         name: Of what says them, for messages.
 
     Raises:
-        ConfigurationError: If they are neither, or the mass is not above 0.
+        ConfigurationError: If they are neither, or no mass or centre that an arm's payload has.
     """
     if not numbers:
         return None
-    if len(numbers) not in (1, 4) or not all(map(math.isfinite, numbers)) or not numbers[0] > 0.0:
-        raise ConfigurationError(name, tuple(numbers), Sentence("expected.physics.payload"))
     mass, *centre = numbers
+    is_payload = len(numbers) in (1, 4) and LEAST_MASS <= mass <= _LARGEST_PAYLOAD
+    if not is_payload or not math.hypot(*centre) <= _LARGEST_DISTANCE:
+        raise ConfigurationError(name, tuple(numbers), Sentence("expected.physics.payload"))
     # a cube of 20 cm, when nobody says more
     return MassProperties(mass, np.array(centre or (0.0, 0.0, 0.0)), np.eye(3) * mass * 0.04 / 6.0)
 

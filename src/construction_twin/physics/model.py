@@ -18,7 +18,6 @@ import pinocchio
 from construction_twin.core.sentences import Sentence
 from construction_twin.physics.constants import FRICTION, GRAVITY, STEP
 from construction_twin.physics.drive import ArmDrives
-from construction_twin.physics.known_mass import body_of
 from construction_twin.physics.mass import MassProperties, of_link, of_object, of_shape, together
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.scene.collision_bodies import Body, RobotBodies, is_convex, mesh_triangles
@@ -58,7 +57,7 @@ class PhysicsModel:
         drives: Torques, inertias and friction of the axes.
         owners: Of each geom: the link or scene object that it belongs to.
         links: Which names are those of links.
-        loose: Position of each loose body (`physics.known_mass`) in MuJoCo's arrays of positions: 7 numbers from there.
+        loose: Position of each loose body (`Load.loose`) in MuJoCo's arrays of positions: 7 numbers from there.
         followers: Of each joint that follows one of the chain: its place and its leader's in MuJoCo's arrays, factor, offset.
         shares: Shape (joints of the arm, n). How fast each joint of the arm, its followers too, turns per joint of the chain; None:
             nothing follows.
@@ -119,12 +118,13 @@ class Load:
 
     Attributes:
         masses: Of objects, by name [kg]; others are estimated from their volume.
-        loose: Bodies (`physics.known_mass`) that stand and can be moved or tipped over; others are part of the world.
+        loose: Objects that can be moved or tipped over where they stand, by name: the body that each is a piece of. Others are part
+            of the world.
         flange: A mass at the flange without a shape: a payload of which only its numbers are known, in the frame of the tip link.
     """
 
     masses: Mapping[str, float] = field(default_factory=dict)
-    loose: frozenset[str] = frozenset()
+    loose: Mapping[str, str] = field(default_factory=dict)
     flange: MassProperties | None = None
 
 
@@ -162,7 +162,7 @@ class _Builder:
         self._own = (*bodies.bodies, *bodies.place_all(scene))
         self._remarks: list[str] = []
         self._owners: list[str] = []
-        #: Loose bodies, each with the placement of its first piece, which is where its frame is.
+        #: Loose bodies, each with the placement of its piece whose name comes first: its frame is there.
         self._loose: dict[str, tuple[mujoco.MjsBody, pinocchio.SE3]] = {}
         self._spec = spec = mujoco.MjSpec()
         spec.modelname = bodies.robot.name
@@ -276,7 +276,7 @@ class _Builder:
                 _set_mass(holder, properties)
                 self._add_geoms(holder, pieces, placed=False)
                 carried.append((one, properties))
-            elif body_of(name) in self._load.loose:
+            elif name in self._load.loose:
                 if properties.estimated:
                     self._remarks.append(Sentence("physics.remark.object_mass", object=name, mass=properties.mass))
                 self._add_loose(pieces, properties)
@@ -289,14 +289,23 @@ class _Builder:
     def _add_loose(self, pieces: Sequence[Body], properties: MassProperties) -> None:
         """Add one object that can be moved: all objects of a body move as one."""
         one = pieces[0]
-        body = body_of(one.owner)
+        body = self._load.loose[one.owner]
         known = self._loose.get(body)
         if known is None:
+            # in every scene the same piece, whatever the order of the objects: states go from one scene to the next
+            first = min(
+                (
+                    each
+                    for each in self._own
+                    if each.item and not each.joint and self._load.loose.get(each.owner) == body
+                ),
+                key=lambda each: each.owner,
+            ).placement
             whole = self._spec.worldbody.add_body(
-                name=f"loose\n{body}", pos=one.placement.translation, quat=_quaternion(one.placement.rotation)
+                name=f"loose\n{body}", pos=first.translation, quat=_quaternion(first.rotation)
             )
             whole.add_freejoint(name=f"free\n{body}")
-            known = self._loose[body] = whole, one.placement
+            known = self._loose[body] = whole, first
         whole, placement = known
         relative = placement.inverse() * one.placement
         # a body of its own per object: pairs are left out object by object

@@ -36,7 +36,9 @@ from construction_twin.physics.report import (
     RehearsalReport,
     RehearsedContact,
     finished,
+    has_finite_numbers,
 )
+from construction_twin.physics.rigid_bodies import rigid_bodies
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_bodies import RobotBodies
@@ -160,7 +162,9 @@ class _Run:
         self._parts = parts
         self._after = after
         self._progress = progress
-        carried = [{item.name for item in scene.objects if item.link} for scene in (*(p.scene for p in parts), after)]
+        scenes = (*(part.scene for part in parts), after)
+        self._bodies = rigid_bodies(scenes)
+        carried = [{item.name for item in scene.objects if item.link} for scene in scenes]
         self._carried = frozenset[str]().union(*carried)
         # what is picked up or let go: the tool is in every scene on the arm, and is neither
         self._handled = self._carried - carried[0].intersection(*carried)
@@ -176,7 +180,7 @@ class _Run:
         self._released: dict[str, float] = {}
         self._before: dict[str, np.ndarray] = {}
         self._displaced: dict[str, LooseObject] = {}
-        self._grip = GripLoad()
+        self._grips = [GripLoad()]
         self._remarks: list[str] = []
 
     def report(self, named: RehearsalReport, clock: Callable[[], float]) -> RehearsalReport:
@@ -209,8 +213,8 @@ class _Run:
 
     def _arm(self, scene: Scene, pose: np.ndarray, before: SimulatedArm | None, begin: float) -> SimulatedArm:
         """Return the arm in a scene, from `begin` [s] on; what was let go goes on from where it is."""
-        loose = (self._handled | {*self._of.masses}) & set(scene.names)
-        physics = self._model(scene, frozenset(map(body_of, loose)))
+        loose = {self._bodies[name] for name in (self._handled | {*self._of.masses}) & set(scene.names)}
+        physics = self._model(scene, {name: body for name, body in self._bodies.items() if body in loose})
         self._remarks += physics.remarks
         if physics.payload is not None:
             self._payloads.append(physics.payload)
@@ -231,7 +235,7 @@ class _Run:
             self._before.setdefault(name, _loose_state(arm, name)[0])
         return arm
 
-    def _model(self, scene: Scene, loose: frozenset[str]) -> PhysicsModel:
+    def _model(self, scene: Scene, loose: Mapping[str, str]) -> PhysicsModel:
         of = self._of
         load = Load(of.masses, loose, of.flange)
         return build_model(of.bodies, scene, of.self_collision, of.drives, load, of.gravity)
@@ -248,7 +252,7 @@ class _Run:
         to_tip = frame.placement.inverse()
         pieces = [piece for item in carried for piece in bodies.place(item, scene.names)]
         grip = of.grip.on([replace(piece, placement=to_tip * piece.placement) for piece in pieces])
-        name = body_of(carried[0].name)
+        name = self._bodies[carried[0].name]
         if not len(grip.cups):
             self._remarks.append(Sentence("physics.remark.no_cup", object=name))
             return None
@@ -264,12 +268,14 @@ class _Run:
         limit = np.array([torque or math.inf for torque in self._of.drives.torque])
         gravity = _GravityTorque(physics)
         for at, setpoint in zip(times.tolist(), setpoints):
-            peak = np.zeros(len(limit))
+            lowest = highest = np.zeros(len(limit))
             for _step in arm.steps(setpoint):
-                peak = np.where(np.abs(arm.needed) > np.abs(peak), arm.needed, peak)
+                # these keep a nan
+                lowest, highest = np.minimum(lowest, arm.needed), np.maximum(highest, arm.needed)
                 if data.ncon:
                     self._note_contacts(physics, data, at, frozenset())
-            if _is_broken(data):
+            peak = np.where(highest > -lowest, highest, lowest)
+            if _is_broken(data) or not np.isfinite(peak).all():
                 return at
             q = arm.q
             self._torques.append(peak)
@@ -284,7 +290,7 @@ class _Run:
             if self._progress is not None:
                 self._progress(at, arm)
         if watch is not None:
-            self._grip = max(self._grip, watch.worst(), key=lambda load: load.usage)
+            self._grips.append(watch.worst())
         return None
 
     def _note_contacts(self, physics: PhysicsModel, data: mujoco.MjData, at: float, without: Set[str]) -> None:
@@ -296,18 +302,20 @@ class _Run:
         for number in np.flatnonzero(physics.unplanned[geoms[:, 0], geoms[:, 1]]).tolist():
             first, second = sorted((physics.owners[geom] for geom in geoms[number].tolist()), key=self._named_first)
             names = first, second
-            if without.isdisjoint(map(body_of, names)):
+            if without.isdisjoint(self._bodies.get(name, name) for name in names):
                 mujoco.mj_contactForce(physics.model, data, number, force)
                 size = float(np.linalg.norm(force[:3]))
                 forces[names] = forces.get(names, 0.0) + size
                 largest[names] = max(largest.get(names, (-1.0, 0)), (size, number))
         for names, size in forces.items():
-            if size >= LEAST_FORCE:
+            if not size < LEAST_FORCE:
                 known = self._contacts.get(names)
                 if known is None:
                     known = RehearsedContact(*names, at, self._in_base(data.contact.pos[largest[names][1]]), 0.0, 0.0)
                 self._contacts[names] = replace(
-                    known, force=max(known.force, size), seconds=known.seconds + physics.model.opt.timestep
+                    known,
+                    force=float(np.maximum(known.force, size)),
+                    seconds=known.seconds + physics.model.opt.timestep,
                 )
 
     def _in_base(self, point: np.ndarray) -> tuple[float, float, float]:
@@ -372,16 +380,20 @@ class _Run:
                     "torque" in self._of.drives.estimates,
                 )
             )
-        payload = _heaviest(self._payloads, self._of)
+        payload = _worst_payload(self._payloads, self._of)
+        grip = self._grips[int(np.argmax([load.usage for load in self._grips]))]
         off = int(np.argmax(self._off))
         energy = float(np.sum(np.abs(torques * speeds)) * CYCLE)
         braking = self._braking()
         report = replace(
             named, axes=tuple(axes), payload=payload, tracking=float(self._off[off]), tracking_joint=names[off], braking=braking,
             worst_time=float(times[worst]), worst_pose=tuple(map(float, self._poses[worst])),
-            contacts=tuple(self._contacts.values()), objects=objects, grip=self._grip, energy=energy,
+            contacts=tuple(self._contacts.values()), objects=objects, grip=grip, energy=energy,
             duration=self._trajectory.duration, settle_took=settle, remarks=tuple(dict.fromkeys(self._remarks)),
         )  # fmt: skip
+        if not has_finite_numbers(report):
+            # of what is not finite nothing is too large
+            return self._diverged(named, self._trajectory.duration if math.isfinite(braking.usage) else braking.time)
         robot = self._of.bodies.robot
         linear = {name for name, slides in zip(robot.joint_names, robot.linear) if slides}
         reasons = tuple(_reasons(report, self._of.limits, linear))
@@ -398,7 +410,7 @@ class _Run:
             return Braking(time=number * CYCLE)
         part = next(part for part in self._parts if part is self._parts[-1] or number * CYCLE < part.end)
         # how far the arm goes on, whatever stands in the way
-        physics = self._model(part.scene, frozenset())
+        physics = self._model(part.scene, {})
         physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         arm = SimulatedArm(physics, self._poses[number], Servo(saturates=False))
         arm.begin_with(speed)
@@ -415,7 +427,9 @@ class _Run:
         speeds = np.diff(np.vstack((begin, answers)), axis=0) / step
         accelerations = np.diff(np.vstack((speed, speeds)), axis=0) / step
         for _step in arm.follow(answers, speeds, accelerations):
-            usage = max(usage, float((np.abs(arm.needed) / limit).max()))
+            usage = float(np.maximum(usage, (np.abs(arm.needed) / limit).max()))
+        if _is_broken(arm.data):
+            usage = math.nan
         way = np.abs(arm.q - begin)
         joint = int(np.argmax(way))
         return Braking(
@@ -505,8 +519,8 @@ def _reasons(report: RehearsalReport, limits: Limits, linear: Set[str]) -> Itera
         yield Sentence("rehearsal.tracking", joint=axis_name(report.tracking_joint), error=error)
 
 
-def _heaviest(payloads: Sequence[MassProperties], of: Rehearsal) -> PayloadLoad:
-    """Return the heaviest of what the flange carries beside the arm's rating."""
+def _worst_payload(payloads: Sequence[MassProperties], of: Rehearsal) -> PayloadLoad:
+    """Return the largest of each number of what the flange carries, one scene after the other, beside the arm's rating."""
     rating = of.drives.rating
     rated = PayloadLoad()
     if rating is not None:
@@ -516,17 +530,19 @@ def _heaviest(payloads: Sequence[MassProperties], of: Rehearsal) -> PayloadLoad:
         )
     if not payloads:
         return rated
-    heaviest = max(payloads, key=lambda one: one.mass)
     bodies = of.bodies
     frame = bodies.model.frames[bodies.model.getFrameId(bodies.robot.tip_link)]
-    at_flange = heaviest.at(frame.placement.inverse())
-    x, y, z = at_flange.centre
-    centre = at_flange.centre
-    about = at_flange.inertia + at_flange.mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    return replace(
-        rated, mass=at_flange.mass, estimated=heaviest.estimated, across=math.hypot(x, y), along=float(z),
-        inertia=float(np.linalg.eigvalsh(about).max()),
-    )  # fmt: skip
+    numbers = []
+    for payload in payloads:
+        at_flange = payload.at(frame.placement.inverse())
+        centre = at_flange.centre
+        x, y, z = centre.tolist()
+        about = at_flange.inertia + at_flange.mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+        numbers.append((at_flange.mass, math.hypot(x, y), z, float(np.linalg.eigvalsh(about).max())))
+    worst = np.argmax(np.abs(numbers), axis=0)
+    mass, across, along, inertia = (numbers[number][kind] for kind, number in enumerate(worst))
+    estimated = any(payloads[number].estimated for number in worst)
+    return replace(rated, mass=mass, estimated=estimated, across=across, along=along, inertia=inertia)
 
 
 def _flange(arm: SimulatedArm) -> np.ndarray:

@@ -8,7 +8,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Annotated
 
 from construction_twin.core.records import as_seconds, document
@@ -88,10 +89,10 @@ class LooseObject:
 
 @dataclass(frozen=True)
 class PayloadLoad:
-    """What the flange carries, beside what the arm is rated for.
+    """What the flange carries, beside what the arm is rated for. Each number is the largest of the plan's loads.
 
     Attributes:
-        mass: [kg], of it `estimated` says whether a part is an estimate.
+        mass: [kg]. estimated: A part of one of these loads is an estimate.
         across, along: Distance of its centre of mass from the flange, across the last axis and along it [m].
         inertia: Largest moment about the axes of the flange [kg m^2].
         rated_mass, rated_inertia, rated_across, rated_along: 0: nobody says.
@@ -199,7 +200,26 @@ class RehearsalReport:
 
 def is_whole(report: RehearsalReport) -> bool:
     """Return whether a report that came from elsewhere is what its hash says."""
-    return report.state in STATES and finished(report, report.took).hash == report.hash
+    if report.state not in STATES or (report.state == PASSED and report.reasons):
+        return False
+    return finished(report, report.took).hash == report.hash
+
+
+def has_finite_numbers(report: RehearsalReport) -> bool:
+    """Return whether no number of a rehearsal that has ended is nan or infinite; `released` is nan of what was never held."""
+    return all(map(math.isfinite, _numbers(report)))
+
+
+def _numbers(value: object) -> Iterator[float]:
+    if is_dataclass(value):
+        for each in fields(value):
+            if each.name != "released":
+                yield from _numbers(getattr(value, each.name))
+    elif isinstance(value, tuple):
+        for part in value:
+            yield from _numbers(part)
+    elif isinstance(value, float):
+        yield value
 
 
 def finished(report: RehearsalReport, took: float) -> RehearsalReport:

@@ -153,7 +153,13 @@ def test_the_same_cycles_give_the_same_bytes():
     assert settled(one, READY + 0.05).tobytes() == settled(other, READY + 0.05).tobytes()
 
 
-@pytest.mark.parametrize("numbers", [(0.0,), (-3.0,), (1.0, 2.0), (1.0, 0.0, 0.0, float("nan")), (float("inf"),)])
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        (0.0,), (-3.0,), (1.0, 2.0), (1.0, 0.0, 0.0, float("nan")), (float("inf"),), (float("nan"),),
+        (9.9e-4,), (1.01e4,), (1.0, 0.0, -10.1, 0.0), (1.0, 7.1, 7.1, 0.0),
+    ],
+)  # fmt: skip
 def test_what_is_no_payload_is_refused(numbers):
     with pytest.raises(ConfigurationError, match="KG,X,Y,Z"):
         payload_of(numbers, "payload")
@@ -161,4 +167,6 @@ def test_what_is_no_payload_is_refused(numbers):
 
 def test_no_payload_is_none_and_a_mass_alone_hangs_at_the_flange():
     assert payload_of((), "payload") is None
+    assert payload_of((1e-3, 0.0, -10.0, 0.0), "payload").mass == 1e-3
+    assert payload_of((1e4,), "payload").mass == 1e4
     assert payload_of((5.0,), "payload").centre.tolist() == [0.0, 0.0, 0.0]

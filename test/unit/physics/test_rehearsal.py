@@ -1,8 +1,10 @@
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import coal
 import numpy as np
+import pinocchio
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,11 +12,13 @@ from physics_samples import READY, between, bodies_of, drives, pairs_of, plan_of
 from scene_samples import FLOOR
 
 from construction_twin.kinematics.chain import Chain
+from construction_twin.physics import rehearsal as module
 from construction_twin.physics.arm import SimulatedArm
 from construction_twin.physics.drive import PayloadRating, drives_of
+from construction_twin.physics.grip import GripWatch, SuctionGrip
 from construction_twin.physics.mass import of_shape
 from construction_twin.physics.rehearsal import Limits, Rehearsal
-from construction_twin.physics.report import BROKEN, FAILED, PASSED
+from construction_twin.physics.report import BROKEN, FAILED, PASSED, AxisLoad, GripLoad, finished, is_whole
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.robot.segments import Segment
 from construction_twin.scene.objects import Scene, SceneObject
@@ -318,3 +322,174 @@ def test_the_pieces_of_an_element_fall_as_one_body():
     beam = report.objects[0]
     assert (beam.name, beam.released) == ("beam", 1.0) and beam.fell > 0.5
     assert report.payload.mass == pytest.approx(10.0)
+
+
+def stack(names: tuple[str, ...], first: str, away: float = 0.3) -> tuple[SceneObject, ...]:
+    """Return tiles on a table under the flange, side by side, `first` the one at the flange; and the table."""
+    x, y, z = tile(False).position
+    table = SceneObject("table", "box", (1.2, 1.2, z - 0.02), (x, y, (z - 0.02) / 2.0), touch=names)
+    items = [
+        SceneObject(name, "box", (0.25, 0.25, 0.04), (x, y + (0.0 if name == first else away), z)) for name in names
+    ]
+    return (table, *items)
+
+
+def held(item: SceneObject) -> SceneObject:
+    return replace(item, link=TIP, position=(0.0, 0.0, 0.15), touch=("table",))
+
+
+def watched(*names: str) -> tuple[list[np.ndarray], Callable[[float, SimulatedArm], None]]:
+    """Return where objects are in every cycle of a rehearsal, which has to be given the other: shape (objects, 3) [m]."""
+    places: list[np.ndarray] = []
+
+    def watch(_time: float, arm: SimulatedArm) -> None:
+        places.append(arm.data.geom_xpos[[arm.physics.owners.index(name) for name in names]].copy())
+
+    return places, watch
+
+
+@pytest.mark.parametrize("taken", ["stock/1", "stock/2"])
+@pytest.mark.parametrize("masses", [{}, {"stock/1": 2.0, "stock/2": 3.0}])
+def test_of_objects_with_like_names_the_one_that_stays_does_not_move(taken, masses):
+    table, *items = stack(("stock/1", "stock/2"), taken)
+    (stays,) = [item for item in items if item.name != taken]
+    (goes,) = [item for item in items if item.name == taken]
+    places, watch = watched(stays.name)
+    scenes = [Scene((table, *items)), Scene((table, held(goes), stays)), Scene((table, stays, goes))]
+    motion = between(READY, READY, 1.0)
+    segments = tuple(
+        Segment(str(number), end, False, (), (), scenes[number].hash, scenes[number + 1].hash)
+        for number, end in enumerate((0.5, 1.0))
+    )
+    rehearsal = Rehearsal(bodies_of("kr120"), pairs_of("kr120"), drives(), masses=masses)
+    plan = plan_of(motion, scenes[0], segments)
+    report = rehearsal.of_plan(plan, {scene.hash: scene for scene in scenes}, lambda: 0.0, watch)
+    assert report.state == PASSED, report.reasons
+    assert np.abs(np.array(places) - places[0]).max() < 1e-3
+    # what is let go beside it is a body of its own, with its full name
+    assert [one.name for one in report.objects] == [taken]
+
+
+def test_pieces_that_come_in_another_order_in_the_next_scene_stay_where_they_are():
+    table, *pieces = stack(("beam/0", "beam/1"), "beam/0", 0.25)
+    # a scene's hash is that of its content, whatever the order: so they differ in something else
+    orders = ((table, *pieces), (table, *reversed(pieces)), (*pieces, table))
+    scenes = [Scene(order, padding) for order, padding in zip(orders, (0.0, 0.001, 0.002))]
+    segments = tuple(
+        Segment(str(number), end, False, (), (), scenes[number].hash, scenes[number + 1].hash)
+        for number, end in enumerate((0.5, 1.0))
+    )
+    masses = {"beam/0": 2.0, "beam/1": 3.0}
+    places, watch = watched("beam/0", "beam/1")
+    report = Rehearsal(bodies_of("kr120"), pairs_of("kr120"), drives(), masses=masses).of_plan(
+        plan_of(between(READY, READY, 1.0), scenes[0], segments),
+        {scene.hash: scene for scene in scenes},
+        lambda: 0.0,
+        watch,
+    )
+    assert (report.state, report.objects) == (PASSED, ()), report.reasons
+    assert np.abs(np.array(places) - places[0]).max() < 1e-3
+
+
+@pytest.mark.parametrize("masses, number", [((100.0, 130.0), "mass"), ((50.0, 20.0), "inertia")])
+def test_every_load_of_a_plan_is_judged_and_the_largest_of_each_number_is_told(masses, number):
+    # the light one is far away: its moment of inertia is the larger one
+    loads = [
+        SceneObject(name, "box", (0.2, 0.2, 0.2), (0.0, 0.0, beyond), link=TIP)
+        for name, beyond in (("near", 0.2), ("far", 1.0))
+    ]
+    scenes = [Scene((load,)) for load in loads]
+    rated = replace(drives(), rating=PayloadRating(120.0, 20.0 if number == "inertia" else None, (0.1, 0.9), "test"))
+    known = dict(zip(("near", "far"), masses))
+    report = rehearse(SMALL, *scenes, drives=rated, masses=known)
+    alone = [rehearse(SMALL, scene, drives=rated, masses=known).payload for scene in scenes]
+    assert {f"rehearsal.{number}", "rehearsal.distance"} <= set(reasons(report))
+    assert report.payload.mass == max(masses)
+    assert report.payload.inertia == max(load.inertia for load in alone) == alone[1].inertia
+    assert report.payload.along == max(load.along for load in alone) > 0.9
+
+
+class TestNumbersThatAreNone:
+    """Nothing that is compared with a limit passes by being nan."""
+
+    def test_a_torque(self, monkeypatch):
+        follow = SimulatedArm.follow
+
+        def broken(arm, *course):
+            for _ in follow(arm, *course):
+                # in one step alone, in the midst of a cycle
+                if 0.5015 < arm.data.time < 0.5025:
+                    arm.needed = arm.needed * math.nan
+                yield
+
+        monkeypatch.setattr(SimulatedArm, "follow", broken)
+        report = rehearse(SMALL)
+        assert (report.state, reasons(report)) == (FAILED, ["rehearsal.diverged"])
+        assert report.reasons[0].values["time"] == pytest.approx(0.5, abs=0.01)
+
+    def test_what_the_arm_is_off(self, monkeypatch):
+        cycle = SimulatedArm.steps
+
+        def broken(arm, setpoint):
+            arm.answer = getattr(arm, "kept", arm.answer)
+            yield from cycle(arm, setpoint)
+            arm.kept = arm.answer
+            if 0.4 < arm.data.time < 0.405:
+                arm.answer = arm.answer * math.nan
+
+        monkeypatch.setattr(SimulatedArm, "steps", broken)
+        report = rehearse(SMALL)
+        assert (report.state, reasons(report)) == (FAILED, ["rehearsal.diverged"])
+
+    @pytest.mark.parametrize("breaks", ["state", "torque"])
+    def test_braking(self, monkeypatch, breaks):
+        begin, follow = SimulatedArm.begin_with, SimulatedArm.follow
+
+        def begins(arm, speed):
+            begin(arm, speed)
+            arm.brakes = True
+
+        def broken(arm, *course):
+            for number, _ in enumerate(follow(arm, *course)):
+                if hasattr(arm, "brakes") and number == 2:
+                    if breaks == "state":
+                        # MuJoCo starts anew from this
+                        arm.data.qpos[0] = math.nan
+                    else:
+                        arm.needed = arm.needed * math.nan
+                yield
+
+        monkeypatch.setattr(SimulatedArm, "begin_with", begins)
+        monkeypatch.setattr(SimulatedArm, "follow", broken)
+        report = rehearse(SMALL)
+        assert (report.state, reasons(report)) == (FAILED, ["rehearsal.diverged"])
+        assert report.reasons[0].values["time"] == pytest.approx(0.5, abs=0.05)
+
+    @pytest.mark.parametrize("usages", [(math.nan, 0.1), (0.1, math.nan)])
+    def test_a_grip(self, monkeypatch, usages):
+        left = iter(usages)
+        monkeypatch.setattr(GripWatch, "worst", lambda watch: GripLoad("tile", 4, 0.0, next(left)))
+        cups = np.array([(x, y) for x in (-0.1, 0.1) for y in (-0.1, 0.1)])
+        grip = SuctionGrip(pinocchio.SE3(np.eye(3), np.array((0.0, 0.0, 0.13))), cups, 0.02, 1e4)
+        scene = Scene((FLOOR, tile(True)))
+        scenes = [scene, replace(scene, padding=0.001), replace(scene, padding=0.002)]
+        report = rehearse(SMALL, *scenes, grip=grip)
+        assert (report.state, reasons(report)) == (FAILED, ["rehearsal.diverged"])
+
+    @pytest.mark.parametrize("bad", [math.nan, math.inf])
+    def test_any_other_number(self, monkeypatch, bad):
+        monkeypatch.setattr(
+            module,
+            "AxisLoad",
+            lambda *numbers: replace(AxisLoad(*numbers), rms=bad if numbers[0] == "joint_a3" else 0.0),
+        )
+        report = rehearse(SMALL)
+        assert (report.state, reasons(report)) == (FAILED, ["rehearsal.diverged"])
+
+
+def test_a_report_that_passed_for_reasons_is_none():
+    passed = rehearse(SMALL)
+    assert passed.state == PASSED and is_whole(passed)
+    failed = finished(replace(passed, state=FAILED, reasons=("why",)), 0.0)
+    assert is_whole(failed)
+    assert not is_whole(finished(replace(failed, state=PASSED), 0.0))

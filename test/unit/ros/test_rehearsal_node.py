@@ -9,7 +9,7 @@ import threading
 import numpy as np
 import pytest
 import rospy
-from construction_twin.msg import Rehearsal, WorkTask, WorkTasks
+from construction_twin.msg import Rehearsal, Review, WorkTask, WorkTasks
 from plan_samples import make_plan
 from planning_cell import HOME, LEFT, RIGHT, ROBOT, ROOT
 from unplugged import Unplugged
@@ -119,6 +119,26 @@ class Bench:
         path = np.zeros((len(plan.trajectory.times), 3))
         self.plug.callbacks["plan"](plan_to_msg(plan, "base_link", path, changes if plan.segments else ()))
 
+    def hear_verdict(self, name: str, approved: bool = False) -> None:
+        self.plug.callbacks["review"](Review(plan_id=name, approved=approved, reviewer="executor"))
+
+    def begin(self, name: str) -> threading.Thread:
+        """Have a plan rehearsed, by a process that does not come to an end, and return who waits for it."""
+        self.process.answers = False
+        self.process.asked.clear()
+        self.hear_plan(plain_plan(name))
+        running = threading.Thread(target=self.node.work, args=(0.0,))
+        running.start()
+        assert self.process.asked.wait(SOON)
+        return running
+
+    @property
+    def rehearsed(self) -> list[str]:
+        """Return the plans of which a result was told, when nothing waits any more."""
+        for _ in range(5):
+            self.node.work(0.0)
+        return [message.plan_id for message in self.published]
+
     def hear_scene(self, scene: Scene = SCENES[0]) -> None:
         self.plug.callbacks["scene"](scene_to_msg(scene, rospy.Time(1), "base_link"))
 
@@ -172,6 +192,67 @@ class TestWhatIsRehearsed:
         bench.node.work(0.0)
         bench.node.work(0.0)
         assert [question.plan.id for question in bench.process.questions] == ["p2"]
+
+
+class TestAPlanThatTheExecutorRefuses:
+    """It has superseded the one under review, which is taken up again."""
+
+    def test_while_it_waits(self, bench):
+        bench.hear_scene()
+        running = bench.begin("p1")
+        bench.hear_plan(plain_plan("p2"))
+        bench.hear_verdict("p2")
+        running.join(SOON)
+        assert bench.rehearsed == ["p1"]
+
+    def test_while_it_is_rehearsed(self, bench):
+        bench.hear_scene()
+        bench.hear_plan(plain_plan("p1"))
+        running = bench.begin("p2")
+        bench.hear_verdict("p2")
+        running.join(SOON)
+        assert not running.is_alive()
+        assert bench.rehearsed == ["p1"]
+
+    def test_before_it_is_heard_of_here(self, bench):
+        bench.hear_scene()
+        bench.hear_verdict("p2")
+        bench.hear_plan(plain_plan("p1"))
+        bench.hear_plan(plain_plan("p2"))
+        assert bench.rehearsed == ["p1"]
+
+    def test_after_another_one_that_is_refused_too(self, bench):
+        bench.hear_scene()
+        for name in ("p1", "p2", "p3"):
+            bench.hear_plan(plain_plan(name))
+        bench.hear_verdict("p2")
+        bench.hear_verdict("p3")
+        assert bench.rehearsed == ["p1"]
+
+    def test_the_one_that_the_executor_has_replaced_is_not_taken_up(self, bench):
+        bench.hear_scene()
+        for name in ("p1", "p2"):
+            bench.hear_plan(plain_plan(name))
+        bench.hear_verdict("p1")
+        bench.hear_verdict("p2")
+        # nothing is under review: the plan that waits is rehearsed all the same
+        assert bench.rehearsed == ["p2"]
+
+    def test_an_approval_takes_nothing_up(self, bench):
+        bench.hear_scene()
+        for name in ("p1", "p2"):
+            bench.hear_plan(plain_plan(name))
+        bench.hear_verdict("p2", approved=True)
+        assert bench.rehearsed == ["p2"]
+
+    def test_only_the_newest_are_remembered(self, bench):
+        bench.hear_scene()
+        for number in range(20):
+            bench.hear_plan(plain_plan(f"p{number}"))
+        for number in reversed(range(1, 20)):
+            bench.hear_verdict(f"p{number}")
+        # p19 waits; of the 12 before it the last is p7, which nothing replaces
+        assert bench.rehearsed == ["p7"]
 
 
 class TestMasses:

@@ -23,7 +23,7 @@ from construction_twin.core.extras import check_extras
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import Sentence
 from construction_twin.msg import Plan as PlanMsg
-from construction_twin.msg import Rehearsal, WorkTasks
+from construction_twin.msg import Rehearsal, Review, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.physics.drive import read_drives
 from construction_twin.physics.known_mass import body_of
@@ -49,7 +49,7 @@ from construction_twin.work.worker import Worker
 
 #: A plan may come so long before the scene that it begins in [s].
 SCENE_DELAY = 1.0
-#: Scenes and masses of tasks that are remembered.
+#: Scenes, plans and verdicts that are remembered.
 _KEPT = 12
 #: How often the main thread looks whether this process is to end [s].
 _AWAKE = 0.5
@@ -130,7 +130,9 @@ class RehearsalNode:
         self._of_tool, self._masses = masses, {**masses}
         self._waiting: _Job | None = None
         self._running: _Job | None = None
-        self._newest: _Job | None = None
+        #: Replaced by a newer plan before their rehearsal ended, and not withdrawn yet: the newer one may be refused.
+        self._replaced: dict[str, _Job] = {}
+        self._withdrawn: list[str] = []
         #: The plan that was interrupted, and why: it is late, or there is a newer one.
         self._late = self._superseded = False
         self._prepared = False
@@ -159,7 +161,7 @@ class RehearsalNode:
             self._masses = {**element_masses(message), **self._of_tool}
 
     def on_plan(self, message: PlanMsg) -> None:
-        """Take a plan; it supersedes what is being rehearsed."""
+        """Take a plan; it supersedes what is being rehearsed, until the executor has refused it."""
         if self._absent:
             return
         try:
@@ -169,11 +171,35 @@ class RehearsalNode:
             self._diagnostics.refuse("plan", str(error))
             return
         with self._news:
-            self._newest = self._waiting = _Job(plan, changes, self._masses)
-            if self._running is not None:
-                self._superseded = True
-                self._process.interrupt()
-            self._news.notify_all()
+            if plan.id in self._withdrawn:
+                # the executor was the first to hear of it
+                return
+            for job in (self._running, self._waiting):
+                if job is not None and job.plan.id != plan.id and job.plan.id not in self._withdrawn:
+                    self._replaced[job.plan.id] = job
+            self._replaced.pop(plan.id, None)
+            _keep_newest(self._replaced)
+            self._supersede(_Job(plan, changes, self._masses))
+
+    def on_review(self, message: Review) -> None:
+        """Take a verdict: when the executor did not take a plan, the one that it has replaced here is still under review."""
+        if message.approved:
+            return
+        plan_id = message.plan_id
+        with self._news:
+            self._withdrawn = [*self._withdrawn, plan_id][-_KEPT:]
+            self._replaced.pop(plan_id, None)
+            newest = self._waiting or self._running
+            if newest is not None and newest.plan.id == plan_id and self._replaced:
+                self._supersede(self._replaced.pop(next(reversed(self._replaced))))
+
+    def _supersede(self, job: _Job) -> None:
+        """Have a plan rehearsed next, instead of what waits or is rehearsed now."""
+        self._waiting = job
+        if self._running is not None:
+            self._superseded = True
+            self._process.interrupt()
+        self._news.notify_all()
 
     # -- the work
 
@@ -284,6 +310,11 @@ class RehearsalNode:
         return Report(WARN if last.state == BROKEN else OK, f"plan {last.plan_id}: {last.state}{why}", values)
 
 
+def _keep_newest(jobs: dict[str, _Job]) -> None:
+    while len(jobs) > _KEPT:
+        del jobs[next(iter(jobs))]
+
+
 def segment_scenes(scene: Scene, plan: Plan, changes: tuple[SceneChange, ...]) -> dict[str, Scene]:
     """Return the scenes of a plan by hash: the one that it begins in, and what its segments make of it.
 
@@ -357,6 +388,7 @@ INTERFACE = Interface(
         Subscription("scene", SceneMsg, RehearsalNode.on_scene, queue_size=5),
         Subscription("work/tasks", WorkTasks, RehearsalNode.on_tasks, queue_size=1),
         Subscription("plan", PlanMsg, RehearsalNode.on_plan, queue_size=2),
+        Subscription("review", Review, RehearsalNode.on_review, queue_size=10),
     ),
 )
 FILE = ConfigFile(_launched, lambda given: given.get("rehearsal", "auto") != "off")
