@@ -83,7 +83,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const segments = add(checks, "ol", {className: "verdict-segments"});
   const showRehearsal = makeRehearsal(area, texts);
   const override = makeOverride(area, texts, {
-    press: () => take(store.selected, {type: "press", override: true, reason: override.reason()}), release: () => release(), changed: () => show(),
+    press: () => take(store.selected, {type: "press", override: true, reason: override.reason(), rehearsal: hashShown(store.selected)}), release: () => release(), changed: () => show(),
   });
   const steps = add(area, "ul", {className: "verdict-steps", "aria-label": texts("verdict.steps")});
   const stepLooked = add(steps, "li");
@@ -106,6 +106,11 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
 
   const machineOf = (robot) => machines.get(robot) ?? verdict.begin();
   const reviewer = () => connection.account || name.value.trim();
+  /** Return the hash of the rehearsal that is shown of a robot's plan; "" for none. */
+  const hashShown = (robot) => {
+    const {plan = null, rehearsal = null} = store.robot(robot) ?? {};
+    return rehearsalOf(plan, rehearsal)?.hash ?? "";
+  };
 
   const take = (robot, event) => {
     if (robot === "") return;
@@ -273,9 +278,10 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   // -- what is heard
 
   const planOf = (plan) => (plan === null ? null : {id: plan.id, hash: plan.hash, refused: plan.refused ?? "missing"});
-  const viewOf = ({plan, approval_obstacle: obstacle, execution}) => (
-    {type: "view", plan, obstacle, overridable: isOverridable(obstacle, texts), ended: execution?.outcome ? execution.plan_id : ""}
-  );
+  const viewOf = (robot, {plan, approval_obstacle: obstacle, execution}) => ({
+    type: "view", plan, obstacle, overridable: isOverridable(obstacle, texts), ended: execution?.outcome ? execution.plan_id : "",
+    rehearsal: hashShown(robot),
+  });
   // no picture, or none of this robot, is no picture that is covered: then the checks are what a person looks at
   const hides = (robot) => {
     const {drawn = null, said = null} = store.robot(robot) ?? {};
@@ -290,7 +296,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     look(robot);
     const known = store.robot(robot);
     if (known.plan !== null) take(robot, {type: "plan", plan: planOf(known.plan)});
-    if (known.view !== null && !known.old) take(robot, viewOf(known.view));
+    if (known.view !== null && !known.old) take(robot, viewOf(robot, known.view));
   };
   store.on("robots", () => {
     for (const robot of store.robots) if (!machines.has(robot) && connection.state === "connected") connect(robot);
@@ -317,7 +323,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     if (plan !== null && plan.id !== before && robot === store.selected) parent.tab?.open();
   });
   store.on("view", (robot, view) => {
-    if (view !== null) take(robot, view.online ? viewOf(view) : {type: "old"});
+    if (view !== null) take(robot, view.online ? viewOf(robot, view) : {type: "old"});
   });
   store.on("old", (robot, old) => {
     if (old) take(robot, {type: "old"});
