@@ -19,6 +19,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import Executor
 from construction_twin.review.plan_under_review import APPROVED, REFUSED, REJECTED, Ending, Verdict, prove_hash
+from construction_twin.robot.plan import Plan
 
 #: Reviewer of a plan that was approved without a person, because of a launch argument.
 AUTO_APPROVE = "auto_approve"

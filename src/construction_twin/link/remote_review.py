@@ -76,7 +76,9 @@ def parse_review(payload: bytes, retained: bool, account: str = "") -> ReviewReq
     Raises:
         PayloadError: ``retained``, ``moment`` or ``review``.
     """
-    return _parse(payload, retained, account, ("plan_id", "plan_hash", "verdict", *(() if account else ("reviewer",))), _READERS)
+    return _parse(
+        payload, retained, account, ("plan_id", "plan_hash", "verdict", *(() if account else ("reviewer",))), _READERS
+    )
 
 
 def _parse(

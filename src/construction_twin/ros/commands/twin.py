@@ -239,7 +239,13 @@ class Command:
         reviewer = self._options.reviewer or account_name()
         override = seen is not None
         request = ReviewRequest(
-            plan.id, plan.hash, verdict, reviewer, self._options.reason, override_rehearsal=override, rehearsal_hash=seen or ""
+            plan.id,
+            plan.hash,
+            verdict,
+            reviewer,
+            self._options.reason,
+            override_rehearsal=override,
+            rehearsal_hash=seen or "",
         )
         return _print(self._client.review(request))
 

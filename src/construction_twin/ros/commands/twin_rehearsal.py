@@ -17,7 +17,6 @@ from construction_twin.views.arguments import Exit
 from construction_twin.views.rehearsal_table import rehearsal_table
 
 
-
 def show_rehearsal(namespace: str, timeout: float) -> Exit:
     """Show it; a rehearsal that did not pass is told by the exit code.
 
