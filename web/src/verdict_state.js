@@ -18,7 +18,8 @@
  *                                              end), "checks" (its checks were opened)
  *   press {reviewer}, release                  of the approve button
  *   press {reviewer, override: true, reason, rehearsal}  of the button that approves in spite of the rehearsal; `rehearsal`: hash of
- *                                              the result that the page shows, "" for none; a view has the same
+ *                                              the result that the page shows, "" for none
+ *   rehearsal {rehearsal}                      from now on the page shows the result of this hash
  *   reject {reason, reviewer}
  *   tick {reviewer, account, sender}           again and again; `reviewer` is the person's name, `account` this page's, `sender` the one
  *                                              in whose name it approves in spite of a rehearsal
@@ -89,8 +90,8 @@ const isNamed = ({reviewer}) => reviewer !== "";
 const mayPress = (machine, event) => isNamed(event)
   && (event.override ? machine.overridable && event.reason.trim() !== "" && blocked(machine, true) === "" : blocked(machine) === "");
 /** Who approves in spite of what a rehearsal says has read just that. */
-const saysOther = ({override, obstacle, rehearsal}, event) => override
-  && ((event.obstacle ?? "") !== obstacle || (event.rehearsal ?? "") !== rehearsal);
+const saysOther = ({override, obstacle}, event) => override && (event.obstacle ?? "") !== obstacle;
+const isOther = ({override, rehearsal}, event) => override && event.rehearsal !== rehearsal;
 const isHeld = (machine, {at}) => mayApprove(machine) && at - machine.pressedAt >= HELD_FOR && at - machine.tickedAt <= SHORT_GAP;
 const stood = (machine, {at}) => at - machine.tickedAt > STOOD_STILL;
 const isLate = (machine, {at}) => at - machine.sent.at >= ANSWER_WITHIN;
@@ -211,6 +212,7 @@ export const TABLE = [
   {states: ["pressing"], event: "view", guard: ({override}, {obstacle = ""}) => !override && obstacle !== "",
     action: cancelWith(see, "obstacle"), next: "open"},
   {states: OPEN, event: "view", action: see},
+  {states: ["pressing"], event: "rehearsal", guard: isOther, action: cancel("rehearsal"), next: "open"},
   {states: ["pressing"], event: "old", action: cancelWith(blind, "old"), next: "open"},
   {states: OPEN, event: "old", action: blind},
   {states: ["pressing"], event: "shows", guard: (machine, {what}) => what !== "", action: cancelWith(hide, "hidden"), next: "open"},

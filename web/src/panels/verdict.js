@@ -278,10 +278,9 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   // -- what is heard
 
   const planOf = (plan) => (plan === null ? null : {id: plan.id, hash: plan.hash, refused: plan.refused ?? "missing"});
-  const viewOf = (robot, {plan, approval_obstacle: obstacle, execution}) => ({
-    type: "view", plan, obstacle, overridable: isOverridable(obstacle, texts), ended: execution?.outcome ? execution.plan_id : "",
-    rehearsal: hashShown(robot),
-  });
+  const viewOf = ({plan, approval_obstacle: obstacle, execution}) => (
+    {type: "view", plan, obstacle, overridable: isOverridable(obstacle, texts), ended: execution?.outcome ? execution.plan_id : ""}
+  );
   // no picture, or none of this robot, is no picture that is covered: then the checks are what a person looks at
   const hides = (robot) => {
     const {drawn = null, said = null} = store.robot(robot) ?? {};
@@ -296,7 +295,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     look(robot);
     const known = store.robot(robot);
     if (known.plan !== null) take(robot, {type: "plan", plan: planOf(known.plan)});
-    if (known.view !== null && !known.old) take(robot, viewOf(robot, known.view));
+    if (known.view !== null && !known.old) take(robot, viewOf(known.view));
   };
   store.on("robots", () => {
     for (const robot of store.robots) if (!machines.has(robot) && connection.state === "connected") connect(robot);
@@ -323,13 +322,15 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     if (plan !== null && plan.id !== before && robot === store.selected) parent.tab?.open();
   });
   store.on("view", (robot, view) => {
-    if (view !== null) take(robot, view.online ? viewOf(robot, view) : {type: "old"});
+    if (view !== null) take(robot, view.online ? viewOf(view) : {type: "old"});
   });
   store.on("old", (robot, old) => {
     if (old) take(robot, {type: "old"});
   });
   for (const kind of ["drawn", "said"]) store.on(kind, look);
   store.on("rights", show);
+  // before it is shown: what moves on the page then may end the press too
+  store.on("rehearsal", (robot) => take(robot, {type: "rehearsal", rehearsal: hashShown(robot)}));
   for (const kind of ["tasks", "drawn", "rehearsal"]) {
     store.on(kind, (robot) => {
       if (robot === store.selected) show();
