@@ -170,6 +170,7 @@ def test_who_has_the_right_approves_in_spite_of_the_rehearsal_with_a_reason(page
     assert robot.verdicts == [("dora", "approved", plan.id)]
     (said,) = robot.payloads("override_rehearsal/dora")
     assert said["reason"] == f"{words('verdict.override.why.estimate')}: the file of the drives says so"
+    assert said["rehearsal_hash"] == "f00d"
     assert not robot.payloads("review")
     expect(button).to_be_hidden()
 

@@ -85,7 +85,7 @@ class Operator:
         deadline = time.monotonic() + 5.0
         while True:
             asked = time.monotonic()
-            answer = service(plan.plan_id, plan.plan_hash, True, "soak", "", False)
+            answer = service(plan.plan_id, plan.plan_hash, True, "soak", "", False, "")
             # the plan travels on a topic of its own
             if answer.success or "is not under review" not in answer.message or time.monotonic() > deadline:
                 return answer.success, answer.message, asked

@@ -254,7 +254,7 @@ class MotionTest(RobotTest):
             lambda: int(self.client.diagnostics("executor").get("refused publisher", 0)) > before,
             "the forged plan to be counted",
         )
-        answer = rospy.ServiceProxy("review_plan", ReviewPlan)("forged", forged.hash, True, "tester", "", False)
+        answer = rospy.ServiceProxy("review_plan", ReviewPlan)("forged", forged.hash, True, "tester", "", False, "")
         self.assertIn("not under review", answer.message)
 
     # -- along lines, and paths from elsewhere

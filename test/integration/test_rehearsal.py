@@ -138,7 +138,15 @@ class RehearsalTest(RobotTest):
             self.assertFalse(answer.success)
             self.assertIn(report.reasons[0], answer.message)
             self.assertTrue(self.client.idle())
-            answer = self.client.review(plan.plan_id, plan.plan_hash, override=True)
+            # what was seen is another result than the one that counts
+            for seen in ("", "0" * 64):
+                answer = self.client.review(plan.plan_id, plan.plan_hash, override=seen)
+                self.assertFalse(answer.success)
+                self.assertIn("something else than what was seen", answer.message)
+                self.assertIn(report.reasons[0], answer.message)
+            self.assertFalse(self.client.review(plan.plan_id, "", override=report.hash).success)
+            self.assertTrue(self.client.idle())
+            answer = self.client.review(plan.plan_id, plan.plan_hash, override=report.hash)
             self.assertTrue(answer.success, answer.message)
         record = self.recorded(plan.plan_id)
         self.assertEqual(record["rehearsal"], {"state": FAILED, "hash": report.hash, "overridden": True})
@@ -152,7 +160,7 @@ class RehearsalTest(RobotTest):
         plan = self.client.plan_to(LEFT)
         passed = self.rehearsed(plan.plan_id)
         self.assertEqual(passed.state, PASSED, passed)
-        answer = screen.ask(OVERRIDE, plan, reason="just so")
+        answer = screen.ask(OVERRIDE, plan, reason="just so", rehearsal_hash=passed.hash)
         self.assertEqual((answer["ok"], answer["account"]), (False, "ada"), answer)
         self.assertIn("no rehearsal to override", answer["reason"])
         self.client.review(plan.plan_id, plan.plan_hash, approve=False)
@@ -160,11 +168,15 @@ class RehearsalTest(RobotTest):
             # mqtt_review and executor hear of the rehearsal each for itself
             screen.wait_for(topics.rehearsal, lambda told: told["plan_hash"] == plan.plan_hash)
             screen.wait_for(topics.view, lambda told: report.reasons[0] in told["approval_obstacle"])
-            for kind, said in ((REVIEW, {}), (OVERRIDE, {}), (OVERRIDE, {"reason": " "})):
+            seen = {"rehearsal_hash": report.hash}
+            for kind, said in (
+                (REVIEW, {}), (OVERRIDE, seen), (OVERRIDE, seen | {"reason": " "}), (OVERRIDE, {"reason": "unseen"}),
+                (OVERRIDE, {"reason": "another", "rehearsal_hash": passed.hash}),
+            ):  # fmt: skip
                 answer = screen.ask(kind, plan, **said)
                 self.assertFalse(answer["ok"], answer)
             self.assertTrue(self.client.idle())
-            answer = screen.ask(OVERRIDE, plan, reason="the block is hollow")
+            answer = screen.ask(OVERRIDE, plan, reason="the block is hollow", **seen)
             self.assertTrue(answer["ok"], answer)
             self.assertEqual((answer["plan_id"], answer["reviewer"]), (plan.plan_id, "ada"))
         record = self.recorded(plan.plan_id)

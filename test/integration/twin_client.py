@@ -215,14 +215,20 @@ class TwinClient:
         return answer
 
     def review(
-        self, plan_id: str, plan_hash: str, approve: bool = True, reviewer: str = "tester", override: bool = False
+        self, plan_id: str, plan_hash: str, approve: bool = True, reviewer: str = "tester", override: str | None = None
     ) -> ReviewPlanResponse:
-        """Give a verdict; repeated while the plan, which travels on a topic of its own, has not reached the executor."""
+        """Give a verdict; repeated while the plan, which travels on a topic of its own, has not reached the executor.
+
+        Args:
+            override: Hash of the rehearsal's result in spite of which it is approved; None: it is not.
+        """
         service = rospy.ServiceProxy("review_plan", ReviewPlan)
         answers = []
 
         def answered() -> bool:
-            answers.append(service(plan_id, plan_hash, approve, reviewer, "integration test", override))
+            answers.append(
+                service(plan_id, plan_hash, approve, reviewer, "integration test", override is not None, override or "")
+            )
             return answers[-1].success or "is not under review" not in answers[-1].message
 
         self.wait(answered, "the executor to know the plan", 2.0)

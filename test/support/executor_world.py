@@ -115,7 +115,7 @@ class World:
     def playing(self) -> World:
         """Play a plan."""
         plan = self.waiting()
-        assert self.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False)).success
+        assert self.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "")).success
         return self.run(50)
 
     def shown(self, age: float = 0.0) -> str:

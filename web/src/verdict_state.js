@@ -17,7 +17,9 @@
  *   looked {what, hash}                        the page showed the plan of this hash: "shown" (again and again), "played" (to its
  *                                              end), "checks" (its checks were opened)
  *   press {reviewer}, release                  of the approve button
- *   press {reviewer, override: true, reason}   of the button that approves in spite of the rehearsal
+ *   press {reviewer, override: true, reason, rehearsal}  of the button that approves in spite of the rehearsal; `rehearsal`: hash of
+ *                                              the result that the page shows, "" for none
+ *   rehearsal {rehearsal}                      from now on the page shows the result of this hash
  *   reject {reason, reviewer}
  *   tick {reviewer, account, sender}           again and again; `reviewer` is the person's name, `account` this page's, `sender` the one
  *                                              in whose name it approves in spite of a rehearsal
@@ -46,7 +48,7 @@ const NOT_LOOKED = {shownFor: 0, shownAt: null, played: false, checks: false};
 export function begin() {
   return {
     state: "offline", plan: null, gone: false, viewPlan: undefined, obstacle: "", overridable: false, hides: "", live: false, replay: false,
-    ...NOT_LOOKED, pressedAt: null, tickedAt: null, override: false, reason: "", sent: null,
+    ...NOT_LOOKED, pressedAt: null, tickedAt: null, override: false, reason: "", rehearsal: "", sent: null,
     notice: null,
   };
 }
@@ -89,6 +91,7 @@ const mayPress = (machine, event) => isNamed(event)
   && (event.override ? machine.overridable && event.reason.trim() !== "" && blocked(machine, true) === "" : blocked(machine) === "");
 /** Who approves in spite of what a rehearsal says has read just that. */
 const saysOther = ({override, obstacle}, event) => override && (event.obstacle ?? "") !== obstacle;
+const isOther = ({override, rehearsal}, event) => override && event.rehearsal !== rehearsal;
 const isHeld = (machine, {at}) => mayApprove(machine) && at - machine.pressedAt >= HELD_FOR && at - machine.tickedAt <= SHORT_GAP;
 const stood = (machine, {at}) => at - machine.tickedAt > STOOD_STILL;
 const isLate = (machine, {at}) => at - machine.sent.at >= ANSWER_WITHIN;
@@ -135,13 +138,16 @@ const grow = (machine, {at, what, hash}) => {
 const blind = () => ({live: false});
 const hide = (machine, {what}) => ({hides: what});
 const setReplay = (machine, {on}) => ({replay: on});
-const press = (machine, {at, override = false, reason = ""}) => ({pressedAt: at, tickedAt: at, override, reason, notice: null});
+const press = (machine, {at, override = false, reason = "", rehearsal = ""}) => ({
+  pressedAt: at, tickedAt: at, override, reason, rehearsal, notice: null,
+});
 const note = (machine, {at}) => ({tickedAt: at});
 const cancel = (why) => () => ({pressedAt: null, notice: {kind: "cancelled", why}});
 const cancelWith = (action, why) => (machine, event) => ({...action(machine, event), pressedAt: null, notice: {kind: "cancelled", why}});
 const sending = (machine, {at, reviewer}, verdict, account, reason, override) => ({
   pressedAt: null, notice: null, sent: {plan: machine.plan, verdict, reviewer, account, at, override},
-  publish: {plan_id: machine.plan.id, plan_hash: machine.plan.hash, verdict, reviewer, reason: reason.trim()},
+  publish: {plan_id: machine.plan.id, plan_hash: machine.plan.hash, verdict, reviewer, reason: reason.trim(),
+    ...(override ? {rehearsal_hash: machine.rehearsal} : {})},
 });
 const approve = (machine, event) => (machine.override
   ? sending(machine, event, "approved", event.sender, machine.reason, true) : sending(machine, event, "approved", event.account, "", false));
@@ -206,6 +212,7 @@ export const TABLE = [
   {states: ["pressing"], event: "view", guard: ({override}, {obstacle = ""}) => !override && obstacle !== "",
     action: cancelWith(see, "obstacle"), next: "open"},
   {states: OPEN, event: "view", action: see},
+  {states: ["pressing"], event: "rehearsal", guard: isOther, action: cancel("rehearsal"), next: "open"},
   {states: ["pressing"], event: "old", action: cancelWith(blind, "old"), next: "open"},
   {states: OPEN, event: "old", action: blind},
   {states: ["pressing"], event: "shows", guard: (machine, {what}) => what !== "", action: cancelWith(hide, "hidden"), next: "open"},

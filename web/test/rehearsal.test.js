@@ -72,11 +72,12 @@ test("a message that is no rehearsal is refused", async () => {
 // -- in spite of it
 
 const AGAINST = "plan p1 has failed its rehearsal: the flange carries 240.0 kg; the arm is rated for 120.0 kg";
+const FAILED = {...REHEARSAL, state: "failed", reasons: ["the flange carries 240.0 kg; the arm is rated for 120.0 kg"]};
 /** Who has the right, and the name of the account. */
 const RIGHTS = {override_rehearsal: {ada: "ada", grace: "Grace"}};
 
 /** A page whose plan was looked at and is held back by its rehearsal, or by what `obstacle` says. */
-async function held({account = "ada", language = "en", obstacle = AGAINST, rights = RIGHTS} = {}) {
+async function held({account = "ada", language = "en", obstacle = AGAINST, rights = RIGHTS, rehearsal = FAILED} = {}) {
   const fake = fakePage({account, language});
   const timers = [];
   if (rights !== null) {
@@ -91,6 +92,7 @@ async function held({account = "ada", language = "en", obstacle = AGAINST, right
   const say = (against) => fake.hear("kr120", "view", view({plan: "p1", approval_obstacle: against}));
   await fake.hear("kr120", "view", view({plan: "p1", approval_obstacle: obstacle}));
   await fake.hear("kr120", "plan", plan());
+  if (rehearsal !== null) await fake.hear("kr120", "rehearsal", rehearsal);
   const pass = async (ms, against = obstacle) => {
     for (let gone = 0; gone < ms; gone += 50) {
       fake.later(50);
@@ -123,8 +125,8 @@ for (const language of ["en", "de"]) {
     await it.pass(900);
     assert.deepEqual(it.connection.sent, []);
     await it.pass(200);
-    assert.deepEqual(it.connection.sent.map(({topic, payload}) => [topic, payload.verdict, payload.reason]),
-      [["override_rehearsal/ada", "approved", "the drives' file is an estimate"]]);
+    assert.deepEqual(it.connection.sent.map(({topic, payload}) => [topic, payload.verdict, payload.reason, payload.rehearsal_hash]),
+      [["override_rehearsal/ada", "approved", "the drives' file is an estimate", "f00d"]]);
     await it.hear("kr120", "override_rehearsal/ack",
       {account: "ada", reviewer: "ada", plan_id: "p1", plan_hash: "h1", verdict: "approved", ok: true, reason: "it moves"});
     assert.match(it.text(".verdict-notice"), /it moves/);
@@ -175,10 +177,33 @@ for (const obstacle of ["", "the executor is EXECUTING: a plan is played"]) {
   });
 }
 
-test("without a rehearsal at all it is offered where one is required", async () => {
-  const it = await held({obstacle: "plan p1 was not rehearsed yet, and it must be"});
-  assert.equal(it.find(".override").hidden, false);
-});
+for (const [what, rehearsal] of Object.entries({"at all": null, "of this plan": {...FAILED, plan_hash: "h0"}})) {
+  test(`without a rehearsal ${what} it is offered where one is required, and says that none was seen`, async () => {
+    const it = await held({obstacle: "plan p1 was not rehearsed yet, and it must be", rehearsal});
+    assert.equal(it.find(".override").hidden, false);
+    it.give();
+    it.press();
+    await it.pass(1100);
+    assert.deepEqual(it.connection.sent.map(({payload}) => payload.rehearsal_hash), [""]);
+  });
+}
+
+for (const [what, before, after] of [["comes", null, FAILED], ["replaces another", FAILED, {...FAILED, hash: "2nd"}]]) {
+  test(`a result that ${what} while the button is held ends the press, also where the sentence is the same`, async () => {
+    const it = await held({rehearsal: before});
+    it.give();
+    it.press();
+    await it.pass(500);
+    await it.hear("kr120", "rehearsal", after);
+    await it.pass(1500);
+    assert.deepEqual(it.connection.sent, []);
+    assert.equal(it.text(".verdict-notice"), it.texts("verdict.cancelled.rehearsal"));
+    // what is shown now is what a second press is about
+    it.press();
+    await it.pass(1100);
+    assert.deepEqual(it.connection.sent.map(({payload}) => payload.rehearsal_hash), [after.hash]);
+  });
+}
 
 test("what the executor or the broker refuses is told, and can be asked again", async () => {
   const it = await held();

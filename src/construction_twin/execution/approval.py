@@ -19,6 +19,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import Executor
 from construction_twin.review.plan_under_review import APPROVED, REFUSED, REJECTED, Ending, Verdict, prove_hash
+from construction_twin.robot.plan import Plan
 
 #: Reviewer of a plan that was approved without a person, because of a launch argument.
 AUTO_APPROVE = "auto_approve"
@@ -96,14 +97,15 @@ class Approval:
         reviewer: str,
         reason: str = "",
         seen: Moment | None = None,
-        override: bool = False,
+        override: str | None = None,
     ) -> Taken:
         """Carry out a verdict: an approval after it was recorded, a rejection at once.
 
         Args:
             seen: The newest that the reviewer's screen had received; without one this call counts.
-            override: Of an approval: although a rehearsal is required that is missing or was no pass. It needs a reason, and
-                something to override: whoever has this right alone approves nothing else by it.
+            override: Of an approval: although a rehearsal is required that is missing or was no pass; the hash of the result that
+                the reviewer saw, "" where there was none. It needs the plan's hash, a reason, and something to override:
+                whoever has this right alone approves nothing else by it. A result that came since is not overridden.
 
         Raises:
             ReviewError: When it cannot be taken; a refused approval is recorded too.
@@ -124,8 +126,6 @@ class Approval:
                 self._prove(plan_id)
                 with self._lock:
                     verdict = self._examine(plan_id, plan_hash, True, reviewer, reason, override)
-                    if override:
-                        self._check_override(verdict)
             except ReviewError as error:
                 self._refuse(plan_id, plan_hash, reviewer, error.sentence)
                 raise
@@ -170,22 +170,30 @@ class Approval:
             return None
 
     def _examine(
-        self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "", override: bool = False
+        self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str, override: str | None = None
     ) -> Verdict:
         """Return the verdict that could be carried out now; an approval at the wrong moment leaves the plan under review."""
         plan = self._executor.under_review.check(plan_id, plan_hash, reviewer)
+        overridden = override is not None
         if approve:
-            self._executor.check_start(plan, override)
-        rehearsal = self._executor.rehearsal.on_record(plan, override)
+            self._executor.check_start(plan, overridden)
+        rehearsal = self._executor.rehearsal.on_record(plan, overridden)
+        if override is not None:
+            self._check_override(plan, plan_hash, reason, override)
         return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan, rehearsal)
 
-    def _check_override(self, verdict: Verdict) -> None:
-        """Raise ReviewError when there is nothing to override, or the reviewer does not say why."""
-        assert verdict.plan is not None  # it was examined
-        if not self._executor.rehearsal_problem(verdict.plan):
-            raise ReviewError(Sentence("review.rehearsal.nothing", plan=verdict.plan_id))
-        if not verdict.reason.strip():
-            raise ReviewError(Sentence("review.rehearsal.unreasoned", plan=verdict.plan_id))
+    def _check_override(self, plan: Plan, plan_hash: str, reason: str, seen: str) -> None:
+        """Raise ReviewError when there is nothing to override, or it is not what was seen, or the reviewer does not say why."""
+        problem = self._executor.rehearsal_problem(plan)
+        if not problem:
+            raise ReviewError(Sentence("review.rehearsal.nothing", plan=plan.id))
+        if not plan_hash:
+            raise ReviewError(Sentence("review.rehearsal.unhashed", plan=plan.id))
+        report = self._executor.rehearsal.of(plan)
+        if seen != (report.hash if report is not None else ""):
+            raise ReviewError(Sentence("review.rehearsal.unseen", plan=plan.id, now=problem))
+        if not reason.strip():
+            raise ReviewError(Sentence("review.rehearsal.unreasoned", plan=plan.id))
 
     def _demand_fresh(self, moment: Moment) -> int:
         """Return how long an approval may still wait for the first setpoint [ns]; ExpiredError when that is over."""
@@ -197,8 +205,9 @@ class Approval:
     def _begin_approved(self, verdict: Verdict, moment: Moment) -> str:
         """Begin what an approval that was recorded is for, if it still may; return a sentence."""
         left = self._demand_fresh(moment)
-        override = verdict.rehearsal is not None and verdict.rehearsal.overridden
-        self._examine(verdict.plan_id, verdict.plan_hash, True, verdict.reviewer, override=override)
+        known = verdict.rehearsal
+        override = known.hash if known is not None and known.overridden else None
+        self._examine(verdict.plan_id, verdict.plan_hash, True, verdict.reviewer, verdict.reason, override)
         plan = self._executor.under_review.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
         who = {"reviewer": verdict.reviewer}
         self._executor.begin(plan, Sentence("executor.approved", **who), left)

@@ -44,6 +44,7 @@ class ReviewRequest:
         says: What a message of an account says of who gave it, where that is another name; proves nothing.
         moment: The newest that the screen had received; of a rejection it may be "".
         override_rehearsal: It came on `override_rehearsal/<account>`: an approval in spite of the rehearsal, which needs a reason.
+        rehearsal_hash: Of the result that it is in spite of, as the person saw it; "": there was none.
     """
 
     plan_id: str
@@ -55,6 +56,7 @@ class ReviewRequest:
     says: str = ""
     moment: str = ""
     override_rehearsal: bool = False
+    rehearsal_hash: str = ""
 
     @property
     def approve(self) -> bool:
@@ -74,13 +76,20 @@ def parse_review(payload: bytes, retained: bool, account: str = "") -> ReviewReq
     Raises:
         PayloadError: ``retained``, ``moment`` or ``review``.
     """
+    return _parse(
+        payload, retained, account, ("plan_id", "plan_hash", "verdict", *(() if account else ("reviewer",))), _READERS
+    )
+
+
+def _parse(
+    payload: bytes, retained: bool, account: str, needed: Sequence[str], readers: Mapping[str, Reader]
+) -> ReviewRequest:
     demand_live(retained, "review")
     document = parse_object(payload, "review", MAX_REVIEW_BYTES)
-    needed = ("plan_id", "plan_hash", "verdict", *(() if account else ("reviewer",)))
-    if not set(needed) <= set(document) <= set(_READERS):
+    if not set(needed) <= set(document) <= set(readers):
         found = Sentence("link.payload.review_keys", found=shown_keys(document), needed=", ".join(needed))
         raise PayloadError("review", found)
-    fields = read_fields(document, _READERS)
+    fields = read_fields(document, readers)
     if fields["verdict"] == "approved":
         parse_moment(fields.get("moment"))
     if not account:
@@ -90,12 +99,13 @@ def parse_review(payload: bytes, retained: bool, account: str = "") -> ReviewReq
 
 
 def parse_override(payload: bytes, retained: bool, account: str) -> ReviewRequest:
-    """Return the approval in a message on `override_rehearsal/<account>`: as `parse_review`, with a reason.
+    """Return the approval in a message on `override_rehearsal/<account>`: as `parse_review`, with `reason` and
+    `rehearsal_hash`: that of the result that was seen, "" where there was none.
 
     Raises:
         PayloadError: As `parse_review`; ``review`` for a rejection, or without a reason.
     """
-    review = parse_review(payload, retained, account)
+    review = _parse(payload, retained, account, _OVERRIDE_NEEDS, _OVERRIDE_READERS)
     if not (review.approve and review.reason.strip()):
         raise PayloadError("review", Sentence("link.payload.override"))
     return replace(review, override_rehearsal=True)
@@ -128,6 +138,8 @@ _READERS: Mapping[str, Reader] = {
     "reason": partial(_text, 500),
     "moment": partial(_text, 64),
 }
+_OVERRIDE_READERS: Mapping[str, Reader] = {**_READERS, "rehearsal_hash": partial(_text, 64)}
+_OVERRIDE_NEEDS = ("plan_id", "plan_hash", "verdict", "reason", "rehearsal_hash")
 
 
 def recorded_reason(review: ReviewRequest) -> str:

@@ -39,8 +39,8 @@ def offered(bench, report=None):
     return plan
 
 
-def override(bench, plan, reason="seen by the crane's driver"):
-    return bench.approval.review(plan.id, plan.hash, True, "Ada", reason, override=True)
+def override(bench, plan, reason="seen by the crane's driver", seen="f00d"):
+    return bench.approval.review(plan.id, plan.hash, True, "Ada", reason, override=seen)
 
 
 class TestRequired:
@@ -125,8 +125,45 @@ class TestOverride:
         assert (bench.records[0].reviewer, bench.records[0].rehearsal) == ("Ada", Rehearsed(state, "f00d", True))
 
     def test_also_without_any_result(self, bench):
-        override(bench, offered(bench))
+        override(bench, offered(bench), seen="")
         assert bench.records[0].rehearsal == Rehearsed(NOT_REHEARSED, "", True)
+
+    @pytest.mark.parametrize("seen", ["", "0ld", "f00", "f00d "])
+    def test_not_where_another_result_was_seen(self, bench, seen):
+        plan = offered(bench, lambda plan: report_of(plan, FAILED))
+        with pytest.raises(ReviewError, check=says("review.rehearsal.unseen")) as caught:
+            override(bench, plan, seen=seen)
+        assert str(WHY) in str(caught.value)
+        assert bench.state is ExecutorState.IDLE and bench.executor.under_review.plan is plan
+        assert [(one.verdict, one.rehearsal) for one in bench.records] == [("refused", Rehearsed(FAILED, "f00d"))]
+
+    def test_not_by_a_result_that_counts_no_more(self, bench):
+        plan = offered(bench, lambda plan: report_of(plan, FAILED, scene="another"))
+        with pytest.raises(ReviewError, check=says("review.rehearsal.unseen")):
+            override(bench, plan)
+        assert bench.state is ExecutorState.IDLE
+
+    @pytest.mark.parametrize("before, seen", [(None, ""), (lambda plan: report_of(plan, BROKEN), "f00d")])
+    @pytest.mark.parametrize("state, key", [(FAILED, "unseen"), (BROKEN, "unseen"), (PASSED, "nothing")])
+    def test_what_comes_while_it_is_written_down_is_not_overridden(self, bench, before, seen, state, key):
+        plan = offered(bench, before)
+
+        def disk(record):
+            bench.records.append(record)
+            bench.executor.rehearsal.on_report(report_of(plan, state, hash="2nd"))
+
+        bench.record = disk
+        with pytest.raises(ReviewError, check=says(f"review.rehearsal.{key}")):
+            override(bench, plan, seen=seen)
+        assert bench.state is ExecutorState.IDLE and bench.executor.under_review.plan is plan
+        approved, ending = bench.records
+        assert (approved.rehearsal.hash, approved.rehearsal.overridden, ending.outcome) == (seen, True, "dropped")
+
+    def test_not_without_the_plans_hash(self, bench):
+        plan = offered(bench, lambda plan: report_of(plan, FAILED))
+        with pytest.raises(ReviewError, check=says("review.rehearsal.unhashed")):
+            bench.approval.review(plan.id, "", True, "Ada", "because", override="f00d")
+        assert bench.state is ExecutorState.IDLE
 
     @pytest.mark.parametrize("reason", ["", "  "])
     def test_not_without_a_reason(self, bench, reason):
@@ -146,10 +183,10 @@ class TestOverride:
         bench.executor.on_scene("another scene")
         bench.executor.offer(make_plan("q"))
         with pytest.raises(ReviewError, check=says("review.other_scene")):
-            bench.approval.review("q", plan.hash, True, "Ada", "because", override=True)
+            bench.approval.review("q", plan.hash, True, "Ada", "because", override="")
         bench.executor.on_scene(SCENE)
         with pytest.raises(ReviewError, check=says("review.nameless")):
-            bench.approval.review("q", "", True, " ", "because", override=True)
+            bench.approval.review("q", "", True, " ", "because", override="")
         assert bench.state is ExecutorState.IDLE
 
 

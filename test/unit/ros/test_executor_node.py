@@ -75,7 +75,7 @@ def test_who_has_armed_a_bare_plc_is_recorded_once_and_with_the_verdict(world, t
     world.run(5)
     plan = make_plan(created_ns=world.wall)
     world.executor.offer(plan)
-    assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False)).success
+    assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "")).success
     armed, verdict = records(tmp_path)[:2]
     assert (armed["record"], armed["responsible"], armed["not_checked"]) == (
         "responsibility", "Grace", ["age: not known"],
@@ -245,16 +245,16 @@ def test_nobody_reviews_under_the_names_that_the_executor_writes(world, reviewer
     world.playing()
     plan = make_plan("q", created_ns=world.wall)
     world.executor.offer(plan)
-    answer = world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, reviewer, "", False))
+    answer = world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, reviewer, "", False, ""))
     assert not answer.success and "the name of a person" in answer.message
-    assert world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "", False)).success
+    assert world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "", False, "")).success
 
 
 def test_every_request_of_a_person_that_is_turned_down_is_counted_beside_its_answer(world):
     node, plan = world.node, world.waiting()
-    assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "", False)).success
+    assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "", False, "")).success
     answers = [
-        node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False)),
+        node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "")),
         node.on_pause(None),
         node.on_resume(None),
         node.on_screen_resume(ResumeFromScreenRequest(world.shown())),
@@ -296,7 +296,7 @@ class TestAge:
             answer = world.from_screen(plan, world.shown())
             assert answer.expired
         else:
-            answer = world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False))
+            answer = world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, ""))
         assert not answer.success and "too old: it is of 120.0 s ago" in answer.message
         world.run(50)
         assert world.executor.plan is None and world.executor.under_review.plan is plan
@@ -491,7 +491,7 @@ class WorkWorld(World):
         self.run(5)
         plan = plan or make_work_plan(created_ns=self.wall)
         self.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
-        answer = self.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False))
+        answer = self.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, ""))
         assert answer.success, answer.message
         return self
 
@@ -593,7 +593,7 @@ class TestEngaged:
         motion = motion_back(left.path, left.path.entry(pose).time)
         plan = plan_back(motion, left.requires(work.executor.tool), "5ce1e", created_ns=work.wall + NANOSECONDS)
         work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
-        assert work.node.on_review(ReviewPlanRequest("back", plan.hash, True, "Ada", "", False)).success
+        assert work.node.on_review(ReviewPlanRequest("back", plan.hash, True, "Ada", "", False, "")).success
         work.until(lambda: work.executor.outcome == "finished").run(3)
         assert not (tmp_path / "engagement.json").exists() and not work.messages("engagement")[-1].engaged
 
@@ -643,7 +643,7 @@ class TestEngaged:
         motion = motion_back(left.path, left.path.entry(pose).time)
         plan = plan_back(motion, left.requires(work.executor.tool), "5ce1e", created_ns=work.wall + NANOSECONDS)
         work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
-        assert work.node.on_review(ReviewPlanRequest("back", plan.hash, True, "Ada", "", False)).success
+        assert work.node.on_review(ReviewPlanRequest("back", plan.hash, True, "Ada", "", False, "")).success
         work.run(20)
         answer = work.node.on_release(ReleaseEngagementRequest(person="Ada", reason="by hand"))
         assert not answer.success and "release the arm when it is at rest" in answer.message

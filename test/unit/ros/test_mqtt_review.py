@@ -634,6 +634,7 @@ OVERRIDE = {
     "verdict": "approved",
     "moment": MOMENT,
     "reason": "seen by the crane's driver",
+    "rehearsal_hash": "f00d",
 }
 
 
@@ -642,13 +643,20 @@ def test_an_override_is_given_to_the_executor_in_the_name_of_its_account(bench):
     bench.node.approvals.run()
     (asked,) = bench.asked
     assert (asked["override_rehearsal"], asked["reviewer"], asked["approve"]) == (True, "kr120-lead-eva", True)
+    assert asked["rehearsal_hash"] == "f00d"
     assert OVERRIDE["reason"] in asked["reason"]
     (answer,) = [json.loads(sent) for topic, sent in bench.client.published if topic.endswith("override_rehearsal/ack")]
     assert answer["ok"] and answer["account"] == "kr120-lead-eva"
 
 
-@pytest.mark.parametrize("changes", [{"reason": " "}, {"reason": None}, {"verdict": "rejected"}])
-def test_an_override_without_a_reason_or_that_is_no_approval_is_refused(bench, changes):
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"reason": " "}, {"reason": None}, {"verdict": "rejected"}, {"rehearsal_hash": None}, {"rehearsal_hash": 1},
+        {"rehearsal_hash": "f" * 65}, {"plan_hash": ""}, {"override_rehearsal": True},
+    ],
+)  # fmt: skip
+def test_an_override_that_lacks_a_reason_or_what_was_seen_or_that_is_no_approval_is_refused(bench, changes):
     content = {key: value for key, value in (OVERRIDE | changes).items() if value is not None}
     bench.deliver("override_rehearsal/kr120-lead-eva", json.dumps(content).encode())
     bench.node.approvals.run(0.0)
@@ -656,13 +664,22 @@ def test_an_override_without_a_reason_or_that_is_no_approval_is_refused(bench, c
     assert bench.asked == [] and bench.made.refused == {"review": 1}
 
 
-def test_what_comes_on_review_overrides_nothing(bench):
-    bench.deliver("review/kr120-reviewer-ada", json.dumps(OVERRIDE).encode())
+def test_an_override_in_spite_of_no_result_says_so(bench):
+    bench.deliver("override_rehearsal/kr120-lead-eva", json.dumps(OVERRIDE | {"rehearsal_hash": ""}).encode())
     bench.node.approvals.run()
-    bench.deliver("review/kr120-reviewer-ada", json.dumps(OVERRIDE | {"override_rehearsal": True}).encode())
-    bench.node.approvals.run(0.0)
     (asked,) = bench.asked
-    assert asked["override_rehearsal"] is False and bench.made.refused == {"review": 1}
+    assert (asked["override_rehearsal"], asked["rehearsal_hash"]) == (True, "")
+
+
+def test_what_comes_on_review_overrides_nothing(bench):
+    plain = {key: value for key, value in OVERRIDE.items() if key != "rehearsal_hash"}
+    bench.deliver("review/kr120-reviewer-ada", json.dumps(plain).encode())
+    bench.node.approvals.run()
+    for more in ({"override_rehearsal": True}, {"rehearsal_hash": "f00d"}):
+        bench.deliver("review/kr120-reviewer-ada", json.dumps(plain | more).encode())
+        bench.node.approvals.run(0.0)
+    (asked,) = bench.asked
+    assert asked["override_rehearsal"] is False and bench.made.refused == {"review": 2}
 
 
 def shown_rehearsals(bench) -> list[bytes]:

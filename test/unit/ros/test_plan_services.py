@@ -41,6 +41,7 @@ def test_a_verdict_has_the_same_fields_from_a_terminal_and_from_a_tablet():
     verdict = ReviewRequest("p", "h", "approved", "Ada", "fine", moment="c0ffee00-5000")
     given = {
         "plan_id": "p", "plan_hash": "h", "approve": True, "reviewer": "Ada", "reason": "fine", "override_rehearsal": False,
+        "rehearsal_hash": "",
     }  # fmt: skip
     assert request_fields(ReviewPlan, verdict) == given
     assert request_fields(ReviewFromScreen, verdict) == given | {"moment": "c0ffee00-5000"}

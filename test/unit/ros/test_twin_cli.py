@@ -6,20 +6,26 @@ import os
 import socket
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import rosgraph
+import rospy
 import yaml
+from construction_twin.msg import Rehearsal
 from ros_master import Node, ros_master
 from sentence_checks import holds
 
 from construction_twin.core.errors import ConfigurationError, SilenceError
+from construction_twin.physics.report import FAILED, RehearsalReport
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.commands import twin as twin_cli
-from construction_twin.ros.commands import twin_line
-from construction_twin.views.arguments import Exit
+from construction_twin.ros.commands import twin_line, twin_rehearsal
+from construction_twin.ros.messages.records import to_msg
+from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.views.arguments import Exit, parser
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -137,3 +143,33 @@ def test_remappings_are_no_options(capsys, monkeypatch):
     with pytest.raises(SystemExit) as ended:
         twin_line.main()
     assert ended.value.code == 0 and "_shtab_twin" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "latched, seen", [({}, "f00d"), ({"plan_hash": "another"}, ""), ({"plan_id": "another"}, ""), (None, "")]
+)
+def test_an_override_is_of_the_result_that_was_printed_before_it_was_asked(monkeypatch, capsys, latched, seen):
+    plan = SimpleNamespace(id="p", hash="h")
+    report = RehearsalReport("p", "h", state=FAILED, reasons=("link_5 touches wall",), hash="f00d")
+    asked = []
+
+    def wait_for_message(topic, _kind, _timeout):
+        assert topic == "/kr120/rehearsal"
+        if latched is None:
+            raise rospy.ROSException("nothing there")
+        return to_msg(replace(report, **latched), Rehearsal)
+
+    def review(verdict):
+        asked.append((verdict, capsys.readouterr().out))
+        return Outcome(True, "approved")
+
+    monkeypatch.setattr(twin_rehearsal.rospy, "wait_for_message", wait_for_message)
+    for name, answer in {"_listener": None, "_under_review": plan, "_print_plan": None}.items():
+        monkeypatch.setattr(twin_cli.Command, name, lambda *_, answer=answer: answer)
+    words = ["approve", "--yes", "--override-rehearsal", "--reason", "the wall is gone"]
+    command = twin_cli.Command(parser("kr120").parse_args(words))
+    command._client = SimpleNamespace(review=review)
+    assert command.run() is Exit.DONE
+    ((verdict, printed),) = asked
+    assert (verdict.override_rehearsal, verdict.rehearsal_hash, verdict.plan_hash) == (True, seen, "h")
+    assert ("link_5 touches wall" in printed) == bool(seen) and ("was not rehearsed yet" in printed) != bool(seen)

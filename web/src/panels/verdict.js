@@ -83,7 +83,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const segments = add(checks, "ol", {className: "verdict-segments"});
   const showRehearsal = makeRehearsal(area, texts);
   const override = makeOverride(area, texts, {
-    press: () => take(store.selected, {type: "press", override: true, reason: override.reason()}), release: () => release(), changed: () => show(),
+    press: () => take(store.selected, {type: "press", override: true, reason: override.reason(), rehearsal: hashShown(store.selected)}), release: () => release(), changed: () => show(),
   });
   const steps = add(area, "ul", {className: "verdict-steps", "aria-label": texts("verdict.steps")});
   const stepLooked = add(steps, "li");
@@ -106,6 +106,11 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
 
   const machineOf = (robot) => machines.get(robot) ?? verdict.begin();
   const reviewer = () => connection.account || name.value.trim();
+  /** Return the hash of the rehearsal that is shown of a robot's plan; "" for none. */
+  const hashShown = (robot) => {
+    const {plan = null, rehearsal = null} = store.robot(robot) ?? {};
+    return rehearsalOf(plan, rehearsal)?.hash ?? "";
+  };
 
   const take = (robot, event) => {
     if (robot === "") return;
@@ -324,6 +329,8 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   });
   for (const kind of ["drawn", "said"]) store.on(kind, look);
   store.on("rights", show);
+  // before it is shown: what moves on the page then may end the press too
+  store.on("rehearsal", (robot) => take(robot, {type: "rehearsal", rehearsal: hashShown(robot)}));
   for (const kind of ["tasks", "drawn", "rehearsal"]) {
     store.on(kind, (robot) => {
       if (robot === store.selected) show();

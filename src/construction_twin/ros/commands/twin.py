@@ -124,10 +124,11 @@ class Command:
         if expected and plan.id != expected:
             raise RequestRefused(Sentence("view.refused.not_of_task", plan=plan.id, expected=expected))
         self._print_plan(plan, listener)
+        seen = self._print_rehearsal(plan) if options.override_rehearsal else None
         if not options.yes and not _confirmed():
             print("not approved; the plan still waits", file=sys.stderr)
             return Exit.NOT_CONFIRMED
-        self._review(plan, "approved")
+        self._review(plan, "approved", seen)
         return self._wait(listener, plan) if options.wait else Exit.DONE
 
     def _reject(self) -> Exit:
@@ -227,11 +228,24 @@ class Command:
         caller = listener.newest("plan_caller")
         return caller_line(caller.client, caller.connected)
 
-    def _review(self, plan: Plan, verdict: str) -> Exit:
+    def _print_rehearsal(self, plan: Plan) -> str:
+        """Print what the rehearsal of a plan has found; return the result's hash, "" where there is none."""
+        from construction_twin.ros.commands.twin_rehearsal import print_rehearsal
+
+        return print_rehearsal(self._namespace, plan.id, plan.hash, min(LATCHED, self._options.timeout))
+
+    def _review(self, plan: Plan, verdict: str, seen: str | None = None) -> Exit:
+        """Give a verdict; `seen`: an approval in spite of the rehearsal whose result has this hash, "" for none."""
         reviewer = self._options.reviewer or account_name()
-        override = getattr(self._options, "override_rehearsal", False)
+        override = seen is not None
         request = ReviewRequest(
-            plan.id, plan.hash, verdict, reviewer, self._options.reason, override_rehearsal=override
+            plan.id,
+            plan.hash,
+            verdict,
+            reviewer,
+            self._options.reason,
+            override_rehearsal=override,
+            rehearsal_hash=seen or "",
         )
         return _print(self._client.review(request))
 

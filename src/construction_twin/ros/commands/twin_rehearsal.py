@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import rospy
 from rich.console import Console
 
@@ -28,5 +30,26 @@ def show_rehearsal(namespace: str, timeout: float) -> Exit:
         report = from_msg(RehearsalReport, rospy.wait_for_message(topic, Rehearsal, timeout))
     except rospy.ROSException as error:
         raise SilenceError(topic, Sentence("view.silent.rehearsal"), Sentence("view.to_do.plan")) from error
-    Console(highlight=False, soft_wrap=True).print(rehearsal_table(report))
+    _print(report)
     return Exit.DONE if report.state == PASSED else Exit.REFUSED
+
+
+def print_rehearsal(namespace: str, plan_id: str, plan_hash: str, timeout: float) -> str:
+    """Print what the rehearsal of a plan has found, or that there is none; return the result's hash, "" where there is none.
+
+    Args:
+        namespace: Of the robot, absolute.
+        timeout: Longest wait for what is latched [s].
+    """
+    report = None
+    with contextlib.suppress(rospy.ROSException):  # nothing is latched: no plan was rehearsed yet
+        report = from_msg(RehearsalReport, rospy.wait_for_message(f"{namespace}/rehearsal", Rehearsal, timeout))
+    if report is None or (report.plan_id, report.plan_hash) != (plan_id, plan_hash):
+        print(Sentence("review.rehearsal.missing", plan=plan_id))
+        return ""
+    _print(report)
+    return report.hash
+
+
+def _print(report: RehearsalReport) -> None:
+    Console(highlight=False, soft_wrap=True).print(rehearsal_table(report))

@@ -424,7 +424,7 @@ class ExecutorNode:
                 request.reviewer,
                 request.reason,
                 seen,
-                request.override_rehearsal,
+                request.rehearsal_hash if request.override_rehearsal else None,
             )
         except ConstructionTwinError as error:
             return self._refused("review", error)
