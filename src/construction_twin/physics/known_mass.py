@@ -29,8 +29,8 @@ def body_of(name: str) -> str:
 def rigid_bodies(scenes: Iterable[Scene]) -> dict[str, str]:
     """Return the body that each object is a piece of while a plan goes through `scenes`, by the object's name.
 
-    Pieces are one body if they are together in all scenes: all of them there, standing or on the same link, and lying to one another
-    as before. Objects of like names of which one goes alone are each a body of its own, which has its full name.
+    Pieces are one body if they are together in all scenes: all there, standing or on the same link, and to one another as before.
+    Objects of like names of which one goes alone are each a body of its own, which has its full name.
     """
     found: dict[str, str] = {}
     first: dict[str, Sequence[SceneObject]] = {}
