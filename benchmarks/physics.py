@@ -75,7 +75,7 @@ class Bench:
 
     def real_time_factor(self, asleep: bool) -> float:
         """Return simulated over real time."""
-        load = Load(self.masses, frozenset(self.masses))
+        load = Load(self.masses, {name: name for name in self.masses})
         physics = build_model(self.bodies, self.scene, self.pairs, self.drives, load)
         if asleep:
             physics.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP

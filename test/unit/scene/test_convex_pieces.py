@@ -145,7 +145,7 @@ def test_a_carried_mesh_is_one_body_with_the_mass_of_the_mesh(tmp_path):
         "part"
     ]
     loose = model_of(
-        scene=Scene((SceneObject("part", "mesh", (), (2.0, 0.0, 1.0), mesh=path),)), load=Load({}, frozenset({"part"}))
+        scene=Scene((SceneObject("part", "mesh", (), (2.0, 0.0, 1.0), mesh=path),)), load=Load({}, {"part": "part"})
     )
     assert loose.model.body("part").mass[0] == pytest.approx(1000.0 * mesh.computeVolume(), rel=1e-9)
     assert list(loose.loose) == ["part"]
