@@ -114,6 +114,8 @@ class Bench:
         self.settings = SETTINGS.model_copy(update=changes)
         self.plug = Unplugged(monkeypatch, NODE, self.settings, ROBOT)
         self.node, self.published = self.plug.node, self.plug.published["rehearsal"]
+        # nobody says what an element weighs
+        self.plug.callbacks["work/tasks"](WorkTasks())
 
     def hear_plan(self, plan: Plan, changes=CHANGES) -> None:
         path = np.zeros((len(plan.trajectory.times), 3))
@@ -292,6 +294,19 @@ class TestMasses:
 
 
 class TestBroken:
+    def test_a_work_plan_whose_tasks_were_not_heard_is_not_rehearsed_with_a_guess(self, monkeypatch):
+        bench = Bench(monkeypatch)
+        silent = Unplugged(monkeypatch, NODE, SETTINGS, ROBOT)
+        bench.plug, bench.node, bench.published = silent, silent.node, silent.published["rehearsal"]
+        bench.hear_scene()
+        bench.hear_plan(work_plan())
+        bench.node.work(0.0)
+        assert bench.newest.state == BROKEN and "task t" in bench.newest.reasons[0]
+        # a plan of no task needs none
+        bench.hear_plan(plain_plan())
+        bench.node.work(0.0)
+        assert bench.newest.state == PASSED
+
     def test_a_process_that_ends_is_an_answer_and_the_next_plan_has_its_own(self, bench):
         bench.hear_scene()
         bench.process.error = WorkerError("", "signal 11")

@@ -20,6 +20,7 @@ from plan_samples import make_plan
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.physics import film
 from construction_twin.robot.plan import Plan
+from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.commands.evaluate import package_file
 from construction_twin.ros.commands.rehearse import BROKEN, FAILED, PASSED, main
 from construction_twin.ros.messages.convert import plan_to_msg
@@ -111,6 +112,44 @@ def test_a_file_that_is_no_plan_ends_with_2(plan, text, capsys):
     plan.write_text(text)
     assert main([str(plan)]) == BROKEN
     assert capsys.readouterr().err.startswith("rehearse: ")
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        (["--picture", "worst.xyz"], "--picture 'worst.xyz'"),
+        (["--picture", "/no/such/folder/worst.png"], "--picture"),
+        (["--video", "all.gif"], "--video 'all.gif'"),
+        (["--plan-id", "p7"], "--plan-id 'p7'"),
+        (["--mass", "foo=5"], "no object and no body of this name, only wall"),
+    ],
+)
+def test_what_means_nothing_here_is_refused_before_the_rehearsal(plan, wall, options, words, capsys):
+    assert main([str(plan), "--scene", str(wall), *options]) == BROKEN
+    said = capsys.readouterr()
+    assert words in said.err and said.out == ""
+
+
+def test_the_mass_of_a_body_is_divided_among_its_objects_and_part_of_the_report_s_inputs(plan, tmp_path, capsys):
+    scene = tmp_path / "stock.yaml"
+    pieces = "".join(
+        f"  stock/{number}: {{shape: box, size: [0.2, 0.2, 0.2], position: [{number}, 3.0, 0.1]}}\n"
+        for number in (1, 2)
+    )
+    scene.write_text(f"padding: 0.0\nobjects:\n{pieces}")
+    inputs = []
+    for options in (["--mass", "stock=8"], ["--mass", "stock/1=4", "--mass", "stock/2=4"], ["--mass", "stock=9"]):
+        main([str(plan), "--scene", str(scene), *options, "--json"])
+        inputs.append(json.loads(capsys.readouterr().out)["inputs"])
+    assert inputs[0] == inputs[1] != inputs[2]
+
+
+def test_a_tool_is_at_the_flange_with_its_mass(plan, capsys):
+    tool = str(package_file("config/tools/vacuum_frame.yaml"))
+    assert main([str(plan), "--tool", tool, "--json"]) == PASSED
+    report = json.loads(capsys.readouterr().out)
+    assert report["payload"]["mass"] == pytest.approx(18.0) and not report["payload"]["estimated"]
+    assert report["tool"] == tool_hash(tool)
 
 
 def test_an_object_with_a_mass_can_be_pushed(plan, wall, capsys):

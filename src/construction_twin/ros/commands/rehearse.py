@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import sys
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +19,12 @@ from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.extras import check_extras
 from construction_twin.core.records import document
 from construction_twin.core.sentences import Sentence
+from construction_twin.physics.known_mass import TOOL, body_of, masses_of
 from construction_twin.planning.waypoint_file import parse_waypoints
 from construction_twin.planning.waypoints import plan_waypoints
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
+from construction_twin.robot.tool import read_tool, tool_hash
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.ros.commands.bag import read_plans
 from construction_twin.ros.commands.evaluate import package_file
@@ -28,6 +32,7 @@ from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
+from construction_twin.work.contacts import tool_objects
 
 #: Exit codes: the rehearsal passed, failed, or could not be made.
 PASSED, FAILED, BROKEN = 0, 1, 2
@@ -56,15 +61,26 @@ def _rehearse(options: argparse.Namespace) -> int:
     from construction_twin.physics import report as states
     from construction_twin.physics.drive import drives_of, read_drives
     from construction_twin.physics.film import Film
+    from construction_twin.physics.grip import SuctionGrip
     from construction_twin.physics.rehearsal import Rehearsal
     from construction_twin.views.rehearsal_table import rehearsal_table
 
     robot = read_robot_files(options.robot_xacro, options.robot_config, options.robot_xacro_args)
+    _check_files(options)
+    tool = read_tool(options.tool) if options.tool else None
     scene = read_scene(options.scene)
+    if tool is not None:
+        for item in tool_objects(tool, robot.tip_link):
+            scene = scene.add(item)
+    bodies = RobotBodies(robot)
+    masses = _masses(options.mass, scene, bodies)
+    if tool is not None:
+        masses |= masses_of({TOOL: tool.tool.mass}, (scene,), bodies)
     drives = drives_of(robot) if options.drives == "none" else read_drives(options.drives, robot)
     rehearsal = Rehearsal(
-        RobotBodies(robot), read_self_collision(options.self_collision, robot), drives,
-        masses=dict(map(_mass, options.mass)), flange=_payload(options.payload),
+        bodies, read_self_collision(options.self_collision, robot), drives, masses=masses, flange=_payload(options.payload),
+        grip=SuctionGrip.of(tool.tool.cups, tool.tool.tool0_T_tcp) if tool is not None and tool.tool.cups is not None else None,
+        tool=tool_hash(options.tool), inputs=_inputs(options, masses),
     )  # fmt: skip
     plan = _plan(*_trajectory(options, robot), scene)
     film = Film() if options.picture or options.video else None
@@ -92,8 +108,42 @@ def _draw(options: argparse.Namespace, film, report, console: Console) -> None:
             console.print(f"{options.picture}: after {worst:.2f} s", soft_wrap=True)
         if options.video:
             _write_video(options, film, touching, console)
-    except ConstructionTwinError as error:
+    except (ConstructionTwinError, OSError) as error:
         print(f"rehearse: {error}", file=sys.stderr)
+
+
+def _check_files(options: argparse.Namespace) -> None:
+    """Refuse what cannot be written before the work is done, and an option that says nothing of this plan."""
+    for option, file, suffix in (("--picture", options.picture, ".png"), ("--video", options.video, ".mp4")):
+        if file is not None and (file.suffix.lower() != suffix or not file.absolute().parent.is_dir()):
+            raise _wrong(option, str(file), f"a file *{suffix} in a folder that is there")
+    if options.plan_id and options.plan.suffix != ".bag":
+        raise _wrong("--plan-id", options.plan_id, "a bag: a file of waypoints is one plan")
+
+
+def _inputs(options: argparse.Namespace, masses: Mapping[str, float]) -> str:
+    """Return the hash of what decides the result beside plan, scene and tool."""
+    files = [
+        "" if file == "none" else hashlib.sha256(Path(file).read_bytes()).hexdigest()
+        for file in (options.drives, options.self_collision)
+    ]
+    return hashlib.sha256(json.dumps([*files, dict(sorted(masses.items())), options.payload]).encode()).hexdigest()
+
+
+def _masses(given: Sequence[str], scene: Scene, bodies: RobotBodies) -> dict[str, float]:
+    """Return the masses that `--mass` says, by object [kg]; one of a body is divided as its objects' volumes are."""
+    from construction_twin.physics.mass import of_object
+
+    found: dict[str, float] = {}
+    for name, mass in map(_mass, given):
+        pieces = [item for item in scene.objects if name in (item.name, body_of(item.name))]
+        if not pieces:
+            raise ConstructionTwinError(
+                Sentence("rehearsal.no_object", found=repr(name), known=", ".join(scene.names) or "-")
+            )
+        volumes = {item.name: of_object(bodies.place(item, scene.names)).mass for item in pieces}
+        found |= {piece: mass * volume / sum(volumes.values()) for piece, volume in volumes.items()}
+    return found
 
 
 def _write_video(options: argparse.Namespace, film, touching, console: Console) -> None:
@@ -192,6 +242,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--payload", default="", metavar="KG[,X,Y,Z]", help="mass at the flange, and its centre [m]")
     parser.add_argument(
         "--mass", action="append", default=[], metavar="NAME=KG", help="mass of an object, which can then be moved"
+    )
+    parser.add_argument(
+        "--tool",
+        default="",
+        metavar="FILE",
+        help="tool file: what is at the flange, what it weighs, what its cups hold",
     )
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the worst moment: .png")
     parser.add_argument("--video", type=Path, metavar="FILE", help="draw the whole rehearsal: .mp4")

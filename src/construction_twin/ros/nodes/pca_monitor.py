@@ -69,6 +69,8 @@ if TYPE_CHECKING:
 
 #: Setpoints kept while the gate is busy, 0.1 s: what is older it does not let pass.
 SETPOINTS_KEPT = 25
+#: For so long no torque may be compared while poses are, without a word on `/diagnostics` [s].
+TORQUE_SILENCE = 2.0
 #: Poses of the arm kept while the gate is busy.
 FEEDBACK_KEPT = 50
 
@@ -175,6 +177,8 @@ class PcaMonitorNode:
         self._scene: Scene | None = None
         self._masses: dict[str, float] = {}
         #: Why there is no model of the newest load; empty: there is, or it is being made.
+        #: Torques compared when a report saw that number first, and when that was, by the monotonic clock [s].
+        self._torques_seen = 0, time.monotonic()
         self._load_problem = Sentence("reason.gate.load_awaited") if loads is not None else ""
         #: One model at a time, of the newest scene and masses: two threads bring them.
         self._loading = threading.Lock()
@@ -465,13 +469,24 @@ class PcaMonitorNode:
         if watch is not None:
             values["torques compared"] = watch.compared
             watched = self._load_problem
-            if not watched and self._compares and gate.state is SyncState.IN_SYNC and not watch.compared:
-                watched = Sentence("reason.gate.no_torques")
+            if not watched and self._compares and gate.state is SyncState.IN_SYNC:
+                silence = self._torque_silence(watch.compared)
+                if not watch.compared:
+                    watched = Sentence("reason.gate.no_torques")
+                elif silence > TORQUE_SILENCE:
+                    watched = Sentence("reason.gate.torques_silent", seconds=silence)
         level = {SyncState.IN_SYNC: OK, SyncState.STOPPED: ERROR, SyncState.FAULT: ERROR}.get(gate.state, WARN)
         sentence = "; ".join(filter(None, (f"{gate.state.name}: {gate.reason}", problem, watched)))
         if watched and level is OK:
             level = WARN
         return Report(ERROR if problem else level, sentence, values | self._outputs.transitions.values())
+
+    def _torque_silence(self, compared: int) -> float:
+        """Return for how long the number of compared torques has not changed, as the reports have seen it [s]."""
+        now = time.monotonic()
+        if compared != self._torques_seen[0]:
+            self._torques_seen = compared, now
+        return now - self._torques_seen[1]
 
 
 def make_gate(settings: Settings, robot: RobotModel, now: int) -> Gate:

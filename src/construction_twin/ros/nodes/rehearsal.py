@@ -94,11 +94,10 @@ class Rehearser(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class _Job:
-    """A plan that is to be rehearsed, what its segments make of the scene, and what elements weigh [kg]."""
+    """A plan that is to be rehearsed, and what its segments make of the scene."""
 
     plan: Plan
     changes: tuple[SceneChange, ...]
-    masses: Mapping[str, float]
 
 
 class RehearsalNode:
@@ -128,6 +127,7 @@ class RehearsalNode:
         self._news = threading.Condition()
         self._scenes: dict[str, Scene] = {}
         self._of_tool, self._masses = masses, {**masses}
+        self._knows_tasks = False
         self._waiting: _Job | None = None
         self._running: _Job | None = None
         #: Replaced by a newer plan before their rehearsal ended, and not withdrawn yet: the newer one may be refused.
@@ -159,6 +159,8 @@ class RehearsalNode:
         """Take what the elements of the tasks weigh."""
         with self._news:
             self._masses = {**element_masses(message), **self._of_tool}
+            self._knows_tasks = True
+            self._news.notify_all()
 
     def on_plan(self, message: PlanMsg) -> None:
         """Take a plan; it supersedes what is being rehearsed, until the executor has refused it."""
@@ -179,7 +181,7 @@ class RehearsalNode:
                     self._replaced[job.plan.id] = job
             self._replaced.pop(plan.id, None)
             _keep_newest(self._replaced)
-            self._supersede(_Job(plan, changes, self._masses))
+            self._supersede(_Job(plan, changes))
 
     def on_review(self, message: Review) -> None:
         """Take a verdict: when the executor did not take a plan, the one that it has replaced here is still under review."""
@@ -219,21 +221,24 @@ class RehearsalNode:
             job, self._waiting = self._waiting, None
             if job is None:
                 return
-            # after a start of this node the plan may come before the scene that it begins in
+            # after a start of this node the plan may come before the scene that it begins in, and before what its element weighs
             self._news.wait_for(
-                lambda: job.plan.scene in self._scenes or self._waiting is not None or rospy.is_shutdown(), SCENE_DELAY
+                lambda: self._is_ready(job) or self._waiting is not None or rospy.is_shutdown(), SCENE_DELAY
             )
             if self._waiting is not None:
                 self._dropped += 1
                 return
-            scene = self._scenes.get(job.plan.scene)
+            scene, known = self._scenes.get(job.plan.scene), self._masses
+            guessed = bool(job.plan.task) and not self._knows_tasks
             self._running, self._late, self._superseded = job, False, False
         began = time.monotonic()
         carried = {body_of(item.name) for item in carried_objects(scene, job.changes)}
-        masses = {body: mass for body, mass in sorted(job.masses.items()) if body in carried}
+        masses = {body: mass for body, mass in sorted(known.items()) if body in carried}
         inputs = _digest(self._constant, masses)
         report: RehearsalReport
         try:
+            if guessed:
+                raise ConstructionTwinError(Sentence("rehearsal.no_tasks", task=job.plan.task))
             scenes = {} if scene is None else segment_scenes(scene, job.plan, job.changes)
             report = self._ask(Question(job.plan, scenes, masses, inputs))
         except ConstructionTwinError as error:
@@ -250,6 +255,10 @@ class RehearsalNode:
             self._dropped += 1
             return
         self._tell(replace(report, stamp=now_ns()))
+
+    def _is_ready(self, job: _Job) -> bool:
+        """Return whether all is known that a plan is rehearsed with; under the lock."""
+        return job.plan.scene in self._scenes and (self._knows_tasks or not job.plan.task)
 
     def _ask(self, question: Question) -> RehearsalReport:
         """Have a plan rehearsed, for as long as that may take."""
