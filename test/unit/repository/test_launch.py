@@ -204,6 +204,7 @@ def test_gazebo_is_started_for_a_twin_in_it_alone_with_its_words_and_the_arm_s_d
     assert str(found["drives"]).endswith("config/kr120_drives.yaml")
     assert parameters("gazebo")["/kr120/virtual_robot/twin"] == "gazebo"
     assert refusal("bringup", "twin:=gazebo", "gzserver:=true -v") == ""
+    assert "payload" in refusal("bringup", "twin:=gazebo", "gzserver:=true -v", "payload:=60")
 
 
 def test_a_kinematic_twin_has_one_pose_and_nobody_reads_another():

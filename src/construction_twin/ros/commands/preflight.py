@@ -126,6 +126,8 @@ def _check_twin(given: Given, robot: RobotModel) -> None:
     if given["twin"] == "mujoco":
         check_extras("physics")
     elif given["twin"] == "gazebo":
+        if given.get("payload"):
+            raise ConfigurationError("payload", given["payload"], Sentence("expected.gazebo_payload"))
         check_serial(RobotBodies(robot))
         find_gzserver(given.get("gzserver", ""))
 
