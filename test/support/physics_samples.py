@@ -36,7 +36,7 @@ READY = np.radians((0.0, -90.0, 90.0, 0.0, 45.0, 0.0))
 def robot_of(name: str) -> RobotModel:
     if name in ("kr120", "kr120_track"):
         return kr120() if name == "kr120" else track7()
-    if name == "balanced_like":
+    if name in ("balanced_like", "endless_like"):
         urdf = (ROOT / f"test/data/{name}.urdf").read_text()
         return load_robot(urdf, new_description(urdf, name, "base_link", "tool0", 1.0))
     if name == "ur_like_gripper":
