@@ -248,7 +248,7 @@ def test_feedback_that_grows_older_is_stale_although_it_keeps_coming():
 def test_a_silent_executor_closes_the_gate_too():
     chain = make_chain(3)
     chain.executor.step = lambda stamp, now: None
-    chain.gate.on_physical = lambda *_: None
+    chain.gate.on_physical = lambda *_, **__: None
     assert chain.run_until(lambda: chain.gate.state is SyncState.STALE, 0.5)
 
 

@@ -26,7 +26,8 @@ FOLDERS = {
     "kinematics": {"core", "robot", "kinematics"},
     "evaluation": {"evaluation"},
     "planning": {
-        "scene", "planning", "coordination", "review", "twin", "monitor", "execution", "mock", "scenario", "views",
+        "scene", "planning", "coordination", "review", "twin", "monitor", "execution", "mock", "scenario", "servo",
+        "views",
     },
     "work": {"work"},
     "physics": {"physics"},
