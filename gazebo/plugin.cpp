@@ -21,7 +21,7 @@ namespace construction_twin {
 
 constexpr size_t MOST_WAITING = 25;  // commands; of more the oldest are dropped: the world is slower than the arm
 constexpr int EFFORT_EVERY = 5;  // commands
-constexpr std::chrono::milliseconds PATIENCE{250};  // virtual_robot repeats a held pose earlier
+constexpr std::chrono::milliseconds PATIENCE{250};  // as long as virtual_robot waits before it repeats a held pose
 
 class TwinPlugin : public gazebo::ModelPlugin {
  public:

@@ -12,8 +12,8 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import CYCLE, CYCLE_NS
+from construction_twin.servo.model import JointServo, ServoModel, ServoState
 
 #: Motions kept for comparison by command stamp: 2 s.
 HISTORY = 500
@@ -81,13 +81,16 @@ class TorqueWatch:
         self._dynamics = dynamics
         self._counts = True
         self.compared = 0
-        self.configure(settings)
         self.restart()
+        self.configure(settings)
 
     def configure(self, settings: TorqueSettings) -> None:
         """Compare by other settings from the next torques on."""
         self._settings = settings
-        self._lag = transition_matrix(settings.omega, settings.zeta, CYCLE)
+        servo, count = JointServo(settings.omega, settings.zeta), len(settings.threshold)
+        self._servos = ServoModel(("",) * count, (servo,) * count, CYCLE_NS)
+        if self._state is not None:
+            self._state.configure(self._servos)
 
     def restart(self) -> None:
         """Forget motion and differences: a new command session."""
@@ -95,8 +98,7 @@ class TorqueWatch:
         self.motions: deque[Motion] = deque(maxlen=HISTORY)
         self._stamp = 0
         self._command: tuple[float, ...] = ()
-        self._q: tuple[float, ...] = ()
-        self._speed: tuple[float, ...] = ()
+        self._state: ServoState | None = None
         self._streak: list[int] = []
         #: Torques of cycles that end with this command stamp or before it are not compared.
         self._before = 0
@@ -119,33 +121,30 @@ class TorqueWatch:
         if self._command and stamp <= self._stamp:
             return
         gap = stamp - self._stamp
-        if not self._command or gap > LONGEST_GAP:
-            self._q, self._speed = command, (0.0,) * len(command)
+        state, before = self._state, self._command
+        if state is None or gap > LONGEST_GAP:
+            state = self._state = ServoState(self._servos, command)
             self.motions.clear()
-            self._stamp, before, gap = stamp - CYCLE_NS, command, CYCLE_NS
-        else:
-            before = self._command
+            before, gap = command, CYCLE_NS
         cycles = max(1, round(gap / CYCLE_NS))
         for number in range(1, cycles + 1):
             share = number / cycles
             target = tuple([a + (b - a) * share for a, b in zip(before, command)])
-            self._advance(stamp - (cycles - number) * CYCLE_NS, target)
+            self._advance(state, stamp - (cycles - number) * CYCLE_NS, target)
         self._stamp, self._command = stamp, command
 
-    def _advance(self, stamp: int, target: tuple[float, ...]) -> None:
+    def _advance(self, state: ServoState, stamp: int, target: tuple[float, ...]) -> None:
         """Move the servos' answer over one cycle, with a setpoint that is held."""
-        (xx, xv), (vx, vv) = self._lag
-        q = tuple([u + xx * (x - u) + xv * v for u, x, v in zip(target, self._q, self._speed)])
-        speed = tuple([vx * (x - u) + vv * v for u, x, v in zip(target, self._q, self._speed)])
+        q, speed = state.position, state.speed
+        after = state.advance(target)
         self.motions.append(
             Motion(
                 stamp,
-                tuple([(a + b) / 2.0 for a, b in zip(self._q, q)]),
-                tuple([(b - a) / CYCLE for a, b in zip(self._q, q)]),
-                tuple([(b - a) / CYCLE for a, b in zip(self._speed, speed)]),
+                tuple([(a + b) / 2.0 for a, b in zip(q, after)]),
+                tuple([(b - a) / CYCLE for a, b in zip(q, after)]),
+                tuple([(b - a) / CYCLE for a, b in zip(speed, state.speed)]),
             )
         )
-        self._q, self._speed = q, speed
 
     def expected(self, stamp: int) -> tuple[float, ...] | None:
         """Return the torques of the cycle that ends with a command stamp [ns], shape (n,); None when its motion is not known."""

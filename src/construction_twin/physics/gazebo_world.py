@@ -85,6 +85,7 @@ class _Builder:
         self._looks = _looks(bodies)
 
     def build(self, priority: int) -> GazeboWorld:
+        """Return the world; `priority`: of the thread that simulates."""
         root = ElementTree.Element("sdf", version="1.7")
         world = _add(root, "world", name="construction_twin")
         physics = _add(world, "physics", name="cycles", type="ode", default="true")

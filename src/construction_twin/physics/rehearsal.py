@@ -8,20 +8,20 @@ scene for each; what was let go in one goes on lying where it lies in the next.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
 
-from construction_twin.core.axis_name import axis_name
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.sentences import Quantity, Sentence
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.physics.arm import Servo, SimulatedArm
 from construction_twin.physics.constants import GRAVITY
 from construction_twin.physics.drive import ArmDrives
 from construction_twin.physics.grip import GripWatch, SuctionGrip
+from construction_twin.physics.judgement import Limits, reasons, worst_payload
 from construction_twin.physics.known_mass import TOOL, body_of
 from construction_twin.physics.mass import MassProperties
 from construction_twin.physics.model import Load, PhysicsModel, build_model
@@ -32,7 +32,6 @@ from construction_twin.physics.report import (
     Braking,
     GripLoad,
     LooseObject,
-    PayloadLoad,
     RehearsalReport,
     RehearsedContact,
     finished,
@@ -47,34 +46,12 @@ from construction_twin.scene.self_collision import SelfCollision
 
 #: A contact that the plan does not have counts from this force on [N]: two bodies that graze each other within rounding do not.
 LEAST_FORCE = 1.0
-#: An object that was let go stays where it is when it moves and turns by no more than this [m], [rad].
-STAYS, STAYS_TURNED = 0.005, math.radians(1.0)
-#: For so long what was let go is watched [s].
-SETTLING = 2.0
 #: A body slower than this lies still [m/s], [rad/s].
 STILL = 0.01
-#: The arm is off its setpoint by more than this, beyond its lag, when something holds it [rad], [m].
-LARGEST_TRACKING = math.radians(0.5)
 #: For so long the arm, whose servo lags, is watched after the end of a plan that leaves nothing loose [s].
 _COMING_TO_REST = 0.2
 #: Longest time that braking may take [s].
 _LONGEST_BRAKING = 10.0
-
-
-@dataclass(frozen=True)
-class Limits:
-    """From where on a rehearsal has failed.
-
-    Attributes:
-        torque: Fraction of an axis' torque.
-        stays, stays_turned: How far what is let go may move [m] and turn [rad].
-        settling: For how long that is watched [s].
-    """
-
-    torque: float = 1.0
-    stays: float = STAYS
-    stays_turned: float = STAYS_TURNED
-    settling: float = SETTLING
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +126,65 @@ class Rehearsal:
 ENGINE = f"MuJoCo {mujoco.__version__}"
 
 
+class _Track:
+    """The arm's way through a plan, cycle by cycle; all of shape (n,) but where something else is said. SI.
+
+    Attributes:
+        torques: The largest that each axis needed in a cycle.
+        speeds, poses: At its end.
+        gravity: What holding the arm still there would need.
+        usages: Scalars. The largest fraction of an axis' torque.
+        kinetic: Scalars. Kinetic energy.
+        off: Furthest that each axis was off its setpoint, without the servo's lag, until now.
+    """
+
+    def __init__(self, drives: ArmDrives):
+        self._drives = drives
+        self.limit = np.array([torque or math.inf for torque in drives.torque])
+        self.torques: list[np.ndarray] = []
+        self.speeds: list[np.ndarray] = []
+        self.poses: list[np.ndarray] = []
+        self.gravity: list[np.ndarray] = []
+        self.usages: list[float] = []
+        self.kinetic: list[float] = []
+        self.off = np.zeros(len(self.limit))
+
+    def note(self, arm: SimulatedArm, peak: np.ndarray, gravity: _GravityTorque) -> None:
+        """Take a cycle that has ended, and the largest torque of each axis in it."""
+        q = arm.q
+        self.torques.append(peak)
+        self.speeds.append(arm.data.qvel[arm.physics.joints].copy())
+        self.poses.append(q)
+        self.gravity.append(gravity.at(arm.data))
+        self.usages.append(float((np.abs(peak) / self.limit).max()))
+        self.kinetic.append(gravity.kinetic(arm.data))
+        np.maximum(self.off, np.abs(q - arm.answer), out=self.off)
+
+    def axes(self, names: Sequence[str], times: np.ndarray) -> tuple[AxisLoad, ...]:
+        """Return what each axis had to give; `times`: of the cycles [s]."""
+        torques, gravity = np.array(self.torques), np.array(self.gravity)
+        found = []
+        for joint, name in enumerate(names):
+            at = int(np.argmax(np.abs(torques[:, joint])))
+            peak = float(abs(torques[at, joint]))
+            found.append(
+                AxisLoad(
+                    name,
+                    peak,
+                    float(times[at]),
+                    float(np.sqrt(np.mean(torques[:, joint] ** 2))),
+                    float(abs(gravity[at, joint]) / peak) if peak else 0.0,
+                    self._drives.torque[joint] or 0.0,
+                    "torque" in self._drives.estimates,
+                )
+            )
+        return tuple(found)
+
+    def energy(self) -> float:
+        """Return what the drives have put in [J]."""
+        return float(np.sum(np.abs(np.array(self.torques) * np.array(self.speeds))) * CYCLE)
+
+
 class _Run:
     """One rehearsal: it steps the arm through the parts, and notes.
 
@@ -168,13 +204,7 @@ class _Run:
         self._carried = frozenset[str]().union(*carried)
         # what is picked up or let go: the tool is in every scene on the arm, and is neither
         self._handled = self._carried - carried[0].intersection(*carried)
-        self._torques: list[np.ndarray] = []
-        self._speeds: list[np.ndarray] = []
-        self._poses: list[np.ndarray] = []
-        self._gravity: list[np.ndarray] = []
-        self._usages: list[float] = []
-        self._kinetic: list[float] = []
-        self._off = np.zeros(len(trajectory.joint_names))
+        self._track = _Track(of.drives)
         self._contacts: dict[tuple[str, str], RehearsedContact] = {}
         self._payloads: list[MassProperties] = []
         self._released: dict[str, float] = {}
@@ -265,10 +295,9 @@ class _Run:
     ) -> float | None:
         """Play setpoints; note each cycle's torques, and every step's contacts; return when it came apart [s], None if not."""
         physics, data = arm.physics, arm.data
-        limit = np.array([torque or math.inf for torque in self._of.drives.torque])
         gravity = _GravityTorque(physics)
         for at, setpoint in zip(times.tolist(), setpoints):
-            lowest = highest = np.zeros(len(limit))
+            lowest = highest = np.zeros(len(setpoint))
             for _step in arm.steps(setpoint):
                 # these keep a nan
                 lowest, highest = np.minimum(lowest, arm.needed), np.maximum(highest, arm.needed)
@@ -277,16 +306,9 @@ class _Run:
             peak = np.where(highest > -lowest, highest, lowest)
             if _is_broken(data) or not np.isfinite(peak).all():
                 return at
-            q = arm.q
-            self._torques.append(peak)
-            self._speeds.append(data.qvel[physics.joints].copy())
-            self._poses.append(q)
-            self._gravity.append(gravity.at(data))
+            self._track.note(arm, peak, gravity)
             if watch is not None:
                 watch.note(at, data)
-            self._usages.append(float((np.abs(peak) / limit).max()))
-            self._kinetic.append(gravity.kinetic(data))
-            np.maximum(self._off, np.abs(q - arm.answer), out=self._off)
             if self._progress is not None:
                 self._progress(at, arm)
         if watch is not None:
@@ -361,49 +383,39 @@ class _Run:
         )
 
     def _judged(self, named, times, objects, settle) -> RehearsalReport:
-        torques, speeds, gravity = np.array(self._torques), np.array(self._speeds), np.array(self._gravity)
-        limits = self._of.drives.torque
-        names = self._trajectory.joint_names
-        worst = int(np.argmax(self._usages))
-        axes = []
-        for joint, name in enumerate(names):
-            at = int(np.argmax(np.abs(torques[:, joint])))
-            peak = float(abs(torques[at, joint]))
-            axes.append(
-                AxisLoad(
-                    name,
-                    peak,
-                    float(times[at]),
-                    float(np.sqrt(np.mean(torques[:, joint] ** 2))),
-                    float(abs(gravity[at, joint]) / peak) if peak else 0.0,
-                    limits[joint] or 0.0,
-                    "torque" in self._of.drives.estimates,
-                )
-            )
-        payload = _worst_payload(self._payloads, self._of)
-        grip = self._grips[int(np.argmax([load.usage for load in self._grips]))]
-        off = int(np.argmax(self._off))
-        energy = float(np.sum(np.abs(torques * speeds)) * CYCLE)
+        track, names = self._track, self._trajectory.joint_names
+        worst, off = int(np.argmax(track.usages)), int(np.argmax(track.off))
         braking = self._braking()
         report = replace(
-            named, axes=tuple(axes), payload=payload, tracking=float(self._off[off]), tracking_joint=names[off], braking=braking,
-            worst_time=float(times[worst]), worst_pose=tuple(map(float, self._poses[worst])),
-            contacts=tuple(self._contacts.values()), objects=objects, grip=grip, energy=energy,
-            duration=self._trajectory.duration, settle_took=settle, remarks=tuple(dict.fromkeys(self._remarks)),
-        )  # fmt: skip
+            named,
+            axes=track.axes(names, times),
+            payload=worst_payload(self._payloads, self._of.bodies, self._of.drives.rating),
+            tracking=float(track.off[off]),
+            tracking_joint=names[off],
+            braking=braking,
+            worst_time=float(times[worst]),
+            worst_pose=tuple(track.poses[worst].tolist()),
+            contacts=tuple(self._contacts.values()),
+            objects=objects,
+            grip=self._grips[int(np.argmax([load.usage for load in self._grips]))],
+            energy=track.energy(),
+            duration=self._trajectory.duration,
+            settle_took=settle,
+            remarks=tuple(dict.fromkeys(self._remarks)),
+        )
         if not has_finite_numbers(report):
             # of what is not finite nothing is too large
             return self._diverged(named, self._trajectory.duration if math.isfinite(braking.usage) else braking.time)
         robot = self._of.bodies.robot
         linear = {name for name, slides in zip(robot.joint_names, robot.linear) if slides}
-        reasons = tuple(_reasons(report, self._of.limits, linear))
-        return replace(report, state=FAILED if reasons else PASSED, reasons=reasons)
+        why = tuple(reasons(report, self._of.limits, linear))
+        return replace(report, state=FAILED if why else PASSED, reasons=why)
 
     def _braking(self) -> Braking:
         """Stop the arm at the moment of its largest kinetic energy, all axes in the time that the slowest needs."""
-        number = int(np.argmax(self._kinetic))
+        number = int(np.argmax(self._track.kinetic))
         robot = self._of.bodies.robot
-        speed = self._speeds[number]
+        speed = self._track.speeds[number]
         most = np.array(robot.acceleration)
         seconds = float(np.max(np.abs(speed) / most))
         if seconds <= 0.0 or not math.isfinite(seconds):
@@ -412,22 +424,20 @@ class _Run:
         # how far the arm goes on, whatever stands in the way
         physics = self._model(part.scene, {})
         physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-        arm = SimulatedArm(physics, self._poses[number], Servo(saturates=False))
+        arm = SimulatedArm(physics, self._track.poses[number], Servo(saturates=False))
         arm.begin_with(speed)
-        begin = self._poses[number]
+        begin = self._track.poses[number]
         flange = _flange(arm)
         usage = 0.0
-        limit = np.array([torque or math.inf for torque in self._of.drives.torque])
         step = physics.model.opt.timestep
         # from `speed` to rest at a steady rate
-        left = np.maximum(0.0, 1.0 - np.arange(1, round(min(seconds, _LONGEST_BRAKING) / step) + 1) * step / seconds)[
-            :, None
-        ]
+        passed = np.arange(1, round(min(seconds, _LONGEST_BRAKING) / step) + 1)[:, None] * step
+        left = np.maximum(0.0, 1.0 - passed / seconds)
         answers = begin + speed * seconds * (1.0 - left**2) / 2.0
         speeds = np.diff(np.vstack((begin, answers)), axis=0) / step
         accelerations = np.diff(np.vstack((speed, speeds)), axis=0) / step
         for _step in arm.follow(answers, speeds, accelerations):
-            usage = float(np.maximum(usage, (np.abs(arm.needed) / limit).max()))
+            usage = float(np.maximum(usage, (np.abs(arm.needed) / self._track.limit).max()))
         if _is_broken(arm.data):
             usage = math.nan
         way = np.abs(arm.q - begin)
@@ -466,83 +476,6 @@ class _GravityTorque:
         self._physics.lead(self._speed)
         mujoco.mj_mulM(self._physics.model, data, self._product, self._speed)
         return 0.5 * float(self._speed @ self._product)
-
-
-def _reasons(report: RehearsalReport, limits: Limits, linear: Set[str]) -> Iterator[Sentence]:
-    """Yield why a rehearsal has failed; `linear`: names of prismatic joints."""
-    load = report.payload
-    if load.rated_mass and load.mass > load.rated_mass:
-        yield Sentence("rehearsal.mass", mass=load.mass, rated=load.rated_mass)
-    if load.rated_inertia and load.inertia > load.rated_inertia:
-        yield Sentence("rehearsal.inertia", inertia=load.inertia, rated=load.rated_inertia)
-    for place, rated in ((load.across, load.rated_across), (load.along, load.rated_along)):
-        if rated and abs(place) > rated:
-            yield Sentence("rehearsal.distance", distance=Quantity(place, "m"), rated=Quantity(rated, "m"))
-    for axis in report.axes:
-        if axis.limit and axis.usage > limits.torque:
-            unit = "N" if axis.joint in linear else "Nm"
-            yield Sentence(
-                "rehearsal.torque",
-                joint=axis_name(axis.joint),
-                peak=Quantity(axis.peak, unit),
-                limit=Quantity(axis.limit, unit),
-                percent=axis.usage * 100.0,
-                time=axis.time,
-            )
-    if report.braking.usage > limits.torque and not report.contacts:
-        yield Sentence("rehearsal.braking", time=report.braking.time, percent=report.braking.usage * 100.0)
-    if report.grip.usage > 1.0:
-        grip = report.grip
-        yield Sentence("rehearsal.grip", object=grip.name, time=grip.time, percent=grip.usage * 100.0, cups=grip.cups)
-    for contact in report.contacts:
-        yield Sentence(
-            "rehearsal.contact", first=contact.first, second=contact.second, time=contact.time, force=contact.force
-        )
-    for one in report.objects:
-        if math.isfinite(one.released):
-            if one.fell > limits.stays:
-                yield Sentence("rehearsal.fell", object=one.name, time=one.released, distance=one.fell * 1e3)
-            elif one.moved > limits.stays or one.turned > limits.stays_turned:
-                yield Sentence(
-                    "rehearsal.slipped",
-                    object=one.name,
-                    time=one.released,
-                    distance=one.moved * 1e3,
-                    angle=Quantity(one.turned, "rad"),
-                )
-        elif one.moved > limits.stays or one.turned > limits.stays_turned:
-            yield Sentence(
-                "rehearsal.moved", object=one.name, distance=one.moved * 1e3, angle=Quantity(one.turned, "rad")
-            )
-    if report.tracking > LARGEST_TRACKING and not report.contacts:
-        error = Quantity(report.tracking, "m" if report.tracking_joint in linear else "rad")
-        yield Sentence("rehearsal.tracking", joint=axis_name(report.tracking_joint), error=error)
-
-
-def _worst_payload(payloads: Sequence[MassProperties], of: Rehearsal) -> PayloadLoad:
-    """Return the largest of each number of what the flange carries, one scene after the other, beside the arm's rating."""
-    rating = of.drives.rating
-    rated = PayloadLoad()
-    if rating is not None:
-        across, along = rating.distance or (0.0, 0.0)
-        rated = PayloadLoad(
-            rated_mass=rating.mass, rated_inertia=rating.inertia or 0.0, rated_across=across, rated_along=along
-        )
-    if not payloads:
-        return rated
-    bodies = of.bodies
-    frame = bodies.model.frames[bodies.model.getFrameId(bodies.robot.tip_link)]
-    numbers = []
-    for payload in payloads:
-        at_flange = payload.at(frame.placement.inverse())
-        centre = at_flange.centre
-        x, y, z = centre.tolist()
-        about = at_flange.inertia + at_flange.mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-        numbers.append((at_flange.mass, math.hypot(x, y), z, float(np.linalg.eigvalsh(about).max())))
-    worst = np.argmax(np.abs(numbers), axis=0)
-    mass, across, along, inertia = (numbers[number][kind] for kind, number in enumerate(worst))
-    estimated = any(payloads[number].estimated for number in worst)
-    return replace(rated, mass=mass, estimated=estimated, across=across, along=along, inertia=inertia)
 
 
 def _flange(arm: SimulatedArm) -> np.ndarray:

@@ -93,6 +93,11 @@ class ServoState:
         """Shape (n,). At the end of the last cycle [rad]."""
         return tuple([joint.position for joint in self._joints])
 
+    @property
+    def speed(self) -> tuple[float, ...]:
+        """Shape (n,). Of the lag, at the end of the last cycle [rad/s]."""
+        return tuple([joint.speed for joint in self._joints])
+
     def configure(self, model: ServoModel) -> None:
         """Go on with other servos, which forget the targets before: a change at rest moves nothing."""
         for joint, servo in zip(self._joints, model.servos):
@@ -106,16 +111,17 @@ class ServoState:
 class _Joint:
     """One joint of a `ServoState`."""
 
-    __slots__ = ("_before", "_earlier", "_speed", "_waiting", "_x", "configured", "position")
+    __slots__ = ("_before", "_earlier", "_waiting", "_x", "configured", "position", "speed")
 
     def __init__(self, servo: JointServo, period: float, start: float):
         self.position = self._x = start
-        self._speed = 0.0
+        self.speed = 0.0
         #: The last target, and the one before it.
         self._before = self._earlier = start
         self.configure(servo, period)
 
     def configure(self, servo: JointServo, period: float) -> None:
+        """Go on with another servo."""
         whole, (first_x, first_v), (second_x, second_v) = servo.parts(period)
         self.configured = (
             *first_x,
@@ -130,6 +136,7 @@ class _Joint:
         self._waiting = [self._before] * (whole + 1)
 
     def advance(self, target: float) -> float:
+        """Take a cycle's target, and return the position at its end."""
         axx, axv, avx, avv, bxx, bxv, bvx, bvv, velocity, acceleration, play = self.configured
         step = target - self._before
         reference = target + velocity * step + acceleration * (step - self._before + self._earlier)
@@ -138,8 +145,8 @@ class _Joint:
         waiting.append(reference)
         old, new = waiting[0], waiting[1]
         del waiting[0]
-        error, speed = self._x - old, self._speed
+        error, speed = self._x - old, self.speed
         error, speed = old + axx * error + axv * speed - new, avx * error + avv * speed
-        self._x, self._speed = new + bxx * error + bxv * speed, bvx * error + bvv * speed
+        self._x, self.speed = new + bxx * error + bxv * speed, bvx * error + bvv * speed
         self.position = min(max(self.position, self._x - play), self._x + play) if play else self._x
         return self.position

@@ -84,6 +84,7 @@ class _Slope:
         self._with_y = [0.0] * 3
 
     def add(self, x: float, y: float) -> None:
+        """Take a pair of values."""
         self.count += 1
         # of the size of a speed, so that no sum drowns another
         self._late += 1.0 / ENOUGH

@@ -16,8 +16,9 @@ from construction_twin.physics import rehearsal as module
 from construction_twin.physics.arm import SimulatedArm
 from construction_twin.physics.drive import PayloadRating, drives_of
 from construction_twin.physics.grip import GripWatch, SuctionGrip
+from construction_twin.physics.judgement import Limits
 from construction_twin.physics.mass import of_shape
-from construction_twin.physics.rehearsal import Limits, Rehearsal
+from construction_twin.physics.rehearsal import Rehearsal
 from construction_twin.physics.report import BROKEN, FAILED, PASSED, AxisLoad, GripLoad, finished, is_whole
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.robot.segments import Segment

@@ -450,6 +450,22 @@ def torques(world, values, names=ROBOT.joint_names):
     return AxisTorque(name=names, torque=values, command_stamp=to_time(world.wall))
 
 
+def test_torques_that_are_not_compared_any_more_are_told(world, monkeypatch):
+    node = watching(world)
+    clock = [100.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: clock[0])
+    node.on_torques(torques(world, (0.0,) * 6))
+    assert node.report().sentence.endswith("agree") or "torques" not in node.report().sentence
+    clock[0] += module.TORQUE_SILENCE
+    assert "torques" not in node.report().sentence
+    clock[0] += 1.0
+    report = node.report()
+    assert (report.level, "no torques have been compared for 3 s" in report.sentence) == (module.WARN, True)
+    # they come again
+    node.on_torques(torques(world, (0.0,) * 6))
+    assert "torques" not in node.report().sentence
+
+
 def test_it_holds_by_torques_and_says_so_at_once(world):
     node = watching(world)
     for _ in range(5):

@@ -24,6 +24,8 @@ from rospy.exceptions import TransportTerminated
 from construction_twin.core.freshness import Moment
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.interventions import ARM, PAUSE, RESET, RESUME, STOP
+from construction_twin.physics.report import FAILED, PASSED, RehearsalReport, finished
+from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.nodes import mqtt_review
 from construction_twin.ros.nodes.mqtt_review import WAITING, MqttReview, Settings
 from construction_twin.ros.shared import remote_interventions
@@ -686,8 +688,19 @@ def shown_rehearsals(bench) -> list[bytes]:
     return [payload for topic, payload in bench.client.published if topic == "twin/kr120/rehearsal"]
 
 
+def rehearsed(**found) -> Rehearsal:
+    return to_msg(finished(RehearsalReport(plan_id="p1", **found), 0.1), Rehearsal)
+
+
+def test_a_rehearsal_whose_hash_is_not_its_own_is_refused_and_counted(bench):
+    message = rehearsed(state=PASSED)
+    message.plan_hash = "another"
+    bench.node.on_rehearsal(message)
+    assert shown_rehearsals(bench) == [] and bench.made.refused == {"rehearsal": 1}
+
+
 def test_what_a_rehearsal_has_found_is_shown_until_its_plan_is_decided(bench):
-    bench.node.on_rehearsal(Rehearsal(plan_id="p1", state="failed", reasons=["too heavy"], tracking=math.nan))
+    bench.node.on_rehearsal(rehearsed(state=FAILED, reasons=("too heavy",), tracking=math.nan))
     (shown,) = map(json.loads, shown_rehearsals(bench))
     assert (shown["plan_id"], shown["state"], shown["reasons"], shown["tracking"]) == (
         "p1",
@@ -703,5 +716,5 @@ def test_what_a_rehearsal_has_found_is_shown_until_its_plan_is_decided(bench):
 
 def test_a_rehearsal_that_comes_after_the_verdict_is_not_shown(bench):
     bench.node.on_verdict(Review(plan_id="p1"))
-    bench.node.on_rehearsal(Rehearsal(plan_id="p1", state="passed"))
+    bench.node.on_rehearsal(rehearsed(state=PASSED))
     assert shown_rehearsals(bench)[-1] == b""

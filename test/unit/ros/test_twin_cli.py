@@ -19,7 +19,7 @@ from ros_master import Node, ros_master
 from sentence_checks import holds
 
 from construction_twin.core.errors import ConfigurationError, SilenceError
-from construction_twin.physics.report import FAILED, RehearsalReport
+from construction_twin.physics.report import FAILED, RehearsalReport, finished
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.commands import twin as twin_cli
 from construction_twin.ros.commands import twin_line, twin_rehearsal
@@ -146,18 +146,18 @@ def test_remappings_are_no_options(capsys, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "latched, seen", [({}, "f00d"), ({"plan_hash": "another"}, ""), ({"plan_id": "another"}, ""), (None, "")]
+    "latched, seen", [({}, True), ({"plan_hash": "another"}, False), ({"plan_id": "another"}, False), (None, False)]
 )
 def test_an_override_is_of_the_result_that_was_printed_before_it_was_asked(monkeypatch, capsys, latched, seen):
     plan = SimpleNamespace(id="p", hash="h")
-    report = RehearsalReport("p", "h", state=FAILED, reasons=("link_5 touches wall",), hash="f00d")
+    report = RehearsalReport("p", "h", state=FAILED, reasons=("link_5 touches wall",))
     asked = []
 
     def wait_for_message(topic, _kind, _timeout):
         assert topic == "/kr120/rehearsal"
         if latched is None:
             raise rospy.ROSException("nothing there")
-        return to_msg(replace(report, **latched), Rehearsal)
+        return to_msg(finished(replace(report, **latched), 0.1), Rehearsal)
 
     def review(verdict):
         asked.append((verdict, capsys.readouterr().out))
@@ -171,5 +171,6 @@ def test_an_override_is_of_the_result_that_was_printed_before_it_was_asked(monke
     command._client = SimpleNamespace(review=review)
     assert command.run() is Exit.DONE
     ((verdict, printed),) = asked
-    assert (verdict.override_rehearsal, verdict.rehearsal_hash, verdict.plan_hash) == (True, seen, "h")
+    assert (verdict.override_rehearsal, verdict.plan_hash) == (True, "h")
+    assert verdict.rehearsal_hash == (finished(report, 0.1).hash if seen else "")
     assert ("link_5 touches wall" in printed) == bool(seen) and ("was not rehearsed yet" in printed) != bool(seen)

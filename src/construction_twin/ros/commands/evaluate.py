@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 import rospkg
@@ -11,13 +10,15 @@ import rospy
 from rich.console import Console
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.files import check_writable, write_whole
+from construction_twin.core.files import write_whole
 from construction_twin.core.sentences import Sentence
+from construction_twin.evaluation.recording import Recording
 from construction_twin.evaluation.report import write_report
 from construction_twin.evaluation.tables import render_tables
 from construction_twin.planning.waypoint_file import format_plan
 from construction_twin.robot.description import RobotModel, read_robot_files
-from construction_twin.ros.commands.bag import read_plans, read_recording
+from construction_twin.ros.commands.bag import read_plans
+from construction_twin.ros.commands.bag_report import bag_parser, report_bag
 
 #: This package's arms, as URDF and robot YAML; the first one whose joints are the bag's is taken.
 ROBOTS = (
@@ -36,31 +37,19 @@ def main(arguments: list[str] | None = None) -> int:
         0, or 1 after a sentence on standard error.
     """
     options = _parser().parse_args(rospy.myargv()[1:] if arguments is None else arguments)
-    directory = options.output or options.bag.with_suffix("").with_name(options.bag.stem + "_evaluation")
-    console = Console(highlight=False)
-    try:
-        check_writable(directory)
-        recording = read_recording(options.bag, options.robot)
+
+    def write(recording: Recording, directory: Path, console: Console) -> tuple[Path, ...]:
         robot = _robot(options, recording.joint_names)
         report = write_report(recording, robot, directory)
         plans = _write_plans(options, robot, directory) if options.plans else ()
-    except (ConstructionTwinError, OSError) as error:
-        print(f"evaluate: {error}", file=sys.stderr)
-        return 1
-    render_tables(report.summary, console)
-    if robot.joint_names != recording.joint_names:
-        console.print(
-            f"No figure8.png: {robot.name} has other joints than the bag; see --robot-xacro and --robot-config."
-        )
-    print_files(console, (*report.files, *plans))
-    return 0
+        render_tables(report.summary, console)
+        if robot.joint_names != recording.joint_names:
+            console.print(
+                f"No figure8.png: {robot.name} has other joints than the bag; see --robot-xacro and --robot-config."
+            )
+        return (*report.files, *plans)
 
-
-def print_files(console: Console, files) -> None:
-    """Print where the files of a report are."""
-    console.print("\nWritten:")
-    for path in files:
-        console.print(f"  {path}", soft_wrap=True)
+    return report_bag("evaluate", options, write)
 
 
 def package_file(relative: str) -> Path:
@@ -88,14 +77,12 @@ def _write_plans(options: argparse.Namespace, robot: RobotModel, directory: Path
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="evaluate", description="Compare twin and physical arm in a bag: tables, figures and summary.json."
+    parser = bag_parser(
+        "evaluate",
+        "Compare twin and physical arm in a bag: tables, figures and summary.json.",
+        "a bag with at least .../twin/joint_states and .../physical/joint_states",
+        "_evaluation",
     )
-    parser.add_argument(
-        "bag", type=Path, help="a bag with at least .../twin/joint_states and .../physical/joint_states"
-    )
-    parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the files (default: BAG + _evaluation)")
-    parser.add_argument("--robot", metavar="NAMESPACE", help="which robot, when the bag holds several, e.g. /kr120")
     parser.add_argument("--plans", action="store_true", help="also write each plan as plan_N.csv, for twin plan --csv")
     parser.add_argument(
         "--robot-xacro",

@@ -22,7 +22,7 @@ from construction_twin.evaluation.tables import render_tables
 from construction_twin.msg import Execution, Feedback, Link, Sync
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.commands.bag import read_recording
-from construction_twin.ros.commands.evaluate import print_files
+from construction_twin.ros.commands.bag_report import print_files
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
 from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.shared.master import await_master

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 import rospy
@@ -11,12 +10,11 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.files import check_writable, write_whole
+from construction_twin.core.files import write_whole
 from construction_twin.evaluation.driven import cycle_of, drives_of
 from construction_twin.evaluation.figures import DPI
-from construction_twin.ros.commands.bag import read_recording
-from construction_twin.ros.commands.evaluate import print_files
+from construction_twin.evaluation.recording import Recording
+from construction_twin.ros.commands.bag_report import bag_parser, report_bag
 from construction_twin.servo.file import servo_file
 from construction_twin.servo.identification import Identified, identify
 
@@ -37,11 +35,8 @@ def main(arguments: list[str] | None = None) -> int:
         0, or 1 after a sentence on standard error.
     """
     options = _parser().parse_args(rospy.myargv()[1:] if arguments is None else arguments)
-    directory = options.output or options.bag.with_suffix("").with_name(options.bag.stem + "_servos")
-    console = Console(highlight=False)
-    try:
-        check_writable(directory)
-        recording = read_recording(options.bag, options.robot)
+
+    def write(recording: Recording, directory: Path, console: Console) -> list[Path]:
         cycle_ns = cycle_of(recording)
         drives = drives_of(recording, cycle_ns)
         found = identify(recording.joint_names, drives, cycle_ns)
@@ -49,12 +44,10 @@ def main(arguments: list[str] | None = None) -> int:
         path = directory / "servos.yaml"
         write_whole(path, servo_file(found.joints, cycle_ns, options.bag.name))
         figures = [_draw(directory, drives, joint, found) for joint in range(len(found.joints))]
-    except (ConstructionTwinError, OSError) as error:
-        print(f"identify: {error}", file=sys.stderr)
-        return 1
-    console.print(servo_table(found))
-    print_files(console, [path, *figures])
-    return 0
+        console.print(servo_table(found))
+        return [path, *figures]
+
+    return report_bag("identify", options, write)
 
 
 def _draw(directory: Path, drives, joint: int, found: Identified) -> Path:
@@ -86,13 +79,9 @@ def servo_table(found: Identified) -> Table:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="identify",
-        description="Find how the arm's servos answer their targets: a file for the argument servo_model, and a figure per joint.",
+    return bag_parser(
+        "identify",
+        "Find how the arm's servos answer their targets: a file for the argument servo_model, and a figure per joint.",
+        "a bag with at least twin, physical, physical/feedback and command/joint_states",
+        "_servos",
     )
-    parser.add_argument(
-        "bag", type=Path, help="a bag with at least twin, physical, physical/feedback and command/joint_states"
-    )
-    parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the files (default: BAG + _servos)")
-    parser.add_argument("--robot", metavar="NAMESPACE", help="which robot, when the bag holds several, e.g. /kr120")
-    return parser

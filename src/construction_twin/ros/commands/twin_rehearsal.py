@@ -7,10 +7,10 @@ import contextlib
 import rospy
 from rich.console import Console
 
-from construction_twin.core.errors import SilenceError
+from construction_twin.core.errors import ConstructionTwinError, SilenceError
 from construction_twin.core.sentences import Sentence
 from construction_twin.msg import Rehearsal
-from construction_twin.physics.report import PASSED, RehearsalReport
+from construction_twin.physics.report import PASSED, RehearsalReport, is_whole
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.master import expect_publisher
 from construction_twin.views.arguments import Exit
@@ -27,7 +27,7 @@ def show_rehearsal(namespace: str, timeout: float) -> Exit:
     topic = f"{namespace}/rehearsal"
     expect_publisher(topic)
     try:
-        report = from_msg(RehearsalReport, rospy.wait_for_message(topic, Rehearsal, timeout))
+        report = _read(rospy.wait_for_message(topic, Rehearsal, timeout))
     except rospy.ROSException as error:
         raise SilenceError(topic, Sentence("view.silent.rehearsal"), Sentence("view.to_do.plan")) from error
     _print(report)
@@ -43,12 +43,20 @@ def print_rehearsal(namespace: str, plan_id: str, plan_hash: str, timeout: float
     """
     report = None
     with contextlib.suppress(rospy.ROSException):  # nothing is latched: no plan was rehearsed yet
-        report = from_msg(RehearsalReport, rospy.wait_for_message(f"{namespace}/rehearsal", Rehearsal, timeout))
+        report = _read(rospy.wait_for_message(f"{namespace}/rehearsal", Rehearsal, timeout))
     if report is None or (report.plan_id, report.plan_hash) != (plan_id, plan_hash):
         print(Sentence("review.rehearsal.missing", plan=plan_id))
         return ""
     _print(report)
     return report.hash
+
+
+def _read(message: Rehearsal) -> RehearsalReport:
+    """Return the result; ConstructionTwinError for one whose hash is not its own."""
+    report = from_msg(RehearsalReport, message)
+    if not is_whole(report):
+        raise ConstructionTwinError(Sentence("reason.refused.rehearsal", plan=repr(report.plan_id)))
+    return report
 
 
 def _print(report: RehearsalReport) -> None:

@@ -51,7 +51,7 @@ from construction_twin.mqtt.requests import (
     RequestKind,
 )
 from construction_twin.msg import Link, Plan, PlanCaller, Rehearsal, Review
-from construction_twin.physics.report import RehearsalReport
+from construction_twin.physics.report import RehearsalReport, is_whole
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.segments import segments_content
 from construction_twin.ros.messages.convert import plan_from_msg
@@ -231,8 +231,12 @@ class MqttReview:
 
     def on_rehearsal(self, message: Rehearsal) -> None:
         """Show what the rehearsal of a plan has found, until the plan is decided."""
+        report = from_msg(RehearsalReport, message)
+        if not is_whole(report):
+            self._diagnostics.refuse("rehearsal", Sentence("reason.refused.rehearsal", plan=repr(report.plan_id)))
+            return
         with self._lock:
-            self._rehearsals.on_plan(message.plan_id, dumped(from_msg(RehearsalReport, message), marks=SPACED))
+            self._rehearsals.on_plan(report.plan_id, dumped(report, marks=SPACED))
         self._publish_rehearsal()
 
     def on_caller(self, message: PlanCaller) -> None:

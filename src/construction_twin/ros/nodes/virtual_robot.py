@@ -219,6 +219,8 @@ class VirtualRobotNode:
         """Take the scene: what is carried and what stands around. In rospy's thread of this connection, which may wait."""
         simulation = self._simulation
         if simulation is None or message.hash == self._scene:
+            # of a scene between that could not be simulated nothing is left
+            self._scene_problem = ""
             return
         try:
             scene = scene_from_msg(message)

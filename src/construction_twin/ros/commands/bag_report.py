@@ -1,0 +1,61 @@
+"""What the commands share that make files of a bag: options, the folder for the files, and how they end."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from rich.console import Console
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.files import check_writable
+from construction_twin.evaluation.recording import Recording
+from construction_twin.ros.commands.bag import read_recording
+
+
+def bag_parser(program: str, description: str, needs: str, suffix: str) -> argparse.ArgumentParser:
+    """Return the parser of such a command.
+
+    Args:
+        needs: The bag as its help calls it.
+        suffix: Behind the bag's name, the folder for the files where no other is said.
+    """
+    parser = argparse.ArgumentParser(prog=program, description=description)
+    parser.add_argument("bag", type=Path, help=needs)
+    parser.add_argument("--output", type=Path, metavar="DIR", help=f"folder for the files (default: BAG + {suffix})")
+    parser.add_argument("--robot", metavar="NAMESPACE", help="which robot, when the bag holds several, e.g. /kr120")
+    parser.set_defaults(suffix=suffix)
+    return parser
+
+
+def report_bag(
+    program: str, options: argparse.Namespace, write: Callable[[Recording, Path, Console], Iterable[Path]]
+) -> int:
+    """Read the bag that the options name, have files made of it, and print where they are.
+
+    Args:
+        write: Makes the files in a folder that can be written, prints what is to be read at once, and returns where they are.
+
+    Returns:
+        0, or 1 after a sentence on standard error.
+    """
+    directory = options.output or options.bag.with_suffix("").with_name(options.bag.stem + options.suffix)
+    console = Console(highlight=False)
+    try:
+        # before anything that takes long
+        check_writable(directory)
+        files = write(read_recording(options.bag, options.robot), directory, console)
+    except (ConstructionTwinError, OSError) as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return 1
+    print_files(console, files)
+    return 0
+
+
+def print_files(console: Console, files: Iterable[Path]) -> None:
+    """Print where the files of a report are."""
+    console.print("\nWritten:")
+    for path in files:
+        console.print(f"  {path}", soft_wrap=True)
