@@ -13,7 +13,7 @@ from html import escape
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.paper import NOTE
 from construction_twin.evaluation.recording import Recording
-from construction_twin.evaluation.tables import ALIGNMENTS, SIMULATION, TableRow, facts, table_rows
+from construction_twin.evaluation.tables import ALIGNMENTS, SIMULATION, TableRow, facts, table_rows, unavailable
 
 #: Most rows of the table of state changes; a bag of an unstable link may hold thousands.
 MOST_CHANGES = 500
@@ -94,7 +94,7 @@ def _error_tables(summary: Mapping) -> Iterable[str]:
     rows = list(table_rows(summary["tables"]))
     for alignment, meaning in ALIGNMENTS.items():
         if summary["tables"].get(alignment) is None:
-            yield f"<p>{escape(alignment)}: not available, the recording does not hold what it needs ({escape(meaning)}).</p>"
+            yield f"<p>{escape(unavailable(alignment))}.</p>"
             continue
         cells = [_error_row(row) for row in rows if row.alignment == alignment]
         yield _table(_COLUMNS, cells, f"{alignment}: {meaning}")

@@ -26,9 +26,17 @@ ALIGNMENTS = {
     "lag_removed": "by_command with one constant lag taken out",
     "expected": "physical against where the model of its servos has the arm",
 }
+#: What an alignment needs that not every run has.
+NEEDS = {"expected": "a run with the launch argument servo_model has it"}
 SIMULATION = "This is a simulation: the arm was the mock controller of this package, not a robot."
 #: Names and fractions of the reported percentiles.
 PERCENTILES = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
+
+
+def unavailable(alignment: str) -> str:
+    """Return why there is no table of an alignment."""
+    needs = NEEDS.get(alignment, "the recording does not hold what it needs")
+    return f"{alignment}: not available, {needs} ({ALIGNMENTS[alignment]})"
 
 
 def error_table(alignment: Alignment | None, joint_names: Sequence[str], linear: Sequence[str] = ()) -> dict | None:
@@ -123,8 +131,7 @@ def render_tables(summary: Mapping, console: Console | None = None) -> None:
     rows = list(table_rows(summary["tables"]))
     for alignment, meaning in ALIGNMENTS.items():
         if summary["tables"].get(alignment) is None:
-            text = f"\n{alignment}: not available, the recording does not hold what it needs ({meaning})"
-            console.print(text, soft_wrap=True)
+            console.print(f"\n{unavailable(alignment)}", soft_wrap=True)
             continue
         console.print()
         console.print(_rich_table(f"{alignment}: {meaning}", [row for row in rows if row.alignment == alignment]))
