@@ -25,6 +25,7 @@ from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import pca_monitor as module
+from construction_twin.ros.shared.load_follower import Loads
 from construction_twin.ros.shared.stop_memory import PARAMETER
 from construction_twin.ros.transport.joint_stream import from_time, to_time
 from construction_twin.scene.objects import Scene, SceneObject
@@ -66,9 +67,7 @@ class World:
         #: What the gate knows of the arm's servos.
         self.servos: ServoModel | None = None
 
-    def start(
-        self, sync=None, watched: WatchedArm | None = None, loads: module.Loads | None = None
-    ) -> module.PcaMonitorNode:
+    def start(self, sync=None, watched: WatchedArm | None = None, loads: Loads | None = None) -> module.PcaMonitorNode:
         """Return a monitor, and keep its gate, which watches torques of `watched`.
 
         `sync` is a publisher in place of the one that notes what it is given.
@@ -541,7 +540,7 @@ class Weights:
 def loaded(world):
     """Return a monitor that hears what the arm carries, and how the models are made; it has heard nothing yet."""
     weights = Weights()
-    return watching(world, module.Loads(weights, {"tool": 30.0})), weights
+    return watching(world, Loads(weights, {"tool": 30.0})), weights
 
 
 def tell(world, node, weight, cycles=5) -> str:

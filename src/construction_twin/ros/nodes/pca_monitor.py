@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import pydantic
 import rospy
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused
+from construction_twin.core.errors import ConfigurationError, RequestRefused
 from construction_twin.core.extras import check_extras
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.reports import HoldReport, SyncReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.monitor.gate import REPLAN, Cause, Gate, WatchedArm
-from construction_twin.monitor.load_belief import LoadBelief
 from construction_twin.monitor.replan import ReplanGoal, ReplanGoals
 from construction_twin.monitor.servo_watch import ServoWatch
 from construction_twin.monitor.settings import Behaviour
@@ -29,13 +28,12 @@ from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.msg import AxisTorque, Execution, Feedback, Hold, Link, Plan, Sync, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.msg import Transition as TransitionMsg
-from construction_twin.physics.known_mass import body_of, carried_part
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
-from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.element_masses import element_masses, tool_mass
+from construction_twin.ros.shared.element_masses import tool_mass
 from construction_twin.ros.shared.launch_arguments import arm_of, decimals_of, payload_of_launch
+from construction_twin.ros.shared.load_follower import LoadFollower, Loads
 from construction_twin.ros.shared.model_builder import ModelBuilder
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.params import NodeSettings
@@ -108,20 +106,6 @@ class Outputs:
     expected: Sink | None = None
 
 
-@dataclass(frozen=True)
-class Loads:
-    """How the monitor learns what torques an arm needs for what it carries.
-
-    Attributes:
-        build: Returns the torques of the arm that carries what it does in a scene, with masses of bodies (`physics.known_mass`)
-            [kg], and what of it is an estimate, one sentence each. May take its time. Raises ConstructionTwinError.
-        masses: What the tool weighs [kg].
-    """
-
-    build: Callable[[Scene, Mapping[str, float]], tuple[InverseDynamics, tuple[str, ...]]]
-    masses: Mapping[str, float]
-
-
 class PcaMonitorNode:
     """ROS around a Gate; `start` gives it parameters, topics and services.
 
@@ -172,18 +156,13 @@ class PcaMonitorNode:
         #: The executor's sentence while a plan is being executed, at rest or not; empty otherwise.
         self._executing = ""
         self._diagnostics = diagnostics
-        self._loads = loads
-        self._belief = LoadBelief()
-        self._scene: Scene | None = None
-        self._masses: dict[str, float] = {}
-        #: Why there is no model of the newest load; empty: there is, or it is being made.
+        watch = gate.watch_of_torques
+        #: Has the torque watch expect what the arm carries; None: what the gate was given first is believed for good.
+        self._load = (
+            LoadFollower(loads, watch, self._lock, diagnostics) if loads is not None and watch is not None else None
+        )
         #: Torques compared when a report saw that number first, and when that was, by the monotonic clock [s].
         self._torques_seen = 0, time.monotonic()
-        self._load_problem = Sentence("reason.gate.load_awaited") if loads is not None else ""
-        #: One model at a time, of the newest scene and masses: two threads bring them.
-        self._loading = threading.Lock()
-        if loads is not None:
-            self._note_load()
 
     # -- the path; all times but those of stamps and reports are monotonic
 
@@ -244,55 +223,13 @@ class PcaMonitorNode:
 
     def on_scene(self, message: SceneMsg) -> None:
         """Take what the arm carries. In rospy's thread of this connection, which may wait."""
-        with self._loading:
-            try:
-                self._scene = scene_from_msg(message)
-            except ConstructionTwinError as error:
-                self._diagnostics.refuse("scene", str(error))
-                return
-            self._follow_load()
+        if self._load is not None:
+            self._load.on_scene(message)
 
     def on_tasks(self, message: WorkTasks) -> None:
         """Take what elements weigh. In rospy's thread of this connection, which may wait."""
-        with self._loading:
-            self._masses = element_masses(message)
-            self._follow_load()
-
-    def _follow_load(self) -> None:
-        """Have the model carry what the arm does in the newest scene; meanwhile torques do not count."""
-        loads, scene = self._loads, self._scene
-        if loads is None or scene is None:
-            return
-        carried = carried_part(scene)
-        bodies = {body_of(item.name) for item in carried.objects}
-        masses = {body: mass for body, mass in {**self._masses, **loads.masses}.items() if body in bodies}
-        load = carried.objects, masses
-        with self._lock:
-            self._belief.on_scene(scene.hash, load)
-            self._note_load()
-            if self._belief.is_modelled:
-                self._load_problem = ""
-                return
-        try:
-            dynamics, remarks = loads.build(carried, masses)
-        except ConstructionTwinError as error:
-            self._load_problem = Sentence("reason.gate.load_unknown", problem=str(error))
-            self._diagnostics.refuse("load", str(error))
-            return
-        with self._lock:
-            if self._gate.watch_of_torques is not None:
-                self._gate.watch_of_torques.believe(dynamics)
-            self._belief.on_model(load)
-            self._note_load()
-        self._load_problem = ""
-        rospy.loginfo("expects torques of the arm with its payload and: %s", ", ".join(sorted(bodies)) or "nothing")
-        for remark in remarks:
-            rospy.loginfo("%s", remark)
-
-    def _note_load(self) -> None:
-        """Let torques count while what the arm carries is known; under the lock."""
-        if self._gate.watch_of_torques is not None and self._loads is not None:
-            self._gate.watch_of_torques.count(self._belief.counts)
+        if self._load is not None:
+            self._load.on_tasks(message)
 
     def on_link(self, message: Link) -> None:
         """Take the link's state; a new session restarts the gate."""
@@ -346,8 +283,8 @@ class PcaMonitorNode:
         active = message.state not in (Execution.WAITING, Execution.IDLE)
         self._executing = f"plan {message.plan_id} is {message.text}" if active else ""
         with self._lock:
-            self._belief.on_execution(active, message.at_boundary, message.expected_scene)
-            self._note_load()
+            if self._load is not None:
+                self._load.on_execution(active, message.at_boundary, message.expected_scene)
         self._goals.on_execution(message.plan_id, message.state == Execution.PLAYING, from_time(message.header.stamp))
 
     def _note_changes(self) -> None:
@@ -468,7 +405,7 @@ class PcaMonitorNode:
         watch, watched = self._gate.watch_of_torques, ""
         if watch is not None:
             values["torques compared"] = watch.compared
-            watched = self._load_problem
+            watched = self._load.problem if self._load is not None else ""
             if not watched and self._compares and gate.state is SyncState.IN_SYNC:
                 silence = self._torque_silence(watch.compared)
                 if not watch.compared:
