@@ -14,6 +14,7 @@ Two commits in turns: ``python benchmarks/turns.py start 90a3d156``. In a folder
 from __future__ import annotations
 
 import argparse
+import ctypes
 import json
 import os
 import signal
@@ -24,7 +25,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from link_world import ROOT, end_in_order, environment, free_port
@@ -32,6 +33,9 @@ from link_world import ROOT, end_in_order, environment, free_port
 WORKSPACE = ROOT / ".ws"
 #: What belongs to the shell that runs this, and not to the commit whose start is measured. Nobody's shell forbids byte code.
 _OTHERS = ("PYTHONPATH", "CMAKE_PREFIX_PATH", "ROS_PACKAGE_PATH", "PYTHONDONTWRITEBYTECODE")
+#: prctl(2), Linux.
+_PR_SET_CHILD_SUBREAPER = 36
+_LIBC = ctypes.CDLL(None)
 #: Longest start [s].
 PATIENCE = 120.0
 #: After it said that it is ready, what still starts beside [s].
@@ -121,7 +125,7 @@ class Launch:
                 except OSError:
                     continue  # it has ended meanwhile
                 children.setdefault(int(fields[int(entry.name)][1]), []).append(int(entry.name))
-        found, waiting = {}, [self._process.pid]
+        found, waiting = {}, list(children.get(os.getpid(), []))
         while waiting:
             pid = waiting.pop()
             found[pid] = fields[pid]
@@ -146,7 +150,8 @@ def pss_mb(pid: int) -> float | None:
 def name_of(pid: int) -> str:
     """Return the name of a process's program: of a Python program that of its file or module."""
     try:
-        words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+        # a process that has given itself a title has one text instead of words
+        words = Path(f"/proc/{pid}/cmdline").read_text().replace("\0", " ").split() or ["none"]
     except OSError:
         return "ended"
     if words[1:2] == ["-m"]:
@@ -157,13 +162,18 @@ def name_of(pid: int) -> str:
 
 @contextmanager
 def launched(words: Sequence[str]) -> Iterator[Launch]:
-    """Start bringup.launch; it has ended when the block has."""
+    """Start bringup.launch; it has ended when the block has. What it leaves behind counts, too: it becomes this process's child."""
+    _LIBC.prctl(_PR_SET_CHILD_SUBREAPER, 1)
     with tempfile.TemporaryDirectory() as folder:
         launch = Launch(Path(folder), words)
         try:
             yield launch
         finally:
             launch.end()
+            # and what it left behind, which ends by itself
+            with suppress(ChildProcessError):
+                while True:
+                    os.wait()
 
 
 def measure_start(words: Sequence[str], idle: float) -> dict:

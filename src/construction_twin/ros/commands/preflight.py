@@ -49,6 +49,7 @@ from construction_twin.ros.shared.launch_arguments import (
     read_mapping,
     tool_settings,
 )
+from construction_twin.ros.shared.loaded_process import leave_behind
 from construction_twin.ros.shared.master import running
 from construction_twin.ros.shared.params import ros_home, settings_of
 from construction_twin.ros.shared.roslaunch_parent import command_lines, print_after, roslaunch_parent
@@ -60,7 +61,7 @@ from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.servo.file import read_servos
 from construction_twin.views.preflight import NONE, has_gateway_here, is_bare, is_true, notes, problem
-from construction_twin.views.roslaunch_call import RoslaunchCall, argument_problem, known_arguments
+from construction_twin.views.roslaunch_call import RoslaunchCall, argument_problem, known_arguments, roslaunch_call
 from construction_twin.work.site import read_site
 
 #: What parses launch files without the master that ROS_MASTER_URI names.
@@ -512,6 +513,17 @@ def refusal(given: Given, call: RoslaunchCall | None, uri: str) -> str:
         return sentence
     sentence = address_problem(os.environ)
     return sentence or running_problem(given, uri) or (port_problem(given) if call is not None else "")
+
+
+def program() -> int:
+    """Do what roslaunch and a person start: `main`, and for a roslaunch that starts a robot leave its loaded process behind."""
+    words = sys.argv[1:]
+    pid, above = next(iter(command_lines()), (0, []))
+    call = roslaunch_call(above)
+    starts = call.starts if call is not None else any(Path(word).name == "rostest" for word in above[:2])
+    if starts and "--for-roslaunch" in words and any(word.startswith("robot:=") for word in words):
+        leave_behind(pid)
+    return main(words)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -25,6 +25,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import TracebackType
 
+import rosgraph
 import rospy
 from rosgraph.roslogging import RosStreamHandler
 
@@ -55,7 +56,9 @@ def run_node(name: str, start: Callable[[], object]) -> None:
         sys.exit(f"{name} cannot run: {error}")
     with ending_on_signals():
         try:
-            rospy.init_node(name, disable_signals=True)
+            # rospy has read words and namespace of the process that loaded it, which may be another: `loaded_process`
+            rospy.names._set_caller_id(rosgraph.names.make_caller_id("unnamed"))
+            rospy.init_node(name, argv=sys.argv, disable_signals=True)
         except rospy.exceptions.ROSInitException:
             # Ctrl-C came meanwhile
             if rospy.core.is_shutdown_requested():

@@ -1,0 +1,326 @@
+"""Nodes start as copies of one process that has loaded their modules: what each would load alone takes half a start's time.
+
+`preflight` has every node's module loaded when it has checked a start. It leaves a process behind that keeps them, the loaded
+process, for the roslaunch that called it. A program of nodes/ that this roslaunch starts asks for a copy of it (fork), which
+becomes the node. The program itself stays: it is what roslaunch knows.
+
+=====================================  ==============================================================================
+what happens                           what follows
+=====================================  ==============================================================================
+signals to the program                 SIGINT, SIGTERM and SIGHUP are passed on to the node
+the node ends                          the program ends with its exit code, or by the same signal
+the program is killed                  the node kills itself
+the loaded process is killed           nodes go on; programs that start later load their modules themselves
+there is none: `rosrun`, a debugger    the program loads the module and is the node
+roslaunch has ended, and every node    the loaded process ends
+=====================================  ==============================================================================
+
+It is found by an abstract socket (unix(7)) named by user and roslaunch's number, so nothing of it stays on disk, and it copies
+itself for its own user alone. What a node has of the shell comes from its program: words, environment, folder, standard input and
+output. Linux only.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import gc
+import io
+import json
+import os
+import selectors
+import signal
+import socket
+import struct
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import NoReturn
+
+import setproctitle
+
+#: Signals that a program passes on to its node.
+PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+#: How long a program may take to say what it wants [s].
+PATIENCE = 2.0
+#: Exit code when nobody can say how the node ended.
+UNKNOWN = 1
+_NUMBER = struct.Struct("=i")
+_PEER = struct.Struct("=iII")
+
+
+def run_program(module: str) -> NoReturn:
+    """Run the function `main` of a module as this program: in a copy of roslaunch's loaded process, else here. Does not return.
+
+    Args:
+        module: Its full name.
+    """
+    # Ctrl-C during the imports is no error; what runs afterwards takes the signal over
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    code = _run_as_copy(module, _name_for(os.getppid()))
+    if code is None:
+        _run_here(module)
+    if code < 0:
+        # roslaunch is told by what it has ended
+        with contextlib.suppress(OSError):  # SIGKILL has no handler
+            signal.signal(-code, signal.SIG_DFL)
+        os.kill(os.getpid(), -code)
+    sys.exit(code)
+
+
+def _run_here(module: str) -> NoReturn:
+    sys.exit(import_module(module).main())
+
+
+def _name_for(pid: int) -> str:
+    """Return the name of the socket of a roslaunch's loaded process, in Linux' abstract name space."""
+    return f"\0construction_twin/{os.getuid()}/{pid}"
+
+
+# -- the program
+
+
+def _run_as_copy(module: str, name: str) -> int | None:
+    """Return the exit code of a copy, when it has ended; None when there is none to be had."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+        try:
+            connection.connect(name)
+            if _user_of(connection) != os.getuid():
+                return None
+            _send_request(connection, module)
+            copy = _receive_number(connection)
+        except OSError:
+            return None
+        if copy is None:
+            return None
+        with _signals_passed_on(copy):
+            code = _receive_number(connection)
+        return UNKNOWN if code is None else code
+
+
+def _user_of(connection: socket.socket) -> int:
+    return _PEER.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))[1]
+
+
+def _send_request(connection: socket.socket, module: str) -> None:
+    request = json.dumps(
+        {
+            "module": module,
+            "words": sys.argv,
+            "title": " ".join(_own_words()),
+            "environment": dict(os.environ),
+            "folder": os.getcwd(),
+        }
+    ).encode()
+    socket.send_fds(connection, [_NUMBER.pack(len(request))], [0, 1, 2])
+    connection.sendall(request)
+
+
+def _own_words() -> list[str]:
+    """Return this process's command line, with its interpreter."""
+    return [word.decode(errors="replace") for word in Path("/proc/self/cmdline").read_bytes().split(b"\0")[:-1]]
+
+
+def _receive_number(connection: socket.socket) -> int | None:
+    """Return the next number; None when the connection has ended."""
+    received = connection.recv(_NUMBER.size, socket.MSG_WAITALL)
+    return _NUMBER.unpack(received)[0] if len(received) == _NUMBER.size else None
+
+
+@contextlib.contextmanager
+def _signals_passed_on(group: int) -> Iterator[None]:
+    """Pass signals on to a process group while the block runs, as roslaunch signals to groups; ignore them afterwards."""
+
+    def pass_on(number: int, _frame: object) -> None:
+        with contextlib.suppress(ProcessLookupError):  # it has ended, and its exit code is on its way
+            os.killpg(group, number)
+
+    for number in PASSED_ON:
+        signal.signal(number, pass_on)
+    try:
+        yield
+    finally:
+        for number in PASSED_ON:
+            signal.signal(number, signal.SIG_IGN)
+
+
+# -- the loaded process
+
+
+def leave_behind(pid: int) -> None:
+    """Leave a copy of this process behind, as the loaded process of a roslaunch, unless that has one already; return at once.
+
+    Has to be called while this process has one thread.
+
+    Args:
+        pid: Of the roslaunch, this process's parent.
+    """
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        listener.bind(_name_for(pid))
+        listener.listen()
+        roslaunch = os.pidfd_open(pid)
+    except OSError:
+        # another robot's start in the same roslaunch has left one behind, or roslaunch has ended
+        listener.close()
+        return
+    if os.fork():
+        listener.close()
+        os.close(roslaunch)
+        return
+    os.setsid()
+    # blocked, not ignored: one that reaches a copy before it is ready waits for it
+    signal.pthread_sigmask(signal.SIG_BLOCK, PASSED_ON)
+    # roslaunch reads standard output to its end
+    nothing = os.open(os.devnull, os.O_RDWR)
+    os.dup2(nothing, 0)
+    os.dup2(nothing, 1)
+    os.close(nothing)
+    _Loaded(listener, roslaunch).serve()
+
+
+class _Loaded:
+    """The loaded process: one thread, and nothing that a copy would have to undo but open files."""
+
+    def __init__(self, listener: socket.socket, roslaunch: int):
+        self._listener = listener
+        self._roslaunch = roslaunch
+        self._selector = selectors.DefaultSelector()
+        #: The connection to the program of each copy, by the copy's pidfd.
+        self._copies: dict[int, tuple[int, socket.socket]] = {}
+
+    def serve(self) -> NoReturn:
+        """Serve until roslaunch and every copy have ended; in a copy, run the program to its end."""
+        setproctitle.setproctitle("construction_twin: loaded process")
+        # what is loaded is never looked through for rubbish, so that copies share it
+        gc.collect()
+        gc.freeze()
+        self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
+        self._selector.register(self._roslaunch, selectors.EVENT_READ, self._end_of_roslaunch)
+        while self._roslaunch >= 0 or self._copies:
+            for key, _ in self._selector.select():
+                key.data(key.fd)
+        os._exit(0)
+
+    def _end_of_roslaunch(self, process: int) -> None:
+        self._selector.unregister(process)
+        os.close(process)
+        self._roslaunch = -1
+
+    def _accept(self, _listener: int) -> None:
+        connection, _ = self._listener.accept()
+        request: _Request | None = None
+        files: list[int] = []
+        if _user_of(connection) == os.getuid():
+            connection.settimeout(PATIENCE)
+            # a program that was killed meanwhile wants nothing
+            with contextlib.suppress(OSError, ValueError, TypeError):
+                request, files = _receive_request(connection)
+            connection.settimeout(None)
+        if request is None:
+            connection.close()
+        else:
+            self._copy(connection, request, files)
+        for file in files:
+            os.close(file)
+
+    def _copy(self, connection: socket.socket, request: _Request, files: list[int]) -> None:
+        pid = os.fork()
+        if pid == 0:
+            self._close()
+            _become(request, files, connection)
+        _lead_group(pid)
+        copy = os.pidfd_open(pid)
+        self._copies[copy] = (pid, connection)
+        self._selector.register(copy, selectors.EVENT_READ, self._end_of_copy)
+        with contextlib.suppress(OSError):  # a program that was killed meanwhile: the copy notices, too
+            connection.sendall(_NUMBER.pack(pid))
+
+    def _end_of_copy(self, copy: int) -> None:
+        self._selector.unregister(copy)
+        pid, connection = self._copies.pop(copy)
+        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        with contextlib.suppress(OSError):
+            connection.sendall(_NUMBER.pack(code))
+        connection.close()
+        os.close(copy)
+
+    def _close(self) -> None:
+        """Close in a copy what is the loaded process's."""
+        self._selector.close()
+        self._listener.close()
+        if self._roslaunch >= 0:
+            os.close(self._roslaunch)
+        for copy, (_, connection) in self._copies.items():
+            os.close(copy)
+            connection.close()
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What a program wants to be.
+
+    Attributes:
+        module: Whose `main` is run.
+        words: `sys.argv`.
+        title: Its command line, as `ps` shows it.
+        environment, folder: Its own.
+    """
+
+    module: str
+    words: list[str]
+    title: str
+    environment: dict[str, str]
+    folder: str
+
+
+def _receive_request(connection: socket.socket) -> tuple[_Request, list[int]]:
+    """Return a request and the program's standard input, output and error.
+
+    Raises:
+        OSError: The connection has ended, or nothing came in time.
+        ValueError, TypeError: It is no request.
+    """
+    size, files, _, _ = socket.recv_fds(connection, _NUMBER.size, 3)
+    with connection.makefile("rb") as stream:
+        text = stream.read(_NUMBER.unpack(size)[0] if len(size) == _NUMBER.size else 0)
+    return _Request(**json.loads(text)), files
+
+
+def _lead_group(pid: int) -> None:
+    """Make a copy the leader of a group of its own; loaded process and copy both do, as neither knows who comes first."""
+    with contextlib.suppress(OSError):  # the other came first, or it has ended
+        os.setpgid(pid, pid)
+
+
+def _become(request: _Request, files: list[int], connection: socket.socket) -> NoReturn:
+    """Become a program's node."""
+    _lead_group(os.getpid())
+    for number, file in enumerate(files):
+        os.dup2(file, number)
+        os.close(file)
+    for number in PASSED_ON:
+        signal.signal(number, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, PASSED_ON)
+    os.chdir(request.folder)
+    os.environ.clear()
+    os.environ.update(request.environment)
+    sys.argv[:] = request.words
+    unbuffered = bool(request.environment.get("PYTHONUNBUFFERED"))
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(line_buffering=os.isatty(1), write_through=unbuffered)
+    setproctitle.setproctitle(request.title)
+    # extension modules look at the end of Python whether all that is theirs has been given back
+    atexit.register(gc.unfreeze)
+    threading.Thread(target=_die_with, args=(connection,), name="program", daemon=True).start()
+    _run_here(request.module)
+
+
+def _die_with(connection: socket.socket) -> None:
+    """End this process, and what it has started, when its program was killed: nothing else ends the connection."""
+    with contextlib.suppress(ConnectionError):
+        connection.recv(1)
+    os.killpg(os.getpgid(0), signal.SIGKILL)
