@@ -157,18 +157,23 @@ class SoakWorld(ExitStack):
     # -- programs
 
     def nodes(self) -> dict[str, int]:
-        """Return the process of each program that roslaunch runs, by the node's name in the robot's namespace."""
-        found = {}
+        """Return the process of each node that roslaunch runs, by its name in the robot's namespace.
+
+        Of a node that is a copy of the loaded process it is the copy, which has its program's words.
+        """
+        programs, copies = {}, {}
         for entry in Path("/proc").glob("[0-9]*"):
             try:
                 parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
-                words = (entry / "cmdline").read_bytes().decode(errors="replace").split("\0")
+                words = (entry / "cmdline").read_bytes().decode(errors="replace").replace("\0", " ").split()
             except (FileNotFoundError, ProcessLookupError):
                 continue
-            if parent == self._launch.pid:
-                names = [word.removeprefix("__name:=") for word in words if word.startswith("__name:=")]
-                if name := names[0] if names else _unnamed(words):
-                    found[name] = int(entry.name)
+            (programs if parent == self._launch.pid else copies)[tuple(words)] = int(entry.name)
+        found = {}
+        for words, pid in programs.items():
+            names = [word.removeprefix("__name:=") for word in words if word.startswith("__name:=")]
+            if name := names[0] if names else _unnamed(words):
+                found[name] = copies.get(words, pid)
         return found
 
     def kill(self, name: str) -> int:
