@@ -42,13 +42,14 @@ class RehearsalTest(RobotTest):
             plan = self.client.plan_to(goal)
             report = self.client.rehearsed(plan.plan_id)
             self.assertEqual((report.state, report.reasons, report.plan_hash), (PASSED, (), plan.plan_hash))
+            self.assertRegex(report.engine, r"^MuJoCo \d+\.\d+")
             print(f"rehearsed {report.duration:.2f} s of a plan in {report.took:.2f} s", flush=True)
             answer = self.client.review(plan.plan_id, plan.plan_hash)
             self.assertTrue(answer.success, answer.message)
             self.client.wait_for_outcome(plan.plan_id, "finished")
             self.assertEqual(
                 self.client.recorded(plan.plan_id)["rehearsal"],
-                {"state": PASSED, "hash": report.hash, "overridden": False},
+                {"state": PASSED, "hash": report.hash, "engine": report.engine, "overridden": False},
             )
             self.client.wait_until_ready()
 
@@ -122,7 +123,9 @@ class RehearsalTest(RobotTest):
             answer = self.client.review(plan.plan_id, plan.plan_hash, override=report.hash)
             self.assertTrue(answer.success, answer.message)
         record = self.client.recorded(plan.plan_id)
-        self.assertEqual(record["rehearsal"], {"state": FAILED, "hash": report.hash, "overridden": True})
+        self.assertEqual(
+            record["rehearsal"], {"state": FAILED, "hash": report.hash, "engine": report.engine, "overridden": True}
+        )
         self.assertEqual((record["reviewer"], record["reason"]), ("tester", "integration test"))
 
     def test_4_by_mqtt_a_person_overrides_it_with_a_reason_and_only_what_the_rehearsal_holds_back(self):
@@ -153,7 +156,9 @@ class RehearsalTest(RobotTest):
             self.assertTrue(answer["ok"], answer)
             self.assertEqual((answer["plan_id"], answer["reviewer"]), (plan.plan_id, "ada"))
         record = self.client.recorded(plan.plan_id)
-        self.assertEqual(record["rehearsal"], {"state": FAILED, "hash": report.hash, "overridden": True})
+        self.assertEqual(
+            record["rehearsal"], {"state": FAILED, "hash": report.hash, "engine": report.engine, "overridden": True}
+        )
         self.assertEqual(record["reviewer"], "ada")
         self.assertIn("the block is hollow", record["reason"])
 

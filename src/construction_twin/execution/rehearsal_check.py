@@ -58,8 +58,8 @@ class RehearsalCheck:
         """Return what the record of a verdict on a plan says of its rehearsal; None: there was none, and none was required."""
         report = self.of(plan)
         if report is not None:
-            return Rehearsed(report.state, report.hash, overridden)
-        return Rehearsed(NOT_REHEARSED, "", overridden) if self.required else None
+            return Rehearsed(report.state, report.hash, report.engine, overridden)
+        return Rehearsed(NOT_REHEARSED, "", overridden=overridden) if self.required else None
 
 
 def _first(reasons: tuple[str, ...]) -> str:
