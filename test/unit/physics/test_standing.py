@@ -1,4 +1,4 @@
-"""What stands around before a plan begins: a wall that stands is never reported; what would fall anyway is not blamed on the plan."""
+"""What stands before a plan begins: a wall that stands is never reported; what would fall anyway is not blamed on the plan."""
 
 import math
 
