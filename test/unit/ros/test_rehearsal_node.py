@@ -284,6 +284,38 @@ class TestMasses:
         bench.node.work(0.0)
         assert bench.process.questions[0].masses == {}
 
+    def test_of_what_earlier_tasks_have_placed_and_who_says_none_is_named(self, bench):
+        stands = [dataclasses.replace(STOCK, name=f"{name}/0") for name in ("laid", "guessed", "waits")]
+        scene = Scene((*SCENES[0].objects, *stands), 0.01)
+        bench.hear_scene(scene)
+        hashes = []
+        # what is not in the scene counts for nothing
+        for state in ("done", "ready"):
+            tasks = [
+                WorkTask(id=name, element=name, mass_kg=mass, state=said)
+                for name, mass, said in (
+                    ("laid", 3.5, state), ("guessed", math.nan, "done"), ("waits", 3.5, "ready"), ("gone", 3.5, "done"),
+                )
+            ]  # fmt: skip
+            bench.plug.callbacks["work/tasks"](WorkTasks(tasks=tasks))
+            bench.hear_plan(dataclasses.replace(plain_plan(state), scene=scene.hash))
+            bench.node.work(0.0)
+            hashes.append(bench.newest.inputs)
+        laid, ready = bench.process.questions
+        assert (laid.masses, laid.standing, laid.unweighed) == ({"laid": 3.5}, ("laid",), ("guessed",))
+        assert (ready.masses, ready.standing, ready.unweighed) == ({}, (), ("guessed",))
+        assert hashes[0] != hashes[1]
+
+    def test_what_a_plan_carries_does_not_stand(self, bench):
+        bench.plug.callbacks["work/tasks"](
+            WorkTasks(tasks=[WorkTask(id="t", element="beam", mass_kg=42.0, state="done")])
+        )
+        bench.hear_scene()
+        bench.hear_plan(work_plan())
+        bench.node.work(0.0)
+        question = bench.process.questions[0]
+        assert (question.masses, question.standing, question.unweighed) == ({"beam": 42.0}, (), ())
+
     def test_another_mass_is_another_hash(self, bench):
         bench.hear_scene()
         for mass in (42.0, 43.0):
