@@ -1,4 +1,4 @@
-"""The sample's brick wall, laid by the package's own work plans: bricks of earlier tasks have mass and stay where they stand."""
+"""The samples, laid by the package's own work plans: elements of earlier tasks have mass, and stay where they stand."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 import work_samples
 from physics_samples import plan_of
 
+from construction_twin.kinematics.chain import Pose
 from construction_twin.physics.report import PASSED
 from construction_twin.planning.work_plan import joined
 from construction_twin.robot.segments import Segment
@@ -22,25 +23,30 @@ ROOT = work_samples.ROOT
 CONFIG = ROOT / "config"
 
 
-@pytest.fixture(scope="module")
-def laid() -> tuple[tuple[str, ...], TaskMotions]:
-    """The twenty bricks that lie, and the motions that lay the next one on them."""
-    design = make_models.brick_wall()
-    bricks = [
+#: How its elements lie along the model's y.
+TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.fixture(scope="module", params=[("brick_wall", 20), ("timber_panel", 13)], ids=lambda param: param[0])
+def laid(request) -> tuple[tuple[str, ...], TaskMotions]:
+    """The elements of a sample that lie, and the motions that lay the next one on them."""
+    name, count = request.param
+    design = make_models.DESIGNS[name]()
+    elements = [
         replace(
             work_samples.element(
-                make_models.global_id(design.name, "element", part.name),
-                tuple(np.array(part.at) / 1e3),
-                tuple(np.array(part.size) / 1e3),
+                make_models.global_id(name, "element", part.name), size=tuple(np.array(part.size) / 1e3),
+                ifc_class=part.ifc_class, type_name=part.type_name,
             ),
             name=part.name,
+            model_T_element=Pose(np.array(part.at) / 1e3, TURNED if part.turned else np.eye(3)),
         )
         for part in design.parts
-    ]
-    layout = work_samples.layout(read_site(CONFIG / "work/brick_wall.yaml"), work_samples.building(*bricks))
-    lying, brick = layout.order[:20], layout.order[20]
+    ]  # fmt: skip
+    layout = work_samples.layout(read_site(CONFIG / f"work/{name}.yaml"), work_samples.building(*elements))
+    lying, own = layout.order[:count], layout.order[count]
     scene = layout.scene(WorkState({one: layout.base_T_goal(one) for one in lying}))
-    job = layout.job_for(brick, scene)
+    job = layout.job_for(own, scene)
     return lying, work_samples.planner().plan(job, work_samples.robot().home, scene)
 
 
@@ -64,20 +70,20 @@ def rehearsal():
     )  # fmt: skip
 
 
-def test_the_next_brick_is_laid_and_no_other_moves(laid, rehearsal):
+def test_the_next_element_is_laid_and_no_other_moves(laid, rehearsal):
     lying, motions = laid
     asked = question(laid, lying)
     report = answer(rehearsal, asked)
     assert (report.state, report.reasons) == (PASSED, ())
-    (brick,) = report.objects
-    assert brick.name == motions.job.element and brick.moved < 0.001 and brick.resting
+    (own,) = report.objects
+    assert own.name == motions.job.element and own.moved < 0.001 and own.resting
     assert not [remark.key for remark in report.remarks if remark.key.startswith("rehearsal.")]
     assert repr(replace(answer(rehearsal, asked), took=0.0, settle_took=0.0)) == repr(
         replace(report, took=0.0, settle_took=0.0)
     )
 
 
-def test_a_wall_without_a_known_mass_is_fixed_and_named(laid, rehearsal):
+def test_elements_without_a_known_mass_is_fixed_and_named(laid, rehearsal):
     lying, _ = laid
     report = answer(rehearsal, question(laid, (), lying))
     (remark,) = [each for each in report.remarks if each.key.startswith("rehearsal.")]
