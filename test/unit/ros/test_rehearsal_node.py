@@ -16,6 +16,7 @@ from unplugged import Unplugged
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.extras import check_extras
+from construction_twin.core.sentences import Sentence
 from construction_twin.physics.report import BROKEN, FAILED, PASSED, RehearsalReport, finished
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.work_plan import joined
@@ -27,6 +28,7 @@ from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import rehearsal as module
 from construction_twin.ros.nodes.rehearsal import NODE, Settings
+from construction_twin.ros.shared.diagnostics import OK, WARN
 from construction_twin.ros.shared.rehearsal_process import PROGRAM, Question
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
@@ -382,6 +384,28 @@ class TestBroken:
         message.hash = "0" * 64
         bench.plug.callbacks["plan"](message)
         assert [reason for reason, _ in bench.plug.refused] == ["plan"]
+
+
+def test_its_state_is_a_sentence_that_every_language_has(bench):
+    assert bench.node.report().sentence.key == "rehearsal.node.none"
+    bench.hear_scene()
+    running = bench.begin("p1")
+    assert bench.node.report().sentence.key == "rehearsal.node.running"
+    bench.process.interrupt()
+    running.join(SOON)
+    broken = bench.node.report()
+    assert (broken.level, broken.sentence.key, broken.sentence.values["plan"]) == (WARN, "rehearsal.node.broken", "p1")
+    assert "signal 9" in broken.sentence
+    bench.process.answers = True
+    bench.hear_plan(plain_plan("p2"))
+    bench.node.work(0.0)
+    assert (bench.node.report().level, bench.node.report().sentence) == (OK, "plan p2: passed")
+    found = RehearsalReport("p3", state=FAILED, reasons=(Sentence("rehearsal.mass", mass=2.0, rated=1.0), "more"))
+    bench.process.ask = lambda *_, **__: found
+    bench.hear_plan(plain_plan("p3"))
+    bench.node.work(0.0)
+    failed = bench.node.report()
+    assert (failed.level, failed.sentence.key) == (OK, "rehearsal.node.failed") and "2.0 kg" in failed.sentence
 
 
 def test_without_mujoco_it_rests_where_nobody_asked_for_it_and_else_does_not_start(monkeypatch):

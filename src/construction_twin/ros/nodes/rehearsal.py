@@ -22,6 +22,7 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.extras import check_extras
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import Sentence
+from construction_twin.execution.rehearsal_check import first_reason
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import Rehearsal, Review, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
@@ -314,12 +315,14 @@ class RehearsalNode:
         last, running = self._last, self._running
         values: dict[str, object] = {"rehearsals": self._rehearsed, "broken": self._broken, "superseded": self._dropped}
         if running is not None:
-            return Report(OK, f"rehearses plan {running.plan.id}", values)
+            return Report(OK, Sentence("rehearsal.node.running", plan=running.plan.id), values)
         if last is None:
-            return Report(OK, "no plan was rehearsed yet", values)
+            return Report(OK, Sentence("rehearsal.node.none"), values)
         values |= {"took": f"{last.took:.2f}", "engine": last.engine}
-        why = "".join(f"; {reason}" for reason in last.reasons)
-        return Report(WARN if last.state == BROKEN else OK, f"plan {last.plan_id}: {last.state}{why}", values)
+        if last.state == PASSED:
+            return Report(OK, Sentence("rehearsal.node.passed", plan=last.plan_id), values)
+        key, level = ("rehearsal.node.broken", WARN) if last.state == BROKEN else ("rehearsal.node.failed", OK)
+        return Report(level, Sentence(key, plan=last.plan_id, reason=first_reason(last.reasons)), values)
 
 
 def _keep_newest(jobs: dict[str, _Job]) -> None:

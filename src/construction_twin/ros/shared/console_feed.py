@@ -317,4 +317,4 @@ def deployment_of(started: Mapping[str, object] | None, namespace: str) -> Deplo
 
 def _found(state: str) -> str:
     """Return how a rehearsal ended, in the words of a message."""
-    return Sentence(f"line.rehearsal.{state}") if state in STATES else state
+    return Sentence(f"line.person.found.{state}") if state in STATES else state
