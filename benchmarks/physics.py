@@ -4,8 +4,8 @@
 
 `real_time_factor`: simulated over real time of one moving arm with 20 blocks that lie on tables, without a picture; with the blocks
 asleep, as in the moving part of a rehearsal, and awake, as while they settle. `rehearsal_s`: plans of 1, 10 and 60 s among the same
-blocks; settling, before the motion and after it, apart. `rehearsal_wall_s`: of 10 s beside a wall of 20 bricks, as earlier tasks lay
-them, in CPU time. `gravity_rel_error`: largest difference to Pinocchio's torques at rest over 1000 poses,
+blocks; settling, before the motion and after it, apart. `rehearsal_wall_s`: of 10 s beside a wall of 20 bricks, as earlier tasks
+lay them, in CPU time. `gravity_rel_error`: largest difference to Pinocchio's torques at rest over 1000 poses,
 of the largest torque of a pose. `inverse_dynamics_rel_rms`: torques of a motion against Pinocchio's inverse dynamics. `live`: the
 twin beside the whole system (`physics_live.py`), one kind after the other.
 """
