@@ -4,7 +4,8 @@
 
 `real_time_factor`: simulated over real time of one moving arm with 20 blocks that lie on tables, without a picture; with the blocks
 asleep, as in the moving part of a rehearsal, and awake, as while they settle. `rehearsal_s`: plans of 1, 10 and 60 s among the same
-blocks; what comes after the motion apart. `gravity_rel_error`: largest difference to Pinocchio's torques at rest over 1000 poses,
+blocks; settling, before the motion and after it, apart. `rehearsal_wall_s`: of 10 s beside a wall of 20 bricks, as earlier tasks
+lay them, in CPU time. `gravity_rel_error`: largest difference to Pinocchio's torques at rest over 1000 poses,
 of the largest torque of a pose. `inverse_dynamics_rel_rms`: torques of a motion against Pinocchio's inverse dynamics. `live`: the
 twin beside the whole system (`physics_live.py`), one kind after the other.
 """
@@ -18,6 +19,7 @@ import platform
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
@@ -45,6 +47,8 @@ START = np.radians((0.0, -90.0, 90.0, 0.0, 45.0, 0.0))
 GOAL = START + np.array((1.0, 0.3, -0.4, 0.8, -0.6, 1.2))
 #: Simulated for the real-time factor [s]; plans that are rehearsed [s]; poses for gravity.
 SIMULATED, PLANS, POSES = 10.0, (1.0, 10.0, 60.0), 1000
+#: Bricks in each course of the wall, from below.
+COURSES = (6, 5, 4, 3, 2)
 _REST = (0.0, 0.0, -GRAVITY)
 
 
@@ -88,14 +92,35 @@ class Bench:
             arm.cycle(setpoint)
         return SIMULATED / (time.perf_counter() - begin)
 
-    def rehearsal(self, duration: float) -> dict[str, float]:
-        """Return how long the rehearsal of a plan takes, and what comes after its motion [s]."""
+    def wall(self) -> Scene:
+        """Return a wall of 20 bricks in running bond, behind the arm."""
+        floor, *_ = self.scene.objects
+        bricks = [
+            SceneObject(
+                f"brick {course}.{number}", "box", (0.115, 0.24, 0.071),
+                (-2.5, (number - (count - 1) / 2) * 0.25, (course + 0.5) * 0.071),
+            )
+            for course, count in enumerate(COURSES)
+            for number in range(count)
+        ]  # fmt: skip
+        return Scene((floor, *bricks))
+
+    def rehearsal(
+        self, duration: float, scene: Scene | None = None, clock: Callable[[], float] = time.perf_counter
+    ) -> dict[str, float]:
+        """Return how long the rehearsal of a plan takes, and what settling takes of it [s].
+
+        Args:
+            scene: Of which all but the floor weighs 4 kg; None: that of the blocks.
+        """
+        around = self.scene if scene is None else scene
+        masses = self.masses if scene is None else {item.name: 4.0 for item in around.objects if not item.fixed}
         motion = self.motion(duration)
         zeros = (0.0,) * len(self.robot.joint_names)
         report = PlanReport(Clearance(np.inf), LimitUsage(zeros, zeros, zeros), 0.0)
-        plan = Plan("p", motion.content_hash(), "bench", "none", self.scene.hash, 0, 0.0, motion, report)
-        rehearsal = Rehearsal(self.bodies, self.pairs, self.drives, masses=self.masses)
-        found = rehearsal.of_plan(plan, {self.scene.hash: self.scene}, time.perf_counter)
+        plan = Plan("p", motion.content_hash(), "bench", "none", around.hash, 0, 0.0, motion, report)
+        rehearsal = Rehearsal(self.bodies, self.pairs, self.drives, masses=masses)
+        found = rehearsal.of_plan(plan, {around.hash: around}, clock)
         assert found.state == "passed", found.reasons
         return {
             "whole": rounded(found.took),
@@ -181,6 +206,7 @@ def main() -> None:
             "awake": rounded(bench.real_time_factor(False)),
         },
         "rehearsal_s": {f"{duration:g}": bench.rehearsal(duration) for duration in PLANS},
+        "rehearsal_wall_s": bench.rehearsal(10.0, bench.wall(), time.process_time),
         "gravity_rel_error": rounded(bench.gravity_rel_error()),
         "inverse_dynamics_rel_rms": rounded(bench.inverse_dynamics_rel_rms()),
         "live": {twin: live(twin) for twin in ("mujoco", "kinematic")},
@@ -191,6 +217,8 @@ def main() -> None:
         print(
             f"rehearsal of {name:>2} s [s]          " + "".join(f"{key:>10} {value}" for key, value in values.items())
         )
+    values = figures["rehearsal_wall_s"]
+    print("rehearsal of 10 s, wall [s CPU]  " + "".join(f"{key:>10} {value}" for key, value in values.items()))
     for twin, values in figures["live"].items():
         print(f"live {twin:<27} " + "".join(f"{key:>14} {value}" for key, value in values.items()))
     for name in ("gravity_rel_error", "inverse_dynamics_rel_rms"):

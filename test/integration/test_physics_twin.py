@@ -1,7 +1,13 @@
 #!/usr/bin/env python3
-"""A twin with mass: it agrees with the arm, holds with it, carries what the scene says, and never decides what is commanded."""
+"""A twin with mass: it agrees with the arm, holds with it, carries what the scene says, and never decides what is commanded.
 
+Each plan must pass its rehearsal before it can be approved, the new one after a stall, too.
+"""
+
+import os
+import signal
 import sys
+from contextlib import contextmanager
 
 import numpy as np
 import rospy
@@ -11,9 +17,10 @@ from construction_twin.srv import AddObject, AttachObject, DetachObject
 from geometry_msgs.msg import Pose, Quaternion
 from sensor_msgs.msg import JointState
 from test_bringup import Rate
-from twin_client import HOME, LEFT, RobotTest, Stream, TwinClient, wait
+from twin_client import HOME, LEFT, RehearsedClient, RobotTest, Stream, node_pid, wait
 
 from construction_twin.core.units import radians
+from construction_twin.physics.report import PASSED
 
 JOINT = "joint_a3"
 #: What is left of a simulated arm's approach, and of one that holds a load [rad].
@@ -28,7 +35,7 @@ class PhysicsTwinTest(RobotTest):
     @classmethod
     def setUpClass(cls):
         rospy.init_node("test_physics_twin")
-        cls.client = TwinClient()
+        cls.client = RehearsedClient()
 
     def setUp(self):
         self.begin()
@@ -48,6 +55,34 @@ class PhysicsTwinTest(RobotTest):
     def assert_close(self, goal, stream: Stream):
         """The newest pose comes within `SETTLED` of a goal [rad]."""
         wait(lambda: np.abs(stream.positions(-1)[0] - goal).max() < SETTLED, f"{stream} to settle at {goal}")
+
+    @contextmanager
+    def unrehearsed(self):
+        """Stop the node that rehearses in the midst of whatever it does; afterwards it goes on."""
+        process = node_pid("rehearsal")
+        self.assertGreater(process, 0)
+        os.kill(process, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            os.kill(process, signal.SIGCONT)
+
+    def assert_waits_for_its_rehearsal(self, plan_id: str, plan_hash: str):
+        """A plan that nobody has rehearsed is not approved, and nothing moves."""
+        self.assertNotIn(plan_id, self.client.rehearsals)
+        answer = self.client.review_at_once(plan_id, plan_hash)
+        self.assertFalse(answer.success)
+        self.assertIn("was not rehearsed yet", answer.message)
+        self.assertTrue(self.client.idle())
+
+    def approve_once_rehearsed(self, plan_id: str, plan_hash: str):
+        """A plan passes its rehearsal, is approved, and the record of the verdict says by which result."""
+        report = self.client.rehearsed(plan_id)
+        self.assertEqual((report.state, report.reasons, report.plan_hash), (PASSED, (), plan_hash))
+        answer = self.client.review(plan_id, plan_hash)
+        self.assertTrue(answer.success, answer.message)
+        record = self.client.recorded(plan_id)
+        self.assertEqual((record["verdict"], record["rehearsal"]["hash"]), ("approved", report.hash))
 
     def test_both_poses_come_at_250_hz_and_efforts_at_50(self):
         expected = {"twin/joint_states": 250.0, "twin/commanded": 250.0, "twin/effort": 50.0}
@@ -80,36 +115,42 @@ class PhysicsTwinTest(RobotTest):
         # what the servo's lag would be between them at 0.6 rad/s
         self.assertLess(worst, 0.01)
 
-    def test_a_stalled_axis_holds_both_and_a_new_plan_ends_at_the_goal(self):
+    def test_plan_rehearse_approve_stall_replan_rehearse_approve_arrive(self):
         client = self.client
-        plans = len(client.plans)
         with (
             Stream("twin/joint_states") as twin,
             Stream("twin/commanded") as commanded,
             Stream("mock_rsi/joint_states") as arm,
         ):
-            plan = client.start(LEFT, duration=3.0)
+            with self.unrehearsed():
+                plan = client.plan_to(LEFT, 3.0)
+                self.assert_waits_for_its_rehearsal(plan.plan_id, plan.plan_hash)
+            self.approve_once_rehearsed(plan.plan_id, plan.plan_hash)
             wait(lambda: arm.moved(5.0), "the arm to move")
-            client.stall(JOINT, True)
-            client.wait(lambda: client.sync.state == Sync.REPLANNING, "the gate to hold")
-            client.wait_for_outcome(plan.plan_id, "held")
-            # setpoints that passed the gate before it closed may still be under way
-            wait(lambda: commanded.at_rest(3), "what is commanded to rest")
-            self.assert_stands_still(commanded)
-            self.assert_close(commanded.positions(-1)[0], twin)
-            client.wait(lambda: len(client.plans) > plans + 1, "a re-plan")
-            replan = client.plans[-1]
-            # from what is commanded, in every bit: not from where the simulated arm has settled
-            np.testing.assert_allclose(
-                replan.trajectory.points[0].positions, commanded.positions(-1)[0], rtol=0.0, atol=1e-12
-            )
-            client.stall(JOINT, False)
-            client.wait(client.in_sync, "the poses to agree again")
-            answer = client.review(replan.id, replan.hash)
-            self.assertTrue(answer.success, answer.message)
+            plans = len(client.plans)
+            with self.unrehearsed():
+                client.stall(JOINT, True)
+                client.wait(lambda: client.sync.state == Sync.REPLANNING, "the gate to hold")
+                client.wait_for_outcome(plan.plan_id, "held")
+                # setpoints that passed the gate before it closed may still be under way
+                wait(lambda: commanded.at_rest(3), "what is commanded to rest")
+                self.assert_stands_still(commanded)
+                self.assert_close(commanded.positions(-1)[0], twin)
+                client.wait(lambda: len(client.plans) > plans, "a re-plan")
+                replan = client.plans[-1]
+                # from what is commanded, in every bit: not from where the simulated arm has settled
+                np.testing.assert_allclose(
+                    replan.trajectory.points[0].positions, commanded.positions(-1)[0], rtol=0.0, atol=1e-12
+                )
+                client.stall(JOINT, False)
+                client.wait(client.in_sync, "the poses to agree again")
+                # the result of the plan that was held is none of this one
+                self.assert_waits_for_its_rehearsal(replan.id, replan.hash)
+            self.approve_once_rehearsed(replan.id, replan.hash)
             client.wait_for_outcome(replan.id, "finished")
             client.assert_at(LEFT, commanded, arm)
             self.assert_close(radians(LEFT), twin)
+            client.assert_no_jump(commanded)
 
     def test_what_the_scene_says_is_carried_weighs_on_the_axes_and_moves_nothing_that_is_commanded(self):
         names = self.client.robot.joint_names

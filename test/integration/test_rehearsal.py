@@ -6,24 +6,20 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import rospy
 import rostest
 from construction_twin.msg import Rehearsal, SceneObject
 from construction_twin.srv import AddObject, AttachObject, DetachObject, RemoveObject
 from geometry_msgs.msg import Point, Pose, Quaternion
-from twin_client import HOME, LEFT, RIGHT, RobotTest, TwinClient, wait
+from twin_client import HOME, LEFT, RIGHT, RehearsedClient, RobotTest, wait
 
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import OVERRIDE, REVIEW, RequestKind
-from construction_twin.physics.report import FAILED, PASSED, RehearsalReport, finished
-from construction_twin.ros.messages.records import from_msg, to_msg
-from construction_twin.ros.shared.params import ros_home
+from construction_twin.physics.report import FAILED, PASSED, finished
+from construction_twin.ros.messages.records import to_msg
 
-#: A rehearsal is there after this time, on two cores that run everything else too [s].
-REHEARSED = 40.0
 #: Of the broker of rehearsal.test.
 BROKER_PORT = 18847
 #: Edges of a block of 240 kg at the density that an unknown material is given: twice what the arm is rated for [m].
@@ -36,52 +32,30 @@ class RehearsalTest(RobotTest):
     @classmethod
     def setUpClass(cls):
         rospy.init_node("test_rehearsal")
-        cls.client = TwinClient()
-        cls.heard: dict[str, Rehearsal] = {}
-        rospy.Subscriber("rehearsal", Rehearsal, lambda message: cls.heard.__setitem__(message.plan_id, message))
+        cls.client = RehearsedClient()
 
     def setUp(self):
         self.begin()
 
-    def rehearsed(self, plan_id: str) -> RehearsalReport:
-        """Return the rehearsal of a plan when it is there."""
-        self.client.wait(lambda: plan_id in self.heard, f"the rehearsal of plan {plan_id}", REHEARSED)
-        return from_msg(RehearsalReport, self.heard[plan_id])
-
-    def approved(self, plan, **given):
-        """Approve a plan whose rehearsal has been heard here; again while the executor has not heard of it."""
-        answers = []
-
-        def answered() -> bool:
-            answers.append(self.client.review(plan.plan_id, plan.plan_hash, **given))
-            return "was not rehearsed yet" not in answers[-1].message
-
-        self.client.wait(answered, "the executor to hear of the rehearsal", 5.0)
-        return answers[-1]
-
-    def recorded(self, plan_id: str) -> dict:
-        """Return the last verdict on a plan in the executor's record."""
-        path = ros_home() / Path(rospy.get_param("executor/review_file"))
-        lines = [json.loads(line) for line in path.read_text().splitlines()]
-        return [line for line in lines if line.get("plan") == plan_id and line["record"] == "verdict"][-1]
-
     def test_1_a_plan_is_rehearsed_and_then_approved(self):
         for goal in (LEFT, HOME):
             plan = self.client.plan_to(goal)
-            report = self.rehearsed(plan.plan_id)
+            report = self.client.rehearsed(plan.plan_id)
             self.assertEqual((report.state, report.reasons, report.plan_hash), (PASSED, (), plan.plan_hash))
+            self.assertRegex(report.engine, r"^MuJoCo \d+\.\d+")
             print(f"rehearsed {report.duration:.2f} s of a plan in {report.took:.2f} s", flush=True)
-            answer = self.approved(plan)
+            answer = self.client.review(plan.plan_id, plan.plan_hash)
             self.assertTrue(answer.success, answer.message)
             self.client.wait_for_outcome(plan.plan_id, "finished")
             self.assertEqual(
-                self.recorded(plan.plan_id)["rehearsal"], {"state": PASSED, "hash": report.hash, "overridden": False}
+                self.client.recorded(plan.plan_id)["rehearsal"],
+                {"state": PASSED, "hash": report.hash, "engine": report.engine, "overridden": False},
             )
             self.client.wait_until_ready()
 
     def test_2_a_result_of_another_node_counts_for_nothing(self):
         plan = self.client.plan_to(RIGHT)
-        real = self.rehearsed(plan.plan_id)
+        real = self.client.rehearsed(plan.plan_id)
         forged = finished(replace(real, state=FAILED, reasons=("a stranger says so",)), 0.1)
         publisher = rospy.Publisher("rehearsal", Rehearsal, queue_size=1)
         wait(lambda: publisher.get_num_connections() >= 2, "the executor to connect")
@@ -92,11 +66,11 @@ class RehearsalTest(RobotTest):
 
         wait(counted, "the stranger to be counted", 5.0)
         publisher.unregister()
-        answer = self.approved(plan)
+        answer = self.client.review(plan.plan_id, plan.plan_hash)
         self.assertTrue(answer.success, answer.message)
         self.client.wait_for_outcome(plan.plan_id, "finished")
         self.client.wait_until_ready()
-        self.assertEqual(self.recorded(plan.plan_id)["rehearsal"]["state"], PASSED)
+        self.assertEqual(self.client.recorded(plan.plan_id)["rehearsal"]["state"], PASSED)
 
     @contextlib.contextmanager
     def overloaded(self, goal: tuple[float, ...]):
@@ -121,7 +95,7 @@ class RehearsalTest(RobotTest):
                 return self.client.plans[-1].scene == scene
 
             wait(planned, "a plan in the scene with the block")
-            report = self.rehearsed(plans[-1].plan_id)
+            report = self.client.rehearsed(plans[-1].plan_id)
             self.assertEqual(report.state, FAILED, report)
             yield plans[-1], report
             self.client.wait_for_outcome(plans[-1].plan_id, "finished")
@@ -134,7 +108,7 @@ class RehearsalTest(RobotTest):
         with self.overloaded(HOME) as (plan, report):
             self.assertAlmostEqual(report.payload.mass, 240.0)
             self.assertTrue(report.payload.estimated)
-            answer = self.approved(plan)
+            answer = self.client.review(plan.plan_id, plan.plan_hash)
             self.assertFalse(answer.success)
             self.assertIn(report.reasons[0], answer.message)
             self.assertTrue(self.client.idle())
@@ -148,8 +122,10 @@ class RehearsalTest(RobotTest):
             self.assertTrue(self.client.idle())
             answer = self.client.review(plan.plan_id, plan.plan_hash, override=report.hash)
             self.assertTrue(answer.success, answer.message)
-        record = self.recorded(plan.plan_id)
-        self.assertEqual(record["rehearsal"], {"state": FAILED, "hash": report.hash, "overridden": True})
+        record = self.client.recorded(plan.plan_id)
+        self.assertEqual(
+            record["rehearsal"], {"state": FAILED, "hash": report.hash, "engine": report.engine, "overridden": True}
+        )
         self.assertEqual((record["reviewer"], record["reason"]), ("tester", "integration test"))
 
     def test_4_by_mqtt_a_person_overrides_it_with_a_reason_and_only_what_the_rehearsal_holds_back(self):
@@ -158,7 +134,7 @@ class RehearsalTest(RobotTest):
         self.addCleanup(screen.close)
         # what needs no override cannot be approved by one
         plan = self.client.plan_to(LEFT)
-        passed = self.rehearsed(plan.plan_id)
+        passed = self.client.rehearsed(plan.plan_id)
         self.assertEqual(passed.state, PASSED, passed)
         answer = screen.ask(OVERRIDE, plan, reason="just so", rehearsal_hash=passed.hash)
         self.assertEqual((answer["ok"], answer["account"]), (False, "ada"), answer)
@@ -179,8 +155,10 @@ class RehearsalTest(RobotTest):
             answer = screen.ask(OVERRIDE, plan, reason="the block is hollow", **seen)
             self.assertTrue(answer["ok"], answer)
             self.assertEqual((answer["plan_id"], answer["reviewer"]), (plan.plan_id, "ada"))
-        record = self.recorded(plan.plan_id)
-        self.assertEqual(record["rehearsal"], {"state": FAILED, "hash": report.hash, "overridden": True})
+        record = self.client.recorded(plan.plan_id)
+        self.assertEqual(
+            record["rehearsal"], {"state": FAILED, "hash": report.hash, "engine": report.engine, "overridden": True}
+        )
         self.assertEqual(record["reviewer"], "ada")
         self.assertIn("the block is hollow", record["reason"])
 

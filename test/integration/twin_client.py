@@ -11,11 +11,12 @@ import unittest
 import xmlrpc.client
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import rosgraph
 import rospy
-from construction_twin.msg import Execution, Link, Plan, Sync
+from construction_twin.msg import Execution, Link, Plan, Rehearsal, Sync
 from construction_twin.srv import InjectFault, PlanToJoints, PlanToJointsResponse, ReviewPlan, ReviewPlanResponse
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
@@ -24,8 +25,10 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from construction_twin.core.units import CYCLE, format_allowance, from_wire
 from construction_twin.gateway.trace import read_trace
+from construction_twin.physics.report import RehearsalReport
+from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.gateway_config import config_from_parameters
-from construction_twin.ros.shared.params import robot_from_parameters
+from construction_twin.ros.shared.params import robot_from_parameters, ros_home
 from construction_twin.scenario.trace_check import trace_excesses
 
 #: The home pose and two more, far enough for a motion of seconds, on the wire's grid [deg].
@@ -37,6 +40,8 @@ FINAL_ERROR = 1e-5
 #: Bound of the average error without lag at 3 decimals [rad]; and the bound on a busy machine, where one reply in twenty may be
 #: late by a whole cycle at the task's speed.
 BOUND, DISTURBED = 1.0e-5, 2.0e-4
+#: A rehearsal is there after this time, on two cores that run everything else too [s].
+REHEARSED = 40.0
 
 
 class Stream:
@@ -381,6 +386,50 @@ class TwinClient:
         for status in message.status:
             node = status.name.split(":")[0].strip("/").removeprefix(prefix)
             self._diagnostics[node] = {pair.key: pair.value for pair in status.values}
+
+
+class RehearsedClient(TwinClient):
+    """A client where a rehearsal is required: it approves what was rehearsed, and hears what was found.
+
+    Attributes:
+        rehearsals: What was found last, by the plan's id.
+    """
+
+    def __init__(self):
+        super().__init__()
+        self.rehearsals: dict[str, Rehearsal] = {}
+        rospy.Subscriber("rehearsal", Rehearsal, self._on_rehearsal)
+
+    def _on_rehearsal(self, message: Rehearsal) -> None:
+        self.rehearsals[message.plan_id] = message
+
+    def rehearsed(self, plan_id: str) -> RehearsalReport:
+        """Return the rehearsal of a plan when it is there."""
+        self.wait(lambda: plan_id in self.rehearsals, f"the rehearsal of plan {plan_id}", REHEARSED)
+        return from_msg(RehearsalReport, self.rehearsals[plan_id])
+
+    #: Give a verdict without waiting for the rehearsal.
+    review_at_once = TwinClient.review
+
+    def review(self, plan_id: str, plan_hash: str, approve: bool = True, **given) -> ReviewPlanResponse:
+        """Give a verdict; an approval once the plan was rehearsed, and again while the executor has not heard of it."""
+        if not approve or given.get("override") is not None:
+            return self.review_at_once(plan_id, plan_hash, approve, **given)
+        self.rehearsed(plan_id)
+        answers = []
+
+        def answered() -> bool:
+            answers.append(self.review_at_once(plan_id, plan_hash, **given))
+            return "was not rehearsed yet" not in answers[-1].message
+
+        self.wait(answered, "the executor to hear of the rehearsal", 5.0)
+        return answers[-1]
+
+    def recorded(self, plan_id: str) -> dict:
+        """Return the last verdict on a plan in the executor's record."""
+        path = ros_home() / Path(rospy.get_param("executor/review_file"))
+        lines = [json.loads(line) for line in path.read_text().splitlines()]
+        return [line for line in lines if line.get("plan") == plan_id and line["record"] == "verdict"][-1]
 
 
 class RobotTest(unittest.TestCase):

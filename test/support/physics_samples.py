@@ -21,7 +21,7 @@ from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.segments import Segment
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.objects import Scene
+from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.self_collision import SelfCollision
 
 ROOT = Path(__file__).parents[2]
@@ -96,6 +96,39 @@ def plan_of(trajectory: Trajectory, scene: Scene, segments: tuple[Segment, ...] 
         "p", content_hash(trajectory, task, segments), "test", "none", scene.hash, 0, 0.0, trajectory, report, task=task,
         segments=segments,
     )  # fmt: skip
+
+
+def bricks(
+    counts: Sequence[int] = (6, 5, 4, 3, 2),
+    head: float = 0.01,
+    bed: float = 0.0,
+    shift: float = 0.0,
+    at: tuple[float, float] = (-2.5, 0.0),
+) -> tuple[SceneObject, ...]:
+    """Return a wall of bricks on the floor along y, in running bond, laid as the package's sample lays them.
+
+    Args:
+        counts: Bricks in each course, from below.
+        head, bed: Joints beside and below a brick [m]; below 0: the bricks are inside each other.
+        shift: By so much each brick is off its place, one to this side, the next to that [m].
+        at: Where the middle of the wall is [m].
+    """
+    length, width, height = 0.24, 0.115, 0.071
+    x, y = at
+    return tuple(
+        SceneObject(
+            f"brick{course}.{number}",
+            "box",
+            (width, length, height),
+            (
+                x + shift * (-1) ** number,
+                y + (number - (count - 1) / 2) * (length + head),
+                height / 2 + course * (height + bed),
+            ),
+        )
+        for course, count in enumerate(counts)
+        for number in range(count)
+    )
 
 
 def rehearse(trajectory: Trajectory, *scenes: Scene, name: str = "kr120", **settings: object) -> RehearsalReport:

@@ -306,6 +306,7 @@ export const PLAN = {
       }
     },
     "trajectory": {"type": ["object", "null"], "additionalProperties": {}},
+    "tool": {"type": ["string", "null"]},
     "task": {"type": ["string", "null"]},
     "content": {"type": ["string", "null"]},
     "segments": {

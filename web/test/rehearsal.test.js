@@ -50,12 +50,21 @@ test("one that broke off has no axes and says so", async () => {
   assert.equal(page.all(".rehearsal-axes li, .rehearsal-found li").length, 0);
 });
 
-for (const [what, changes] of Object.entries({"plan": {plan_id: "p0"}, "hash": {plan_hash: "h0"}})) {
+for (const [what, changes] of Object.entries({"plan": {plan_id: "p0"}, "hash": {plan_hash: "h0"}, "scene": {scene: "ca5cade"}, "tool": {tool: "u"}, "tool, none": {tool: ""}})) {
   test(`one of another ${what} is not shown`, async () => {
     const page = await panel({...REHEARSAL, ...changes});
     assert.equal(page.find(".rehearsal").hidden, true);
   });
 }
+
+test("without a tool one counts that was made without a tool, and no other", async () => {
+  for (const [tool, hidden] of [["", false], ["t", true]]) {
+    const page = await panel(null);
+    await page.hear("kr120", "plan", {...plan(), tool: undefined});
+    await page.hear("kr120", "rehearsal", {...REHEARSAL, tool});
+    assert.equal(page.find(".rehearsal").hidden, hidden);
+  }
+});
 
 test("it goes when the broker has none any more", async () => {
   const page = await panel(REHEARSAL);

@@ -52,16 +52,17 @@ class RehearsalCheck:
         if report.state == PASSED:
             return ""
         key = "review.rehearsal.failed" if report.state == FAILED else "review.rehearsal.broken"
-        return Sentence(key, plan=plan.id, reason=_first(report.reasons))
+        return Sentence(key, plan=plan.id, reason=first_reason(report.reasons))
 
     def on_record(self, plan: Plan, overridden: bool) -> Rehearsed | None:
         """Return what the record of a verdict on a plan says of its rehearsal; None: there was none, and none was required."""
         report = self.of(plan)
         if report is not None:
-            return Rehearsed(report.state, report.hash, overridden)
-        return Rehearsed(NOT_REHEARSED, "", overridden) if self.required else None
+            return Rehearsed(report.state, report.hash, report.engine, overridden)
+        return Rehearsed(NOT_REHEARSED, "", overridden=overridden) if self.required else None
 
 
-def _first(reasons: tuple[str, ...]) -> str:
+def first_reason(reasons: tuple[str, ...]) -> str:
+    """Return the first reason, and how many more there are; empty for none."""
     first, more = reasons[0] if reasons else "", len(reasons) - 1
     return Sentence("review.rehearsal.more", first=first, count=more) if more > 0 else first

@@ -229,6 +229,7 @@ class PlanView:
         clearance: None when it was not measured.
         trajectory: What the trajectory's hash covers besides the joints' names: ``times`` [s], and by waypoint ``positions``,
             ``velocities`` and ``accelerations`` [rad, m, s]; None when it is too long. Who checks the hash reads the numbers.
+        tool: Hash of the tool file that counts, where there is a tool. A rehearsal with another one is none of this plan.
         task, content, segments: Of a work plan only. `content` is the text whose SHA-256 is its hash.
     """
 
@@ -250,6 +251,7 @@ class PlanView:
     clearance: ClearanceView | None
     use: UseView
     trajectory: Mapping[str, Any] | None
+    tool: str | None = left_out()
     task: str | None = left_out()
     content: str | None = left_out()
     segments: Sequence[SegmentView] | None = left_out()

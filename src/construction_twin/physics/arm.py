@@ -108,6 +108,20 @@ class SimulatedArm:
         self.data.qvel[self._joints] = before.data.qvel[before._joints]
         self.physics.follow(self.data)
 
+    def speeds_of(self, body: str) -> np.ndarray:
+        """Return where the speed of a loose body is among MuJoCo's: integers, shape (6,)."""
+        return int(self._model.jnt_dofadr[self._model.joint(f"free\n{body}").id]) + np.arange(6)
+
+    def loose_state(self, body: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return place (x, y, z [m], and the quaternion w, x, y, z) and speed [m/s], [rad/s] of a loose body."""
+        at = self.physics.loose[body]
+        return self.data.qpos[at : at + 7].copy(), self.data.qvel[self.speeds_of(body)]
+
+    def put_loose(self, body: str, place: np.ndarray, speed: np.ndarray | float = 0.0) -> None:
+        """Put a loose body where `loose_state` has it."""
+        at = self.physics.loose[body]
+        self.data.qpos[at : at + 7], self.data.qvel[self.speeds_of(body)] = place, speed
+
     def cycle(self, setpoint: np.ndarray) -> None:
         """Advance one cycle of 4 ms to a setpoint, shape (n,) [rad] or [m]; see `Servo.holds`."""
         for _ in self.steps(setpoint):

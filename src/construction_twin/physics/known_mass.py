@@ -6,7 +6,7 @@ an element of a building.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -29,13 +29,16 @@ def carried_part(scene: Scene) -> Scene:
     return replace(scene, objects=tuple(replace(item, touch=()) for item in scene.objects if item.link))
 
 
-def masses_of(known: Mapping[str, float], scenes: Iterable[Scene], bodies: RobotBodies) -> dict[str, float]:
+def masses_of(
+    known: Mapping[str, float], scenes: Iterable[Scene], bodies: RobotBodies, standing: Container[str] = ()
+) -> dict[str, float]:
     """Return the mass of each object that the arm carries in one of the scenes, by name [kg].
 
     A body's mass is divided as its objects' volumes are. Objects of which nobody says it are left out.
 
     Args:
         known: Of bodies [kg].
+        standing: Bodies of which the mass counts where they stand, too.
     """
     # nodes that only name bodies wait for no library of shapes
     from construction_twin.physics.mass import of_object
@@ -44,7 +47,7 @@ def masses_of(known: Mapping[str, float], scenes: Iterable[Scene], bodies: Robot
     for scene in scenes:
         for item in scene.objects:
             body = body_of(item.name)
-            if item.link and body in known and item.name not in pieces.get(body, ()):
+            if (item.link or body in standing) and body in known and item.name not in pieces.get(body, ()):
                 pieces.setdefault(body, {})[item.name] = of_object(bodies.place(item, scene.names)).mass
     return {
         name: known[body] * volume / sum(volumes.values())

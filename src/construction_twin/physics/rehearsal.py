@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -38,16 +39,15 @@ from construction_twin.physics.report import (
     has_finite_numbers,
 )
 from construction_twin.physics.rigid_bodies import rigid_bodies
+from construction_twin.physics.standing import MOST, STILL, Standing, come_to_rest, displacement, nearest
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.objects import Scene
+from construction_twin.scene.objects import Scene, listed
 from construction_twin.scene.self_collision import SelfCollision
 
 #: A contact that the plan does not have counts from this force on [N]: two bodies that graze each other within rounding do not.
 LEAST_FORCE = 1.0
-#: A body slower than this lies still [m/s], [rad/s].
-STILL = 0.01
 #: For so long the arm, whose servo lags, is watched after the end of a plan that leaves nothing loose [s].
 _COMING_TO_REST = 0.2
 #: Longest time that braking may take [s].
@@ -67,7 +67,8 @@ class Rehearsal:
     """What rehearses the plans of one arm.
 
     Attributes:
-        masses: Of objects, by name [kg].
+        masses: Of objects, by name [kg]. What stands and has one can be tipped over.
+        unweighed: Elements that stand there and of which nobody says the mass: they are part of the world.
         flange: A payload without a shape, in the frame of the tip link.
         grip: The tool's cups; None: it has none, and whether it holds what it carries is not looked at.
         tool, inputs: Hashes of the tool file, and of what else decides the result, as the report has them.
@@ -80,6 +81,7 @@ class Rehearsal:
     servo: Servo = Servo()
     limits: Limits = Limits()
     masses: Mapping[str, float] = field(default_factory=dict)
+    unweighed: Sequence[str] = ()
     flange: MassProperties | None = None
     grip: SuctionGrip | None = None
     tool: str = ""
@@ -212,6 +214,9 @@ class _Run:
         self._displaced: dict[str, LooseObject] = {}
         self._grips = [GripLoad()]
         self._remarks: list[str] = []
+        self._standing = Standing()
+        #: What has a mass and is part of the world all the same.
+        self._fixed: frozenset[str] = frozenset()
 
     def report(self, named: RehearsalReport, clock: Callable[[], float]) -> RehearsalReport:
         """Play the whole plan, let everything come to rest, and return `named` with what was found."""
@@ -219,6 +224,10 @@ class _Run:
         setpoints = self._trajectory.sample_many(times)[0]
         arm: SimulatedArm | None = None
         first, begin = 0, 0.0
+        started = clock()
+        if not self._let_stand(setpoints):
+            return self._diverged(named, 0.0)
+        settle = clock() - started
         for number, part in enumerate(self._parts):
             last = len(times) if number == len(self._parts) - 1 else round(part.end / CYCLE)
             arm = self._arm(part.scene, setpoints[first], arm, begin)
@@ -232,7 +241,7 @@ class _Run:
         started = clock()
         arm = self._arm(self._after, setpoints[-1], arm, begin)
         objects = self._settled(arm, setpoints[-1])
-        settle = clock() - started
+        settle += clock() - started
         if _is_broken(arm.data):
             return self._diverged(named, self._trajectory.duration)
         return self._judged(named, times, objects, settle)
@@ -241,19 +250,45 @@ class _Run:
         reason = Sentence("rehearsal.diverged", time=time)
         return replace(named, state=FAILED, reasons=(reason,), remarks=tuple(dict.fromkeys(self._remarks)))
 
+    def _let_stand(self, setpoints: np.ndarray) -> bool:
+        """Let what stands before the plan begins come to rest; return False when the simulation came apart."""
+        of, scene = self._of, self._parts[0].scene
+        names = {item.name for item in scene.objects if not item.link} & of.masses.keys() - self._handled
+        known = {self._bodies[name] for name in names} - {self._bodies[name] for name in self._handled}
+        objects = [item for item in scene.objects if self._bodies[item.name] in known]
+        near = nearest(objects, self._bodies, of.bodies.robot, setpoints) if len(known) > MOST else sorted(known)
+        pieces = {item.name: self._bodies[item.name] for item in objects if self._bodies[item.name] in near[:MOST]}
+        standing = come_to_rest(partial(self._model, scene), pieces, setpoints[0], of.servo, of.limits)
+        if standing is None:
+            return False
+        self._standing, self._fixed = standing, frozenset({*standing.restless, *near[MOST:]})
+        if standing.restless:
+            most = max(standing.restless.values()) * 1e3
+            self._remarks.append(
+                Sentence("rehearsal.remark.restless", objects=listed(standing.restless), distance=most)
+            )
+        if near[MOST:]:
+            self._remarks.append(Sentence("rehearsal.remark.far", most=MOST, count=len(near) - MOST))
+        if of.unweighed:
+            self._remarks.append(Sentence("rehearsal.remark.unweighed", objects=listed(of.unweighed)))
+        return True
+
     def _arm(self, scene: Scene, pose: np.ndarray, before: SimulatedArm | None, begin: float) -> SimulatedArm:
         """Return the arm in a scene, from `begin` [s] on; what was let go goes on from where it is."""
-        loose = {self._bodies[name] for name in (self._handled | {*self._of.masses}) & set(scene.names)}
+        loose = {self._bodies[name] for name in (self._handled | {*self._of.masses}) & set(scene.names)} - self._fixed
         physics = self._model(scene, {name: body for name, body in self._bodies.items() if body in loose})
         self._remarks += physics.remarks
         if physics.payload is not None:
             self._payloads.append(physics.payload)
         arm = SimulatedArm(physics, pose if before is None else before.setpoint, self._of.servo)
-        if before is not None:
+        if before is None:
+            for name, place in self._standing.places.items():
+                arm.put_loose(name, place)
+        else:
             arm.go_on_as(before)
             for name in before.physics.loose:
                 if name in physics.loose:
-                    _set_loose(arm, name, *_loose_state(before, name))
+                    arm.put_loose(name, *before.loose_state(name))
                 elif (displaced := self._found(before, name)).moved > self._of.limits.stays:
                     # the arm picks up where the plan has it, but it is not there any more
                     self._displaced[name] = displaced
@@ -262,7 +297,7 @@ class _Run:
                 self._before.pop(name, None)
         mujoco.mj_forward(physics.model, arm.data)
         for name in physics.loose:
-            self._before.setdefault(name, _loose_state(arm, name)[0])
+            self._before.setdefault(name, arm.loose_state(name)[0])
         return arm
 
     def _model(self, scene: Scene, loose: Mapping[str, str]) -> PhysicsModel:
@@ -371,16 +406,9 @@ class _Run:
     def _found(self, arm: SimulatedArm, name: str) -> LooseObject:
         """Return what has become of a loose object until now."""
         before = self._before[name]
-        now, speed = _loose_state(arm, name)
-        turned = 2.0 * math.acos(min(1.0, abs(float(before[3:] @ now[3:]))))
-        return LooseObject(
-            name,
-            self._released.get(name, math.nan),
-            float(np.linalg.norm(now[:3] - before[:3])),
-            turned,
-            float(before[2] - now[2]),
-            bool(np.abs(speed).max() < STILL),
-        )
+        now, speed = arm.loose_state(name)
+        released = self._released.get(name, math.nan)
+        return LooseObject(name, released, *displacement(before, now), bool(np.abs(speed).max() < STILL))
 
     def _judged(self, named, times, objects, settle) -> RehearsalReport:
         track, names = self._track, self._trajectory.joint_names
@@ -482,22 +510,6 @@ def _flange(arm: SimulatedArm) -> np.ndarray:
     """Return where the last joint's frame is, shape (3,) [m]."""
     joint = arm.physics.robot.joint_names[-1]
     return arm.data.body(f"joint\n{joint}").xpos.copy()
-
-
-def _loose_state(arm: SimulatedArm, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return position (x, y, z, and the quaternion w, x, y, z) and speed of what is loose."""
-    at, dof = arm.physics.loose[name], _speed_place(arm, name)
-    return arm.data.qpos[at : at + 7].copy(), arm.data.qvel[dof : dof + 6].copy()
-
-
-def _set_loose(arm: SimulatedArm, name: str, position: np.ndarray, speed: np.ndarray) -> None:
-    at, dof = arm.physics.loose[name], _speed_place(arm, name)
-    arm.data.qpos[at : at + 7], arm.data.qvel[dof : dof + 6] = position, speed
-
-
-def _speed_place(arm: SimulatedArm, name: str) -> int:
-    model = arm.physics.model
-    return int(model.jnt_dofadr[model.joint(f"free\n{name}").id])
 
 
 def _is_broken(data: mujoco.MjData) -> bool:

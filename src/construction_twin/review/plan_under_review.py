@@ -24,11 +24,13 @@ class Rehearsed:
     Attributes:
         state: ``passed``, ``failed``, ``broken``, or `NOT_REHEARSED`.
         hash: Of the result; empty without one.
+        engine: What simulated, and its version; empty without a result, or where it broke off before.
         overridden: It was approved although a rehearsal was required and this is no pass, by the reviewer, for the reason given.
     """
 
     state: str
     hash: str
+    engine: str = ""
     overridden: bool = False
 
 

@@ -31,7 +31,7 @@ ORDINARY = (
     ("work", "planned"), ("work", "ready"), ("work", "proposed"),
 )  # fmt: skip
 #: Acts of people, beside the verb of a `SessionRequest`: their words are ``line.person.<act>``.
-RESET, APPROVED, REJECTED = "reset", "approved", "rejected"
+RESET, APPROVED, APPROVED_REHEARSED, REJECTED = "reset", "approved", "approved_rehearsed", "rejected"
 RAISED, LOWERED = "raised", "lowered"
 #: Who drags the limit down lowers it several times a second: what follows the last step within this time is the same message [s].
 DRAGGED = 10.0

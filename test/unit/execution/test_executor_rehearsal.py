@@ -16,12 +16,16 @@ from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.physics.report import BROKEN, FAILED, PASSED, RehearsalReport
 from construction_twin.review.plan_under_review import NOT_REHEARSED, Rehearsed
 
+#: What simulated.
+ENGINE = "MuJoCo 4.0.0"
 WHY = Sentence("rehearsal.mass", mass=240.0, rated=120.0)
 
 
 def report_of(plan, state=PASSED, **changes) -> RehearsalReport:
     reasons = () if state == PASSED else (WHY,)
-    return replace(RehearsalReport(plan.id, plan.hash, plan.scene, "t", "i", state, reasons, hash="f00d"), **changes)
+    return replace(
+        RehearsalReport(plan.id, plan.hash, plan.scene, "t", "i", state, reasons, engine=ENGINE, hash="f00d"), **changes
+    )
 
 
 @pytest.fixture
@@ -48,7 +52,7 @@ class TestRequired:
         plan = offered(bench, report_of)
         bench.review(plan.id, plan.hash, True, "Ada")
         assert bench.state is ExecutorState.PLAYING
-        assert bench.records[0].rehearsal == Rehearsed(PASSED, "f00d")
+        assert bench.records[0].rehearsal == Rehearsed(PASSED, "f00d", ENGINE)
 
     @pytest.mark.parametrize(
         "report, key",
@@ -122,11 +126,14 @@ class TestOverride:
         plan = offered(bench, lambda plan: report_of(plan, state))
         override(bench, plan)
         assert bench.state is ExecutorState.PLAYING
-        assert (bench.records[0].reviewer, bench.records[0].rehearsal) == ("Ada", Rehearsed(state, "f00d", True))
+        assert (bench.records[0].reviewer, bench.records[0].rehearsal) == (
+            "Ada",
+            Rehearsed(state, "f00d", ENGINE, True),
+        )
 
     def test_also_without_any_result(self, bench):
         override(bench, offered(bench), seen="")
-        assert bench.records[0].rehearsal == Rehearsed(NOT_REHEARSED, "", True)
+        assert bench.records[0].rehearsal == Rehearsed(NOT_REHEARSED, "", overridden=True)
 
     @pytest.mark.parametrize("seen", ["", "0ld", "f00", "f00d "])
     def test_not_where_another_result_was_seen(self, bench, seen):
@@ -135,7 +142,9 @@ class TestOverride:
             override(bench, plan, seen=seen)
         assert str(WHY) in str(caught.value)
         assert bench.state is ExecutorState.IDLE and bench.executor.under_review.plan is plan
-        assert [(one.verdict, one.rehearsal) for one in bench.records] == [("refused", Rehearsed(FAILED, "f00d"))]
+        assert [(one.verdict, one.rehearsal) for one in bench.records] == [
+            ("refused", Rehearsed(FAILED, "f00d", ENGINE))
+        ]
 
     def test_not_by_a_result_that_counts_no_more(self, bench):
         plan = offered(bench, lambda plan: report_of(plan, FAILED, scene="another"))
@@ -197,7 +206,7 @@ class TestAdvised:
         bench.ready()
         plan = offered(bench, lambda plan: report_of(plan, FAILED))
         bench.review(plan.id, plan.hash, True, "Ada")
-        assert bench.state is ExecutorState.PLAYING and bench.records[0].rehearsal == Rehearsed(FAILED, "f00d")
+        assert bench.state is ExecutorState.PLAYING and bench.records[0].rehearsal == Rehearsed(FAILED, "f00d", ENGINE)
 
     def test_without_one_the_record_says_nothing_of_it(self):
         bench = Bench().ready()

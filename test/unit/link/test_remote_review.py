@@ -194,6 +194,12 @@ def document_of(plan: Plan, points: int = 200) -> dict:
     return json.loads(plan_view(plan).to_json(points), parse_constant=refuse)
 
 
+def test_the_tool_that_counts_is_told_where_there_is_one():
+    plan = Plan(id="p1", **MEASURED)
+    assert "tool" not in document_of(plan)
+    assert json.loads(plan_view(plan, "d1e5").to_json(10))["tool"] == "d1e5"
+
+
 def motion_hash(document: dict) -> str:
     """Return the hash of the motion in a plan, as docs/broker.md says it."""
     motion = hashlib.sha256("\0".join(document["joints"]).encode() + b"\0\0")

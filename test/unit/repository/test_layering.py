@@ -76,7 +76,7 @@ DEPLOYMENT = {
     "follow_joint_trajectory": {"arm"},
     "separation": set(),
     "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority", "gateway_kind"},
-    "mqtt_review": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
+    "mqtt_review": {"host", "port", "protocol", "prefix", "account", "tool", "realtime_priority"},
     "mqtt_planner": {
         "host",
         "port",

@@ -11,9 +11,21 @@ import genpy
 import numpy as np
 import pytest
 import rospy
-from construction_twin.msg import Execution, Hold, Link, Plan, Review, Segment, SpeedChange, Sync, WorkTask, WorkTasks
+from construction_twin.msg import (
+    Execution,
+    Hold,
+    Link,
+    Plan,
+    Rehearsal,
+    Review,
+    Segment,
+    SpeedChange,
+    Sync,
+    WorkTask,
+    WorkTasks,
+)
 from geometry_msgs.msg import Point
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import ConfigurationError
@@ -206,6 +218,24 @@ def test_the_plan_under_review_is_known_until_it_is_decided_or_void(broker):
     assert made.plan == "p2"
     made.on_link(Link(session="two"))
     assert made.plan == ""
+
+
+def test_an_approval_names_the_engine_of_the_rehearsal_and_what_it_found(broker):
+    made = feed(broker)
+
+    def approved(name: str, at: int) -> dict:
+        made.on_review(Review(Header(stamp=rospy.Time(at)), name, f"hash of {name}", True, "ada", ""))
+        return broker.newest(TOPICS.messages)[-1]["line"]
+
+    made.on_rehearsal(Rehearsal(plan_id="p1", plan_hash="hash of p1", state="passed", engine="MuJoCo 4.0.0"))
+    made.on_rehearsal(Rehearsal(plan_id="p2", plan_hash="of another", state="passed", engine="MuJoCo 4.0.0"))
+    made.on_rehearsal(Rehearsal(plan_id="p3", plan_hash="hash of p3", state="broken"))
+    line = approved("p1", 1)
+    assert line["values"] == {"person": "ada", "engine": "MuJoCo 4.0.0", "found": "passed"}
+    assert line["sentence"] == "ada approved a plan. Its rehearsal (MuJoCo 4.0.0): passed"
+    # one of another hash, one of which no engine is known, and none
+    for at, name in enumerate(("p2", "p3", "p4"), 2):
+        assert approved(name, at)["sentence"] == "ada approved a plan."
 
 
 def plan(name: str, rows: int = 3, ends: tuple[float, ...] = ()) -> Plan:

@@ -16,6 +16,7 @@ from unplugged import Unplugged
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.extras import check_extras
+from construction_twin.core.sentences import Sentence
 from construction_twin.physics.report import BROKEN, FAILED, PASSED, RehearsalReport, finished
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.work_plan import joined
@@ -27,6 +28,7 @@ from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import rehearsal as module
 from construction_twin.ros.nodes.rehearsal import NODE, Settings
+from construction_twin.ros.shared.diagnostics import OK, WARN
 from construction_twin.ros.shared.rehearsal_process import PROGRAM, Question
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
@@ -284,6 +286,38 @@ class TestMasses:
         bench.node.work(0.0)
         assert bench.process.questions[0].masses == {}
 
+    def test_of_what_earlier_tasks_have_placed_and_who_says_none_is_named(self, bench):
+        stands = [dataclasses.replace(STOCK, name=f"{name}/0") for name in ("laid", "guessed", "waits")]
+        scene = Scene((*SCENES[0].objects, *stands), 0.01)
+        bench.hear_scene(scene)
+        hashes = []
+        # what is not in the scene counts for nothing
+        for state in ("done", "ready"):
+            tasks = [
+                WorkTask(id=name, element=name, mass_kg=mass, state=said)
+                for name, mass, said in (
+                    ("laid", 3.5, state), ("guessed", math.nan, "done"), ("waits", 3.5, "ready"), ("gone", 3.5, "done"),
+                )
+            ]  # fmt: skip
+            bench.plug.callbacks["work/tasks"](WorkTasks(tasks=tasks))
+            bench.hear_plan(dataclasses.replace(plain_plan(state), scene=scene.hash))
+            bench.node.work(0.0)
+            hashes.append(bench.newest.inputs)
+        laid, ready = bench.process.questions
+        assert (laid.masses, laid.standing, laid.unweighed) == ({"laid": 3.5}, ("laid",), ("guessed",))
+        assert (ready.masses, ready.standing, ready.unweighed) == ({}, (), ("guessed",))
+        assert hashes[0] != hashes[1]
+
+    def test_what_a_plan_carries_does_not_stand(self, bench):
+        bench.plug.callbacks["work/tasks"](
+            WorkTasks(tasks=[WorkTask(id="t", element="beam", mass_kg=42.0, state="done")])
+        )
+        bench.hear_scene()
+        bench.hear_plan(work_plan())
+        bench.node.work(0.0)
+        question = bench.process.questions[0]
+        assert (question.masses, question.standing, question.unweighed) == ({"beam": 42.0}, (), ())
+
     def test_another_mass_is_another_hash(self, bench):
         bench.hear_scene()
         for mass in (42.0, 43.0):
@@ -350,6 +384,28 @@ class TestBroken:
         message.hash = "0" * 64
         bench.plug.callbacks["plan"](message)
         assert [reason for reason, _ in bench.plug.refused] == ["plan"]
+
+
+def test_its_state_is_a_sentence_that_every_language_has(bench):
+    assert bench.node.report().sentence.key == "rehearsal.node.none"
+    bench.hear_scene()
+    running = bench.begin("p1")
+    assert bench.node.report().sentence.key == "rehearsal.node.running"
+    bench.process.interrupt()
+    running.join(SOON)
+    broken = bench.node.report()
+    assert (broken.level, broken.sentence.key, broken.sentence.values["plan"]) == (WARN, "rehearsal.node.broken", "p1")
+    assert "signal 9" in broken.sentence
+    bench.process.answers = True
+    bench.hear_plan(plain_plan("p2"))
+    bench.node.work(0.0)
+    assert (bench.node.report().level, bench.node.report().sentence) == (OK, "plan p2: passed")
+    found = RehearsalReport("p3", state=FAILED, reasons=(Sentence("rehearsal.mass", mass=2.0, rated=1.0), "more"))
+    bench.process.ask = lambda *_, **__: found
+    bench.hear_plan(plain_plan("p3"))
+    bench.node.work(0.0)
+    failed = bench.node.report()
+    assert (failed.level, failed.sentence.key) == (OK, "rehearsal.node.failed") and "2.0 kg" in failed.sentence
 
 
 def test_without_mujoco_it_rests_where_nobody_asked_for_it_and_else_does_not_start(monkeypatch):

@@ -153,8 +153,15 @@ def test_a_tool_is_at_the_flange_with_its_mass(plan, capsys):
 
 
 def test_an_object_with_a_mass_can_be_pushed(plan, wall, capsys):
+    wall.write_text(f"{WALL}  floor: {{shape: box, size: [9.0, 9.0, 1.0], position: [0.0, 0.0, -0.5]}}\n")
     assert main([str(plan), "--scene", str(wall), "--mass", "wall=30"]) == FAILED
     assert "object wall: stands, moved" in capsys.readouterr().out
+
+
+def test_an_object_that_would_fall_by_itself_is_told_and_not_blamed_on_the_plan(plan, wall, capsys):
+    assert main([str(plan), "--scene", str(wall), "--mass", "wall=30"]) == FAILED
+    told = capsys.readouterr().out
+    assert "object wall" not in told and "without any plan these would move" in told
 
 
 def test_the_picture_shows_the_arm_and_in_red_what_touches(plan, wall, tmp_path, with_graphics):

@@ -334,7 +334,7 @@ def test_each_scene_is_built_once_and_one_that_cannot_be_built_leaves_the_one_be
 def test_contacts_of_the_simulated_arm_are_a_warning(massive):
     massive.live.contacts = (("link_3", "wall"),)
     report = massive.node.report()
-    assert report.sentence == "the simulated arm touches: link_3 and wall"
+    assert report.sentence == "the simulated arm touches: link_3 + wall"
 
 
 def test_the_simulation_goes_on_while_no_commands_come(world):

@@ -22,10 +22,14 @@ const axisName = (joint) => /^joint_([ae][1-9])$/.exec(joint)?.[1].toUpperCase()
 const percentOf = (fraction) => (100 * fraction).toFixed(0);
 const usage = ({peak, limit}) => (limit > 0 ? peak / limit : 0);
 
-/** Return the rehearsal that is of this plan; null: there is none, or it is of another one. */
+/**
+ * Return the rehearsal that counts for this plan, as the executor compares it (execution/rehearsal_check.py): the plan's hash covers
+ * neither the scene that it begins in nor the tool. null: there is none, or it is of something else.
+ */
 export function rehearsalOf(plan, rehearsal) {
   if (!plan || !rehearsal) return null;
-  return rehearsal.plan_id === plan.id && rehearsal.plan_hash === plan.hash ? rehearsal : null;
+  const {plan_id: id, plan_hash: hash, scene, tool} = rehearsal;
+  return id === plan.id && hash === plan.hash && scene === plan.scene && tool === (plan.tool ?? "") ? rehearsal : null;
 }
 
 /** Return the one line: how it ended, and the axis that uses the largest fraction of its torque. */

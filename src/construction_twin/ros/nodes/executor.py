@@ -639,8 +639,10 @@ class ExecutorNode:
 
     def _publish_verdict(self, verdict: Verdict) -> None:
         reason = f": {verdict.reason}" if verdict.reason else ""
+        known = verdict.rehearsal
+        rehearsal = f"; rehearsal: {' '.join(filter(None, (known.state, known.engine)))}" if known is not None else ""
         self._log_queue.add(
-            rospy.loginfo, "plan %s %s by %s%s", verdict.plan_id, verdict.verdict, verdict.reviewer, reason
+            rospy.loginfo, "plan %s %s by %s%s%s", verdict.plan_id, verdict.verdict, verdict.reviewer, reason, rehearsal
         )
         message = Review(
             plan_id=verdict.plan_id,

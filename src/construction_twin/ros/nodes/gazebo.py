@@ -179,7 +179,7 @@ class GazeboNode:
         if present is not None and present.hash != simulated:
             hashes = {"simulated": simulated[:12], "present": present.hash[:12]}
             return Report(WARN, Sentence("physics.gazebo.scene", **hashes), values)
-        return Report(OK, "simulating", values)
+        return Report(OK, Sentence("physics.gazebo.simulates"), values)
 
 
 def find_gzserver(words: str) -> list[str]:

@@ -54,6 +54,7 @@ from construction_twin.msg import Link, Plan, PlanCaller, Rehearsal, Review
 from construction_twin.physics.report import RehearsalReport, is_whole
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.segments import segments_content
+from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.messages.plan_services import request_fields
 from construction_twin.ros.messages.records import from_msg
@@ -80,9 +81,14 @@ LOG_PERIOD = 0.1
 
 
 class Settings(MqttSettings):
-    """Private parameters; see config/mqtt_review.yaml."""
+    """Private parameters; see config/mqtt_review.yaml, the others are given in launch/link.launch.
+
+    Attributes:
+        tool: Tool file; empty: no tool.
+    """
 
     path_points: int = pydantic.Field(ge=2, le=1000)
+    tool: str = ""
 
 
 class MqttReview:
@@ -100,6 +106,7 @@ class MqttReview:
         connections: What is to be connected before it is called.
         decide: The service of the work that takes what a person decides; None: there is none.
         limit_speed: The service that takes a person's speed limit, which may come twice; None: there is none.
+        tool: Hash of the tool file, with which a rehearsal counts; empty: no tool.
 
     Attributes:
         endpoints: What takes verdicts, what is pressed, answers, and speed limits.
@@ -119,8 +126,9 @@ class MqttReview:
         connections: Sequence[PersistentService] = (),
         decide: rospy.ServiceProxy | None = None,
         limit_speed: rospy.ServiceProxy | None = None,
+        tool: str = "",
     ):
-        self._settings = settings
+        self._settings, self._tool = settings, tool
         self._board = PlanBoard()
         self._view: PlanView | None = None
         self._rehearsals = PlanBoard()
@@ -220,7 +228,7 @@ class MqttReview:
     def on_plan(self, message: Plan) -> None:
         """Show a plan; a work plan whose hash is not that of what would be shown is refused."""
         try:
-            view = plan_view(message)
+            view = plan_view(message, self._tool)
         except PlanningError as error:
             self._diagnostics.refuse("plan", str(error))
             return
@@ -400,10 +408,13 @@ def _describe(review: ReviewRequest) -> str:
     return f"{review.verdict} of plan {review.plan_id} by {review.reviewer}{spite}"
 
 
-def plan_view(message: Plan) -> PlanView:
+def plan_view(message: Plan, tool: str = "") -> PlanView:
     """Return what is shown of a plan; what a planner has not measured is left empty.
 
     Numbers cross unchanged. Every measured plan has its fractions of the velocity limits, so their absence means that none was.
+
+    Args:
+        tool: Hash of the tool file that counts; empty: no tool.
 
     Raises:
         PlanningError: If a work plan is not what its hash says.
@@ -430,6 +441,7 @@ def plan_view(message: Plan) -> PlanView:
         clearance=clearance if message.velocity_use else None,
         use=UseView(message.velocity_use, message.acceleration_use, message.jerk_use),
         trajectory=_trajectory(message),
+        tool=tool or None,
         task=message.task if is_work else None,
         content=_content(message) if is_work else None,
         segments=segment_views(message) if is_work else None,
@@ -507,7 +519,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttReview:
     connections = (*twice.values(), reject, limit_speed)
     node = MqttReview(
         settings, robot.name, broker, client, give_approval, twice | once, ports.diagnostics, reject, connections,
-        rospy.ServiceProxy("work/decide", WorkDecide), limit_speed,
+        rospy.ServiceProxy("work/decide", WorkDecide), limit_speed, tool_hash(settings.tool),
     )  # fmt: skip
     node.connect()
     return node
@@ -523,7 +535,7 @@ INTERFACE = Interface(
         Subscription("link", Link, MqttReview.on_link, queue_size=5),
     ),
 )
-FILE = ConfigFile(lambda _given: BROKER, has_link)
+FILE = ConfigFile(lambda _given: BROKER | {"tool": ""}, has_link)
 NODE = NodeShell("mqtt_review", Settings, start, INTERFACE, file=FILE)
 
 

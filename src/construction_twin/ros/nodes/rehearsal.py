@@ -22,6 +22,7 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.extras import check_extras
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import Sentence
+from construction_twin.execution.rehearsal_check import first_reason
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import Rehearsal, Review, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
@@ -35,7 +36,7 @@ from construction_twin.ros.messages.convert import change_from_msg, plan_from_ms
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.element_masses import element_masses, tool_mass
+from construction_twin.ros.shared.element_masses import element_masses, placed_elements, tool_mass
 from construction_twin.ros.shared.launch_arguments import Given, Values, payload_of_launch
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.ports import Interface, Ports, Publication, Subscription
@@ -127,6 +128,7 @@ class RehearsalNode:
         self._news = threading.Condition()
         self._scenes: dict[str, Scene] = {}
         self._of_tool, self._masses = masses, {**masses}
+        self._placed: frozenset[str] = frozenset()
         self._knows_tasks = False
         self._waiting: _Job | None = None
         self._running: _Job | None = None
@@ -156,9 +158,9 @@ class RehearsalNode:
             self._news.notify_all()
 
     def on_tasks(self, message: WorkTasks) -> None:
-        """Take what the elements of the tasks weigh."""
+        """Take what the elements of the tasks weigh, and which of them were placed."""
         with self._news:
-            self._masses = {**element_masses(message), **self._of_tool}
+            self._masses, self._placed = {**element_masses(message), **self._of_tool}, placed_elements(message)
             self._knows_tasks = True
             self._news.notify_all()
 
@@ -228,19 +230,21 @@ class RehearsalNode:
             if self._waiting is not None:
                 self._dropped += 1
                 return
-            scene, known = self._scenes.get(job.plan.scene), self._masses
+            scene, known, placed = self._scenes.get(job.plan.scene), self._masses, self._placed
             guessed = bool(job.plan.task) and not self._knows_tasks
             self._running, self._late, self._superseded = job, False, False
         began = time.monotonic()
         carried = {body_of(item.name) for item in carried_objects(scene, job.changes)}
-        masses = {body: mass for body, mass in sorted(known.items()) if body in carried}
-        inputs = _digest(self._constant, masses)
+        stands = placed & {body_of(item.name) for item in (() if scene is None else scene.objects)} - carried
+        masses = {body: mass for body, mass in sorted(known.items()) if body in carried | stands}
+        standing, unweighed = tuple(sorted(stands & masses.keys())), tuple(sorted(stands - masses.keys()))
+        inputs = _digest(self._constant, masses, standing, unweighed)
         report: RehearsalReport
         try:
             if guessed:
                 raise ConstructionTwinError(Sentence("rehearsal.no_tasks", task=job.plan.task))
             scenes = {} if scene is None else segment_scenes(scene, job.plan, job.changes)
-            report = self._ask(Question(job.plan, scenes, masses, inputs))
+            report = self._ask(Question(job.plan, scenes, masses, inputs, standing, unweighed))
         except ConstructionTwinError as error:
             report = self._broke(job, inputs, error.sentence, time.monotonic() - began)
         with self._news:
@@ -311,12 +315,14 @@ class RehearsalNode:
         last, running = self._last, self._running
         values: dict[str, object] = {"rehearsals": self._rehearsed, "broken": self._broken, "superseded": self._dropped}
         if running is not None:
-            return Report(OK, f"rehearses plan {running.plan.id}", values)
+            return Report(OK, Sentence("rehearsal.node.running", plan=running.plan.id), values)
         if last is None:
-            return Report(OK, "no plan was rehearsed yet", values)
+            return Report(OK, Sentence("rehearsal.node.none"), values)
         values |= {"took": f"{last.took:.2f}", "engine": last.engine}
-        why = "".join(f"; {reason}" for reason in last.reasons)
-        return Report(WARN if last.state == BROKEN else OK, f"plan {last.plan_id}: {last.state}{why}", values)
+        if last.state == PASSED:
+            return Report(OK, Sentence("rehearsal.node.passed", plan=last.plan_id), values)
+        key, level = ("rehearsal.node.broken", WARN) if last.state == BROKEN else ("rehearsal.node.failed", OK)
+        return Report(level, Sentence(key, plan=last.plan_id, reason=first_reason(last.reasons)), values)
 
 
 def _keep_newest(jobs: dict[str, _Job]) -> None:

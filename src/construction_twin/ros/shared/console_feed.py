@@ -23,9 +23,10 @@ from construction_twin.execution.states import ACTIVE
 from construction_twin.link.path_view import PathView
 from construction_twin.link.remote_review import PlanBoard
 from construction_twin.mqtt.messages import Topics
-from construction_twin.msg import Execution, Hold, Link, Plan, Review, SessionRequest, Sync, WorkTasks
+from construction_twin.msg import Execution, Hold, Link, Plan, Rehearsal, Review, SessionRequest, Sync, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.msg import SpeedChange as SpeedChangeMessage
+from construction_twin.physics.report import STATES
 from construction_twin.review.plan_under_review import EXECUTOR
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
@@ -34,7 +35,7 @@ from construction_twin.ros.shared.message_file import MessageFile
 from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.scene.objects import Scene
 from construction_twin.views.hold_cause import hold_cause
-from construction_twin.views.message_history import APPROVED, REJECTED
+from construction_twin.views.message_history import APPROVED, APPROVED_REHEARSED, REJECTED
 from construction_twin.views.scene_view import scene_view
 from construction_twin.views.startup import Deployment, Seen, Word, first_missing
 from construction_twin.views.status_line import Line, ReportsNow, status_lines
@@ -81,6 +82,8 @@ class ConsoleFeed:
         self._board = PlanBoard()
         #: Of the newest plans, by id: the payload of `path` while that plan is played.
         self._paths: dict[str, bytes] = {}
+        #: Of the newest plans, by id: what their rehearsal has found.
+        self._rehearsals: dict[str, Rehearsal] = {}
         self._playing = ""
         self._telling = threading.Lock()
         self._session = ""
@@ -108,13 +111,26 @@ class ConsoleFeed:
                 del self._paths[next(iter(self._paths))]
         self._tell_path()
 
+    def on_rehearsal(self, message: Rehearsal) -> None:
+        """Take what the rehearsal of a plan has found, for the message that the plan was approved."""
+        with self._lock:
+            self._rehearsals.pop(message.plan_id, None)
+            self._rehearsals[message.plan_id] = message
+            while len(self._rehearsals) > PATHS:
+                del self._rehearsals[next(iter(self._rehearsals))]
+
     def on_review(self, message: Review) -> None:
         """Take a verdict."""
         with self._lock:
             self._board.on_verdict(message.plan_id)
-        if message.reviewer not in ("", EXECUTOR):
-            act, at = APPROVED if message.approved else REJECTED, message.header.stamp
-            self.messages.on_act(act, at, person=message.reviewer, reason=message.reason)
+            rehearsal = self._rehearsals.get(message.plan_id)
+        if message.reviewer in ("", EXECUTOR):
+            return
+        act, said = APPROVED if message.approved else REJECTED, {"reason": message.reason}
+        if message.approved and rehearsal is not None and rehearsal.engine and rehearsal.plan_hash == message.plan_hash:
+            # which engine it was, and which version: as the record has it
+            act, said = APPROVED_REHEARSED, {"engine": rehearsal.engine, "found": _found(rehearsal.state)}
+        self.messages.on_act(act, message.header.stamp, person=message.reviewer, **said)
 
     def on_execution(self, report: ExecutionReport) -> None:
         """Tell the tool's path of the plan that is under way; none once it has ended."""
@@ -297,3 +313,8 @@ def deployment_of(started: Mapping[str, object] | None, namespace: str) -> Deplo
     if started is None or not set(fields) <= set(started):
         return None
     return Deployment(namespace=namespace, **{name: started[name] for name in fields})  # type: ignore[arg-type]
+
+
+def _found(state: str) -> str:
+    """Return how a rehearsal ended, in the words of a message."""
+    return Sentence(f"line.person.found.{state}") if state in STATES else state

@@ -7,12 +7,18 @@ import math
 from construction_twin.msg import WorkTasks
 from construction_twin.physics.known_mass import TOOL
 from construction_twin.robot.tool import read_tool
+from construction_twin.work.task_states import TaskState
 
 
 def element_masses(message: WorkTasks) -> dict[str, float]:
     """Return the masses that the tasks say, by element [kg]."""
     tasks = [task for task in message.tasks if math.isfinite(task.mass_kg) and task.mass_kg > 0.0]
     return {task.element: task.mass_kg for task in tasks}
+
+
+def placed_elements(message: WorkTasks) -> frozenset[str]:
+    """Return the elements of which a task is done: those of them that are in the scene stand where they were placed."""
+    return frozenset(task.element for task in message.tasks if task.state == TaskState.DONE.value)
 
 
 def tool_mass(path: str) -> dict[str, float]:

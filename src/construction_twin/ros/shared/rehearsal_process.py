@@ -37,14 +37,18 @@ class Question:
 
     Attributes:
         scenes: By hash: that of the plan, and those of its segments.
-        masses: Of bodies that the arm carries, see `physics.known_mass` [kg].
+        masses: Of bodies that the arm carries, and of those that stand there and can be tipped over, see `physics.known_mass` [kg].
         inputs: Hash of what else decides the result.
+        standing: Which of these stand there.
+        unweighed: Elements that stand there, too, and of which nobody says the mass.
     """
 
     plan: Plan
     scenes: Mapping[str, Scene]
     masses: Mapping[str, float]
     inputs: str
+    standing: tuple[str, ...] = ()
+    unweighed: tuple[str, ...] = ()
 
 
 #: Of this process, made by `_prepare`.
@@ -76,8 +80,8 @@ def prepared(
 
 def answer(rehearsal: Rehearsal, question: Question) -> RehearsalReport:
     """Return what a rehearsal finds."""
-    masses = masses_of(question.masses, question.scenes.values(), rehearsal.bodies)
-    found = replace(rehearsal, masses=masses, inputs=question.inputs)
+    masses = masses_of(question.masses, question.scenes.values(), rehearsal.bodies, question.standing)
+    found = replace(rehearsal, masses=masses, unweighed=question.unweighed, inputs=question.inputs)
     return found.of_plan(question.plan, question.scenes, time.perf_counter)
 
 

@@ -1,0 +1,91 @@
+"""The samples, laid by the package's own work plans: elements of earlier tasks have mass, and stay where they stand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import make_models
+import numpy as np
+import pytest
+import work_samples
+from physics_samples import plan_of
+
+from construction_twin.kinematics.chain import Pose
+from construction_twin.physics.report import PASSED
+from construction_twin.planning.work_plan import joined
+from construction_twin.robot.segments import Segment
+from construction_twin.ros.shared.rehearsal_process import Question, answer, prepared
+from construction_twin.work.jobs import TaskMotions
+from construction_twin.work.site import read_site
+from construction_twin.work.site_scene import WorkState
+
+ROOT = work_samples.ROOT
+CONFIG = ROOT / "config"
+
+
+#: How its elements lie along the model's y.
+TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.fixture(scope="module", params=[("brick_wall", 20), ("timber_panel", 13)], ids=lambda param: param[0])
+def laid(request) -> tuple[tuple[str, ...], TaskMotions]:
+    """The elements of a sample that lie, and the motions that lay the next one on them."""
+    name, count = request.param
+    design = make_models.DESIGNS[name]()
+    elements = [
+        replace(
+            work_samples.element(
+                make_models.global_id(name, "element", part.name), size=tuple(np.array(part.size) / 1e3),
+                ifc_class=part.ifc_class, type_name=part.type_name,
+            ),
+            name=part.name,
+            model_T_element=Pose(np.array(part.at) / 1e3, TURNED if part.turned else np.eye(3)),
+        )
+        for part in design.parts
+    ]  # fmt: skip
+    layout = work_samples.layout(read_site(CONFIG / f"work/{name}.yaml"), work_samples.building(*elements))
+    lying, own = layout.order[:count], layout.order[count]
+    scene = layout.scene(WorkState({one: layout.base_T_goal(one) for one in lying}))
+    job = layout.job_for(own, scene)
+    return lying, work_samples.planner().plan(job, work_samples.robot().home, scene)
+
+
+def question(laid, standing: tuple[str, ...], unweighed: tuple[str, ...] = ()) -> Question:
+    lying, motions = laid
+    whole, ends = joined([segment.trajectory for segment in motions.segments])
+    segments = tuple(
+        Segment(segment.name, float(end), segment.engaged, (), (), before.hash, after.hash)
+        for segment, end, before, after in zip(motions.segments, ends, motions.scenes, motions.scenes[1:])
+    )
+    masses = {"tool": work_samples.tool().tool.mass} | {one: 3.5 for one in (*lying, motions.job.element)}
+    scenes = {scene.hash: scene for scene in motions.scenes}
+    return Question(plan_of(whole, motions.scenes[0], segments), scenes, masses, "i", standing, unweighed)
+
+
+@pytest.fixture(scope="module")
+def rehearsal():
+    return prepared(
+        work_samples.robot(), str(CONFIG / "kr120_track_self_collision.yaml"), str(CONFIG / "kr120_track_drives.yaml"),
+        str(work_samples.TOOL),
+    )  # fmt: skip
+
+
+def test_the_next_element_is_laid_and_no_other_moves(laid, rehearsal):
+    lying, motions = laid
+    asked = question(laid, lying)
+    report = answer(rehearsal, asked)
+    assert (report.state, report.reasons) == (PASSED, ())
+    (own,) = report.objects
+    assert own.name == motions.job.element and own.moved < 0.001 and own.resting
+    assert not [remark.key for remark in report.remarks if remark.key.startswith("rehearsal.")]
+    assert repr(replace(answer(rehearsal, asked), took=0.0, settle_took=0.0)) == repr(
+        replace(report, took=0.0, settle_took=0.0)
+    )
+
+
+def test_elements_without_a_known_mass_is_fixed_and_named(laid, rehearsal):
+    lying, _ = laid
+    report = answer(rehearsal, question(laid, (), lying))
+    (remark,) = [each for each in report.remarks if each.key.startswith("rehearsal.")]
+    assert report.state == PASSED and remark.key == "rehearsal.remark.unweighed"
+    assert all(one in remark.values["objects"] for one in lying)

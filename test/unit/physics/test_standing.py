@@ -1,0 +1,159 @@
+"""What stands before a plan begins: a wall that stands is never reported; what would fall anyway is not blamed on the plan."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from physics_samples import READY, between, bricks, rehearse, robot_of
+from scene_samples import FLOOR
+
+from construction_twin.kinematics.chain import Chain
+from construction_twin.physics.report import FAILED, PASSED, RehearsalReport
+from construction_twin.physics.standing import MOST, displacement, nearest
+from construction_twin.scene.objects import Scene, SceneObject
+
+TIP = robot_of("kr120").tip_link
+ASIDE = READY + np.array((0.6, 0.0, 0.0, 0.0, 0.0, 0.0))
+#: A block at the flange [m], and a pose with it just above the floor.
+BLOCK = SceneObject("block", "box", (0.2, 0.2, 0.2), (0.0, 0.0, 0.12), link=TIP)
+LOW = np.radians((0.0, -35.0, 95.0, 0.0, 30.0, 0.0))
+SWING = np.array((0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
+
+
+def weights(objects, mass: float = 3.5) -> dict[str, float]:
+    return {item.name: mass for item in objects}
+
+
+def keys(sentences) -> set[str]:
+    return {sentence.key for sentence in sentences if sentence.key.startswith("rehearsal.")}
+
+
+def told(report: RehearsalReport, name: str) -> dict:
+    (remark,) = [each for each in report.remarks if each.key == f"rehearsal.remark.{name}"]
+    return remark.values
+
+
+@pytest.mark.parametrize(
+    "wall",
+    [
+        bricks(),
+        bricks(head=0.0),
+        bricks(head=0.0, bed=-0.0005),
+        bricks(head=-0.0005, bed=-0.0005),
+        bricks(bed=0.0002),
+        bricks(shift=0.003),
+        bricks((7, 7, 6)),
+    ],
+    ids=["dry", "closed heads", "beds inside", "all inside", "hair of a bed", "askew", "low"],
+)
+def test_a_wall_that_stands_is_never_reported(wall):
+    assert len(wall) == 20
+    report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR, *wall)), masses=weights(wall))
+    assert (report.state, report.objects, report.contacts, keys(report.remarks)) == (PASSED, (), (), set())
+
+
+@given(
+    st.integers(1, 5),
+    st.floats(-0.0005, 0.02),
+    st.one_of(st.just(0.0), st.floats(-0.0005, 0.02)),
+    st.floats(0.0, 0.02),
+    st.floats(0.5, 30.0),
+)
+@settings(deadline=None, max_examples=25)
+def test_no_wall_is_blamed_on_a_plan_that_comes_near_none_of_it(courses, head, bed, shift, mass):
+    wall = bricks(tuple(range(courses + 1, 1, -1)), head, bed, shift)
+    report = rehearse(between(READY, ASIDE, 0.5), Scene((FLOOR, *wall)), masses=weights(wall, mass))
+    assert (report.state, report.reasons, report.objects) == (PASSED, (), ())
+    # whatever is not fixed, and so told, lies where the plan has it
+    assert keys(report.remarks) <= {"rehearsal.remark.restless"}
+
+
+@pytest.mark.parametrize(("bed", "sinks"), [(0.01, 40.0), (0.0015, 6.0)])
+def test_a_wall_with_mortar_that_the_scene_does_not_have_is_fixed_and_told(bed, sinks):
+    wall = bricks(bed=bed)
+    report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR, *wall)), masses=weights(wall))
+    assert (report.state, report.objects) == (PASSED, ())
+    values = told(report, "restless")
+    assert values["distance"] == pytest.approx(sinks, abs=0.2)
+    # the lowest course stands
+    assert "brick1.0" in values["objects"] and "brick4.1" in values["objects"] and "brick0." not in values["objects"]
+
+
+def test_what_would_fall_by_itself_is_told_and_not_blamed_on_the_plan():
+    standing = SceneObject("standing", "box", (0.2, 0.2, 0.2), (-2.0, 0.0, 0.1))
+    hanging = SceneObject("hanging", "box", (0.2, 0.2, 0.2), (-2.0, 1.0, 0.7))
+    tilted = SceneObject(
+        "tilted", "box", (0.1, 0.1, 0.6), (-2.0, -1.0, 0.34), (0.0, math.sin(math.radians(15.0)), 0.0, math.cos(math.radians(15.0)))
+    )  # fmt: skip
+    objects = (standing, hanging, tilted)
+    report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR, *objects)), masses=weights(objects))
+    assert (report.state, report.objects) == (PASSED, ())
+    assert "'hanging', 'tilted'" in told(report, "restless")["objects"]
+    assert "standing" not in told(report, "restless")["objects"]
+
+
+def struck(count: int = 5, **changes: object) -> tuple[RehearsalReport, tuple[SceneObject, ...]]:
+    """Return the rehearsal of a motion whose load goes through a wall, and the wall."""
+    pose = Chain(robot_of("kr120")).forward(LOW)
+    x, y, _ = pose.position + pose.rotation @ np.array(BLOCK.position)
+    assert abs(y) < 1e-6
+    wall = bricks((count, count - 1, count - 2, count - 3), at=(float(x), 0.0))
+    settings = {"masses": weights(wall) | {"block": 20.0}} | changes
+    return rehearse(between(LOW + SWING, LOW - SWING, 3.0), Scene((FLOOR, BLOCK, *wall)), **settings), wall
+
+
+def test_a_load_that_strikes_the_stack_tips_it_over():
+    report, wall = struck()
+    assert report.state == FAILED
+    assert {"rehearsal.contact", "rehearsal.moved"} <= {reason.key for reason in report.reasons}
+    assert {"block"} == {contact.first for contact in report.contacts if contact.second.startswith("brick")}
+    fallen = [one for one in report.objects if one.name.startswith("brick")]
+    assert max(one.moved for one in fallen) > 0.1 and all(math.isnan(one.released) for one in fallen)
+    # and not because of how it stood
+    assert keys(report.remarks) == set()
+
+
+def test_the_same_strike_gives_the_same_bytes_and_a_fixed_wall_only_contacts():
+    (first, wall), (second, _) = struck(), struck()
+    assert repr(first) == repr(second)
+    fixed, _ = struck(masses={"block": 20.0}, unweighed=tuple(item.name for item in wall))
+    assert fixed.state == FAILED and fixed.objects == ()
+    assert "brick3.1" in told(fixed, "unweighed")["objects"]
+
+
+def test_of_many_bodies_those_near_the_path_can_be_tipped_over():
+    far = [
+        SceneObject(f"far{number}", "box", (0.1, 0.1, 0.1), (-3.0, 0.2 * number - 4.0, 0.05)) for number in range(MOST)
+    ]
+    near = SceneObject("near", "box", (0.1, 0.1, 0.1), (2.0, 0.0, 0.05))
+    objects = (*far, near)
+    report = rehearse(between(READY, ASIDE, 1.0), Scene((FLOOR, *objects)), masses=weights(objects))
+    assert (report.state, told(report, "far")) == (PASSED, {"most": MOST, "count": 1})
+    bodies = {item.name: item.name for item in objects}
+    ordered = nearest(objects, bodies, robot_of("kr120"), np.linspace(READY, ASIDE, 100))
+    assert ordered[0] == "near" and set(ordered) == set(bodies)
+
+
+def test_the_nearest_piece_says_how_near_a_body_is():
+    pieces = [
+        SceneObject(f"{name}/{number}", "box", (0.1,) * 3, (x, 0.0, 0.0))
+        for name, number, x in (("b", 0, 9.0), ("b", 1, 3.0), ("a", 0, 5.0))
+    ]
+    bodies = {item.name: item.name[0] for item in pieces}
+    assert nearest(pieces, bodies, robot_of("kr120"), READY[None]) == ["b", "a"]
+
+
+def test_a_simulation_that_comes_apart_before_the_plan_has_failed():
+    wall = bricks((2,))
+    report = rehearse(
+        between(READY, ASIDE, 1.0), Scene((FLOOR, *wall)), masses=weights(wall), gravity=(0.0, 0.0, -1e13)
+    )
+    assert (report.state, [reason.key for reason in report.reasons]) == (FAILED, ["rehearsal.diverged"])
+
+
+def test_displacement_is_way_angle_and_how_far_down():
+    before = np.array((0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0))
+    now = np.array((0.3, 0.0, 0.6, -math.cos(0.1), 0.0, -math.sin(0.1), 0.0))
+    assert displacement(before, now) == pytest.approx((0.5, 0.2, 0.4))
