@@ -13,9 +13,11 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from construction_twin.core.axis_quantities import CURRENT, AxisQuantity
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment
 from construction_twin.core.limits import MotionLimits
@@ -36,7 +38,7 @@ from construction_twin.mock.impaired_line import ImpairedLine
 from construction_twin.monitor.gate import REPLAN, Gate, GateSettings, WatchedArm
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, StateProperties, read_torques
+from construction_twin.mqtt.messages import CommandProperties, StateProperties, read_report
 from construction_twin.review.plan_under_review import Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
@@ -120,6 +122,8 @@ class SimulatedChain:
         self.corrections: list[tuple[int, tuple[float, ...]]] = []
         self.twin_poses: list[tuple[int, tuple[float, ...]]] = []
         self.feedback: list[tuple[int, tuple[float, ...], int, int]] = []
+        #: The same of the motors' currents, in the joints' sense.
+        self.currents: list[tuple[int, list[float], int, int]] = []
         #: Where the gate expected the servos to have the arm [rad].
         self.expected: list[tuple[int, tuple[float, ...]]] = []
         #: Where the arm really was at the beginning of each of the controller's cycles [rad].
@@ -313,8 +317,8 @@ class SimulatedChain:
         tool = self.gateway.tool
         if tool is not None and self._reader.tool is not None:
             tool.note(self._reader.tool(packet))
-        if self._reader.torques is not None:
-            self.gateway.note_torques(self._reader.torques(packet))
+        for quantity, read in self._reader.told.items():
+            self.gateway.note_told(quantity, read(packet))
         correction = self.gateway.on_telegram(telegram, "controller", self.now)
         if correction is not None:
             self.corrections.append((telegram.controller_ms, correction))
@@ -331,9 +335,8 @@ class SimulatedChain:
         if message is not None:
             arrival = self.now + self._link.state_delay()
             self._at(arrival, lambda: self._receive(*message))
-            torques = self.gateway.torque_message(message[1])
-            if torques is not None:
-                self._at(arrival, lambda: self._receive_torques(torques))
+            for quantity, told in self.gateway.told_messages(message[1]):
+                self._at(arrival, partial(self._receive_told, quantity, told))
 
     def _take_reply(self, reply: bytes) -> None:
         self.controller.receive(reply, self.now <= self._ends)
@@ -377,10 +380,13 @@ class SimulatedChain:
         self._note_transitions()
         self.feedback.append((self.now, q, properties.seq, properties.command_stamp))
 
-    def _receive_torques(self, payload: bytes) -> None:
-        report = read_torques(payload, len(self.robot.axes))
-        torques = [axis.sign * torque for axis, torque in zip(self.robot.axes, report.torques)]
-        self.gate.on_torques(torques, report.command_stamp, self.now)
+    def _receive_told(self, quantity: AxisQuantity, payload: bytes) -> None:
+        report = read_report(quantity, payload, len(self.robot.axes))
+        values = [axis.sign * value for axis, value in zip(self.robot.axes, report.values)]
+        if quantity is CURRENT:
+            self.currents.append((self.now, values, report.seq, report.command_stamp))
+            return
+        self.gate.on_torques(values, report.command_stamp, self.now)
         self._note_transitions()
 
     def _supervise(self) -> None:

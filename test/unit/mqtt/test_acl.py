@@ -43,7 +43,7 @@ PEOPLE = ("viewer", "reviewer", "stopper", "planner", "lead")
 OF_PERSONS = ("reset", "arm", "answer", "acknowledge", "speed", "override_rehearsal")
 OF_PEOPLE = {f"{act}/{ACCOUNTS[role]}" for acts in ACTS.values() for act in acts for role in PEOPLE}
 TOPICS = (
-    "command", "state", "torque", "status", "bridge/status", "control", "control/ack", "plan", "review", "scene", "screen",
+    "command", "state", "torque", "current", "status", "bridge/status", "control", "control/ack", "plan", "review", "scene", "screen",
     "work/tasks", "path", "messages", "rehearsal", "trajectory", "view", *sorted(ANSWERS), *sorted(OF_PEOPLE), "somewhere/else",
 )  # fmt: skip
 #: What each role publishes and what it hears, under <prefix>/<robot>/.
@@ -52,7 +52,7 @@ WRITES = {
         "command", "control", "bridge/status", "plan", "scene", "screen", "work/tasks", "path", "messages", "rehearsal",
         "view", *ANSWERS,
     },
-    "gateway": {"state", "torque", "status", "control/ack", "stop/ack"},
+    "gateway": {"state", "torque", "current", "status", "control/ack", "stop/ack"},
     "plc": {"command", "control"},
 } | {
     role: {f"{act}/{ACCOUNTS[role]}" for right, acts in ACTS.items() if role in HAVE[right] for act in acts} for role in PEOPLE
@@ -61,7 +61,7 @@ WRITES["planner"] |= {"trajectory"}
 STOPS = {topic for topic in OF_PEOPLE if topic.startswith("stop/")}
 READS = {
     # who takes `stop/+` also gets `stop/ack`
-    "bridge": {"state", "torque", "status", "control/ack"}
+    "bridge": {"state", "torque", "current", "status", "control/ack"}
     | {"plan", "scene", "work/tasks", "path", "messages", "rehearsal", "trajectory"}
     | OF_PEOPLE
     | ({f"{act}/ack" for acts in ACTS.values() for act in acts} & ANSWERS),
