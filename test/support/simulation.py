@@ -23,7 +23,7 @@ from construction_twin.core.freshness import Moment
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.evaluation.recording import FeedbackStream, PlayedPlan, Recording, Stream
+from construction_twin.evaluation.recording import CurrentStream, FeedbackStream, PlayedPlan, Recording, Stream
 from construction_twin.execution.approval import Approval
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.executor import Executor, ExecutorState
@@ -122,7 +122,9 @@ class SimulatedChain:
         self.corrections: list[tuple[int, tuple[float, ...]]] = []
         self.twin_poses: list[tuple[int, tuple[float, ...]]] = []
         self.feedback: list[tuple[int, tuple[float, ...], int, int]] = []
-        #: The same of the motors' currents, in the joints' sense.
+        #: What the gate let through.
+        self.commands: list[tuple[int, tuple[float, ...]]] = []
+        #: The same as `feedback` of the motors' currents, in the joints' sense.
         self.currents: list[tuple[int, list[float], int, int]] = []
         #: Where the gate expected the servos to have the arm [rad].
         self.expected: list[tuple[int, tuple[float, ...]]] = []
@@ -207,8 +209,22 @@ class SimulatedChain:
             physical=Stream(received, measured, received),
             feedback=FeedbackStream(received, measured, received, seq, command_stamps),
             plans=played,
+            command=self._commands(),
             expected=self._expected(),
+            currents=self._currents(),
         )
+
+    def _commands(self) -> Stream | None:
+        if not self.commands:
+            return None
+        stamps, poses = map(np.array, zip(*self.commands))
+        return Stream(stamps, poses, stamps)
+
+    def _currents(self) -> CurrentStream | None:
+        if not self.currents:
+            return None
+        _, values, _, command_stamps = zip(*self.currents)
+        return CurrentStream(np.array(values), np.array(command_stamps))
 
     def _expected(self) -> Stream | None:
         if not self.expected:
@@ -236,6 +252,8 @@ class SimulatedChain:
             self._at(stamp + self._link.command_delay(), lambda order=order: self._switch(order))
         command = None if theta_next is None else gate.pass_next(stamp, theta_next, stamp)
         self._note_transitions()
+        if command is not None:
+            self.commands.append((stamp, command))
         if command is not None and self.twin.execute(stamp, command):
             self._send(stamp, command)
         if self.twin.pose is not None:

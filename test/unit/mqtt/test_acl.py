@@ -10,6 +10,7 @@ from processes import ROOT, wait_until
 from site_broker import ROBOTS, Listener, SiteBroker
 
 from construction_twin.broker.access import MOVING, PLC, PROGRAMS, RIGHTS, ROLES, Grant, Person, Site, access_rules
+from construction_twin.core.axis_quantities import QUANTITIES
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import REQUESTS
@@ -109,7 +110,7 @@ def test_the_table_knows_every_role_and_topic():
     assert set(WRITES) == set(READS) == set(ACCOUNTS) == {*PROGRAMS, *ROLES, PLC, "lead"}
     topics = Topics("twin", "one")
     names = [name for name, value in vars(Topics).items() if isinstance(value, property)]
-    listed = {getattr(topics, name) for name in names}
+    listed = {getattr(topics, name) for name in names} | {topics.told(quantity) for quantity in QUANTITIES}
     for kind in OF_ACCOUNTS:
         listed |= {topics.of(kind, ACCOUNTS[role]) for role in PEOPLE} | {topics.ack_of(kind, "one-planner-ada")}
     assert listed == {f"twin/one/{topic}" for topic in TOPICS[:-1]}

@@ -25,6 +25,7 @@ TOPICS = (
     "twin/joint_states",
     "physical/joint_states",
     "physical/feedback",
+    "physical/current",
     "command/joint_states",
     "expected/joint_states",
     "sync",

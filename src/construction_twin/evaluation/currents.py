@@ -1,0 +1,319 @@
+"""Compares the motor currents of a run with those of a reference run of the same plan.
+
+The two are aligned by where the arm is on the plan, never by a clock: the commands of each run say, command by command, at which time of
+the plan it was, and a current names the command that it belongs to. So a pause, a hold or a speed limit moves nothing. How much current
+a motion takes depends on its speed: setpoints that the two runs passed at another pace are counted and left out, as are those for 0.2 s
+after one. SI; currents in the unit in which the controller tells them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.pace import PACE, STEADY
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import CYCLE, NANOSECONDS
+from construction_twin.evaluation.recording import PlayedPlan, Recording, Stream
+from construction_twin.robot.plan import Plan
+from construction_twin.robot.trajectory import Trajectory
+
+#: A command that is further from the plan than this belongs to no setpoint of it [rad], [m].
+OFF_PATH = 1e-4
+#: Between two currents of the reference that are further apart on the plan than this, nothing is known of it [s].
+GAP = 5 * CYCLE
+#: Fewer setpoints are no comparison, but what two runs of another pace have in common before the arm is fast: 0.2 s.
+LEAST = 50
+#: Most steps of a search for a setpoint, and the length of one that ends it [s].
+STEPS, CLOSE = 12, 1e-12
+
+
+@dataclass(frozen=True)
+class CurrentRun:
+    """The currents of one execution of a plan.
+
+    Attributes:
+        name: Of the recording, for people.
+        plan: What was executed; `joint_names` are those of its trajectory.
+        times: Shape (m,). Where on the plan each was told, not decreasing but for rounding [s].
+        pace: Shape (m,). The fraction of the planned speed there, 0 to 1.
+        stamps: Shape (m,), int64. Of the commands that they belong to [ns].
+        values: Shape (m, n). nan for an axis of which none are told.
+        unsteady: Currents of this execution that name no command, because the arm did not move exactly as commanded.
+    """
+
+    name: str
+    plan: Plan
+    times: np.ndarray
+    pace: np.ndarray
+    stamps: np.ndarray
+    values: np.ndarray
+    unsteady: int
+
+
+@dataclass(frozen=True)
+class AxisDifference:
+    """How much one axis differs from the reference; None where none are told, or nothing was compared.
+
+    Attributes:
+        largest: The largest difference, measured less reference, with its sign.
+        rms: Root mean square of the differences.
+        reference_rms: Of the reference's currents at the same setpoints.
+        time: Where the largest is, from the beginning of the plan [s].
+        setpoint: The number of the setpoint there, of 4 ms each, from 0.
+        position: Of the joint there [rad], [m].
+        reference, measured: The two currents there.
+    """
+
+    joint: str
+    largest: float | None = None
+    rms: float | None = None
+    reference_rms: float | None = None
+    time: float | None = None
+    setpoint: int | None = None
+    position: float | None = None
+    reference: float | None = None
+    measured: float | None = None
+
+
+@dataclass(frozen=True)
+class CurrentComparison:
+    """Two runs of one plan beside each other.
+
+    Attributes:
+        reference, measured: Names of the recordings.
+        axes: In the plan's order.
+        times: Shape (m,). Setpoints that were compared, from the beginning of the plan [s].
+        reference_values, measured_values: Shape (m, n).
+        compared: m.
+        other_pace: Setpoints that the two runs passed at another pace, and for 0.2 s after them; not compared.
+        no_reference: Setpoints of which the reference holds no current.
+        unsteady: See `CurrentRun`; of the run that is compared.
+    """
+
+    reference: str
+    measured: str
+    plan: Plan
+    axes: tuple[AxisDifference, ...]
+    times: np.ndarray
+    reference_values: np.ndarray
+    measured_values: np.ndarray
+    other_pace: int
+    no_reference: int
+    unsteady: int
+
+    @property
+    def compared(self) -> int:
+        """How many setpoints were compared."""
+        return len(self.times)
+
+    @property
+    def worst(self) -> AxisDifference | None:
+        """The axis with the largest difference; None where no currents are told."""
+        told = [axis for axis in self.axes if axis.largest is not None]
+        return max(told, key=lambda axis: abs(axis.largest or 0.0)) if told else None
+
+
+def runs_of(name: str, recording: Recording, plans: Sequence[Plan]) -> list[CurrentRun]:
+    """Return the executions in a recording whose currents are known, the newest first.
+
+    Args:
+        name: Of the recording, for people.
+        plans: Those that it holds.
+
+    Raises:
+        ConstructionTwinError: If it holds no currents, no commands, no execution of one of the plans, or none with currents.
+    """
+    currents, command = recording.currents, recording.command
+    if currents is None or not np.isfinite(currents.values).any():
+        raise ConstructionTwinError(Sentence("view.currents.none", name=name))
+    if command is None:
+        raise ConstructionTwinError(Sentence("view.currents.no_commands", name=name))
+    by_id = {plan.id: plan for plan in plans if set(plan.trajectory.joint_names) <= set(recording.joint_names)}
+    begin = int(command.stamps.min())
+    played = [each for each in recording.plans if each.plan_id in by_id and each.start >= begin]
+    ends = [each.start for each in played[1:]] + [int(command.stamps.max()) + 1]
+    found = [_run(name, recording, by_id[each.plan_id], each, end) for each, end in zip(played, ends)]
+    runs = [run for run in reversed(found) if len(run.times)]
+    if not runs:
+        raise ConstructionTwinError(Sentence("view.currents.not_played", name=name))
+    return runs
+
+
+def same_plan(reference: Sequence[CurrentRun], runs: Sequence[CurrentRun]) -> tuple[CurrentRun, CurrentRun]:
+    """Return the newest run of which the reference holds one of the same plan, by its hash, and that one before it.
+
+    Raises:
+        ConstructionTwinError: If no plan is in both.
+    """
+    for run in runs:
+        for known in reference:
+            if known.plan.hash == run.plan.hash:
+                return known, run
+    hashes = [", ".join(dict.fromkeys(each.plan.hash[:12] for each in side)) for side in (reference, runs)]
+    names = {"reference": reference[0].name, "name": runs[0].name}
+    raise ConstructionTwinError(Sentence("view.currents.other_plan", **names, known=hashes[0], found=hashes[1]))
+
+
+def compare_currents(reference: CurrentRun, run: CurrentRun, any_pace: bool = False) -> CurrentComparison:
+    """Compare a run with a reference run of the same plan.
+
+    Args:
+        any_pace: Also compare where the two were not equally fast.
+
+    Raises:
+        ConstructionTwinError: If there are not enough setpoints at which they can be compared.
+    """
+    rising = np.concatenate([[True], reference.times[1:] > np.maximum.accumulate(reference.times)[:-1]])
+    known = reference.times[rising]
+    after = np.searchsorted(known, run.times)
+    right, left = np.minimum(after, len(known) - 1), np.maximum(after - 1, 0)
+    left = np.where(known[right] == run.times, right, left)
+    covered = (known[left] <= run.times) & (run.times <= known[right]) & (known[right] - known[left] <= GAP)
+    weight = (run.times - known[left]) / np.where(right > left, known[right] - known[left], 1.0)
+
+    def at_run(values: np.ndarray) -> np.ndarray:
+        fraction = weight.reshape(-1, *[1] * (values.ndim - 1))
+        # the one itself where it stands there: what is not told of its neighbour does not matter
+        return np.where(fraction == 0.0, values[left], (1.0 - fraction) * values[left] + fraction * values[right])
+
+    pace = at_run(reference.pace[rising])
+    differs = ~covered | (np.abs(run.pace - pace) > pace / PACE) | (run.pace <= 0.0)
+    last = np.maximum.accumulate(np.where(differs & covered, run.stamps, np.iinfo(np.int64).min // 2))
+    alike = ~differs & (run.stamps - last >= STEADY)
+    taken = covered & (alike | any_pace)
+    if np.count_nonzero(taken) < LEAST:
+        names = {"reference": reference.name, "name": run.name}
+        raise ConstructionTwinError(Sentence("view.currents.nothing", **names))
+    times, expected, measured = run.times[taken], at_run(reference.values[rising])[taken], run.values[taken]
+    positions = run.plan.trajectory.sample_many(times)[0]
+    axes = [
+        _axis(joint, times, expected[:, column], measured[:, column], positions[:, column])
+        for column, joint in enumerate(run.plan.trajectory.joint_names)
+    ]
+    return CurrentComparison(
+        reference.name, run.name, run.plan, tuple(axes), times, expected, measured,
+        other_pace=int(np.count_nonzero(covered & ~taken)), no_reference=int(np.count_nonzero(~covered)),
+        unsteady=run.unsteady,
+    )  # fmt: skip
+
+
+def elapsed_along(trajectory: Trajectory, command: Stream) -> np.ndarray:
+    """Return at which time of a plan each command was, shape (k,) [s]; nan for one that is not on its path.
+
+    Commands go along the plan, no faster than planned, and may rest on it. Where the plan itself rests, the time goes on as planned: all
+    its setpoints there are the same.
+
+    Args:
+        command: From the plan's first setpoint on, with the joints of the trajectory.
+    """
+    elapsed, at = np.full(len(command), np.nan), 0.0
+    periods = np.diff(command.stamps, prepend=command.stamps[:1]) / NANOSECONDS
+    for row, (goal, period) in enumerate(zip(command.positions, periods.tolist())):
+        found, distance = _nearest(trajectory, goal, at, period)
+        if distance <= OFF_PATH:
+            elapsed[row] = at = found
+    return elapsed
+
+
+def _nearest(trajectory: Trajectory, goal: np.ndarray, at: float, period: float) -> tuple[float, float]:
+    """Return the time on a trajectory at which it is nearest to a pose [s], and the distance of the joint that is furthest.
+
+    Args:
+        at: Where it was a `period` before [s]. Where the trajectory rests it goes on from there as planned.
+    """
+    # a little further than planned, to make up for where it rests and the time is not known to the last bit
+    low, high = max(at - period, 0.0), min(at + period * (1.0 + 1.0 / PACE), trajectory.duration)
+    time = min(at + period, high)
+    for _ in range(STEPS):
+        position, velocity, _ = trajectory.sample(time)
+        away, square = goal - position, float(velocity @ velocity)
+        moved = min(max(time + float(away @ velocity) / square, low), high) if square else time
+        if abs(moved - time) < CLOSE:
+            break
+        time = moved
+    return time, float(np.abs(away).max())
+
+
+def _run(name: str, recording: Recording, plan: Plan, played: PlayedPlan, end: int) -> CurrentRun:
+    currents, command = recording.currents, recording.command
+    assert currents is not None and command is not None
+    columns = [recording.joint_names.index(joint) for joint in plan.trajectory.joint_names]
+    newest = np.concatenate([[True], command.stamps[1:] > np.maximum.accumulate(command.stamps)[:-1]])
+    mine = newest & (command.stamps >= played.start) & (command.stamps < end)
+    commands = Stream(command.stamps[mine], command.positions[mine][:, columns], command.received[mine])
+    times = elapsed_along(plan.trajectory, commands)
+    # what follows the first command at its end is rest
+    arrived = np.flatnonzero(times >= plan.trajectory.duration)
+    last = int(arrived[0]) + 1 if len(arrived) else len(times)
+    stamps, times = commands.stamps[:last], times[:last]
+    told = currents.command_stamps
+    before = np.clip(np.searchsorted(stamps, told, side="right") - 1, 0, max(len(stamps) - 2, 0))
+    inside = np.zeros(len(told), bool)
+    if len(stamps) > 1:
+        inside = (told >= stamps[0]) & (told <= stamps[-1]) & np.isfinite(times[before] + times[before + 1])
+    before = before[inside]
+    period, step = np.diff(stamps)[before], np.diff(times)[before]
+    fraction = (told[inside] - stamps[before]) / period
+    # of an arm that does not move as commanded a current comes between two that name commands
+    first, past = (int(np.flatnonzero(inside)[edge]) if inside.any() else 0 for edge in (0, -1))
+    return CurrentRun(
+        name, plan, times[before] + fraction * step, step * NANOSECONDS / period, told[inside],
+        currents.values[inside][:, columns], int(np.count_nonzero(told[first:past] == 0)),
+    )  # fmt: skip
+
+
+def _axis(
+    joint: str, times: np.ndarray, reference: np.ndarray, measured: np.ndarray, positions: np.ndarray
+) -> AxisDifference:
+    difference = measured - reference
+    told = np.isfinite(difference)
+    if not told.any():
+        return AxisDifference(joint)
+    row = int(np.argmax(np.where(told, np.abs(difference), -1.0)))
+    return AxisDifference(
+        joint, float(difference[row]), _rms(difference[told]), _rms(reference[told]), float(times[row]),
+        round(float(times[row]) / CYCLE), float(positions[row]), float(reference[row]), float(measured[row]),
+    )  # fmt: skip
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def summary_of(comparison: CurrentComparison) -> Mapping:
+    """Return what `currents.json` holds, ready for `json.dumps`."""
+    return {
+        "reference": comparison.reference,
+        "recording": comparison.measured,
+        "plan": {
+            "id": comparison.plan.id,
+            "hash": comparison.plan.hash,
+            "duration_s": comparison.plan.trajectory.duration,
+        },
+        "setpoints": {
+            "compared": comparison.compared,
+            "other_pace": comparison.other_pace,
+            "no_reference": comparison.no_reference,
+            "not_as_commanded": comparison.unsteady,
+        },
+        "axes": [axis_document(axis) for axis in comparison.axes],
+    }
+
+
+def axis_document(axis: AxisDifference) -> dict[str, str | float | int | None]:
+    """Return one axis as the files hold it: the columns of `currents.csv`, in order."""
+    return {
+        "joint": axis.joint,
+        "largest": axis.largest,
+        "rms": axis.rms,
+        "reference_rms": axis.reference_rms,
+        "time_s": axis.time,
+        "setpoint": axis.setpoint,
+        "position": axis.position,
+        "reference": axis.reference,
+        "measured": axis.measured,
+    }
