@@ -26,8 +26,8 @@ class AxisQuantity:
 
 #: The torque that an axis gives [N m]; more no gear can carry.
 TORQUE = AxisQuantity("torque", "torque_nm", 1e6)
-#: The current of an axis' motor, in the unit of KUKA's ``$CURR_ACT``: percent of the most that its amplifier gives (docs/rsi.md). So
-#: 100 should never be exceeded; ten times that much is in another unit.
+#: The current of an axis' motor, in the unit of KUKA's ``$CURR_ACT``: percent of the most that its amplifier gives (docs/rsi.md).
+#: So 100 should never be exceeded; ten times that much is in another unit.
 CURRENT = AxisQuantity("current", "current_percent", 1e3)
 #: All of them, in the order in which they are told.
 QUANTITIES = (TORQUE, CURRENT)

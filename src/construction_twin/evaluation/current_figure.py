@@ -37,7 +37,9 @@ def current_figure(comparison: CurrentComparison) -> Figure:
             both.text(0.5, 0.5, "not told", transform=both.transAxes, ha="center", va="center", color="#888888")
         else:
             difference.plot([axis.time], [axis.largest], "o", color=INK, ms=4)
-            difference.set_title(f"largest {axis.largest:+.2f} after {axis.time:.2f} s, rms {axis.rms:.2f}", fontsize=8, loc="right")
+            difference.set_title(
+                f"largest {axis.largest:+.2f} after {axis.time:.2f} s, rms {axis.rms:.2f}", fontsize=8, loc="right"
+            )
         for panel in (both, difference):
             panel.grid(color="#dddddd", lw=0.6)
             panel.set_axisbelow(True)

@@ -1,4 +1,4 @@
-"""A comparison of motor currents as text, table and files. Works on what `currents.json` holds, so that a stored one prints the same."""
+"""A comparison of motor currents as text, table and CSV file, made of what `currents.json` holds: a stored one prints the same."""
 
 from __future__ import annotations
 
@@ -38,7 +38,11 @@ def render_currents(summary: Mapping, linear: Sequence[str], console: Console) -
         if axis["largest"] is None:
             table.add_row(axis["joint"], *["not told"] * 3)
             continue
-        place = f"{1e3 * axis['position']:.1f} mm" if axis["joint"] in linear else f"{math.degrees(axis['position']):.2f} deg"
+        place = (
+            f"{1e3 * axis['position']:.1f} mm"
+            if axis["joint"] in linear
+            else f"{math.degrees(axis['position']):.2f} deg"
+        )
         table.add_row(
             axis["joint"], f"{axis['largest']:+.3f}", f"{axis['rms']:.3f}", f"{axis['reference_rms']:.3f}",
             f"{axis['time_s']:.3f}", str(axis["setpoint"]), place, f"{axis['reference']:.3f}", f"{axis['measured']:.3f}",
@@ -55,8 +59,8 @@ def currents_lines(summary: Mapping) -> list[str]:
         f"plan {plan['id']}, hash {plan['hash'][:12]}, {plan['duration_s']:.3f} s; reference {summary['reference']}, "
         f"compared {summary['recording']}",
         f"setpoints: {setpoints['compared']} compared; left out: {setpoints['other_pace']} passed at another pace, "
-        f"{setpoints['no_reference']} of which the reference holds none, {setpoints['not_as_commanded']} where the arm did not move "
-        "exactly as commanded",
+        f"{setpoints['no_reference']} of which the reference holds none, {setpoints['not_as_commanded']} where the arm did "
+        "not move exactly as commanded",
     ]
     told = [axis for axis in summary["axes"] if axis["largest"] is not None]
     if told:

@@ -1,9 +1,9 @@
 """Compares the motor currents of a run with those of a reference run of the same plan.
 
-The two are aligned by where the arm is on the plan, never by a clock: the commands of each run say, command by command, at which time of
-the plan it was, and a current names the command that it belongs to. So a pause, a hold or a speed limit moves nothing. How much current
-a motion takes depends on its speed: setpoints that the two runs passed at another pace are counted and left out, as are those for 0.2 s
-after one. SI; currents in the unit in which the controller tells them.
+The two are aligned by where the arm is on the plan, never by a clock: the commands of each run say, command by command, at which
+time of the plan it was, and a current names the command that it belongs to. So a pause, a hold or a speed limit moves nothing. How
+much current a motion takes depends on its speed: setpoints that the two runs passed at another pace are counted and left out, as
+are those for 0.2 s after one. SI; currents in the unit in which the controller tells them.
 """
 
 from __future__ import annotations
@@ -204,8 +204,8 @@ def compare_currents(reference: CurrentRun, run: CurrentRun, any_pace: bool = Fa
 def elapsed_along(trajectory: Trajectory, command: Stream) -> np.ndarray:
     """Return at which time of a plan each command was, shape (k,) [s]; nan for one that is not on its path.
 
-    Commands go along the plan, no faster than planned, and may rest on it. Where the plan itself rests, the time goes on as planned: all
-    its setpoints there are the same.
+    Commands go along the plan, no faster than planned, and may rest on it. Where the plan itself rests, the time goes on as
+    planned: all its setpoints there are the same.
 
     Args:
         command: From the plan's first setpoint on, with the joints of the trajectory.

@@ -51,7 +51,12 @@ class TelegramInbox:
         self._clock = clock
         self._controller = controller
         reader = gateway.config.make.reader(gateway.config)
-        self._parse, self._status, self._tool, self._told = reader.parse, reader.status, reader.tool, reader.told.items()
+        self._parse, self._status, self._tool, self._told = (
+            reader.parse,
+            reader.status,
+            reader.tool,
+            reader.told.items(),
+        )
         self._timeout_ms = round(gateway.config.timeout * 1000)
 
     def newest(self) -> Arrival | None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-#: INVENTED: the torque that one percent of the most that an axis' amplifier gives makes at the axis [N m]. Nobody has published it of
-#: a KR 120; these have the torques of config/kr120_drives.yaml at about 80 %. A motor whose current is not proportional to the torque
-#: of its axis, as every real one's because of its friction, is not simulated.
+#: INVENTED constants: the torque at each axis that one percent of the most that its amplifier gives makes [N m]. Nobody has
+#: published them of a KR 120; with these the torques of config/kr120_drives.yaml take about 80 %. That a real motor's friction takes
+#: current, too, is not simulated.
 TORQUE_PER_PERCENT = {"A1": 90.0, "A2": 110.0, "A3": 95.0, "A4": 30.0, "A5": 18.0, "A6": 11.0}
 
 

@@ -173,8 +173,8 @@ def read_report(quantity: AxisQuantity, payload: bytes, count: int) -> AxisRepor
     document = parse_object(payload, quantity.name)
     keys = ("seq", "stamp", "command_stamp", quantity.key)
     if set(document) != set(keys):
-        found = {"what": quantity.name, "key": quantity.key, "found": shown_keys(document)}
-        raise PayloadError(quantity.name, Sentence("link.payload.axis_keys", **found))
+        found = Sentence("link.payload.axis_keys", what=quantity.name, key=quantity.key, found=shown_keys(document))
+        raise PayloadError(quantity.name, found)
     for key in keys[:3]:
         if type(document[key]) is not int or not 0 <= document[key] <= _MAX_NUMBER:
             shown = repr(document[key])[:32]
@@ -183,8 +183,8 @@ def read_report(quantity: AxisQuantity, payload: bytes, count: int) -> AxisRepor
             )
     told = document[quantity.key]
     if not isinstance(told, list) or len(told) != count or not all(_can_be(value, quantity.most) for value in told):
-        wanted = {"key": quantity.key, "count": count, "most": quantity.most}
-        raise PayloadError(quantity.name, Sentence("link.payload.axis_values", **wanted))
+        wanted = Sentence("link.payload.axis_values", key=quantity.key, count=count, most=quantity.most)
+        raise PayloadError(quantity.name, wanted)
     values = tuple(math.nan if value is None else float(value) for value in told)
     return AxisReport(document["seq"], document["stamp"], document["command_stamp"], values)
 

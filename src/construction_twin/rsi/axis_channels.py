@@ -1,9 +1,9 @@
 """The optional channels by which a controller tells quantities of its axes: torques and motor currents.
 
-Torques are ``GearTorque.A1`` to ``GearTorque.A6`` [N m]: none of them is built in, somebody wires an object GEARTORQUE to channels of
-SEND. Motor currents are built in: ``DEF_MACur`` sends all six in the element `MACur` (docs/rsi.md, section 2). An external axis has
-neither. Read beside the telegram and after it, as `tool_channels` is, so that a file without them costs nothing, and one that cannot
-be read ends no answers. Standard library only.
+Torques are ``GearTorque.A1`` to ``GearTorque.A6`` [N m]: none of them is built in, somebody wires an object GEARTORQUE to channels
+of SEND. Motor currents are built in: ``DEF_MACur`` sends all six in the element `MACur` (docs/rsi.md, section 2). An external axis
+has neither. Read beside the telegram and after it, as `tool_channels` is, so that a file without them costs nothing, and one that
+cannot be read ends no answers. Standard library only.
 """
 
 from __future__ import annotations

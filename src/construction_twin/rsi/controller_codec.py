@@ -78,8 +78,7 @@ class RobotEncoder:
         self._status = {tag: _STATUS_VALUES[tag.partition(".")[0]] for tag in status_channels(send)}
         #: TAGs of a tool by the first one of their element.
         self._signals = {tags[0]: tags for tags in blocks if is_signal(tags[0])}
-        #: Per TAG of a quantity that comes first: which it is, and which of the axes stand in its element; None: the robot has no such
-        #: axis.
+        #: Per TAG of a quantity that comes first: which it is, and which axes stand in its element; None: no axis of the robot.
         self._told = {
             tags[0]: (quantity, [axes.index(axis) if axis in axes else None for axis in told_axes(quantity, tags)])
             for tags in blocks
@@ -250,7 +249,15 @@ def _block(tags: tuple[str, ...], precision: int) -> str:
     if status_channels((name,)):
         element, _, attribute = name.partition(".")
         return f'<{element} {attribute}="%g"/>' if attribute else f"<{element}>%g</{element}>"
-    known = (*POSE_BLOCKS, *AXIS_BLOCKS, "Delay", *NAMES, *(f"{element}.<axis>" if quantity not in BLOCKS else element for quantity, element in ELEMENTS.items()), "Out.<output>", "In.<input>")
+    known = (
+        *POSE_BLOCKS,
+        *AXIS_BLOCKS,
+        "Delay",
+        *NAMES,
+        *(f"{element}.<axis>" if quantity not in BLOCKS else element for quantity, element in ELEMENTS.items()),
+        "Out.<output>",
+        "In.<input>",
+    )
     raise ConfigurationError("SEND", name, Sentence("expected.one_of", known=", ".join(known)))
 
 

@@ -26,7 +26,9 @@ JOINTS = ("track", "joint_a1", "joint_a2")
 BASE = 1_790_000_000_000_000_000
 #: There and back over the same path, with a rest of half a second in between.
 TIMES = np.array([0.0, 1.0, 2.0, 2.5, 3.5, 4.5])
-POINTS = np.array([[0.0, 0.0, -1.0], [0.5, 0.4, -0.9], [1.0, 1.0, 0.2], [1.0, 1.0, 0.2], [0.5, 0.4, -0.9], [0.0, 0.0, -1.0]])
+POINTS = np.array(
+    [[0.0, 0.0, -1.0], [0.5, 0.4, -0.9], [1.0, 1.0, 0.2], [1.0, 1.0, 0.2], [0.5, 0.4, -0.9], [0.0, 0.0, -1.0]]
+)
 SPEEDS = np.array([[0.0] * 3, [0.6, 0.7, 0.5], [0.0] * 3, [0.0] * 3, [-0.6, -0.7, -0.5], [0.0] * 3])
 TRAJECTORY = Trajectory(JOINTS, TIMES, POINTS, SPEEDS, np.zeros_like(SPEEDS))
 PLAN = make_plan(TRAJECTORY, "p1")
@@ -35,7 +37,7 @@ RAMP = 0.04
 
 
 def currents_at(times):
-    """Return what each axis takes where it is on the plan, shape (m, 3): the same all the time while it rests; the track's is not told."""
+    """Return what each axis takes where it is on the plan, shape (m, 3): the same while it rests; the track's is not told."""
     times = times - np.clip(times - 2.0, 0.0, 0.5)
     return np.stack([np.full_like(times, np.nan), 20.0 + 8.0 * np.sin(times), -30.0 * np.cos(0.7 * times)], axis=1)
 
@@ -183,33 +185,38 @@ def test_of_several_executions_the_newest_of_a_plan_in_both_is_taken():
     other, first = other_plan(0.9), recorded()[0]
     second = recorded(plan=other, start_offset=100_000_000_000)[0]
 
-    def joined(a, b):
-        return np.concatenate([a, b])
+    def joined(stream, *fields):
+        return [np.concatenate([getattr(getattr(run, stream), field) for run in (first, second)]) for field in fields]
 
-    command = Stream(*(joined(getattr(first.command, name), getattr(second.command, name)) for name in ("stamps", "positions", "received")))
-    currents = CurrentStream(*(joined(getattr(first.currents, name), getattr(second.currents, name)) for name in ("values", "command_stamps")))
-    both = replace(first, twin=command, physical=command, command=command, currents=currents, plans=(*first.plans, *second.plans))  # fmt: skip
+    command = Stream(*joined("command", "stamps", "positions", "received"))
+    currents = CurrentStream(*joined("currents", "values", "command_stamps"))
+    streams = {"twin": command, "physical": command, "command": command, "currents": currents}
+    both = replace(first, plans=(*first.plans, *second.plans), **streams)
     runs = runs_of("both.bag", both, (PLAN, other))
     assert [run.plan.id for run in runs] == ["p2", "p1"]
     known, run = same_plan(runs_of("ref.bag", first, (PLAN,)), runs)
     assert run.plan.id == known.plan.id == "p1" and len(run.times) == len(known.times)
 
 
+RUN = recorded()[0]
+VALUES, NAMED = RUN.currents.values, RUN.currents.command_stamps
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda run: replace(run, currents=None), "DEF_MACur"),
-        (lambda run: replace(run, currents=CurrentStream(np.full_like(run.currents.values, np.nan), run.currents.command_stamps)), "DEF_MACur"),
-        (lambda run: replace(run, command=None), "command/joint_states"),
-        (lambda run: replace(run, plans=()), "execution"),
-        (lambda run: replace(run, currents=CurrentStream(run.currents.values, np.zeros_like(run.currents.command_stamps))), "execution"),
+        ({"currents": None}, "DEF_MACur"),
+        ({"currents": CurrentStream(np.full_like(VALUES, np.nan), NAMED)}, "DEF_MACur"),
+        ({"command": None}, "command/joint_states"),
+        ({"plans": ()}, "execution"),
+        ({"currents": CurrentStream(VALUES, np.zeros_like(NAMED))}, "execution"),
         # an execution from before the recording, which a latched topic still tells of
-        (lambda run: replace(run, plans=(PlayedPlan("p1", BASE - 10, 4.5, "finished"),)), "execution"),
+        ({"plans": (PlayedPlan("p1", BASE - 10, 4.5, "finished"),)}, "execution"),
     ],
-)  # fmt: skip
+)
 def test_a_recording_without_what_it_takes_is_refused_by_its_name(change, said):
     with pytest.raises(ConstructionTwinError, match=said) as caught:
-        runs_of("run.bag", change(recorded()[0]), (PLAN,))
+        runs_of("run.bag", replace(RUN, **change), (PLAN,))
     assert str(caught.value).startswith("run.bag ")
 
 

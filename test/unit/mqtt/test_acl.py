@@ -44,8 +44,9 @@ PEOPLE = ("viewer", "reviewer", "stopper", "planner", "lead")
 OF_PERSONS = ("reset", "arm", "answer", "acknowledge", "speed", "override_rehearsal")
 OF_PEOPLE = {f"{act}/{ACCOUNTS[role]}" for acts in ACTS.values() for act in acts for role in PEOPLE}
 TOPICS = (
-    "command", "state", "torque", "current", "status", "bridge/status", "control", "control/ack", "plan", "review", "scene", "screen",
-    "work/tasks", "path", "messages", "rehearsal", "trajectory", "view", *sorted(ANSWERS), *sorted(OF_PEOPLE), "somewhere/else",
+    "command", "state", "torque", "current", "status", "bridge/status", "control", "control/ack", "plan", "review", "scene",
+    "screen", "work/tasks", "path", "messages", "rehearsal", "trajectory", "view", *sorted(ANSWERS), *sorted(OF_PEOPLE),
+    "somewhere/else",
 )  # fmt: skip
 #: What each role publishes and what it hears, under <prefix>/<robot>/.
 WRITES = {

@@ -75,7 +75,7 @@ class TestFiles:
         rules = (site / "broker/access.acl").read_text()
         make_site([str(site), "--broker-folder", str(site / "broker")])
         assert len(before) >= 10 and {path: path.read_bytes() for path in kept} == before
-        # torques, currents, the path of what is played, the robot's messages and cameras, and what people may be given the right to, are new
+        # torques, currents, the path of what is played, messages and cameras, and what people may be given the right to, are new
         made = (site / "broker/access.acl").read_text().splitlines()
         given = ("reset", "arm", "answer", "acknowledge", "speed", "override_rehearsal")
         asked = [f"topic read twin/kr120/{verb}/+" for verb in given]

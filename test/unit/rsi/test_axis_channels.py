@@ -1,4 +1,4 @@
-"""Torques (GearTorque) and motor currents (MACur) of the axes: from the mock to their messages, refused and counted where unreadable."""
+"""Torques (GearTorque) and motor currents (MACur): from the mock to their messages, refused and counted where unreadable."""
 
 from __future__ import annotations
 

@@ -22,7 +22,17 @@ from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.shared.known_bag import open_bag
 
 #: The bag is read with these classes; another definition of the same type is refused.
-KINDS: tuple[type[genpy.Message], ...] = (JointState, Feedback, AxisCurrent, Execution, Plan, Link, Sync, Review, String)
+KINDS: tuple[type[genpy.Message], ...] = (
+    JointState,
+    Feedback,
+    AxisCurrent,
+    Execution,
+    Plan,
+    Link,
+    Sync,
+    Review,
+    String,
+)
 
 
 class RosBag:

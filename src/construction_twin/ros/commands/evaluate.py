@@ -61,7 +61,7 @@ def _robot(options: argparse.Namespace, joint_names: tuple[str, ...]) -> RobotMo
     if options.robot_xacro or options.robot_config or options.robot_xacro_args:
         files = options.robot_xacro or package_file(ROBOTS[0][0]), options.robot_config or package_file(ROBOTS[0][1])
         return read_robot_files(*files, options.robot_xacro_args)
-    return shipped_robot(joint_names) or read_robot_files(*map(package_file, ROBOTS[0]))
+    return shipped_robot(joint_names) or read_robot_files(package_file(ROBOTS[0][0]), package_file(ROBOTS[0][1]))
 
 
 def shipped_robot(joint_names: tuple[str, ...]) -> RobotModel | None:

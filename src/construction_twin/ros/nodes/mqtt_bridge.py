@@ -47,11 +47,21 @@ from construction_twin.mqtt.messages import (
     no_properties,
     parse_presence,
     parse_status,
-    read_state_properties,
     read_report,
+    read_state_properties,
 )
 from construction_twin.mqtt.plain_client import PlainClient
-from construction_twin.msg import AxisCurrent, AxisTorque, Execution, Feedback, Link, SpeedLimitInForce, Sync, ToolCommand, ToolState
+from construction_twin.msg import (
+    AxisCurrent,
+    AxisTorque,
+    Execution,
+    Feedback,
+    Link,
+    SpeedLimitInForce,
+    Sync,
+    ToolCommand,
+    ToolState,
+)
 from construction_twin.msg import SessionRequest as SessionRequestMessage
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
