@@ -122,7 +122,8 @@ class SimulatedChain:
         self.corrections: list[tuple[int, tuple[float, ...]]] = []
         self.twin_poses: list[tuple[int, tuple[float, ...]]] = []
         self.feedback: list[tuple[int, tuple[float, ...], int, int]] = []
-        #: What the gate let through.
+        #: What the executor played, and what the gate let through of it.
+        self.setpoints: list[tuple[int, tuple[float, ...]]] = []
         self.commands: list[tuple[int, tuple[float, ...]]] = []
         #: The same as `feedback` of the motors' currents, in the joints' sense.
         self.currents: list[tuple[int, list[float], int, int]] = []
@@ -209,16 +210,11 @@ class SimulatedChain:
             physical=Stream(received, measured, received),
             feedback=FeedbackStream(received, measured, received, seq, command_stamps),
             plans=played,
-            command=self._commands(),
+            command=_stream(self.commands),
+            setpoints=_stream(self.setpoints),
             expected=self._expected(),
             currents=self._currents(),
         )
-
-    def _commands(self) -> Stream | None:
-        if not self.commands:
-            return None
-        stamps, poses = map(np.array, zip(*self.commands))
-        return Stream(stamps, poses, stamps)
 
     def _currents(self) -> CurrentStream | None:
         if not self.currents:
@@ -250,6 +246,8 @@ class SimulatedChain:
         theta_next = self.executor.step(stamp, stamp)
         for order in self.executor.take_orders():
             self._at(stamp + self._link.command_delay(), lambda order=order: self._switch(order))
+        if theta_next is not None:
+            self.setpoints.append((stamp, theta_next))
         command = None if theta_next is None else gate.pass_next(stamp, theta_next, stamp)
         self._note_transitions()
         if command is not None:
@@ -432,3 +430,10 @@ class SimulatedChain:
         else:
             self.twin.end_mirror()
         self.executor.on_link(self.supervisor.state is LinkState.ARMED, self.supervisor.reason)
+
+
+def _stream(samples: list[tuple[int, tuple[float, ...]]]) -> Stream | None:
+    if not samples:
+        return None
+    stamps, poses = map(np.array, zip(*samples))
+    return Stream(stamps, poses, stamps)

@@ -32,6 +32,7 @@ FEEDBACK = "physical/feedback"
 CURRENT = "physical/current"
 COMMAND = "command/joint_states"
 EXPECTED = "expected/joint_states"
+NEXT = "next/joint_states"
 EXECUTION = "execution"
 PLAN = "plan"
 LINK = "link"
@@ -39,7 +40,7 @@ SYNC = "sync"
 REVIEW = "review"
 MOCK = "mock_rsi/status"
 #: Topics read, relative to the robot's namespace. Only twin and physical have to be there.
-TOPICS = (TWIN, PHYSICAL, FEEDBACK, CURRENT, COMMAND, EXPECTED, EXECUTION, PLAN, LINK, SYNC, REVIEW, MOCK)
+TOPICS = (TWIN, PHYSICAL, FEEDBACK, CURRENT, COMMAND, NEXT, EXPECTED, EXECUTION, PLAN, LINK, SYNC, REVIEW, MOCK)
 #: Reports whose changes of state are told, and what they are called.
 REPORTS = {SYNC: "gate", EXECUTION: "execution", LINK: "link"}
 
@@ -50,6 +51,7 @@ TYPES = {
     FEEDBACK: "construction_twin/Feedback",
     CURRENT: "construction_twin/AxisCurrent",
     COMMAND: "sensor_msgs/JointState",
+    NEXT: "sensor_msgs/JointState",
     EXPECTED: "sensor_msgs/JointState",
     EXECUTION: "construction_twin/Execution",
     PLAN: "construction_twin/Plan",
@@ -182,6 +184,7 @@ class _Run:
             mock=_mock(messages[MOCK]),
             expected=self._stream(EXPECTED) if messages[EXPECTED] else None,
             currents=self._currents(),
+            setpoints=self._stream(NEXT) if messages[NEXT] else None,
             changes=self._changes(),
             verdicts=self._verdicts(),
         )

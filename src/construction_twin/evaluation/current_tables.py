@@ -28,11 +28,11 @@ def render_currents(summary: Mapping, linear: Sequence[str], console: Console) -
         linear: Prismatic joints: mm in place of deg.
     """
     table = Table(
-        title="motor currents against the reference, as the controller tells them (KUKA: % of the amplifier's most)",
+        title="motor currents against the reference; KUKA: % of the amplifier's most",
         title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True,
     )  # fmt: skip
     table.add_column("joint", no_wrap=True)
-    for heading in ("largest", "rms", "ref. rms", "at, s", "setpoint", "joint at", "reference", "here"):
+    for heading in ("largest", "rms", "ref. rms", "at, s", "setpoint", "joint at", "ref.", "here"):
         table.add_column(heading, justify="right", no_wrap=True)
     for axis in summary["axes"]:
         if axis["largest"] is None:
@@ -44,8 +44,8 @@ def render_currents(summary: Mapping, linear: Sequence[str], console: Console) -
             else f"{math.degrees(axis['position']):.2f} deg"
         )
         table.add_row(
-            axis["joint"], f"{axis['largest']:+.3f}", f"{axis['rms']:.3f}", f"{axis['reference_rms']:.3f}",
-            f"{axis['time_s']:.3f}", str(axis["setpoint"]), place, f"{axis['reference']:.3f}", f"{axis['measured']:.3f}",
+            axis["joint"], f"{axis['largest']:+.2f}", f"{axis['rms']:.2f}", f"{axis['reference_rms']:.2f}",
+            f"{axis['time_s']:.2f}", str(axis["setpoint"]), place, f"{axis['reference']:.2f}", f"{axis['measured']:.2f}",
         )  # fmt: skip
     console.print(table)
     for line in currents_lines(summary):
@@ -54,12 +54,12 @@ def render_currents(summary: Mapping, linear: Sequence[str], console: Console) -
 
 def currents_lines(summary: Mapping) -> list[str]:
     """Return the sentences that stand below the table."""
-    plan, setpoints = summary["plan"], summary["setpoints"]
+    plan, currents = summary["plan"], summary["currents"]
     lines = [
         f"plan {plan['id']}, hash {plan['hash'][:12]}, {plan['duration_s']:.3f} s; reference {summary['reference']}, "
         f"compared {summary['recording']}",
-        f"setpoints: {setpoints['compared']} compared; left out: {setpoints['other_pace']} passed at another pace, "
-        f"{setpoints['no_reference']} of which the reference holds none, {setpoints['not_as_commanded']} where the arm did "
+        f"currents: {currents['compared']} compared; left out: {currents['other_pace']} at another pace, "
+        f"{currents['no_reference']} of which the reference holds none, {currents['not_as_commanded']} where the arm did "
         "not move exactly as commanded",
     ]
     told = [axis for axis in summary["axes"] if axis["largest"] is not None]

@@ -1,9 +1,9 @@
 """Compares the motor currents of a run with those of a reference run of the same plan.
 
-The two are aligned by where the arm is on the plan, never by a clock: the commands of each run say, command by command, at which
-time of the plan it was, and a current names the command that it belongs to. So a pause, a hold or a speed limit moves nothing. How
-much current a motion takes depends on its speed: setpoints that the two runs passed at another pace are counted and left out, as
-are those for 0.2 s after one. SI; currents in the unit in which the controller tells them.
+The two are aligned by where the arm is on the plan, never by a clock: the executor's setpoints say, one by one, at which time of the
+plan it was, and a current names the command, which has the stamp of its setpoint. So a pause, a hold or a speed limit moves nothing.
+How much current a motion takes depends on its speed: currents of where the two runs were not equally fast are counted and left out,
+as are those within 0.2 s of one. SI; currents in the unit in which the controller tells them.
 """
 
 from __future__ import annotations
@@ -21,11 +21,15 @@ from construction_twin.evaluation.recording import PlayedPlan, Recording, Stream
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.trajectory import Trajectory
 
-#: A command that is further from the plan than this belongs to no setpoint of it [rad], [m].
-OFF_PATH = 1e-4
+#: A setpoint that is further from the plan than this is none of it [rad], [m]. It is told exactly.
+OFF_PATH = 1e-7
+#: A command that is further from its setpoint than this is another pose, held by the gate [rad], [m]: it is told with its decimals.
+OTHER = 1e-3
+#: How far back on the plan the arm may go on after a hold [s].
+BACK = 2.0
 #: Between two currents of the reference that are further apart on the plan than this, nothing is known of it [s].
 GAP = 5 * CYCLE
-#: Fewer setpoints are no comparison, but what two runs of another pace have in common before the arm is fast: 0.2 s.
+#: Fewer currents are no comparison, but what two runs of another pace have in common before the arm is fast: 0.2 s.
 LEAST = 50
 #: Most steps of a search for a setpoint, and the length of one that ends it [s].
 STEPS, CLOSE = 12, 1e-12
@@ -86,11 +90,11 @@ class CurrentComparison:
     Attributes:
         reference, measured: Names of the recordings.
         axes: In the plan's order.
-        times: Shape (m,). Setpoints that were compared, from the beginning of the plan [s].
+        times: Shape (m,). Where on the plan currents were compared, from its beginning [s].
         reference_values, measured_values: Shape (m, n).
         compared: m.
-        other_pace: Setpoints that the two runs passed at another pace, and for 0.2 s after them; not compared.
-        no_reference: Setpoints of which the reference holds no current.
+        other_pace: Currents of where the two runs were not equally fast, and those within 0.2 s of them; not compared.
+        no_reference: Currents of where the reference holds none.
         unsteady: See `CurrentRun`; of the run that is compared.
     """
 
@@ -107,7 +111,7 @@ class CurrentComparison:
 
     @property
     def compared(self) -> int:
-        """How many setpoints were compared."""
+        """How many currents were compared."""
         return len(self.times)
 
     @property
@@ -127,20 +131,29 @@ def runs_of(name: str, recording: Recording, plans: Sequence[Plan]) -> list[Curr
     Raises:
         ConstructionTwinError: If it holds no currents, no commands, no execution of one of the plans, or none with currents.
     """
-    currents, command = recording.currents, recording.command
+    currents, command, setpoints = recording.currents, recording.command, recording.setpoints
     if currents is None or not np.isfinite(currents.values).any():
         raise ConstructionTwinError(Sentence("view.currents.none", name=name))
-    if command is None:
-        raise ConstructionTwinError(Sentence("view.currents.no_commands", name=name))
+    if command is None or setpoints is None:
+        raise ConstructionTwinError(Sentence("view.currents.no_setpoints", name=name))
     by_id = {plan.id: plan for plan in plans if set(plan.trajectory.joint_names) <= set(recording.joint_names)}
-    begin = int(command.stamps.min())
+    begin = int(setpoints.stamps.min())
     played = [each for each in recording.plans if each.plan_id in by_id and each.start >= begin]
-    ends = [each.start for each in played[1:]] + [int(command.stamps.max()) + 1]
+    ends = [each.start for each in played[1:]] + [int(setpoints.stamps.max()) + 1]
     found = [_run(name, recording, by_id[each.plan_id], each, end) for each, end in zip(played, ends)]
     runs = [run for run in reversed(found) if len(run.times)]
     if not runs:
         raise ConstructionTwinError(Sentence("view.currents.not_played", name=name))
     return runs
+
+
+def _steady(stamps: np.ndarray, differs: np.ndarray) -> np.ndarray:
+    """Return which stamps are further than `STEADY` from every one at which something differs, shape (m,), bool."""
+    far = np.iinfo(np.int64).max // 2
+    last = np.maximum.accumulate(np.where(differs, stamps, -far))
+    # a ramp begins and ends softly: before the pace differs enough to be seen the torques do
+    coming = np.minimum.accumulate(np.where(differs, stamps, far)[::-1])[::-1]
+    return (stamps - last >= STEADY) & (coming - stamps >= STEADY)
 
 
 def same_plan(reference: Sequence[CurrentRun], runs: Sequence[CurrentRun]) -> tuple[CurrentRun, CurrentRun]:
@@ -165,7 +178,7 @@ def compare_currents(reference: CurrentRun, run: CurrentRun, any_pace: bool = Fa
         any_pace: Also compare where the two were not equally fast.
 
     Raises:
-        ConstructionTwinError: If there are not enough setpoints at which they can be compared.
+        ConstructionTwinError: If there are not enough currents that can be compared.
     """
     rising = np.concatenate([[True], reference.times[1:] > np.maximum.accumulate(reference.times)[:-1]])
     known = reference.times[rising]
@@ -182,9 +195,7 @@ def compare_currents(reference: CurrentRun, run: CurrentRun, any_pace: bool = Fa
 
     pace = at_run(reference.pace[rising])
     differs = ~covered | (np.abs(run.pace - pace) > pace / PACE) | (run.pace <= 0.0)
-    last = np.maximum.accumulate(np.where(differs & covered, run.stamps, np.iinfo(np.int64).min // 2))
-    alike = ~differs & (run.stamps - last >= STEADY)
-    taken = covered & (alike | any_pace)
+    taken = covered & ((_steady(run.stamps, differs & covered) & ~differs) | any_pace)
     if np.count_nonzero(taken) < LEAST:
         names = {"reference": reference.name, "name": run.name}
         raise ConstructionTwinError(Sentence("view.currents.nothing", **names))
@@ -201,19 +212,23 @@ def compare_currents(reference: CurrentRun, run: CurrentRun, any_pace: bool = Fa
     )  # fmt: skip
 
 
-def elapsed_along(trajectory: Trajectory, command: Stream) -> np.ndarray:
-    """Return at which time of a plan each command was, shape (k,) [s]; nan for one that is not on its path.
+def elapsed_along(trajectory: Trajectory, setpoints: Stream) -> np.ndarray:
+    """Return at which time of a plan each setpoint is, shape (k,) [s]; nan for one that is not on its path.
 
-    Commands go along the plan, no faster than planned, and may rest on it. Where the plan itself rests, the time goes on as
-    planned: all its setpoints there are the same.
+    Setpoints go along the plan, no faster than planned, may rest on it, and after a hold go on where the arm is. Where the plan
+    itself rests, the time goes on as planned: all its setpoints there are the same.
 
     Args:
-        command: From the plan's first setpoint on, with the joints of the trajectory.
+        setpoints: From the plan's first one on, with the joints of the trajectory.
     """
-    elapsed, at = np.full(len(command), np.nan), 0.0
-    periods = np.diff(command.stamps, prepend=command.stamps[:1]) / NANOSECONDS
-    for row, (goal, period) in enumerate(zip(command.positions, periods.tolist())):
+    elapsed, at = np.full(len(setpoints), np.nan), 0.0
+    periods = np.diff(setpoints.stamps, prepend=setpoints.stamps[:1]) / NANOSECONDS
+    for row, (goal, period) in enumerate(zip(setpoints.positions, periods.tolist())):
         found, distance = _nearest(trajectory, goal, at, period)
+        if distance > OFF_PATH:
+            grid = np.arange(max(at - BACK, 0.0), at + CYCLE, CYCLE)
+            near = np.abs(trajectory.sample_many(grid)[0] - goal).max(axis=1)
+            found, distance = _nearest(trajectory, goal, float(grid[np.argmin(near)]), CYCLE)
         if distance <= OFF_PATH:
             elapsed[row] = at = found
     return elapsed
@@ -239,17 +254,23 @@ def _nearest(trajectory: Trajectory, goal: np.ndarray, at: float, period: float)
 
 
 def _run(name: str, recording: Recording, plan: Plan, played: PlayedPlan, end: int) -> CurrentRun:
-    currents, command = recording.currents, recording.command
-    assert currents is not None and command is not None
+    currents, command, played_setpoints = recording.currents, recording.command, recording.setpoints
+    assert currents is not None and command is not None and played_setpoints is not None
     columns = [recording.joint_names.index(joint) for joint in plan.trajectory.joint_names]
-    newest = np.concatenate([[True], command.stamps[1:] > np.maximum.accumulate(command.stamps)[:-1]])
-    mine = newest & (command.stamps >= played.start) & (command.stamps < end)
-    commands = Stream(command.stamps[mine], command.positions[mine][:, columns], command.received[mine])
-    times = elapsed_along(plan.trajectory, commands)
-    # what follows the first command at its end is rest
+    stamps = played_setpoints.stamps
+    newest = np.concatenate([[True], stamps[1:] > np.maximum.accumulate(stamps)[:-1]])
+    mine = newest & (stamps >= played.start) & (stamps < end)
+    setpoints = Stream(stamps[mine], played_setpoints.positions[mine][:, columns], played_setpoints.received[mine])
+    times = elapsed_along(plan.trajectory, setpoints)
+    # what the gate held back is no place of the arm on the plan
+    _, rows, others = np.intersect1d(setpoints.stamps, command.stamps, return_indices=True)
+    passed = np.zeros(len(times), bool)
+    passed[rows] = np.abs(setpoints.positions[rows] - command.positions[others][:, columns]).max(axis=1) <= OTHER
+    times[~passed] = np.nan
+    # what follows the first setpoint at its end is rest
     arrived = np.flatnonzero(times >= plan.trajectory.duration)
     last = int(arrived[0]) + 1 if len(arrived) else len(times)
-    stamps, times = commands.stamps[:last], times[:last]
+    stamps, times = setpoints.stamps[:last], times[:last]
     told = currents.command_stamps
     before = np.clip(np.searchsorted(stamps, told, side="right") - 1, 0, max(len(stamps) - 2, 0))
     inside = np.zeros(len(told), bool)
@@ -294,7 +315,7 @@ def summary_of(comparison: CurrentComparison) -> Mapping:
             "hash": comparison.plan.hash,
             "duration_s": comparison.plan.trajectory.duration,
         },
-        "setpoints": {
+        "currents": {
             "compared": comparison.compared,
             "other_pace": comparison.other_pace,
             "no_reference": comparison.no_reference,

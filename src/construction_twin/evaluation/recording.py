@@ -165,6 +165,7 @@ class Recording:
             command it executes.
         feedback: One sample per physical sample, with its command stamp.
         command: What the gate let through.
+        setpoints: What the executor played, before the gate and not rounded.
         plans: In order of their start.
         waypoints: Number of waypoints of each recorded plan id.
         links: In order of reception.
@@ -197,6 +198,7 @@ class Recording:
     verdicts: tuple[RecordedVerdict, ...] = ()
     expected: Stream | None = None
     currents: CurrentStream | None = None
+    setpoints: Stream | None = None
 
     def __post_init__(self):
         if not self.joint_names:
@@ -205,7 +207,7 @@ class Recording:
             count = len(getattr(self, name))
             if count < 2:
                 raise ConstructionTwinError(Sentence("view.recording.few", count=count, name=name))
-        for name in ("twin", "physical", "feedback", "command", "expected"):
+        for name in ("twin", "physical", "feedback", "command", "expected", "setpoints"):
             stream = getattr(self, name)
             if stream is not None and stream.positions.shape[1] != len(self.joint_names):
                 raise ConstructionTwinError(

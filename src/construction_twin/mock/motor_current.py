@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 #: INVENTED constants: the torque at each axis that one percent of the most that its amplifier gives makes [N m]. Nobody has
-#: published them of a KR 120; with these the torques of config/kr120_drives.yaml take about 80 %. That a real motor's friction takes
-#: current, too, is not simulated.
+#: published them of a KR 120; with these the torques of config/kr120_drives.yaml take about 80 %. That the friction of a real motor
+#: takes current, too, is not simulated.
 TORQUE_PER_PERCENT = {"A1": 90.0, "A2": 110.0, "A3": 95.0, "A4": 30.0, "A5": 18.0, "A6": 11.0}
 
 

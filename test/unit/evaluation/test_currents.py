@@ -60,14 +60,17 @@ def recorded(*stretches, phase=0.3, currents=currents_at, plan=PLAN, unsteady=()
     elapsed = elapsed[:last]
     stamps = BASE + start_offset + np.arange(last, dtype=np.int64) * CYCLE_NS
     positions = plan.trajectory.sample_many(elapsed)[0]
-    command = Stream(stamps, positions, stamps)
+    setpoints = Stream(stamps, positions, stamps)
+    # as the joint string carries it
+    command = Stream(stamps, np.radians(np.round(np.degrees(positions), 3)), stamps)
     told = stamps[1:] + round(phase * CYCLE_NS)
     values = currents(np.interp(told, stamps, elapsed))
     names = told.copy()
     names[list(unsteady)] = 0
     begins = int(stamps[np.flatnonzero(rates[:last] > 0.0)[0] - 1])
     run = Recording(
-        "/kr120", JOINTS, command, command, command=command, currents=CurrentStream(values, names),
+        "/kr120", JOINTS, command, command, command=command, setpoints=setpoints,
+        currents=CurrentStream(values, names),
         plans=(PlayedPlan(plan.id, begins, plan.trajectory.duration, "finished"),),
     )  # fmt: skip
     return run, elapsed
@@ -136,12 +139,12 @@ def test_a_run_with_pauses_and_speed_limits_is_aligned_all_the_same(stretches, t
 )
 def test_whatever_the_pace_the_place_on_the_plan_is_found(stretches, phase):
     run, truth = recorded(*stretches, phase=phase)
-    found = elapsed_along(TRAJECTORY, run.command)
+    found = elapsed_along(TRAJECTORY, run.setpoints)
     assert np.isfinite(found).all()
     # where the arm moves at all, time is known; where it rests there is none to be known
     moving = np.abs(TRAJECTORY.sample_many(truth)[1]).max(axis=1) > 0.05
     assert np.abs(found - truth)[moving].max() < 1e-6
-    assert np.abs(TRAJECTORY.sample_many(found)[0] - run.command.positions).max() < 1e-5
+    assert np.abs(TRAJECTORY.sample_many(found)[0] - run.setpoints.positions).max() < 1e-7
     reached = compared(recorded()[0], run, any_pace=True)
     assert max(abs(each.largest) for each in reached.axes[1:]) < 0.05
 
@@ -188,9 +191,9 @@ def test_of_several_executions_the_newest_of_a_plan_in_both_is_taken():
     def joined(stream, *fields):
         return [np.concatenate([getattr(getattr(run, stream), field) for run in (first, second)]) for field in fields]
 
-    command = Stream(*joined("command", "stamps", "positions", "received"))
+    command, setpoints = (Stream(*joined(name, "stamps", "positions", "received")) for name in ("command", "setpoints"))
     currents = CurrentStream(*joined("currents", "values", "command_stamps"))
-    streams = {"twin": command, "physical": command, "command": command, "currents": currents}
+    streams = {"twin": command, "physical": command, "command": command, "setpoints": setpoints, "currents": currents}
     both = replace(first, plans=(*first.plans, *second.plans), **streams)
     runs = runs_of("both.bag", both, (PLAN, other))
     assert [run.plan.id for run in runs] == ["p2", "p1"]
@@ -208,6 +211,7 @@ VALUES, NAMED = RUN.currents.values, RUN.currents.command_stamps
         ({"currents": None}, "DEF_MACur"),
         ({"currents": CurrentStream(np.full_like(VALUES, np.nan), NAMED)}, "DEF_MACur"),
         ({"command": None}, "command/joint_states"),
+        ({"setpoints": None}, "next/joint_states"),
         ({"plans": ()}, "execution"),
         ({"currents": CurrentStream(VALUES, np.zeros_like(NAMED))}, "execution"),
         # an execution from before the recording, which a latched topic still tells of
@@ -222,9 +226,9 @@ def test_a_recording_without_what_it_takes_is_refused_by_its_name(change, said):
 
 def test_a_stopped_run_is_compared_as_far_as_it_came():
     run = recorded()[0]
-    half = len(run.command) // 2
-    command = Stream(run.command.stamps[:half], run.command.positions[:half], run.command.received[:half])
-    found = compared(recorded()[0], replace(run, command=command))
+    half = len(run.setpoints) // 2
+    setpoints = Stream(run.setpoints.stamps[:half], run.setpoints.positions[:half], run.setpoints.received[:half])
+    found = compared(recorded()[0], replace(run, setpoints=setpoints))
     assert found.times[-1] < 0.6 * TRAJECTORY.duration and axis(found, "joint_a1").largest == 0.0
 
 
@@ -240,8 +244,8 @@ def test_table_files_and_figure_say_the_same(tmp_path):
     text = io.StringIO()
     render_currents(summary, ("track",), Console(file=text, width=100, highlight=False))
     shown = text.getvalue()
-    assert "not told" in shown and f"{axis(found, 'joint_a2').largest:+.3f}" in shown
-    assert f"{found.compared} compared" in shown and f"{found.other_pace} passed at another pace" in shown
+    assert "not told" in shown and f"{axis(found, 'joint_a2').largest:+.2f}" in shown
+    assert f"{found.compared} compared" in shown and f"{found.other_pace} at another pace" in shown
     figure = current_figure(found)
     figure.savefig(tmp_path / "currents.png")
     assert (tmp_path / "currents.png").stat().st_size > 10_000

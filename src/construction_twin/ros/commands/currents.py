@@ -59,7 +59,7 @@ def _parser() -> argparse.ArgumentParser:
         "currents",
         "Compare the motor currents of a run with those of a reference run of the same plan: a table, a figure, a file per form. "
         "The two are aligned by where the arm was on the plan. Exit code 1 when they cannot be compared.",
-        "a bag with at least twin, physical, physical/current, command/joint_states, plan and execution",
+        "a bag with at least twin, physical, physical/current, next and command/joint_states, plan and execution",
         "_currents",
     )
     parser.add_argument(

@@ -26,6 +26,7 @@ TOPICS = (
     "physical/joint_states",
     "physical/feedback",
     "physical/current",
+    "next/joint_states",
     "command/joint_states",
     "expected/joint_states",
     "sync",
