@@ -1,9 +1,9 @@
 """Compares the motor currents of a run with those of a reference run of the same plan.
 
-The two are aligned by where the arm is on the plan, never by a clock: the executor's setpoints say, one by one, at which time of the
-plan it was, and a current names the command, which has the stamp of its setpoint. So a pause, a hold or a speed limit moves nothing.
-How much current a motion takes depends on its speed: currents of where the two runs were not equally fast are counted and left out,
-as are those within 0.2 s of one. SI; currents in the unit in which the controller tells them.
+The two are aligned by where the arm is on the plan, never by a clock: the executor's setpoints say, one by one, at which time of
+the plan it was, and a current names the command, which has the stamp of its setpoint. So a pause, a hold or a speed limit moves
+nothing. How much current a motion takes depends on its speed: currents of where the two runs were not equally fast are counted and
+left out, as are those within 0.2 s of one. SI; currents in the unit in which the controller tells them.
 """
 
 from __future__ import annotations
@@ -29,10 +29,12 @@ OTHER = 1e-3
 BACK = 2.0
 #: Between two currents of the reference that are further apart on the plan than this, nothing is known of it [s].
 GAP = 5 * CYCLE
+#: So close to the end of a plan the arm has arrived [s].
+ARRIVED = 1e-6
 #: Fewer currents are no comparison, but what two runs of another pace have in common before the arm is fast: 0.2 s.
 LEAST = 50
-#: Most steps of a search for a setpoint, and the length of one that ends it [s].
-STEPS, CLOSE = 12, 1e-12
+#: Most steps of a search for a setpoint, the length of one that ends it [s], and the distance that only rounding makes [rad], [m].
+STEPS, CLOSE, ROUNDING = 12, 1e-12, 1e-14
 
 
 @dataclass(frozen=True)
@@ -246,6 +248,8 @@ def _nearest(trajectory: Trajectory, goal: np.ndarray, at: float, period: float)
     for _ in range(STEPS):
         position, velocity, _ = trajectory.sample(time)
         away, square = goal - position, float(velocity @ velocity)
+        if np.abs(away).max() <= ROUNDING:
+            break
         moved = min(max(time + float(away @ velocity) / square, low), high) if square else time
         if abs(moved - time) < CLOSE:
             break
@@ -267,9 +271,9 @@ def _run(name: str, recording: Recording, plan: Plan, played: PlayedPlan, end: i
     passed = np.zeros(len(times), bool)
     passed[rows] = np.abs(setpoints.positions[rows] - command.positions[others][:, columns]).max(axis=1) <= OTHER
     times[~passed] = np.nan
-    # what follows the first setpoint at its end is rest
-    arrived = np.flatnonzero(times >= plan.trajectory.duration)
-    last = int(arrived[0]) + 1 if len(arrived) else len(times)
+    # the step to its end may be shorter than a cycle, which is no other pace; what follows is rest
+    arrived = np.flatnonzero(times >= plan.trajectory.duration - ARRIVED)
+    last = int(arrived[0]) if len(arrived) else len(times)
     stamps, times = setpoints.stamps[:last], times[:last]
     told = currents.command_stamps
     before = np.clip(np.searchsorted(stamps, told, side="right") - 1, 0, max(len(stamps) - 2, 0))
@@ -279,8 +283,10 @@ def _run(name: str, recording: Recording, plan: Plan, played: PlayedPlan, end: i
     before = before[inside]
     period, step = np.diff(stamps)[before], np.diff(times)[before]
     fraction = (told[inside] - stamps[before]) / period
-    # of an arm that does not move as commanded a current comes between two that name commands
-    first, past = (int(np.flatnonzero(inside)[edge]) if inside.any() else 0 for edge in (0, -1))
+    # what names no command is of this execution from its first current on, until one names a later command
+    first = int(np.argmax(inside)) if inside.any() else len(told)
+    later = np.flatnonzero(told[first:] > stamps[-1])
+    past = first + int(later[0]) if len(later) else len(told)
     return CurrentRun(
         name, plan, times[before] + fraction * step, step * NANOSECONDS / period, told[inside],
         currents.values[inside][:, columns], int(np.count_nonzero(told[first:past] == 0)),
