@@ -20,7 +20,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import ConstructionTwinError, FileError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
 from construction_twin.core.units import NANOSECONDS
@@ -81,7 +81,9 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
     try:
         with Reader(path) as reader:
             yield PureBag(reader)
-    except (*_DAMAGED, OSError) as error:
+    except OSError as error:
+        raise FileError(str(path), error) from error
+    except _DAMAGED as error:
         if "not indexed" in str(error):
             raise ConstructionTwinError(Sentence("view.bag.unclosed", path=str(path))) from error
         raise ConstructionTwinError(Sentence("view.bag.unreadable", path=str(path), problem=str(error))) from error
