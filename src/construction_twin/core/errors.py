@@ -59,6 +59,8 @@ class FileError(ConstructionTwinError):
         super().__init__(Sentence(key or "view.file.other", **found))
 
 
+#: What opening a file raises that is not there, or may not be read: nothing is known of its contents.
+NOT_OPENED = (FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError)
 #: What to say of the problems with files that a person can do something about.
 _FILE_PROBLEMS = {
     errno.ENOENT: "view.file.missing",
