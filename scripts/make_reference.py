@@ -110,6 +110,7 @@ COMMANDS: list[tuple[str, str, list[str]]] = [
     ("ik_report", "nodes/ik_report", []),
     ("rehearse", "nodes/rehearse", []),
     ("identify", "nodes/identify", []),
+    ("currents", "nodes/currents", []),
     ("new_arm", "nodes/new_arm", []),
     ("self_collision", "nodes/self_collision", []),
     ("srdf", "nodes/srdf", []),

@@ -16,6 +16,7 @@ import numpy as np
 import rospy
 import rostest
 from construction_twin.msg import (
+    AxisCurrent,
     AxisTorque,
     Engagement,
     PlanCaller,
@@ -52,6 +53,7 @@ HEARD_BY = {
     "physical/joint_states": {"virtual_robot"},
     # the monitor hears it where it watches torques
     "physical/torque": set(),
+    "physical/current": set(),
     "next/joint_states": {"pca_monitor"},
     "command/joint_states": {"virtual_robot", "mqtt_bridge"},
     "plan": {"pca_monitor", "executor"},
@@ -81,6 +83,7 @@ MADE = {
     "tool_command": ToolCommand(verb=ToolCommand.VOID),
     "tool": ToolState(),
     "physical/torque": AxisTorque(),
+    "physical/current": AxisCurrent(),
     "engagement": Engagement(),
     "plan_caller": PlanCaller(),
     "session_request": SessionRequest(),

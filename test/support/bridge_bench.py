@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from gateway_cell import CONFIG, RUN, START
 from unplugged import ask
 
+from construction_twin.core.axis_quantities import QUANTITIES
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.states import LinkState
 from construction_twin.mqtt.client import Broker
@@ -97,7 +98,8 @@ class BridgeBench:
     def __init__(self, clocks, diagnostics=Refusals, properties=True, kind="rsi", **options):
         self.clocks = clocks
         self.client = Client()
-        self.physical, self.links, self.tools, self.asked, self.torques = (Published() for _ in range(5))
+        self.physical, self.links, self.tools, self.asked = (Published() for _ in range(4))
+        self.told = {quantity: Published() for quantity in QUANTITIES}
         settings = Settings(
             host="127.0.0.1",
             port=1,
@@ -113,7 +115,7 @@ class BridgeBench:
 
         self._codec, self._states = codec, 0
         self._made = diagnostics(lambda: self.bridge.report())
-        outputs = Outputs(self.physical, Published(), self.links, self.tools, self.asked, self.torques)
+        outputs = Outputs(self.physical, Published(), self.links, self.tools, self.asked, self.told)
         self.bridge = MqttBridge(
             settings, "arm", config, codec, Broker("127.0.0.1", 1), self.client, outputs, self._made, **options
         )

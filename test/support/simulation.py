@@ -13,15 +13,17 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from construction_twin.core.axis_quantities import CURRENT, AxisQuantity
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.evaluation.recording import FeedbackStream, PlayedPlan, Recording, Stream
+from construction_twin.evaluation.recording import CurrentStream, FeedbackStream, PlayedPlan, Recording, Stream
 from construction_twin.execution.approval import Approval
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.executor import Executor, ExecutorState
@@ -36,7 +38,7 @@ from construction_twin.mock.impaired_line import ImpairedLine
 from construction_twin.monitor.gate import REPLAN, Gate, GateSettings, WatchedArm
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, StateProperties, read_torques
+from construction_twin.mqtt.messages import CommandProperties, StateProperties, read_report
 from construction_twin.review.plan_under_review import Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
@@ -120,6 +122,11 @@ class SimulatedChain:
         self.corrections: list[tuple[int, tuple[float, ...]]] = []
         self.twin_poses: list[tuple[int, tuple[float, ...]]] = []
         self.feedback: list[tuple[int, tuple[float, ...], int, int]] = []
+        #: What the executor played, and what the gate let through of it.
+        self.setpoints: list[tuple[int, tuple[float, ...]]] = []
+        self.commands: list[tuple[int, tuple[float, ...]]] = []
+        #: The same as `feedback` of the motors' currents, in the joints' sense.
+        self.currents: list[tuple[int, list[float], int, int]] = []
         #: Where the gate expected the servos to have the arm [rad].
         self.expected: list[tuple[int, tuple[float, ...]]] = []
         #: Where the arm really was at the beginning of each of the controller's cycles [rad].
@@ -203,8 +210,17 @@ class SimulatedChain:
             physical=Stream(received, measured, received),
             feedback=FeedbackStream(received, measured, received, seq, command_stamps),
             plans=played,
+            command=_stream(self.commands),
+            setpoints=_stream(self.setpoints),
             expected=self._expected(),
+            currents=self._currents(),
         )
+
+    def _currents(self) -> CurrentStream | None:
+        if not self.currents:
+            return None
+        _, values, _, command_stamps = zip(*self.currents)
+        return CurrentStream(np.array(values), np.array(command_stamps))
 
     def _expected(self) -> Stream | None:
         if not self.expected:
@@ -230,8 +246,12 @@ class SimulatedChain:
         theta_next = self.executor.step(stamp, stamp)
         for order in self.executor.take_orders():
             self._at(stamp + self._link.command_delay(), lambda order=order: self._switch(order))
+        if theta_next is not None:
+            self.setpoints.append((stamp, theta_next))
         command = None if theta_next is None else gate.pass_next(stamp, theta_next, stamp)
         self._note_transitions()
+        if command is not None:
+            self.commands.append((stamp, command))
         if command is not None and self.twin.execute(stamp, command):
             self._send(stamp, command)
         if self.twin.pose is not None:
@@ -313,8 +333,8 @@ class SimulatedChain:
         tool = self.gateway.tool
         if tool is not None and self._reader.tool is not None:
             tool.note(self._reader.tool(packet))
-        if self._reader.torques is not None:
-            self.gateway.note_torques(self._reader.torques(packet))
+        for quantity, read in self._reader.told.items():
+            self.gateway.note_told(quantity, read(packet))
         correction = self.gateway.on_telegram(telegram, "controller", self.now)
         if correction is not None:
             self.corrections.append((telegram.controller_ms, correction))
@@ -331,9 +351,8 @@ class SimulatedChain:
         if message is not None:
             arrival = self.now + self._link.state_delay()
             self._at(arrival, lambda: self._receive(*message))
-            torques = self.gateway.torque_message(message[1])
-            if torques is not None:
-                self._at(arrival, lambda: self._receive_torques(torques))
+            for quantity, told in self.gateway.told_messages(message[1]):
+                self._at(arrival, partial(self._receive_told, quantity, told))
 
     def _take_reply(self, reply: bytes) -> None:
         self.controller.receive(reply, self.now <= self._ends)
@@ -377,10 +396,13 @@ class SimulatedChain:
         self._note_transitions()
         self.feedback.append((self.now, q, properties.seq, properties.command_stamp))
 
-    def _receive_torques(self, payload: bytes) -> None:
-        report = read_torques(payload, len(self.robot.axes))
-        torques = [axis.sign * torque for axis, torque in zip(self.robot.axes, report.torques)]
-        self.gate.on_torques(torques, report.command_stamp, self.now)
+    def _receive_told(self, quantity: AxisQuantity, payload: bytes) -> None:
+        report = read_report(quantity, payload, len(self.robot.axes))
+        values = [axis.sign * value for axis, value in zip(self.robot.axes, report.values)]
+        if quantity is CURRENT:
+            self.currents.append((self.now, values, report.seq, report.command_stamp))
+            return
+        self.gate.on_torques(values, report.command_stamp, self.now)
         self._note_transitions()
 
     def _supervise(self) -> None:
@@ -408,3 +430,10 @@ class SimulatedChain:
         else:
             self.twin.end_mirror()
         self.executor.on_link(self.supervisor.state is LinkState.ARMED, self.supervisor.reason)
+
+
+def _stream(samples: list[tuple[int, tuple[float, ...]]]) -> Stream | None:
+    if not samples:
+        return None
+    stamps, poses = map(np.array, zip(*samples))
+    return Stream(stamps, poses, stamps)

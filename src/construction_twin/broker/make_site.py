@@ -31,7 +31,7 @@ from construction_twin.broker.access import (
 from construction_twin.broker.certificates import Authority, expiry, make_folder, run_tool, write_private
 from construction_twin.broker.console_files import ConsoleFiles
 from construction_twin.core.camera_address import CameraAddress, camera_of, cameras_of
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
 
@@ -413,11 +413,8 @@ def main(argv: list[str] | None = None) -> int:
         site = _site(arguments, folder.load())
         lines = folder.make(site, arguments.days, arguments.renew, arguments.replace, arguments.renew_ca)
         lines += folder.expiries()
-    except ConstructionTwinError as error:
-        print(f"make_site: {error}")
-        return 1
-    except OSError as error:
-        print(f"make_site: {error.filename}: {error.strerror}")
+    except (ConstructionTwinError, OSError) as error:
+        print(f"make_site: {spoken(error)}")
         return 1
     print("\n".join(lines))
     print(f"broker: {arguments.folder / 'broker/mosquitto.conf'} expects its files in {site.folder}")

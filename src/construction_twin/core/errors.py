@@ -8,6 +8,8 @@ Standard library only: the gateway on the cell PC imports it.
 
 from __future__ import annotations
 
+import errno
+
 from construction_twin.core.sentences import Quantity, Sentence
 
 
@@ -38,6 +40,50 @@ class ConfigurationError(ConstructionTwinError):
     def __init__(self, where: str, value: object, expected: str):
         self.where, self.value, self.expected = where, value, expected
         super().__init__(found_and_expected(where, value, expected))
+
+
+class FileError(ConstructionTwinError):
+    """A file cannot be read or written; says why, and what to do.
+
+    Attributes:
+        path: Of the file; "" where the system did not say.
+    """
+
+    def __init__(self, path: str, error: OSError | UnicodeDecodeError):
+        self.path = path
+        if isinstance(error, UnicodeDecodeError):
+            super().__init__(Sentence("view.file.no_text", path=path, position=error.start))
+            return
+        key = _FILE_PROBLEMS.get(error.errno or 0)
+        found = {"path": path or str(error)} if key else {"path": path, "problem": problem_of(error)}
+        super().__init__(Sentence(key or "view.file.other", **found))
+
+
+#: What opening a file raises that is not there, or may not be read: nothing is known of its contents.
+NOT_OPENED = (FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError)
+#: What to say of the problems with files that a person can do something about.
+_FILE_PROBLEMS = {
+    errno.ENOENT: "view.file.missing",
+    errno.ENOTDIR: "view.file.missing",
+    errno.EISDIR: "view.file.folder",
+    errno.EACCES: "view.file.denied",
+    errno.EPERM: "view.file.denied",
+    errno.EROFS: "view.file.denied",
+    errno.ENOSPC: "view.file.full",
+}
+
+
+def problem_of(error: Exception) -> str:
+    """Return what went wrong as the system says it, without the number and file name of an OSError."""
+    return getattr(error, "strerror", None) or str(error)
+
+
+def spoken(error: Exception) -> str:
+    """Return an error as a command says it: that of a file as `FileError`, any other as it is."""
+    if isinstance(error, OSError):
+        # two names: of a file that was renamed, or linked
+        return str(FileError(" -> ".join(str(name) for name in (error.filename, error.filename2) if name), error))
+    return str(error)
 
 
 class ReviewError(ConstructionTwinError):

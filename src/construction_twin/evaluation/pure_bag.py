@@ -20,7 +20,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import NOT_OPENED, ConstructionTwinError, FileError, problem_of
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
 from construction_twin.core.units import NANOSECONDS
@@ -79,12 +79,18 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
         ConstructionTwinError: If the file cannot be read as a bag, also if that shows while it is read.
     """
     try:
+        # rosbags says of a file that is not there that it is damaged
+        Path(path).open("rb").close()
         with Reader(path) as reader:
             yield PureBag(reader)
+    except NOT_OPENED as error:
+        raise FileError(str(path), error) from error
     except (*_DAMAGED, OSError) as error:
         if "not indexed" in str(error):
             raise ConstructionTwinError(Sentence("view.bag.unclosed", path=str(path))) from error
-        raise ConstructionTwinError(Sentence("view.bag.unreadable", path=str(path), problem=str(error))) from error
+        raise ConstructionTwinError(
+            Sentence("view.bag.unreadable", path=str(path), problem=problem_of(error))
+        ) from error
 
 
 @cache

@@ -14,6 +14,7 @@ from functools import lru_cache
 
 from construction_twin.controller.port import ControllerStatus
 from construction_twin.controller.telegram import Telegram
+from construction_twin.core.axis_quantities import AxisQuantity
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
 from construction_twin.core.pace import STEADY
@@ -40,10 +41,10 @@ from construction_twin.mqtt.interventions import Intervention
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
     PROTOCOL,
+    AxisReport,
     CommandProperties,
     Control,
     StateProperties,
-    TorqueReport,
     is_session,
     other_protocol,
     protocol_of,
@@ -136,8 +137,8 @@ class Gateway:
         self._ending = False
         #: What the controller says of itself, where its telegrams tell.
         self._status: ControllerStatus = config.make.no_status
-        #: What the axes give, as the newest telegram tells [N m]; None: it does not.
-        self._torques: tuple[float, ...] | None = None
+        #: What the newest telegram tells of the axes.
+        self._told: dict[AxisQuantity, tuple[float, ...]] = {}
         #: For how long the arm has been told exactly what was commanded, at its own speed [ns].
         self._steady = 0
         self._machine = Machine(
@@ -241,7 +242,7 @@ class Gateway:
             position = self._move_in_parts(follower, elapsed)
         else:
             position = self._move(follower, elapsed)
-        if self._torques is not None:
+        if self._told:
             self._note_steadiness(follower, taken.elapsed, lost)
         if self.tool is not None and machine.state is State.FOLLOWING and player.braking is None:
             self.tool.play(player.stamp)
@@ -257,11 +258,13 @@ class Gateway:
         if unreadable:
             self.counters["status_channels_unreadable"] += unreadable
 
-    def note_torques(self, torques: tuple[float, ...] | None) -> None:
-        """Take what a telegram tells of the torques of the axes [N m]; None: it cannot be read. It changes no answer."""
-        self._torques = torques
-        if torques is None:
-            self.counters["torque_channels_unreadable"] += 1
+    def note_told(self, quantity: AxisQuantity, values: tuple[float, ...] | None) -> None:
+        """Take what a telegram tells of a quantity of the axes; None: it cannot be read. It changes no answer."""
+        if values is not None:
+            self._told[quantity] = values
+            return
+        self._told.pop(quantity, None)
+        self.counters[f"{quantity.name}_channels_unreadable"] += 1
 
     @property
     def kept(self) -> tuple[float, ...]:
@@ -358,18 +361,19 @@ class Gateway:
         """
         return self._states.message(self._controller.measured, self._command_stamp, stamp)
 
-    def torque_message(self, beside: StateProperties) -> bytes | None:
-        """Return the torques that go with a state as the payload of `torque`; None where the newest telegram tells none.
+    def told_messages(self, beside: StateProperties) -> list[tuple[AxisQuantity, bytes]]:
+        """Return each quantity that goes with a state and its message's payload: of those that the newest telegram tells.
 
         They name a command only where the arm's motion is that of the commands: not for a moment after a reply that was lost, while
         it brakes or catches up, or where a speed limit stretches the motion.
         """
-        torques, self._torques = self._torques, None
-        if torques is None:
-            return None
+        if not self._told:
+            return []
         if self._steady < STEADY:
             beside = replace(beside, command_stamp=0)
-        return TorqueReport.of(beside, torques).to_json()
+        messages = [(quantity, AxisReport.of(beside, told).to_json(quantity)) for quantity, told in self._told.items()]
+        self._told.clear()
+        return messages
 
     def _note_steadiness(self, follower: Follower, elapsed: int, lost: bool) -> None:
         """Take note of whether the reply that is being given moves the arm exactly as it was commanded."""

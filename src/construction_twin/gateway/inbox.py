@@ -51,7 +51,12 @@ class TelegramInbox:
         self._clock = clock
         self._controller = controller
         reader = gateway.config.make.reader(gateway.config)
-        self._parse, self._status, self._tool, self._torques = reader.parse, reader.status, reader.tool, reader.torques
+        self._parse, self._status, self._tool, self._told = (
+            reader.parse,
+            reader.status,
+            reader.tool,
+            reader.told.items(),
+        )
         self._timeout_ms = round(gateway.config.timeout * 1000)
 
     def newest(self) -> Arrival | None:
@@ -86,8 +91,8 @@ class TelegramInbox:
             newest = Arrival(telegram, source, arrived)
             if self._tool is not None and self._gateway.tool is not None:
                 self._gateway.tool.note(self._tool(data))
-            if self._torques is not None:
-                self._gateway.note_torques(self._torques(data))
+            for quantity, read in self._told:
+                self._gateway.note_told(quantity, read(data))
         return newest
 
     def _read(self, data: bytes, source: tuple) -> Telegram | None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import partialmethod
 from typing import Any
 
+from construction_twin.core.axis_quantities import AxisQuantity
 from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.core.records import SPACED, dumped, left_out
 from construction_twin.core.sentences import Sentence
@@ -47,8 +48,6 @@ GATEWAY_KINDS = (RSI, PLC)
 #: Number of what gateway and bridge say to each other on `status` and `control`. It rises when one side must know something that
 #: the other one did not say before; both sides must have the same. What names none is of 0.1.0, which had none.
 PROTOCOL, FIRST_PROTOCOL = 2, 1
-#: More than this no axis gives [N m], [N]: it is another quantity.
-_MOST_TORQUE = 1e6
 #: Control messages are short; anything longer is not one.
 MAX_CONTROL_BYTES = 2048
 
@@ -84,11 +83,15 @@ class Topics:
         """Where they are answered."""
         return self._topic(kind.ack.format(account))
 
+    def told(self, quantity: AxisQuantity) -> str:
+        """Where a quantity of the axes is told beside the joint strings, where the controller tells it.
+
+        A topic of its own: a bridge that does not know it takes the states as ever.
+        """
+        return self._topic(quantity.name)
+
     #: Joint strings to the arm, and from it.
     command, state = _level("command"), _level("state")
-    #: The torques that the arm's axes give, beside its joint strings, where the controller tells them. A topic of its own: a bridge
-    #: that does not know it takes the states as ever.
-    torque = _level("torque")
     #: Retained: the gateway's status, and the bridge's.
     status, bridge_status = _level("status"), _level("bridge/status")
     #: Verbs to the gateway, and its answers.
@@ -140,58 +143,56 @@ class StateProperties:
 
 
 @dataclass(frozen=True)
-class TorqueReport:
-    """A message on `torque`: what the axes gave in the cycle that a state ends.
+class AxisReport:
+    """A message with a quantity of the axes: what it was in the cycle that a state ends.
 
     Attributes:
         seq, stamp, command_stamp: Of that state, see `StateProperties`.
-        torque_nm: Per axis [N m]; None (in JSON null) for one that the controller does not tell.
+        values: Per axis, in the unit of the quantity's key; nan (in JSON null) for one that the controller does not tell.
     """
 
     seq: int
     stamp: int
     command_stamp: int
-    torque_nm: tuple[float | None, ...]
+    values: tuple[float, ...]
 
     @classmethod
-    def of(cls, beside: StateProperties, torques: Sequence[float]) -> TorqueReport:
-        """Return the report of torques that go with a state; nan for one that is not told."""
-        told = tuple(None if math.isnan(torque) else torque for torque in torques)
-        return cls(beside.seq, beside.stamp, beside.command_stamp, told)
+    def of(cls, beside: StateProperties, values: Sequence[float]) -> AxisReport:
+        """Return the report of what goes with a state."""
+        return cls(beside.seq, beside.stamp, beside.command_stamp, tuple(values))
 
-    def to_json(self) -> bytes:
-        """Return the message's payload; torques with 3 decimals."""
-        return dumped(self, places=3)
-
-    @property
-    def torques(self) -> tuple[float, ...]:
-        """Per axis [N m]; nan for one that is not told."""
-        return tuple(math.nan if torque is None else torque for torque in self.torque_nm)
+    def to_json(self, quantity: AxisQuantity) -> bytes:
+        """Return the message's payload; values with 3 decimals."""
+        told = [None if math.isnan(value) else value for value in self.values]
+        document = {"seq": self.seq, "stamp": self.stamp, "command_stamp": self.command_stamp, quantity.key: told}
+        return dumped(document, places=3)
 
 
-def read_torques(payload: bytes, count: int) -> TorqueReport:
-    """Parse a message on `torque` of an arm with `count` axes; PayloadError (``torque``) when it is not one."""
-    document = parse_object(payload, "torque")
-    keys = ("seq", "stamp", "command_stamp", "torque_nm")
+def read_report(quantity: AxisQuantity, payload: bytes, count: int) -> AxisReport:
+    """Parse a message with a quantity of an arm with `count` axes; PayloadError (with its name) when it is not one."""
+    document = parse_object(payload, quantity.name)
+    keys = ("seq", "stamp", "command_stamp", quantity.key)
     if set(document) != set(keys):
-        raise PayloadError("torque", Sentence("link.payload.torque_keys", found=shown_keys(document)))
+        found = Sentence("link.payload.axis_keys", what=quantity.name, key=quantity.key, found=shown_keys(document))
+        raise PayloadError(quantity.name, found)
     for key in keys[:3]:
         if type(document[key]) is not int or not 0 <= document[key] <= _MAX_NUMBER:
             shown = repr(document[key])[:32]
             raise PayloadError(
-                "torque", Sentence("link.payload.property_number", name=key, found=shown, most=_MAX_NUMBER)
+                quantity.name, Sentence("link.payload.property_number", name=key, found=shown, most=_MAX_NUMBER)
             )
-    told = document["torque_nm"]
-    if not isinstance(told, list) or len(told) != count or not all(map(_is_torque, told)):
-        raise PayloadError("torque", Sentence("link.payload.torque_values", count=count, most=_MOST_TORQUE))
-    torques = tuple(None if torque is None else float(torque) for torque in told)
-    return TorqueReport(document["seq"], document["stamp"], document["command_stamp"], torques)
+    told = document[quantity.key]
+    if not isinstance(told, list) or len(told) != count or not all(_can_be(value, quantity.most) for value in told):
+        wanted = Sentence("link.payload.axis_values", key=quantity.key, count=count, most=quantity.most)
+        raise PayloadError(quantity.name, wanted)
+    values = tuple(math.nan if value is None else float(value) for value in told)
+    return AxisReport(document["seq"], document["stamp"], document["command_stamp"], values)
 
 
-def _is_torque(value: object) -> bool:
+def _can_be(value: object, most: float) -> bool:
     # a truth value is an int, too; what is no number is not between the bounds
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return value is None or (is_number and -_MOST_TORQUE <= value <= _MOST_TORQUE)  # type: ignore[operator]
+    return value is None or (is_number and -most <= value <= most)  # type: ignore[operator]
 
 
 def _read(pairs: list[tuple[str, str]], names: tuple[str, ...]) -> dict[str, str]:

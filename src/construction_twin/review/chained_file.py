@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, problem_of
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 
@@ -66,7 +66,7 @@ def read_whole(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise ConfigurationError(str(path), str(error), Sentence("expected.readable")) from error
+        raise ConfigurationError(str(path), problem_of(error), Sentence("expected.readable")) from error
 
 
 class ChainedFile:
@@ -165,7 +165,7 @@ def _open(path: Path, writer: str) -> int:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
     except OSError as error:
-        raise ConfigurationError(str(path), str(error), Sentence("expected.writable")) from error
+        raise ConfigurationError(str(path), problem_of(error), Sentence("expected.writable")) from error
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:

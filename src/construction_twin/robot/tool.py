@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import pydantic
 import yaml
 
-from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.errors import ConfigurationError, problem_of
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import configuration_error
 from construction_twin.robot.segments import Signal, Switch
@@ -168,7 +168,7 @@ def read_tool(path: str | Path) -> ToolFile:
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(str(path), str(error), Sentence("expected.tool.file")) from error
+        raise ConfigurationError(str(path), problem_of(error), Sentence("expected.tool.file")) from error
     return ToolFile(tool_of(description, str(path)), Path(path).resolve().parent)
 
 
@@ -179,7 +179,7 @@ def tool_hash(path: str | Path) -> str:
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
     except OSError as error:
-        raise ConfigurationError(str(path), str(error), Sentence("expected.tool.file")) from error
+        raise ConfigurationError(str(path), problem_of(error), Sentence("expected.tool.file")) from error
 
 
 def tool_of(description: object, where: str) -> Tool:

@@ -18,7 +18,7 @@ from urdf_parser_py.urdf import URDF, Joint
 from urdf_parser_py.xml_reflection.core import ParseError
 from xacro.substitution_args import ArgException
 
-from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.errors import ConfigurationError, problem_of
 from construction_twin.core.sentences import Sentence
 from construction_twin.robot.packages import Packages
 
@@ -188,6 +188,4 @@ def read_text(path: str | Path) -> str:
     try:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(
-            str(path), getattr(error, "strerror", None) or str(error), Sentence("expected.text_file")
-        ) from error
+        raise ConfigurationError(str(path), problem_of(error), Sentence("expected.text_file")) from error

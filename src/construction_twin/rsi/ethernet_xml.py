@@ -31,7 +31,7 @@ MAX_BYTES = 256 * 1024
 #: INTERNAL elements of SEND that gateway and mock know, with their TYPE (docs/rsi.md, section 2).
 INTERNAL = {
     "DEF_RIst": "DOUBLE", "DEF_RSol": "DOUBLE", "DEF_AIPos": "DOUBLE", "DEF_ASPos": "DOUBLE", "DEF_EIPos": "DOUBLE",
-    "DEF_ESPos": "DOUBLE", "DEF_Delay": "LONG",
+    "DEF_ESPos": "DOUBLE", "DEF_MACur": "DOUBLE", "DEF_Delay": "LONG",
 }  # fmt: skip
 TYPES = ("BOOL", "STRING", "LONG", "DOUBLE")
 

@@ -16,7 +16,9 @@ from construction_twin.controller.port import (
     Setup,
     Words,
 )
+from construction_twin.core.axis_quantities import QUANTITIES, AxisQuantity
 from construction_twin.core.sentences import Sentence
+from construction_twin.rsi.axis_channels import AxisReader, quantity_of, told_axes
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 from construction_twin.rsi.ethernet_xml import (
     check_axes,
@@ -33,7 +35,6 @@ from construction_twin.rsi.session import RsiSessionRules
 from construction_twin.rsi.status_channels import RsiStatus, StatusReader, status_channels
 from construction_twin.rsi.tool_channels import IN, OUT, ToolReader, is_signal
 from construction_twin.rsi.tool_check import check_tool
-from construction_twin.rsi.torque_channels import TorqueReader, is_torque, torque_axes
 
 #: Cycles that RSI has [ms], and their names in KRL (docs/rsi.md, section 1).
 CYCLES = {4: "#IPO_FAST", 12: "#IPO"}
@@ -58,12 +59,16 @@ def check(setup: Setup[RsiLayout]) -> None:
 def reader(setup: Setup[RsiLayout]) -> Reader:
     """Return what reads the telegrams of one configuration."""
     channels, tool = status_channels(setup.layout.send), setup.tool
-    torques = [axis for axis in torque_axes(setup.layout.send) if axis in setup.axes]
+    told = {quantity: told_axes(quantity, setup.layout.send) for quantity in QUANTITIES}
     return Reader(
         RobotDecoder(setup.axes, setup.units).parse,
         StatusReader(channels).read if channels else None,
         ToolReader([output.name for output in tool.outputs], tool.inputs).read if tool else None,
-        TorqueReader(setup.axes, torques).read if torques else None,
+        {
+            quantity: AxisReader(quantity, setup.axes, axes).read
+            for quantity, axes in told.items()
+            if any(axis in setup.axes for axis in axes)
+        },
     )
 
 
@@ -95,20 +100,22 @@ def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
     layout = config.layout
     # what is not told is left out: an element of zeros would say something else
     encoders = {
-        (hides, weighs): RobotEncoder(
+        (hides, tells): RobotEncoder(
             config.axes,
             config.precision,
             tuple(
                 tag
                 for tag in layout.send
-                if not (hides and tag.startswith(f"{OUT}.")) and (weighs or not is_torque(tag))
+                if not (hides and tag.startswith(f"{OUT}.")) and (tells or quantity_of(tag) is None)
             ),
             config.units,
         )
         for hides in (False, True)
-        for weighs in (False, True)
+        for tells in (False, True)
     }
-    rich = bool(status_channels(layout.send)) or any(is_signal(tag) or is_torque(tag) for tag in layout.send)
+    rich = bool(status_channels(layout.send)) or any(
+        is_signal(tag) or quantity_of(tag) is not None for tag in layout.send
+    )
 
     def encode(
         ipoc: int,
@@ -120,15 +127,15 @@ def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
         shown: MockStatus,
         outputs: Mapping[str, bool] | None,
         inputs: Mapping[str, bool],
-        torques: Sequence[float] = (),
+        told: Mapping[AxisQuantity, Sequence[float]],
     ) -> bytes:
         values = ipoc, measured, setpoint, measured_pose, setpoint_pose, delay
-        encoder = encoders[outputs is None, bool(torques)]
+        encoder = encoders[outputs is None, bool(told)]
         if not rich:
             return encoder.encode(*values)
         status, signals = status_of(shown), {f"{IN}.{name}": value for name, value in inputs.items()}
         signals |= {f"{OUT}.{name}": value for name, value in (outputs or {}).items()}
-        return encoder.encode(*values, status, signals, torques)
+        return encoder.encode(*values, status, signals, told)
 
     decode = None
     if layout.answered:

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import pydantic
 import yaml
 
+from construction_twin.core.errors import problem_of
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import wrong_value
@@ -78,7 +79,7 @@ def read_scene(path: str | Path) -> Scene:
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise SceneError(str(path), str(error), Sentence("expected.scene.yaml")) from error
+        raise SceneError(str(path), problem_of(error), Sentence("expected.scene.yaml")) from error
     if not isinstance(description, dict):
         raise SceneError(str(path), description, Sentence("expected.scene.mapping"))
     return load_scene(description, Path(path).parent)

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import pydantic
 import yaml
 
-from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.errors import ConfigurationError, problem_of
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import wrong_value
 
@@ -59,7 +59,7 @@ def read_pairs_yaml(path: str | Path) -> dict:
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(str(path), str(error), Sentence("expected.self_collision.yaml")) from error
+        raise ConfigurationError(str(path), problem_of(error), Sentence("expected.self_collision.yaml")) from error
     if not isinstance(description, dict):
         raise ConfigurationError(str(path), description, Sentence("expected.self_collision.mapping"))
     return description

@@ -164,7 +164,7 @@ def write_bag(path, topic=None, message=None):
 
 def test_bags_that_cannot_be_used_say_why(read_recording, tmp_path):
     path = tmp_path / "x.bag"
-    with pytest.raises(ConstructionTwinError, check=says("view.bag.unreadable")):
+    with pytest.raises(ConstructionTwinError, check=says("view.file.missing")):
         read_recording(path)
     path.write_text("not a bag")
     with pytest.raises(ConstructionTwinError, check=says("view.bag.unreadable")):

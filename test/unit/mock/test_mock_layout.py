@@ -206,8 +206,8 @@ def test_without_port_and_file_nobody_knows_where_to_send():
 
 
 def test_a_block_that_the_mock_cannot_send_is_refused(robot):
-    text = FILE.read_text().replace("DEF_RSol", "DEF_MACur")
-    with pytest.raises(ConfigurationError, match="MACur"):
+    text = FILE.read_text().replace("DEF_RSol", "DEF_MECur")
+    with pytest.raises(ConfigurationError, match="MECur"):
         build_controller(MockSettings(gateway_host="a", ethernet_xml=text), robot)
 
 

@@ -75,14 +75,14 @@ class TestFiles:
         rules = (site / "broker/access.acl").read_text()
         make_site([str(site), "--broker-folder", str(site / "broker")])
         assert len(before) >= 10 and {path: path.read_bytes() for path in kept} == before
-        # torques, the path of what is played, the robot's messages and cameras, and what people may be given the right to, are new
+        # torques, currents, the path of what is played, messages and cameras, and what people may be given the right to, are new
         made = (site / "broker/access.acl").read_text().splitlines()
         given = ("reset", "arm", "answer", "acknowledge", "speed", "override_rehearsal")
         asked = [f"topic read twin/kr120/{verb}/+" for verb in given]
         answered = [f"topic write twin/kr120/{verb}/ack" for verb in given]
         kept_ones = [f"topic readwrite twin/kr120/{topic}" for topic in ("rehearsal", "path", "messages", "camera/+")]
-        torques = ["topic write twin/kr120/torque", "topic read twin/kr120/torque"]
-        new = [*kept_ones, *torques, *asked, *answered]
+        told = [f"topic {right} twin/kr120/{name}" for right in ("write", "read") for name in ("torque", "current")]
+        new = [*kept_ones, *told, *asked, *answered]
         kept = [line for line in made if line not in new and not line.startswith("#")]
         assert kept == [line for line in rules.splitlines() if not line.startswith("#")] and set(new) <= set(made)
         assert "connection_messages false" in (site / "broker/mosquitto.conf").read_text()

@@ -107,6 +107,17 @@ def test_what_cannot_be_rehearsed_ends_with_2_and_one_sentence(plan, options, ca
     assert said.err.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("none.csv", "is not there; check the name"), ("none.bag", "is not there; check the name"), ("", "is a folder; name a file"),
+     ("bytes.csv", "is no text in UTF-8 from byte 3 on")],
+)  # fmt: skip
+def test_a_file_that_cannot_be_read_is_named_without_the_numbers_of_the_system(tmp_path, capsys, name, said):
+    (tmp_path / "bytes.csv").write_bytes(b"t,a\xff\n")
+    assert main([str(tmp_path / name)]) == BROKEN
+    assert capsys.readouterr().err.startswith(f"rehearse: {tmp_path / name} {said}")
+
+
 @pytest.mark.parametrize("text", ["", "1,2,3\n", f"{NAMES}\n0,0,0,0,0,0,9999\n1,0,0,0,0,0,0\n"])
 def test_a_file_that_is_no_plan_ends_with_2(plan, text, capsys):
     plan.write_text(text)

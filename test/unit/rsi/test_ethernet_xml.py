@@ -135,7 +135,7 @@ def test_with_onlysend_no_corrections_are_needed():
     [
         ('TAG="DEF_AIPos"', 'TAG="DEF_MACur"', "SEND DEF_AIPos", "the measured axes"),
         ('TAG="DEF_ASPos"', 'TAG="DEF_MACur"', "SEND DEF_ASPos", "relative to"),
-        ('TAG="DEF_Delay" TYPE="LONG"', 'TAG="DEF_MACur" TYPE="LONG"', "SEND DEF_Delay", "would be a step"),
+        ('TAG="DEF_Delay" TYPE="LONG"', 'TAG="DEF_MECur" TYPE="LONG"', "SEND DEF_Delay", "would be a step"),
         ('TAG="AK.A4"', 'TAG="AK.E4"', "RECEIVE AK.E4", "the robot's axes A1, A2"),
         ('<ELEMENT TAG="AK.A4" TYPE="DOUBLE" INDX="5" HOLDON="1"/>', "", "RECEIVE AK.A4", "a correction channel for A4"),
         ('TAG="AK.A4"', 'TAG="AKorr.A4"', "RECEIVE AKorr", "one element for all of A1 to A6"),

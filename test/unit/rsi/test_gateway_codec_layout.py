@@ -56,8 +56,8 @@ def test_blocks_have_six_attributes_however_many_axes_there_are():
 def test_blocks_come_in_the_files_order_and_an_unknown_one_is_refused():
     data = RobotEncoder(AXES, 1, ("Delay", "EIPos", "AIPos"), UNITS).encode(4, Q, Q, POSE, POSE, 0).decode()
     assert re.findall(r"<(\w+)", data) == ["Rob", "Delay", "EIPos", "AIPos", "IPOC"]
-    with pytest.raises(ConfigurationError, match="MACur"):
-        RobotEncoder(AXES, 1, ("MACur",), UNITS)
+    with pytest.raises(ConfigurationError, match="MECur"):
+        RobotEncoder(AXES, 1, ("MECur",), UNITS)
 
 
 def test_a_reply_has_the_files_names_order_and_stop():

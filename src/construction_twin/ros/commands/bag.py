@@ -16,13 +16,23 @@ from std_msgs.msg import String
 
 from construction_twin.evaluation.bag import PLAN, choose_robot, messages_of, recording_of
 from construction_twin.evaluation.recording import Recording
-from construction_twin.msg import Execution, Feedback, Link, Plan, Review, Sync
+from construction_twin.msg import AxisCurrent, Execution, Feedback, Link, Plan, Review, Sync
 from construction_twin.robot.plan import Plan as PlanValue
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.shared.known_bag import open_bag
 
 #: The bag is read with these classes; another definition of the same type is refused.
-KINDS: tuple[type[genpy.Message], ...] = (JointState, Feedback, Execution, Plan, Link, Sync, Review, String)
+KINDS: tuple[type[genpy.Message], ...] = (
+    JointState,
+    Feedback,
+    AxisCurrent,
+    Execution,
+    Plan,
+    Link,
+    Sync,
+    Review,
+    String,
+)
 
 
 class RosBag:

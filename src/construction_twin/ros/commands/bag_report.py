@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import ConstructionTwinError, spoken
 from construction_twin.core.files import check_writable
 from construction_twin.evaluation.recording import Recording
 from construction_twin.ros.commands.bag import read_recording
@@ -48,7 +48,7 @@ def report_bag(
         check_writable(directory)
         files = write(read_recording(options.bag, options.robot), directory, console)
     except (ConstructionTwinError, OSError) as error:
-        print(f"{program}: {error}", file=sys.stderr)
+        print(f"{program}: {spoken(error)}", file=sys.stderr)
         return 1
     print_files(console, files)
     return 0

@@ -61,8 +61,13 @@ def _robot(options: argparse.Namespace, joint_names: tuple[str, ...]) -> RobotMo
     if options.robot_xacro or options.robot_config or options.robot_xacro_args:
         files = options.robot_xacro or package_file(ROBOTS[0][0]), options.robot_config or package_file(ROBOTS[0][1])
         return read_robot_files(*files, options.robot_xacro_args)
-    robots = [read_robot_files(package_file(xacro), package_file(config)) for xacro, config in ROBOTS]
-    return next((robot for robot in robots if robot.joint_names == joint_names), robots[0])
+    return shipped_robot(joint_names) or read_robot_files(package_file(ROBOTS[0][0]), package_file(ROBOTS[0][1]))
+
+
+def shipped_robot(joint_names: tuple[str, ...]) -> RobotModel | None:
+    """Return this package's arm with these joints; None when it has none."""
+    robots = (read_robot_files(package_file(xacro), package_file(config)) for xacro, config in ROBOTS)
+    return next((robot for robot in robots if robot.joint_names == joint_names), None)
 
 
 def _write_plans(options: argparse.Namespace, robot: RobotModel, directory: Path) -> tuple[Path, ...]:

@@ -13,7 +13,7 @@ import rospy
 from rich.console import Console
 from rich.progress import Progress
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import ConstructionTwinError, spoken
 from construction_twin.core.files import check_writable
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import from_wire
@@ -268,10 +268,10 @@ def main() -> int:
             settings = read_parameters(ExperimentSettings)
             report = Experiment(settings, robot_from_parameters(), console).run()
     except (ConstructionTwinError, rospy.ROSException, rospy.ServiceException, OSError) as error:
-        print(f"experiment: {error}", file=sys.stderr, flush=True)
+        print(f"experiment: {spoken(error)}", file=sys.stderr, flush=True)
         # the node is required: what roslaunch says of everything that it ends now would stand below the reason
         above = roslaunch_parent()
-        print_after(f"experiment: {error}", above[0] if above else None)
+        print_after(f"experiment: {spoken(error)}", above[0] if above else None)
         return 1
     render_tables(report.summary, console)
     print_files(console, report.files)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import rospy
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import ConstructionTwinError, spoken
 from construction_twin.core.files import check_writable
 from construction_twin.ros.shared.gateway_config import config_from_parameters
 from construction_twin.ros.shared.master import await_master
@@ -34,7 +34,7 @@ def main() -> None:
             return
         Path(arguments.output).write_text(config.to_json(), encoding="utf-8")
     except (ConstructionTwinError, OSError) as error:
-        sys.exit(f"export_gateway_config: {error}")
+        sys.exit(f"export_gateway_config: {spoken(error)}")
     layout, make = config.layout, config.make
     print(
         f"{arguments.output}: configuration {config.hash[:12]} of {config.robot}, {config.decimals} decimals; "

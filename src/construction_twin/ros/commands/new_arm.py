@@ -17,7 +17,7 @@ import rospy
 import yaml
 
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
 from construction_twin.core.files import check_writable
 from construction_twin.core.sentences import Sentence
 from construction_twin.robot.description import RobotModel, load_robot, read_robot_files
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for line in _make(options, f"rosrun construction_twin new_arm {shlex.join(words)}"):
             print(line)
     except (ConstructionTwinError, OSError) as error:
-        print(f"new_arm: {error}", file=sys.stderr)
+        print(f"new_arm: {spoken(error)}", file=sys.stderr)
         return 1
     except BrokenProcessPool:
         print("new_arm: one of its processes was ended from outside, e.g. for want of memory", file=sys.stderr)

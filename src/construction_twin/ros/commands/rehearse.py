@@ -15,7 +15,7 @@ import rospy
 from rich.console import Console
 from rich.progress import track
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import ConstructionTwinError, FileError, spoken
 from construction_twin.core.extras import check_extras
 from construction_twin.core.records import document
 from construction_twin.core.sentences import Sentence
@@ -51,8 +51,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         check_extras("physics")
         return _rehearse(options)
-    except (ConstructionTwinError, OSError, UnicodeDecodeError) as error:
-        print(f"rehearse: {error}", file=sys.stderr)
+    except (ConstructionTwinError, OSError) as error:
+        print(f"rehearse: {spoken(error)}", file=sys.stderr)
         return BROKEN
 
 
@@ -109,7 +109,7 @@ def _draw(options: argparse.Namespace, film, report, console: Console) -> None:
         if options.video:
             _write_video(options, film, touching, console)
     except (ConstructionTwinError, OSError) as error:
-        print(f"rehearse: {error}", file=sys.stderr)
+        print(f"rehearse: {spoken(error)}", file=sys.stderr)
 
 
 def _check_files(options: argparse.Namespace) -> None:
@@ -178,9 +178,16 @@ def _trajectory(options: argparse.Namespace, robot: RobotModel) -> tuple[Traject
         if plan.trajectory.joint_names != robot.joint_names:
             raise ConstructionTwinError(Sentence("view.evaluate.joints", plan=plan.id, robot=robot.name))
         return plan.trajectory, plan.id
-    waypoints = parse_waypoints(options.plan.read_text(), robot)
+    waypoints = parse_waypoints(_text(options.plan), robot)
     start = waypoints.positions[0] if len(waypoints.positions) > 1 else np.array(robot.home)
     return plan_waypoints(waypoints, start, robot), ""
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(str(path), error) from error
 
 
 def _plan(trajectory: Trajectory, plan_id: str, scene: Scene) -> Plan:

@@ -19,7 +19,7 @@ from rich.console import Console
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from construction_twin.core.errors import ConstructionTwinError, ScenarioError
+from construction_twin.core.errors import ConstructionTwinError, ScenarioError, spoken
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.sentences import Sentence
@@ -317,7 +317,7 @@ def command(arguments: list[str]) -> int:
         if options.into:
             options.into.write_text(put_into(options.into.read_text(), table, str(options.into)))
     except (ConstructionTwinError, OSError) as error:
-        print(f"scenario: {error}", file=sys.stderr)
+        print(f"scenario: {spoken(error)}", file=sys.stderr)
         return 1
     return 0 if all(run["passed"] for runs in verdicts.values() for run in runs) else 1
 
@@ -372,9 +372,9 @@ def main() -> int:
             given = {name: content.pop(name) for name in ScenarioSettings.model_fields if name in content}
             verdict = run_scenario(_checked(given), content, console)
     except (ConstructionTwinError, rospy.ROSException, OSError) as error:
-        print(f"scenario: {error}", file=sys.stderr, flush=True)
+        print(f"scenario: {spoken(error)}", file=sys.stderr, flush=True)
         above = roslaunch_parent()
-        print_after(f"scenario: {error}", above[0] if above else None)
+        print_after(f"scenario: {spoken(error)}", above[0] if above else None)
         return 1
     print_verdict(verdict, console)
     console.print(f"Written: {Path(given['results_dir']).expanduser() / given['name'] / VERDICT}", soft_wrap=True)

@@ -25,6 +25,8 @@ TOPICS = (
     "twin/joint_states",
     "physical/joint_states",
     "physical/feedback",
+    "physical/current",
+    "next/joint_states",
     "command/joint_states",
     "expected/joint_states",
     "sync",

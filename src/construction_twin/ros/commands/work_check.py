@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import ConstructionTwinError, spoken
 from construction_twin.core.extras import check_extras
 from construction_twin.core.files import check_writable, write_whole
 from construction_twin.core.sentences import Sentence
@@ -97,7 +97,7 @@ def main(arguments: list[str]) -> int:
             files = _write(directory, header, checked.tasks, setup.layout(robot))
     except (ConstructionTwinError, OSError) as error:
         ended = isinstance(error, WorkerError) and not error.kind
-        said = "a process was ended, perhaps for want of memory; try --processes 1" if ended else error
+        said = "a process was ended, perhaps for want of memory; try --processes 1" if ended else spoken(error)
         print(f"work check: {said}", file=sys.stderr)
         return NOT_CHECKED
     _print(console, checked, files, options.changes)

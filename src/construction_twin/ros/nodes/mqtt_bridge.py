@@ -8,14 +8,16 @@ import time
 import uuid
 import xmlrpc.client
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Literal
 
+import paho.mqtt.client as paho
 import pydantic
 import rospy
 from std_srvs.srv import SetBool, Trigger
 
+from construction_twin.core.axis_quantities import CURRENT, TORQUE, AxisQuantity
 from construction_twin.core.errors import ExpiredError, PayloadError
 from construction_twin.core.freshness import parse_moment, staleness
 from construction_twin.core.records import SPACED, dumped
@@ -45,11 +47,21 @@ from construction_twin.mqtt.messages import (
     no_properties,
     parse_presence,
     parse_status,
+    read_report,
     read_state_properties,
-    read_torques,
 )
 from construction_twin.mqtt.plain_client import PlainClient
-from construction_twin.msg import AxisTorque, Execution, Feedback, Link, SpeedLimitInForce, Sync, ToolCommand, ToolState
+from construction_twin.msg import (
+    AxisCurrent,
+    AxisTorque,
+    Execution,
+    Feedback,
+    Link,
+    SpeedLimitInForce,
+    Sync,
+    ToolCommand,
+    ToolState,
+)
 from construction_twin.msg import SessionRequest as SessionRequestMessage
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
@@ -88,6 +100,8 @@ MIRROR_MODE = "mirror_mode"
 WAITS = "waits_for_person"
 #: Between two writings of the log [s].
 LOG_PERIOD = 0.05
+#: Message of each quantity of the axes, and the field that takes the values.
+TOLD = {TORQUE: (AxisTorque, "torque"), CURRENT: (AxisCurrent, "current")}
 
 
 class Settings(MqttSettings):
@@ -105,7 +119,7 @@ class Outputs:
     Attributes:
         physical, feedback: The arm's pose for tf and people; the same with its sequence number and command stamp for the gate.
         tool, session_request: None: nobody is told of the tool, or who asked for a session.
-        torques: What the axes give; None: nobody is told.
+        told: Where quantities of the axes are told; nobody is told of those that are not there.
     """
 
     physical: Sink
@@ -113,7 +127,7 @@ class Outputs:
     link: Sink
     tool: Sink | None = None
     session_request: Sink | None = None
-    torques: Sink | None = None
+    told: Mapping[AxisQuantity, Sink] = field(default_factory=dict)
 
 
 class MqttBridge:
@@ -195,8 +209,9 @@ class MqttBridge:
         on_message = {
             self._topics.status: lambda message: self.on_status(bytes(message.payload)),
             self._topics.control_ack: lambda message: self.on_answer(bytes(message.payload)),
-            self._topics.torque: lambda message: self.on_torques(bytes(message.payload), message.retain),
         }
+        for quantity in self._outputs.told:
+            on_message[self._topics.told(quantity)] = partial(self._on_told, quantity)
         connect(self._client, self._broker, self._connection, self.on_connect, self.on_disconnect, on_message)
 
     @property
@@ -364,7 +379,7 @@ class MqttBridge:
                 client,
                 [
                     (self._topics.state, 0),
-                    (self._topics.torque, 0),
+                    *((self._topics.told(quantity), 0) for quantity in self._outputs.told),
                     (self._topics.status, 1),
                     (self._topics.control_ack, 1),
                 ],
@@ -409,21 +424,23 @@ class MqttBridge:
         self._outputs.feedback.publish(received, q, seq, command_stamp)
         self._outputs.physical.publish(received, q)
 
-    def on_torques(self, payload: bytes, retained: bool) -> None:
-        """Take what the arm's axes give, which goes with a state; what cannot be read is refused and counted."""
-        if self._outputs.torques is None:
-            return
+    def _on_told(self, quantity: AxisQuantity, message: paho.MQTTMessage) -> None:
+        self.on_told(quantity, bytes(message.payload), message.retain)
+
+    def on_told(self, quantity: AxisQuantity, payload: bytes, retained: bool) -> None:
+        """Take a quantity of the arm's axes, which goes with a state; what cannot be read is refused and counted."""
         received = now_ns()
         try:
-            demand_live(retained, "torque")
-            report = read_torques(payload, len(self._names))
+            demand_live(retained, quantity.name)
+            report = read_report(quantity, payload, len(self._names))
         except PayloadError as error:
-            self._diagnostics.refuse(f"torque_{error.reason}", str(error))
+            self._diagnostics.refuse(f"{quantity.name}_{error.reason}", str(error))
             return
-        message = AxisTorque(name=self._names, seq=report.seq, command_stamp=to_time(report.command_stamp))
+        kind, field_name = TOLD[quantity]
+        message = kind(name=self._names, seq=report.seq, command_stamp=to_time(report.command_stamp))
         message.header.stamp = to_time(received)
-        message.torque = [sign * torque for sign, torque in zip(self._signs, report.torques)]
-        self._outputs.torques.publish(message)
+        setattr(message, field_name, [sign * value for sign, value in zip(self._signs, report.values)])
+        self._outputs.told[quantity].publish(message)
 
     def on_status(self, payload: bytes) -> None:
         """Take the gateway's status, or a bare PLC's word; one that cannot be read is refused as a whole."""
@@ -764,7 +781,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
             link=ports.publishers["link"],
             tool=ports.publishers["tool"],
             session_request=ports.publishers["session_request"],
-            torques=ports.publishers["physical/torque"],
+            told={quantity: ports.publishers[f"physical/{quantity.name}"] for quantity in TOLD},
         ),
         ports.diagnostics,
         # not a private parameter: those hold settings, and this was asked for while the bridge ran
@@ -784,7 +801,7 @@ INTERFACE = Interface(
     publishes=(
         PosePublication("physical/joint_states"),
         PosePublication("physical/feedback", Feedback),
-        Publication("physical/torque", AxisTorque, queue_size=50),
+        *(Publication(f"physical/{quantity.name}", kind, queue_size=50) for quantity, (kind, _) in TOLD.items()),
         Publication("link", Link, queue_size=10, latch=True),
         Publication("tool", ToolState, queue_size=50, latch=True),
         Publication("session_request", SessionRequestMessage, queue_size=10),

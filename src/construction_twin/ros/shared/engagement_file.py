@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from construction_twin.core.errors import ConfigurationError, ExecutionError
+from construction_twin.core.errors import ConfigurationError, ExecutionError, problem_of
 from construction_twin.core.files import read_file, write_whole
 from construction_twin.core.sentences import Sentence
 from construction_twin.execution.engagement import Engagement, from_text, to_text
@@ -35,7 +35,7 @@ class EngagementFile:
             return None
         except (OSError, UnicodeDecodeError) as error:
             expected = Sentence("expected.engagement_file")
-            raise ConfigurationError(str(self._path), str(error), expected) from error
+            raise ConfigurationError(str(self._path), problem_of(error), expected) from error
         return from_text(str(self._path), text, self._joint_names)
 
     def write(self, engagement: Engagement | None) -> None:

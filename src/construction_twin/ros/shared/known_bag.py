@@ -16,7 +16,7 @@ import genpy
 import rosbag
 import rosbag.bag
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import NOT_OPENED, ConstructionTwinError, FileError, problem_of
 from construction_twin.core.sentences import Sentence
 from construction_twin.evaluation.bag import check_definition
 
@@ -49,8 +49,10 @@ def open_bag(path: str | Path, kinds: Iterable[type[genpy.Message]]) -> Iterator
                 yield bag
         except rosbag.ROSBagUnindexedException as error:
             raise ConstructionTwinError(Sentence("view.bag.unclosed", path=str(path))) from error
+        except NOT_OPENED as error:
+            raise FileError(str(path), error) from error
         except (rosbag.ROSBagException, genpy.DeserializationError, OSError) as error:
-            unreadable = Sentence("view.bag.unreadable", path=str(path), problem=str(error))
+            unreadable = Sentence("view.bag.unreadable", path=str(path), problem=problem_of(error))
             raise ConstructionTwinError(unreadable) from error
         except (ValueError, LookupError, EOFError) as error:
             # rosbag takes what it finds for text, lengths and numbers of connections

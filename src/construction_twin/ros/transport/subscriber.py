@@ -24,6 +24,7 @@ PUBLISHERS = {
     "twin/commanded": "virtual_robot",
     "gazebo/joint_states": "gazebo_arm",
     "physical/torque": "mqtt_bridge",
+    "physical/current": "mqtt_bridge",
     "physical/joint_states": "mqtt_bridge",
     "physical/feedback": "mqtt_bridge",
     "link": "mqtt_bridge",

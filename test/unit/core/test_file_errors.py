@@ -1,0 +1,54 @@
+"""What commands say of files that cannot be used: which one, and what to do; no number of the system's."""
+
+from __future__ import annotations
+
+import errno
+import os
+
+import pytest
+from sentence_checks import says
+
+from construction_twin.core.errors import ConfigurationError, FileError, problem_of, spoken
+
+
+def failing(number: int, *names: str) -> OSError:
+    return OSError(number, os.strerror(number), *names[:1], *((None, names[1]) if len(names) > 1 else ()))
+
+
+@pytest.mark.parametrize(
+    ("number", "key"),
+    [
+        (errno.ENOENT, "missing"),
+        (errno.ENOTDIR, "missing"),
+        (errno.EISDIR, "folder"),
+        (errno.EACCES, "denied"),
+        (errno.EROFS, "denied"),
+        (errno.ENOSPC, "full"),
+    ],
+)
+def test_each_problem_has_its_sentence_and_the_file_s_name(number, key):
+    error = FileError("a.csv", failing(number, "a.csv"))
+    assert says(f"view.file.{key}", path="a.csv")(error) and error.path == "a.csv"
+    assert spoken(failing(number, "a.csv")) == str(error) and "Errno" not in str(error)
+
+
+def test_another_problem_is_said_as_the_system_says_it():
+    assert spoken(failing(errno.EIO, "a.csv")) == f"a.csv: {os.strerror(errno.EIO)}"
+    assert problem_of(failing(errno.EIO, "a.csv")) == os.strerror(errno.EIO)
+    # what has no number is said in its own words
+    assert problem_of(OSError("broken")) == "broken"
+
+
+def test_of_two_files_both_are_named():
+    assert "a.csv -> b.csv" in spoken(failing(errno.ENOENT, "a.csv", "b.csv"))
+
+
+def test_any_other_error_is_said_as_it_is():
+    assert spoken(ConfigurationError("a", 1, "b")) == str(ConfigurationError("a", 1, "b"))
+
+
+def test_a_file_that_is_no_text_says_where(tmp_path):
+    (tmp_path / "a.csv").write_bytes(b"12\xff")
+    with pytest.raises(UnicodeDecodeError) as caught:
+        (tmp_path / "a.csv").read_text(encoding="utf-8")
+    assert says("view.file.no_text", path="a.csv", position=2)(FileError("a.csv", caught.value))
