@@ -207,9 +207,11 @@ def test_where_the_servos_should_have_the_arm_is_shown_and_not_believed():
     ],
 )
 def test_each_tree_stands_in_the_world(words, more):
-    static, trees = parameters("bringup", *words), [f"kr120/{tree}" for tree in ("physical", "preview", *more)]
-    assert static["/kr120/static_frames/prefixes"] == ["kr120/twin", *trees]
-    assert static["/kr120/static_frames/chain_only"] == trees
+    static, node = parameters("bringup", *words), "/kr120/static_frames"
+    assert static[f"{node}/prefixes"] == ["kr120/twin", "kr120/physical", "kr120/preview"]
+    assert static[f"{node}/chain_only"] == ["kr120/physical", "kr120/preview"]
+    found = {name.rpartition("/")[2]: value for name, value in static.items() if name.startswith(f"{node}/more/")}
+    assert found == {tree: f"kr120/{tree}" for tree in more}
 
 
 def test_gazebo_is_started_for_a_twin_in_it_alone_with_its_words_and_the_arm_s_drives():
