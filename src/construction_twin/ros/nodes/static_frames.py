@@ -24,8 +24,8 @@ class Settings(pydantic.BaseModel):
 
     Frame that the robot stands in, and tf prefixes of its copies. Where it stands in it, the parameter ``cell`` says; without
     one at its origin. Of the copies in `chain_only` the joint states hold the joints of the chain alone, so that the frames of the
-    others come from here; those of floating joints, which no joint state holds, come from here for every copy. `more` has prefixes of
-    further copies of the chain alone, each by the name of its tree.
+    others come from here; those of floating joints, which no joint state holds, come from here for every copy. `more` has prefixes
+    of further copies of the chain alone, each by the name of its tree.
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
