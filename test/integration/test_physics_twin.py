@@ -105,7 +105,7 @@ class PhysicsTwinTest(RobotTest):
             Stream("mock_rsi/joint_states") as arm,
         ):
             plan = client.start(LEFT, duration=3.0)
-            wait(lambda: arm.moved(5.0), "the arm to move")
+            wait(lambda: arm.moved(20.0), "the arm to move")
             client.stall(JOINT, True)
             client.wait(lambda: client.sync.state == Sync.REPLANNING, "the gate to hold")
             client.wait_for_outcome(plan.plan_id, "held")
