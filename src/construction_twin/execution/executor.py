@@ -238,7 +238,7 @@ class Executor:
             self._say()
 
     def trail(self, lag: float) -> None:
-        """Take how long the arm trails the setpoints, as far as is known [s]. One that trails by much is waited for, on the path."""
+        """Take how long the arm trails the setpoints, as far as is known [s]; one that trails by much is waited for on the path."""
         self.lag = lag
         if self.limit.trail(lag):
             self._say()
