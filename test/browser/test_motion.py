@@ -61,6 +61,28 @@ def test_joints_and_tool_are_where_the_robot_has_them_and_a_difference_is_told(p
     expect(rows.nth(0)).not_to_have_class(re.compile("is-over"))
 
 
+@pytest.mark.parametrize("size", [TABLET, PHONE], ids=["tablet", "phone"])
+def test_where_the_servos_should_have_the_arm_stands_beside_twin_and_arm(page_of, robot, size):
+    page = page_of("viewer-vic")
+    page.page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.tab("motion")
+    robot.twin, robot.arm_error = np.array([0.4, -1.2, 1.1, 0.5, 0.9, -0.7]), np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
+    row = page.page.locator(".motion-row:not(.motion-head)").first
+    expect(row.locator(".motion-twin")).to_have_text(f"{math.degrees(0.4):.2f}°")
+    expect(page.page.locator(".motion-key .motion-expected-name")).to_be_hidden()
+    expect(row.locator(".motion-expected")).to_be_hidden()
+    robot.expected_error = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    expect(page.page.locator(".motion-key .motion-expected-name")).to_be_visible()
+    expect(row.locator(".motion-expected")).to_have_text(f"{math.degrees(0.5):.2f}°")
+    low, high = robot.robot.lower[0], robot.robot.upper[0]
+    at = row.locator(".motion-at-expected").evaluate("(it) => Number(it.style.getPropertyValue('--at'))")
+    assert abs(at - 100 * (0.5 - low) / (high - low)) < 0.1
+    page.page.screenshot(path=f"/tmp/hs/page_{size[0]}.png")
+    # nothing is wider than its place
+    assert row.evaluate("(it) => it.scrollWidth <= it.clientWidth")
+    assert not Axe().run(page.page, context=".motion").response["violations"]
+
+
 @pytest.mark.parametrize(("language", "not_sent"), [("en", "not sent"), ("de", "nicht gesendet")])
 def test_mode_and_override_are_what_the_controller_sends_or_not_sent(page_of, robot, language, not_sent):
     page = page_of("viewer-vic", f"?language={language}")
