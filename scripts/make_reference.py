@@ -77,11 +77,15 @@ _EXPLAINED = {
     (
         "static_frames",
         "prefixes",
-    ): "tf prefixes of the robot's copies: twin, physical, preview; of a twin with mass simulated, too",
+    ): "tf prefixes of the robot's copies: twin, physical, preview",
     (
         "static_frames",
         "chain_only",
     ): "of them, where joint states hold the chain alone; frames of other joints come from here",
+    (
+        "static_frames",
+        "more",
+    ): "tf prefixes of further copies of the chain alone, by their names: simulated of a twin with mass, expected with servo_model",
     (
         "*",
         "private",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from dataclasses import replace
@@ -14,7 +15,7 @@ from processes import wait_until
 
 #: Longest wait for what a robot shall have done [s].
 PATIENCE_S = 60.0
-TABLET, PHONE = (1280, 800), (390, 844)
+TABLET, UPRIGHT, PHONE = (1280, 800), (800, 1280), (390, 844)
 
 
 def test_while_a_plan_is_played_its_name_progress_rest_and_speed_are_shown(page_of, robot):
@@ -59,6 +60,30 @@ def test_joints_and_tool_are_where_the_robot_has_them_and_a_difference_is_told(p
     expect(rows.nth(1)).to_have_class(re.compile("is-over"))
     expect(rows.nth(1).locator(".motion-difference")).to_have_text("2.86° over 1.15°")
     expect(rows.nth(0)).not_to_have_class(re.compile("is-over"))
+
+
+@pytest.mark.parametrize("size", [TABLET, UPRIGHT, PHONE], ids=["tablet", "upright", "phone"])
+def test_where_the_servos_should_have_the_arm_stands_beside_twin_and_arm(page_of, robot, size):
+    page = page_of("viewer-vic")
+    page.page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.tab("motion")
+    robot.twin, robot.arm_error = np.array([0.4, -1.2, 1.1, 0.5, 0.9, -0.7]), np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
+    row = page.page.locator(".motion-row:not(.motion-head)").first
+    expect(row.locator(".motion-twin")).to_have_text(f"{math.degrees(0.4):.2f}°")
+    expect(page.page.locator(".motion-key .motion-expected-name")).to_be_hidden()
+    expect(row.locator(".motion-expected")).to_be_hidden()
+    robot.expected_error = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    expect(page.page.locator(".motion-key .motion-expected-name")).to_be_visible()
+    expect(row.locator(".motion-expected")).to_have_text(f"{math.degrees(0.5):.2f}°")
+    low, high = robot.robot.lower[0], robot.robot.upper[0]
+    at = row.locator(".motion-at-expected").evaluate("(it) => Number(it.style.getPropertyValue('--at'))")
+    assert abs(at - 100 * (0.5 - low) / (high - low)) < 0.1
+    # its number stands where there is room, and nothing stands over anything
+    cells = row.locator("> :not(.motion-range):visible")
+    assert ("motion-expected" in cells.evaluate_all("(them) => them.map((it) => it.className)")) is (size is UPRIGHT)
+    boxes = [cell.bounding_box() for cell in cells.all()]
+    assert all(left["x"] + left["width"] <= right["x"] for left, right in itertools.pairwise(boxes))
+    assert not Axe().run(page.page, context=".motion").response["violations"]
 
 
 @pytest.mark.parametrize(("language", "not_sent"), [("en", "not sent"), ("de", "nicht gesendet")])

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import numpy as np
 import rospy
 import rostest
-from construction_twin.msg import SceneObject, Sync
+from construction_twin.msg import SceneObject, Sync, Transition
 from construction_twin.srv import AddObject, AttachObject, DetachObject
 from geometry_msgs.msg import Pose, Quaternion
 from sensor_msgs.msg import JointState
@@ -36,6 +36,8 @@ class PhysicsTwinTest(RobotTest):
     def setUpClass(cls):
         rospy.init_node("test_physics_twin")
         cls.client = RehearsedClient()
+        cls.transitions: list[Transition] = []
+        rospy.Subscriber("transitions", Transition, cls.transitions.append)
 
     def setUp(self):
         self.begin()
@@ -100,6 +102,7 @@ class PhysicsTwinTest(RobotTest):
             Stream("twin/joint_states") as twin,
             Stream("twin/commanded") as commanded,
             Stream("mock_rsi/joint_states") as arm,
+            Stream("expected/joint_states") as expected,
             Stream("sync", Sync) as syncs,
         ):
             plan = client.start(LEFT, duration=3.0)
@@ -107,6 +110,8 @@ class PhysicsTwinTest(RobotTest):
             client.assert_at(LEFT, commanded, arm)
             self.assert_close(radians(LEFT), twin)
             self.assert_stands_still(commanded)
+            # the gate knows where the servos should have the arm, and the last poses are where they have it
+            self.assert_close(arm.positions(-1)[0], expected)
         self.assertEqual({sync.text for sync in syncs.messages}, {"IN_SYNC"})
         worst = max(max(sync.error) for sync in syncs.messages)
         print(
@@ -115,8 +120,20 @@ class PhysicsTwinTest(RobotTest):
         # what the servo's lag would be between them at 0.6 rad/s
         self.assertLess(worst, 0.01)
 
+    def assert_found_by_the_servo(self, closing: Transition):
+        """The gate closed for where the servo should have the joint, long before the comparison with the twin would have."""
+        self.assertEqual((closing.event, closing.from_text), ("pose_differs", "IN_SYNC"))
+        self.assertIn(f"{JOINT} is ", closing.reason)
+        self.assertIn("from where its servo should have it, threshold 0.010000 rad", closing.reason)
+        joint = list(closing.name).index(JOINT)
+        print(f"{closing.reason}; twin {closing.error[joint]:.4f} of {closing.threshold[joint]:.4f} rad", flush=True)
+        self.assertLess(closing.error[joint], closing.threshold[joint])
+        # the one that grows with speed
+        self.assertGreater(closing.threshold[joint], 0.02)
+
     def test_plan_rehearse_approve_stall_replan_rehearse_approve_arrive(self):
         client = self.client
+        changes = len(self.transitions)
         with (
             Stream("twin/joint_states") as twin,
             Stream("twin/commanded") as commanded,
@@ -126,12 +143,14 @@ class PhysicsTwinTest(RobotTest):
                 plan = client.plan_to(LEFT, 3.0)
                 self.assert_waits_for_its_rehearsal(plan.plan_id, plan.plan_hash)
             self.approve_once_rehearsed(plan.plan_id, plan.plan_hash)
-            wait(lambda: arm.moved(5.0), "the arm to move")
+            wait(lambda: arm.moved(20.0), "the arm to move")
             plans = len(client.plans)
             with self.unrehearsed():
                 client.stall(JOINT, True)
                 client.wait(lambda: client.sync.state == Sync.REPLANNING, "the gate to hold")
                 client.wait_for_outcome(plan.plan_id, "held")
+                client.wait(lambda: len(self.transitions) > changes, "the record of it")
+                self.assert_found_by_the_servo(self.transitions[changes])
                 # setpoints that passed the gate before it closed may still be under way
                 wait(lambda: commanded.at_rest(3), "what is commanded to rest")
                 self.assert_stands_still(commanded)

@@ -118,6 +118,8 @@ class ScriptedRobot:
         self.verdicts: list[tuple[str, str, str]] = []
         self.twin = np.array(self.robot.home, dtype=float)
         self.arm_error = np.zeros(len(self.twin))
+        #: Where the servos should have the arm, from the twin; None: nobody knows them.
+        self.expected_error: np.ndarray | None = None
         #: When the arm was where it is [s since 1970]; 0: now.
         self.arm_stamp = 0.0
         self.plan: PlanView | None = None
@@ -254,6 +256,9 @@ class ScriptedRobot:
             seen = Seen(
                 twin=PoseView(stamp, 0.0, tuple(self.twin)),
                 arm=PoseView(self.arm_stamp or stamp, 0.0, tuple(self.twin + self.arm_error)),
+                expected=None
+                if self.expected_error is None
+                else PoseView(stamp, 0.0, tuple(self.twin + self.expected_error)),
                 sync=self._sync(),
                 link=Shown(self.link, 0.0),
                 execution=Shown(

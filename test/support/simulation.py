@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import math
 from collections import Counter
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -239,6 +240,9 @@ class SimulatedChain:
         self._at(stamp + CYCLE_NS, self._execute)
         gate = self.gate
         self.executor.on_sync(gate.state, gate.agreed(stamp), gate.policy, gate.held_stamp)
+        last = gate.comparison.last
+        if last is not None:
+            self.executor.trail(sum(filter(math.isfinite, (last.round_trip, last.servo_lag))))
         keeper = self.executor.engagement
         if not keeper.settled:
             # a disk that takes everything at once

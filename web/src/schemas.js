@@ -5,11 +5,11 @@ export const VIEW = {
   "type": "object",
   "additionalProperties": false,
   "required": [
-    "version", "compatible", "robot", "online", "run", "seq", "stamp", "moment", "units", "joints", "twin", "arm", "sync", "link",
-    "execution", "plan", "closest", "hold", "approval_obstacle", "speed"
+    "version", "compatible", "robot", "online", "run", "seq", "stamp", "moment", "units", "joints", "twin", "arm", "expected",
+    "sync", "link", "execution", "plan", "closest", "hold", "approval_obstacle", "speed"
   ],
   "properties": {
-    "version": {"const": 5},
+    "version": {"const": 6},
     "compatible": {"const": 1, "since": 2},
     "robot": {"type": "string"},
     "online": {"type": "boolean"},
@@ -46,6 +46,17 @@ export const VIEW = {
         "age": {"type": "number", "minimum": 0},
         "positions": {"type": "array", "items": {"type": "number"}}
       }
+    },
+    "expected": {
+      "type": ["object", "null"],
+      "additionalProperties": false,
+      "required": ["stamp", "age", "positions"],
+      "properties": {
+        "stamp": {"type": "number", "minimum": 0},
+        "age": {"type": "number", "minimum": 0},
+        "positions": {"type": "array", "items": {"type": "number"}}
+      },
+      "since": 6
     },
     "sync": {
       "type": ["object", "null"],

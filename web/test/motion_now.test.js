@@ -74,14 +74,15 @@ test("each joint has its place in its limits, its values and whether its differe
   const now = view({
     joints: {names: ["joint_a1", "joint_a2"], types: ["revolute", "prismatic"]},
     twin: {stamp: 1, age: 0, positions: [0.5, 0.5]}, arm: {stamp: 1, age: 0, positions: [-3, 0.501]},
+    expected: {stamp: 1, age: 0, positions: [0, 0.5005]},
     sync: {...view().sync, error: [0.02, 0.0005], threshold: [0.01, 0.001]},
   });
   const [first, second] = axesOf(now, joints);
-  assert.deepEqual([first.unit, first.twin, first.at, first.isOver], ["°", "28.65", {twin: 0.75, arm: 0}, true]);
-  assert.deepEqual([second.unit, second.arm, second.difference, second.allowed, second.isOver], ["mm", "501.0", "0.5", "1.0", false]);
+  assert.deepEqual([first.unit, first.twin, first.expected, first.at, first.isOver], ["°", "28.65", "0.00", {twin: 0.75, arm: 0, expected: 0.5}, true]);
+  assert.deepEqual([second.unit, second.arm, second.expected, second.difference, second.allowed, second.isOver], ["mm", "501.0", "500.5", "0.5", "1.0", false]);
   // nothing is guessed
   const [unknown] = axesOf(view({twin: null, sync: null}), null);
-  assert.deepEqual([unknown.twin, unknown.difference, unknown.allowed, unknown.isOver, unknown.at], ["", "", "", false, {twin: null, arm: null}]);
+  assert.deepEqual([unknown.twin, unknown.expected, unknown.difference, unknown.allowed, unknown.isOver, unknown.at], ["", "", "", "", false, {twin: null, arm: null, expected: null}]);
   assert.equal(valueOf(joints[0], -1e-9), "0.00");
 });
 
@@ -183,6 +184,25 @@ test("joints, limits, difference and tool are shown with the robot's model", asy
   assert.match(it.text(".motion-tool-name"), /tool0 in track_base/);
   assert.match(it.text(".motion-tool dl"), /X-?\d+\.\d mm/);
   assert.equal(it.find(".motion-axes").getAttribute("role"), "table");
+});
+
+test("where the servos should have the arm is shown while that is known", async () => {
+  const it = panel(motion, {}, {fetchText: async () => URDF, parse});
+  const marks = () => [...it.parent.querySelectorAll(".motion-at-expected")].map(({hidden}) => hidden);
+  await it.hear("kr120", "view", standing());
+  await settle();
+  it.tick();
+  assert.equal(it.find(".motion").classList.contains("has-expected"), false);
+  assert.deepEqual(marks(), Array(7).fill(true));
+  await it.hear("kr120", "view", standing({expected: {stamp: 1, age: 0, positions: [1.0005, 0, -1.5, 1.5, 0, 1.5, 0.08]}}));
+  it.tick();
+  assert.equal(it.find(".motion").classList.contains("has-expected"), true);
+  assert.deepEqual([...it.parent.querySelectorAll(".motion-row:not(.motion-head) .motion-expected")].map(({textContent}) => textContent).filter((_, k) => k % 6 === 0), ["1000.5 mm", "4.58°"]);
+  assert.deepEqual(marks(), Array(7).fill(false));
+  // the gate does not know any more what the arm is told
+  await it.hear("kr120", "view", standing());
+  it.tick();
+  assert.equal(it.find(".motion").classList.contains("has-expected"), false);
 });
 
 test("mode and override are shown where the controller sends them, else that it does not", async () => {

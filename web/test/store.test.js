@@ -44,15 +44,16 @@ test("what is not as expected is refused, counted and told, and the last value s
   store.on("refused", (robot, value) => told.push([robot, value.kind]));
   const good = view();
   await hear("r", "view", good);
-  await hear("r", "view", view({version: 6}));
+  await hear("r", "view", view({version: 7}));
   await hear("r", "view", view({moment: undefined}));
   await hear("r", "view", view({twin: {positions: [1]}}));
+  await hear("r", "view", view({expected: {stamp: 1, age: 0, positions: [1]}}));
   await store.take("r", "view", "{");
   await store.take("r", "screen", "3");
   await store.take("r", "scene", "{}");
   await store.take("r", "stop/ack", "[]");
-  assert.deepEqual(told.map(([, kind]) => kind), ["view", "view", "view", "view", "screen", "scene", "stop_ack"]);
-  assert.equal(store.refused, 7);
+  assert.deepEqual(told.map(([, kind]) => kind), ["view", "view", "view", "view", "view", "screen", "scene", "stop_ack"]);
+  assert.equal(store.refused, 8);
   assert.equal(store.robot("r").view.seq, good.seq);
 });
 

@@ -79,7 +79,7 @@ class Executor:
     """Plays approved plans as theta_next.
 
     Attributes:
-        lag: How long the arm trails the setpoints, as far as is known [s]; only stated, never acted upon.
+        lag: How long the arm trails the setpoints, as far as is known [s]; set by `trail`.
         neighbour: Says whether another arm blocks the path of a plan; by default there is none.
         rehearsal: Says whether a plan has passed its rehearsal; by default none is required.
         limit: How fast plans are played; set by `limit_rate`.
@@ -235,6 +235,12 @@ class Executor:
         Raises ExecutionError.
         """
         if self.limit.take(factor, reason):
+            self._say()
+
+    def trail(self, lag: float) -> None:
+        """Take how long the arm trails the setpoints, as far as is known [s]; one that trails by much is waited for on the path."""
+        self.lag = lag
+        if self.limit.trail(lag):
             self._say()
 
     def restart(self, reason: str, now: int) -> None:
@@ -518,7 +524,9 @@ class Executor:
             return Sentence("executor.gate_holds", state=self._sync.name)
         if self.segment_run is not None and self.state is ExecutorState.AT_BOUNDARY:
             return self.segment_run.waits_for()
-        return self.limit.reason if self.limit.fraction == 0.0 else Sentence("executor.waits.late")
+        if self.limit.rate == 0.0:
+            return self.limit.reason if self.limit.fraction == 0.0 else self.limit.sentence("")
+        return Sentence("executor.waits.late")
 
     def _wait_at_boundary(self, stamp: int, now: int) -> None:
         work = self.segment_run
@@ -539,7 +547,7 @@ class Executor:
             self._setpoint = playback.brake(stamp)
             self._stopping.append(self._setpoint)
         else:
-            rate = self.limit.fraction if machine.state is ExecutorState.PLAYING else 0.0
+            rate = self.limit.rate if machine.state is ExecutorState.PLAYING else 0.0
             self._setpoint = playback.advance(stamp, rate)
         self._setpoint_stamp = stamp
         if self.segment_run is not None and playback.goal_stamp:
@@ -550,7 +558,7 @@ class Executor:
                 self._on(ExecutorEvent.GOAL, Sentence("executor.goal"))
         elif playback.at_rest:
             self._on(ExecutorEvent.AT_REST)
-            if machine.state is ExecutorState.PLAYING and not self.limit.standing and self.limit.fraction == 0.0:
+            if machine.state is ExecutorState.PLAYING and not self.limit.standing and self.limit.rate == 0.0:
                 self.limit.standing = True
                 self._say()
         elif self.limit.standing:

@@ -19,7 +19,7 @@ from construction_twin.core.reports import ExecutionReport, HoldReport, LinkRepo
 from construction_twin.core.units import NANOSECONDS, seconds
 from construction_twin.link.remote_trajectory import Joints
 
-VERSION = 5
+VERSION = 6
 #: The oldest version whose readers can read this one.
 COMPATIBLE = 1
 #: Decimals of positions [rad], [m] and of times [s].
@@ -220,7 +220,7 @@ class ClosestView:
 @dataclass(frozen=True)
 class View:
     """A message on <prefix>/<robot>/view: the state of one robot. SI units: m, rad, s. null: not known, or too old. Versions 2 to
-    5 add keys to version 1 and change none: a reader of version 1 that asks for `compatible` <= 1, in place of `version` = 1, and
+    6 add keys to version 1 and change none: a reader of version 1 that asks for `compatible` <= 1, in place of `version` = 1, and
     leaves alone the keys that it does not know, reads it. `since` is the version that has added a key.
 
     Attributes:
@@ -235,6 +235,8 @@ class View:
         units: Of all values.
         twin: The virtual robot.
         arm: The physical arm, as measured.
+        expected: Where its servos should have it, with the stamp of the measured pose that it is compared with; null: nobody knows
+            how the servos answer, or what the arm is told.
         plan: Id of the plan under review; empty: none.
         approval_obstacle: Why that plan could not be approved now, by the executor's own check; empty: it could.
     """
@@ -251,6 +253,7 @@ class View:
     joints: JointsView
     twin: PoseView | None
     arm: PoseView | None
+    expected: Annotated[PoseView | None, {"since": 6}]
     sync: SyncView | None
     link: LinkView | None
     execution: ExecutionView | None
@@ -286,6 +289,7 @@ class Seen:
     hold: HoldReport = HoldReport()
     approval_obstacle: str = ""
     speed: SpeedReport | None = None
+    expected: PoseView | None = None
 
 
 class ViewWriter:
@@ -330,6 +334,7 @@ class ViewWriter:
             joints=self._joints,
             twin=seen.twin,
             arm=seen.arm,
+            expected=seen.expected,
             sync=_part(SyncView, seen.sync),
             link=_part(LinkView, seen.link, round_trip_ms=_round_trip_ms(seen.sync), controller=_controller(seen.link)),
             execution=_part(ExecutionView, seen.execution, progress=progress, segment=segment),

@@ -14,8 +14,10 @@ from construction_twin.core.interpolation import interpolate
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.lag import LagEstimate
 
-#: Twin poses kept for comparison by command stamp: 2 s.
-HISTORY = 500
+#: Twin poses kept for comparison by command stamp: 3 s of motion, and the rests in it. The gateway puts off at most 2 s of motion.
+HISTORY = 750
+#: Poses of a rest that are kept at its begin. What lies between them and the last two has the same pose.
+_OF_REST = 2
 #: The twin's stamps rise, by at least a cycle. When they fall by more than this, a clock was set back before a program was started
 #: again that stamps commands: nothing is known of the twin on the clock of before [ns].
 ANOTHER_CLOCK = NANOSECONDS // 50
@@ -45,6 +47,8 @@ class TwinHistory:
 
     def __init__(self):
         self._poses: deque[tuple[int, tuple[float, ...]]] = deque(maxlen=HISTORY)
+        #: How many of the newest poses have the pose of the one before.
+        self._resting = 0
 
     @property
     def latest(self) -> tuple[int, tuple[float, ...]] | None:
@@ -53,10 +57,18 @@ class TwinHistory:
 
     def add(self, stamp: int, q: tuple[float, ...]) -> None:
         """Append a pose. One that is not newer than the newest is ignored; one that is far older begins another clock's poses."""
-        if self._poses and stamp < self._poses[-1][0] - ANOTHER_CLOCK:
-            self._poses.clear()
-        if not self._poses or stamp > self._poses[-1][0]:
-            self._poses.append((stamp, q))
+        poses = self._poses
+        if poses and stamp < poses[-1][0] - ANOTHER_CLOCK:
+            poses.clear()
+        if poses and stamp <= poses[-1][0]:
+            return
+        self._resting = self._resting + 1 if poses and poses[-1][1] == q else 0
+        if self._resting > _OF_REST + 1:
+            # an arm that trails is compared with a motion, however long the twin has rested since
+            poses[-2] = poses[-1]
+            poses[-1] = stamp, q
+        else:
+            poses.append((stamp, q))
 
     def at(self, stamp: int) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
         """Return pose [rad] and velocity [rad/s] at `stamp` [ns], or None when it lies outside what is kept.

@@ -9,8 +9,8 @@ import math
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 
-#: Setpoints that are remembered: 2 s.
-KEPT = 512
+#: Setpoints that are remembered: 65 s. An arm whose replies get lost may trail by many of them.
+KEPT = 16384
 
 
 class RoundTrips:

@@ -65,7 +65,7 @@ def read_servos(path: str | Path, names: Sequence[str]) -> ServoModel:
     except pydantic.ValidationError as error:
         raise configuration_error(error, _File) from error
     if set(file.joints) != set(names):
-        expected = Sentence("expected.joint_names", names=", ".join(names))
+        expected = Sentence("expected.servo_joints", names=", ".join(names))
         raise ConfigurationError("servo_model", ", ".join(file.joints), expected)
     servos = [file.joints[name] for name in names]
     kept = JointServo.__match_args__

@@ -272,6 +272,37 @@ class TestWords:
         bench.executor.limit_rate(1.0, "")
         assert bench.executor.reason == "approved by Ada"
 
+    def test_an_arm_that_trails_by_much_is_waited_for_on_the_path_until_it_has_caught_up(self):
+        bench = self.playing()
+        bench.executor.trail(0.99)
+        assert bench.executor.reason == "approved by Ada" and bench.executor.limit.rate == 1.0
+        bench.executor.trail(1.0)
+        while not bench.executor.limit.standing:
+            bench.step()
+        assert bench.executor.reason.startswith(
+            "waits on the path until the arm has caught up, goes on by itself: the arm "
+        )
+        assert "trails by more than 1 s" in bench.executor.reason and bench.state is ExecutorState.PLAYING
+        standing = bench.run(3)
+        assert (np.diff(standing, axis=0) == 0.0).all()
+        # not as soon as it trails by a little less
+        bench.executor.trail(0.5)
+        bench.run(3)
+        assert bench.executor.limit.standing
+        bench.executor.trail(0.49)
+        assert bench.run_until_idle()[-1] == GOAL and bench.executor.outcome == "finished"
+        assert within_acceleration(bench.outputs)
+
+    def test_a_limit_of_0_is_why_it_stands_although_the_arm_trails_too(self):
+        bench = self.playing()
+        bench.executor.trail(2.0)
+        bench.executor.limit_rate(0.0, "separation 0.50 m")
+        while not bench.executor.limit.standing:
+            bench.step()
+        assert bench.executor.reason == "stands still on the path, goes on by itself: separation 0.50 m"
+        bench.executor.limit_rate(1.0, "")
+        assert bench.executor.reason.startswith("waits on the path until the arm has caught up")
+
     def test_other_states_do_not_speak_of_it(self):
         bench = self.playing()
         bench.executor.limit_rate(0.25, "somebody is near")

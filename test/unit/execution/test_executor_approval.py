@@ -358,6 +358,12 @@ class TestAge:
         first.join(10.0), other.join(10.0)
         assert [type(error) for error in failed] == [ExpiredError]
 
+    def test_what_an_arm_that_trails_kept_from_beginning_never_begins_by_itself(self, bench):
+        bench.executor.trail(2.0)
+        bench.play(make_plan(), SECOND * 34 // 10)
+        assert bench.state is ExecutorState.IDLE and bench.executor.outcome == "stopped"
+        assert "not begun, waits on the path until the arm has caught up" in bench.executor.reason
+
     @pytest.mark.parametrize("work", [False, True])
     def test_what_a_speed_limit_of_0_kept_from_beginning_never_begins_by_itself(self, bench, work):
         plan = make_work_plan() if work else make_plan()

@@ -82,7 +82,7 @@ def properties(node: dict) -> dict:
 
 
 def test_the_message_has_the_keys_of_the_schema_at_every_level():
-    held = replace(SEEN, hold=HoldReport("joint_a1 differs", NOW), speed=SpeedReport())
+    held = replace(SEEN, hold=HoldReport("joint_a1 differs", NOW), speed=SpeedReport(), expected=SEEN.arm)
     message = read(writer().write(NOW, held, MOMENT))
     assert set(message) == set(properties(SCHEMA))
     for key, node in properties(SCHEMA).items():
@@ -160,6 +160,13 @@ def test_what_version_5_adds_is_in_it():
     for told in ({}, {"sentence": ""}, {"mode": "", "program": "", "override_percent": ""}, {"override_percent": "?"}):
         assert controller(**told) is None
     assert read(writer().write(NOW, replace(SEEN, link=None), MOMENT))["link"] is None
+
+
+def test_what_version_6_adds_is_in_it():
+    expected = PoseView(1_795_369_597.388, 0.005, (1.5, 1.0472))
+    message = read(writer().write(NOW, replace(SEEN, expected=expected), MOMENT))
+    assert message["expected"] == {"stamp": 1_795_369_597.388, "age": 0.005, "positions": [1.5, 1.0472]}
+    assert read(writer().write(NOW, SEEN, MOMENT))["expected"] is None
 
 
 def test_what_was_seen_is_in_it():

@@ -206,3 +206,40 @@ class TestLag:
             result = comparison.compare((moved, 0.0), T0 + (k - 1) * CYCLE_NS, T0 + k * CYCLE_NS) if k > 2 else None
         assert not result.agrees
         assert comparison.last.servo_lag < 0.08
+
+
+class Whole(TwinHistory):
+    """Keeps every pose of a rest."""
+
+    def add(self, stamp, q):
+        self._poses.append((stamp, q))
+
+
+@given(st.lists(st.tuples(st.integers(0, 12), st.floats(-0.01, 0.01)), min_size=1, max_size=12), st.data())
+def test_a_rest_of_which_the_middle_is_forgotten_is_interpolated_as_if_nothing_were(motion, data):
+    """Each part of the motion: cycles at rest, and a step [rad] behind them."""
+    kept, whole, stamp, q = TwinHistory(), Whole(), CYCLE_NS, 0.0
+    for rest, step in motion:
+        q += step
+        for _ in range(1 + rest):
+            for history in (kept, whole):
+                history.add(stamp, (q,))
+            stamp += CYCLE_NS
+    at = data.draw(st.integers(CYCLE_NS, stamp - CYCLE_NS))
+    found, wanted = kept.at(at), whole.at(at)
+    assert found is not None and wanted is not None
+    assert found[0] == pytest.approx(wanted[0], abs=1e-15) and found[1] == pytest.approx(wanted[1], abs=1e-12)
+
+
+def test_a_motion_is_remembered_however_long_the_twin_has_rested_since():
+    history = TwinHistory()
+    for k in range(1, 11):
+        history.add(k * CYCLE_NS, (0.1 * k,))
+    for k in range(11, 10 * HISTORY):
+        history.add(k * CYCLE_NS, (1.0,))
+    for stamp in (5, 10, 11, HISTORY, 9 * HISTORY):
+        assert history.at(stamp * CYCLE_NS)[0] == pytest.approx((min(0.1 * stamp, 1.0),))
+    # as many poses in motion as it keeps push it out
+    for k in range(HISTORY):
+        history.add((10 * HISTORY + k) * CYCLE_NS, (1.0 + 0.1 * (k + 1),))
+    assert history.at(5 * CYCLE_NS) is None and history.at(9 * HISTORY * CYCLE_NS) is None

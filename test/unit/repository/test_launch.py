@@ -21,8 +21,7 @@ from roslaunch import arg_dump, rlutil
 from construction_twin.console.plain_http import HSTS_S, LONGEST_HSTS_S
 from construction_twin.core import extras
 from construction_twin.ros.commands.node_files import node_shells
-from construction_twin.ros.shared.frame_listener import FRAMES, PUBLISHERS
-from construction_twin.ros.shared.frame_listener import SIMULATED as SIMULATED_TREE
+from construction_twin.ros.shared.frame_listener import FRAMES, PUBLISHERS, SHOWN
 from construction_twin.views.preflight import NUMBERS, notes
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -174,23 +173,45 @@ def test_frames_that_goals_are_looked_up_in_are_no_simulated_pose_s(twin):
     found = poses_in_tf(f"twin:={twin}")
     assert found == {
         ("robot_state_publisher", "twin"): "twin/commanded",
-        ("simulated_state_publisher", SIMULATED_TREE): "twin/effort",
+        ("simulated_state_publisher", "simulated"): "twin/effort",
         ("physical_state_publisher", "physical"): "physical/joint_states",
         ("preview_state_publisher", "preview"): "preview/joint_states",
     }
-    # what is believed of tf is all but the simulated tree
+    # what is believed of tf is all but what is only shown
     believed = {(nodes[0], tree) for tree, nodes in PUBLISHERS.items()}
-    assert believed == {key for key in found if key[1] != SIMULATED_TREE}
-    static = parameters("bringup", f"twin:={twin}")
-    assert f"kr120/{SIMULATED_TREE}" in static["/kr120/static_frames/prefixes"]
-    assert f"kr120/{SIMULATED_TREE}" in static["/kr120/static_frames/chain_only"]
+    assert believed == {key for key in found if key[1] not in SHOWN}
 
 
 def test_the_kinematic_twin_s_frames_are_its_one_pose_and_there_is_no_simulated_tree():
     found = poses_in_tf()
     assert found["robot_state_publisher", "twin"] == "twin/joint_states"
-    assert SIMULATED_TREE not in {tree for _, tree in found}
-    assert parameters("bringup")["/kr120/static_frames/prefixes"] == ["kr120/twin", "kr120/physical", "kr120/preview"]
+    assert not {tree for _, tree in found} & set(SHOWN)
+
+
+def test_where_the_servos_should_have_the_arm_is_shown_and_not_believed():
+    model = "servo_model:=/servos.yaml"
+    assert poses_in_tf(model)["expected_state_publisher", "expected"] == "expected/joint_states"
+    assert "expected" in SHOWN and "expected" not in PUBLISHERS
+    assert "/kr120/expected_state_publisher" not in node_names("bringup", model, "arm:=none")
+    assert parameters("bringup", model)["/kr120/mqtt_planner/servo_model"] == "/servos.yaml"
+
+
+@pytest.mark.parametrize(
+    "words, more",
+    [
+        ((), []),
+        (("twin:=mujoco",), ["simulated"]),
+        (("servo_model:=/servos.yaml",), ["expected"]),
+        (("twin:=gazebo", "servo_model:=/servos.yaml"), ["simulated", "expected"]),
+        (("servo_model:=/servos.yaml", "arm:=none"), []),
+    ],
+)
+def test_each_tree_stands_in_the_world(words, more):
+    static, node = parameters("bringup", *words), "/kr120/static_frames"
+    assert static[f"{node}/prefixes"] == ["kr120/twin", "kr120/physical", "kr120/preview"]
+    assert static[f"{node}/chain_only"] == ["kr120/physical", "kr120/preview"]
+    found = {name.rpartition("/")[2]: value for name, value in static.items() if name.startswith(f"{node}/more/")}
+    assert found == {tree: f"kr120/{tree}" for tree in more}
 
 
 def test_gazebo_is_started_for_a_twin_in_it_alone_with_its_words_and_the_arm_s_drives():

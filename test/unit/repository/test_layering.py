@@ -88,6 +88,7 @@ DEPLOYMENT = {
         "self_collision",
         "cameras",
         "private",
+        "servo_model",
     },
     "pca_monitor": {
         "arm",

@@ -145,18 +145,20 @@ def test_their_frames_are_where_they_stand():
 def test_every_tree_has_a_floating_joint_because_no_joint_state_holds_it(monkeypatch):
     """joint_state_publisher leaves it out, and robot_state_publisher too; the others of the twin come from there."""
     robot, sent = gripper(changed("hinge", type="floating", limit=None)), []
-    settings = static_frames.Settings(prefixes=["twin", "physical"], chain_only=["physical"])
+    settings = static_frames.Settings(prefixes=["twin", "physical"], chain_only=["physical"], more={"expected": "more"})
     monkeypatch.setattr(static_frames.rospy, "Time", SimpleNamespace(now=lambda: Time(1)))
     tf = SimpleNamespace(publish=lambda message: sent.extend(message.transforms))
     static_frames.StaticFramesNode(
         settings, robot, SimpleNamespace(publishers={"/tf_static": tf}, parameters={"cell": None})
     )
     frames = {(transform.header.frame_id, transform.child_frame_id) for transform in sent}
-    assert frames - {("world", "twin/base_link"), ("world", "physical/base_link")} == {
+    assert frames - {("world", f"{tree}/base_link") for tree in ("twin", "physical", "more")} == {
         ("twin/palm", "twin/camera"),
-        ("physical/palm", "physical/camera"),
-        ("physical/palm", "physical/finger_left"),
-        ("physical/palm", "physical/finger_right"),
+        *(
+            (f"{tree}/palm", f"{tree}/{link}")
+            for tree in ("physical", "more")
+            for link in ("camera", "finger_left", "finger_right")
+        ),
     }
 
 

@@ -186,10 +186,11 @@ def test_a_clock_that_is_set_back_empties_the_buffer(world):
 
 
 @pytest.mark.parametrize("topic", ["/tf", "/tf_static"])
-@pytest.mark.parametrize("node", ["/kr120/simulated_state_publisher", "/kr120/static_frames", PLAYER])
-def test_nothing_is_looked_up_in_a_simulated_pose_and_hearing_it_is_no_fault(world, topic, node):
-    world.say(node, "kr120/simulated/tool0", "/kr120/simulated/link_1", topic=topic)
+@pytest.mark.parametrize("tree", ["simulated", "expected"])
+@pytest.mark.parametrize("node", ["/kr120/{}_state_publisher", "/kr120/static_frames", PLAYER])
+def test_nothing_is_looked_up_in_a_tree_that_is_only_shown_and_hearing_it_is_no_fault(world, topic, tree, node):
+    world.say(node.format(tree), f"kr120/{tree}/tool0", f"/kr120/{tree}/link_1", topic=topic)
     assert world.heard == {} and world.refused == []
     # a frame of that name that is of no robot's tree is as any other
-    world.say(PLAYER, "simulated", "site/simulated", topic=topic, x=1.0)
-    assert world.heard == {"simulated": 1.0, "site/simulated": 1.0}
+    world.say(PLAYER, tree, f"site/{tree}", topic=topic, x=1.0)
+    assert world.heard == {tree: 1.0, f"site/{tree}": 1.0}

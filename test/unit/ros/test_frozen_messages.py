@@ -1,7 +1,7 @@
 """What travels stays as it was at commit 95d0454d: JSON byte for byte, ROS messages field for field, for wide values.
 
 `test/data/frozen_messages.json` was written by the code of that commit (`poses`, `plan` and `work list` by that of 1af7777a,
-`view` and `poses` again with version 5 of the view): the first cases in full, and one SHA-256 over all of them.
+`view` and `poses` again with version 6 of the view): the first cases in full, and one SHA-256 over all of them.
 What may change here is how the code is called, never what is expected.
 """
 

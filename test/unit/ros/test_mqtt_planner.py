@@ -300,7 +300,11 @@ def reports(bench) -> None:
 def test_the_view_shows_what_is_known(bench):
     stamp = round((bench.wall - 0.01) * NANOSECONDS)
     bench.node.listen(
-        Poses(Stream(StampedPose((0.5, 1.5), stamp, 999.99)), Stream(StampedPose((0.4, 1.4), stamp, 999.98))),
+        Poses(
+            Stream(StampedPose((0.5, 1.5), stamp, 999.99)),
+            Stream(StampedPose((0.4, 1.4), stamp, 999.98)),
+            Stream(StampedPose((0.401, 1.399), stamp, 999.97)),
+        ),
         lambda: True,
     )
     reports(bench)
@@ -309,17 +313,19 @@ def test_the_view_shows_what_is_known(bench):
     message = view(bench)
     assert message["twin"] == {"stamp": 1_763_999_999.99, "age": 0.05, "positions": [0.5, 1.5]}
     assert message["arm"] == {"stamp": 1_763_999_999.99, "age": 0.06, "positions": [0.4, 1.4]}
+    assert message["expected"] == {"stamp": 1_763_999_999.99, "age": 0.07, "positions": [0.401, 1.399]}
     assert (message["sync"]["state"], message["sync"]["age"], message["link"]["state"]) == ("IN_SYNC", 0.04, "ARMED")
     assert (message["execution"]["state"], message["execution"]["progress"]) == ("PLAYING", 0.25)
     assert [topic for topic, _ in bench.client.published] == ["twin/kr120/view"]
 
 
 def test_what_is_old_is_shown_as_not_known(bench):
-    bench.node.listen(Poses(Stream(None), Stream(None)), lambda: True)
+    bench.node.listen(Poses(Stream(None), Stream(None), Stream(None)), lambda: True)
     reports(bench)
     bench.steady += 1.0
     message = view(bench)
-    assert message["twin"] is message["arm"] is message["sync"] is None and message["link"]["age"] == 1.0
+    assert message["twin"] is message["arm"] is message["expected"] is message["sync"] is None
+    assert message["link"]["age"] == 1.0
     bench.steady += 3.0
     assert view(bench)["link"] is None and view(bench)["execution"]["state"] == "PLAYING"
     bench.node.listen(Poses(Stream(None), Stream(None)), lambda: False)

@@ -137,6 +137,54 @@ def test_broken_contents_are_one_sentence_with_the_file_and_what_was_expected(tm
     assert "\n" not in said and "Traceback" not in said
 
 
+SERVOS = ROOT / "test/data/realistic_servos.yaml"
+
+
+@pytest.mark.parametrize(
+    "more", [{"servo_model": ""}, {"servo_model": str(SERVOS)}, {"servo_model": str(SERVOS), "arm": "none"}]
+)
+def test_servos_of_this_arm_and_its_cycle_may_be_given(more):
+    assert preflight.contents_problem(KR120 | more) == ""
+
+
+@pytest.mark.parametrize(
+    "given, change, said",
+    [
+        (KR120, ("joint_a1", "joint_a1"), ""),
+        (
+            KR120,
+            ("  joint_a6: {omega: 60.0, zeta: 0.8}\n", ""),
+            "found 'joint_a1, joint_a2, joint_a3, joint_a4, joint_a5', "
+            "expected those of this arm: joint_a1, joint_a2, joint_a3, joint_a4, joint_a5, joint_a6",
+        ),
+        (
+            TRACK,
+            ("joint_a1", "joint_a1"),
+            "found 'joint_a1, joint_a2, joint_a3, joint_a4, joint_a5, joint_a6', "
+            "expected those of this arm: track, joint_a1",
+        ),
+        (KR120, ("cycle_ms: 4", "cycle_ms: 12"), "cycle_ms: found 12, expected 4 as the controller has: identify"),
+        (KR120 | {"rsi_cycle": "12"}, ("joint_a1", "joint_a1"), "cycle_ms: found 4, expected 12 as the controller has"),
+        (KR120, ("omega: 60.0", "omega: .nan"), "joints/joint_a1/omega: found nan"),
+        (KR120, ("cycle_ms: 4", "cycle_ms: [4"), "expected "),
+    ],
+)
+def test_servos_that_the_gate_could_not_judge_by_are_refused(tmp_path, given, change, said):
+    file = tmp_path / "servos.yaml"
+    file.write_text(SERVOS.read_text().replace(*change, 1))
+    found = preflight.contents_problem(given | {"servo_model": str(file)})
+    assert (found == "") == (said == "") and said in found and "\n" not in found
+    assert not found or found.startswith(f"servo_model:={file}: ")
+
+
+def test_a_file_of_servos_that_is_not_there_is_refused(tmp_path):
+    file = tmp_path / "servos.yaml"
+    assert preflight.refusal(KR120 | {"servo_model": str(file)}, None, "") == wrong(
+        "servo_model", str(file), Sentence("preflight.expected.file")
+    )
+    assert preflight.refusal(KR120 | {"servo_model": "servos.yaml"}, None, "").startswith("servo_model:=servos.yaml")
+
+
 def test_a_mesh_of_the_scene_that_cannot_be_used_is_refused(tmp_path):
     scene, mesh = tmp_path / "scene.yaml", tmp_path / "pipe.stl"
     scene.write_text("{padding: 0.0, objects: {pipe: {shape: mesh, size: [1, 1, 1], mesh: pipe.stl}}}")

@@ -1,6 +1,6 @@
 /**
- * Where the arm is, always: each joint within its limits, twin and arm, and by how much they differ; the twin's tool; operating mode and
- * override of the controller. Limits and tool come from the robot's model. Shown ten times a second at most, and while it is open.
+ * Where the arm is, always: each joint within its limits, twin and arm, and by how much they differ; where the arm's servos should have
+ * it, while somebody knows that; the twin's tool; operating mode and override of the controller. Limits and tool come from the robot's model. Shown ten times a second at most, and while it is open.
  */
 import {add, clear, setText} from "../dom.js";
 import {axesOf} from "../planning/axes.js";
@@ -11,7 +11,10 @@ import {textsOf} from "./tool_fields.js";
 
 const EVERY = 100;
 const UNKNOWN = "–";
-const COLUMNS = ["joint", "range", "twin", "arm", "difference"];
+const VALUES = ["twin", "arm", "expected", "difference"];
+const COLUMNS = ["joint", "range", ...VALUES];
+/** Marks on a joint's bar, the uppermost last. */
+const MARKS = ["arm", "twin", "expected"];
 const TOOL = ["x", "y", "z", "a", "b", "c"];
 
 /** Make the panel. */
@@ -29,9 +32,9 @@ export function make(parent, store, connection, texts, {every, ...means} = {...b
   const [mode, override, apart] = [factOf("mode"), factOf("override"), factOf("apart")];
   const table = add(area, "div", {className: "motion-axes", role: "table", "aria-label": texts("axes.title")});
   const key = add(area, "p", {className: "motion-key"});
-  for (const name of ["twin", "arm"]) {
+  for (const name of ["twin", "arm", "expected"]) {
     add(key, "span", {className: `motion-mark motion-${name}`, "aria-hidden": "true"});
-    add(key, "span", {text: texts(`axes.${name}`)});
+    add(key, "span", {className: `motion-${name}-name`, text: texts(`axes.${name}`)});
   }
   const note = add(key, "span", {className: "motion-note"});
   const tool = add(area, "div", {className: "motion-tool"});
@@ -79,24 +82,24 @@ export function make(parent, store, connection, texts, {every, ...means} = {...b
       const range = add(row, "span", {role: "cell", className: "motion-range"});
       const lower = add(range, "span", {className: "motion-end"});
       const bar = add(range, "span", {className: "motion-bar", "aria-hidden": "true"});
-      const marks = ["arm", "twin"].map((what) => add(bar, "span", {className: `motion-at motion-at-${what}`, hidden: true}));
+      const marks = MARKS.map((what) => add(bar, "span", {className: `motion-at motion-at-${what}`, hidden: true}));
       const upper = add(range, "span", {className: "motion-end"});
-      const cells = ["twin", "arm", "difference"].map((column) => add(row, "span", {role: "cell", className: `motion-${column}`}));
-      rows.push({row, lower, upper, marks, cells, at: [null, null]});
+      const cells = VALUES.map((column) => add(row, "span", {role: "cell", className: `motion-${column}`}));
+      rows.push({row, lower, upper, marks, cells, at: MARKS.map(() => null)});
     });
   };
 
   const showRow = ({row, lower, upper, marks, cells, at}, axis) => {
-    const {joint, unit, twin, arm, difference, allowed, isOver} = axis;
+    const {joint, unit, twin, arm, expected, difference, allowed, isOver} = axis;
     const hasLimits = joint.lower < joint.upper;
     setText(lower, hasLimits ? shown(joint, joint.lower).toFixed(0) : "");
     setText(upper, hasLimits ? shown(joint, joint.upper).toFixed(0) : "");
     const withUnit = (text) => (text === "" ? UNKNOWN : unit === "°" ? `${text}°` : `${text} ${unit}`);
     const compared = difference === "" || allowed === "" ? withUnit(difference)
       : texts(isOver ? "axes.over" : "axes.within", {difference: withUnit(difference), allowed: withUnit(allowed)});
-    [withUnit(twin), withUnit(arm), compared].forEach((text, k) => setText(cells[k], text));
+    [withUnit(twin), withUnit(arm), withUnit(expected), compared].forEach((text, k) => setText(cells[k], text));
     row.classList.toggle("is-over", isOver);
-    [axis.at.arm, axis.at.twin].forEach((value, k) => {
+    MARKS.map((what) => axis.at[what]).forEach((value, k) => {
       marks[k].hidden = value === null;
       const percent = value === null ? null : (100 * value).toFixed(1);
       if (percent !== at[k] && percent !== null) marks[k].style.setProperty("--at", percent);
@@ -125,6 +128,8 @@ export function make(parent, store, connection, texts, {every, ...means} = {...b
     const names = `${robot.name}\n${view.joints.names.join("\n")}`;
     if (names !== shownNames) build(view);
     shownNames = names;
+    // without a model of the servos nobody ever expects anything: no place is taken for it
+    area.classList.toggle("has-expected", (view.expected ?? null) !== null);
     const mine = models.get(robot.name);
     axesOf(view, mine?.model?.joints ?? null).forEach((axis, k) => showRow(rows[k], axis));
     showTool(view, mine);

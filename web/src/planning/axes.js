@@ -1,4 +1,4 @@
-/** Joint by joint: where twin and arm are within the limits, and by how much they differ. Pure; a view's values in, degrees and mm out. */
+/** Joint by joint: where twin, arm and what is expected of the arm are within the limits, and by how much twin and arm differ. Pure; a view's values in, degrees and mm out. */
 import {shown, unit} from "./joints.js";
 
 /** Decimals that are shown, by unit: 0.01 degrees and 0.1 mm. */
@@ -13,8 +13,8 @@ export function valueOf(joint, value) {
 }
 
 /**
- * Return a row per joint of a view: `joint` {name, type, lower, upper}, `unit`, and as texts `twin`, `arm`, `difference`, `allowed`
- * ("" where it is not known); `isOver` the difference is larger than the gate allows; `at` {twin, arm}: where in the limits,
+ * Return a row per joint of a view: `joint` {name, type, lower, upper}, `unit`, and as texts `twin`, `arm`, `expected`, `difference`, `allowed`
+ * ("" where it is not known); `isOver` the difference is larger than the gate allows; `at` {twin, arm, expected}: where in the limits,
  * from 0 to 1, null where that or the limits are not known.
  *
  * @param {object} view
@@ -25,13 +25,14 @@ export function axesOf(view, joints) {
     const joint = joints?.find((each) => each.name === name) ?? {name, type: view.joints.types[k], lower: NaN, upper: NaN};
     const twin = view.twin?.positions[k] ?? null;
     const arm = view.arm?.positions[k] ?? null;
+    const expected = view.expected?.positions[k] ?? null;
     const error = view.sync?.error[k] ?? null;
     const allowed = view.sync?.threshold[k] ?? null;
     const difference = error === null ? null : Math.abs(error);
     return {
-      joint, unit: unit(joint), twin: valueOf(joint, twin), arm: valueOf(joint, arm), difference: valueOf(joint, difference),
+      joint, unit: unit(joint), twin: valueOf(joint, twin), arm: valueOf(joint, arm), expected: valueOf(joint, expected), difference: valueOf(joint, difference),
       allowed: valueOf(joint, allowed), isOver: difference !== null && allowed !== null && difference > allowed,
-      at: {twin: within(joint, twin), arm: within(joint, arm)},
+      at: {twin: within(joint, twin), arm: within(joint, arm), expected: within(joint, expected)},
     };
   });
 }

@@ -93,10 +93,11 @@ let seq = 0;
 export function view(changes = {}) {
   seq += 1;
   return {
-    version: 5, compatible: 1, moment: `c0ffee00-${1000 + 40 * seq}`, robot: "kr120", online: true, run: "run", seq, stamp: seq / 25, units: {angle: "rad", length: "m", time: "s"},
+    version: 6, compatible: 1, moment: `c0ffee00-${1000 + 40 * seq}`, robot: "kr120", online: true, run: "run", seq, stamp: seq / 25, units: {angle: "rad", length: "m", time: "s"},
     joints: {names: ["joint_a1", "joint_a2"], types: ["revolute", "revolute"]},
     twin: {stamp: seq / 25, age: 0.01, positions: [0.1, -1.5]},
     arm: {stamp: seq / 25, age: 0.02, positions: [0.1, -1.5]},
+    expected: null,
     sync: {state: "IN_SYNC", reason: "", age: 0.01, policy: "hold", agreed: true, error: [0, 0], threshold: [0.01, 0.01],
       servo_lag: 0.02, violations: 0},
     link: {state: "READY", reason: "", age: 0.5, gateway_state: "RSI", gateway_kind: "gateway", responsible: "", round_trip_ms: 8.1,

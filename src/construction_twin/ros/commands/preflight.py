@@ -184,8 +184,13 @@ def _check_drives(given: Given, robot: RobotModel) -> None:
 
 
 def _check_servos(given: Given, robot: RobotModel) -> None:
-    if given["servo_model"]:
-        read_servos(given["servo_model"], robot.joint_names)
+    """Refuse the servos of another arm, and those of another cycle, by which the arm would never be judged."""
+    if not given["servo_model"]:
+        return
+    known = read_servos(given["servo_model"], robot.joint_names).cycle_ns // 1_000_000
+    cycle = controller_settings(given)["cycle"]
+    if known != cycle:
+        raise ConfigurationError("cycle_ms", known, Sentence("expected.servo_cycle", cycle=cycle))
 
 
 def _check_scene(given: Given, robot: RobotModel) -> None:

@@ -289,7 +289,7 @@ class ExecutorNode:
         with self._lock:
             self._sync_at = time.monotonic_ns()
             self._executor.on_sync(state, message.agreed, message.policy, from_time(message.held_stamp))
-            self._executor.lag = sum(filter(math.isfinite, (message.round_trip, message.servo_lag)))
+            self._executor.trail(sum(filter(math.isfinite, (message.round_trip, message.servo_lag))))
 
     def on_limit(self, message: SpeedLimitInForce) -> None:
         """Take the speed limit in force."""

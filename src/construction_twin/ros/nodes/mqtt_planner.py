@@ -95,6 +95,7 @@ class Settings(MqttSettings):
         self_collision: YAML of the link pairs that are not checked; empty: no joint values are found for poses that are dragged.
         messages: Folder of the messages that outlast this node, relative to ROS_HOME; empty: they do not.
         cameras: As the console has them (``front=http://10.0.0.7/stream``, separated by blanks); of this robot. Announced by name.
+        servo_model: As the gate has it; empty: it does not expect the arm where its servos should have it.
         private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
     """
 
@@ -103,6 +104,7 @@ class Settings(MqttSettings):
     cameras: str = ""
     private: str = ""
     messages: str = ""
+    servo_model: str = ""
     max_trajectory_bytes: int = pydantic.Field(ge=1024, le=1 << 24)
     view_rate: float = pydantic.Field(ge=1.0, le=50.0)
     max_pose_age: float = pydantic.Field(gt=0.0, le=5.0)
@@ -114,6 +116,7 @@ class Poses:
 
     twin: LatestPose | None
     arm: LatestPose | None
+    expected: LatestPose | None = None
 
 
 @dataclass(frozen=True)
@@ -382,6 +385,7 @@ class MqttPlanner:
             self._feed.hold if self._feed is not None and sync is not None else HoldReport(),
             self._feed.approval_obstacle if self._feed is not None and execution is not None else "",
             speed[0] if speed is not None and time.monotonic() - speed[1] <= SPEED_AGE else None,
+            _pose_view(self._poses.expected, self._settings),
         )
 
     def publish_status_line(self) -> None:
@@ -517,7 +521,9 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttPlanner:
     )
     service = rospy.ServiceProxy("plan_trajectory", PlanTrajectory)
     node = MqttPlanner(settings, robot.name, joints, broker, client, writer, service, ports.diagnostics)
-    poses = Poses(ports.poses["twin/joint_states"], ports.poses["physical/joint_states"])
+    poses = Poses(
+        ports.poses["twin/joint_states"], ports.poses["physical/joint_states"], ports.poses.get("expected/joint_states")
+    )
     node.listen(poses, lambda: ports.connections("execution") > 0)
     _consoles(node, settings, robot, poses, ports)
     node.connect()
@@ -532,7 +538,11 @@ def _fed(handler: Callable[[ConsoleFeed, Any], object]) -> Callable[[MqttPlanner
 INTERFACE = Interface(
     report=MqttPlanner.report,
     parameters=(SharedParameter("work"), SharedParameter("startup")),
-    reads=(NewestPose("twin/joint_states"), NewestPose("physical/joint_states")),
+    reads=(
+        NewestPose("twin/joint_states"),
+        NewestPose("physical/joint_states"),
+        NewestPose("expected/joint_states", when=lambda settings: bool(settings.servo_model)),
+    ),
     hears=(
         Subscription("execution", Execution, MqttPlanner.on_execution, queue_size=10),
         Subscription("work/tasks", WorkTasks, _fed(ConsoleFeed.on_tasks), queue_size=2),

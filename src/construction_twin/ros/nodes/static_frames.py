@@ -24,7 +24,8 @@ class Settings(pydantic.BaseModel):
 
     Frame that the robot stands in, and tf prefixes of its copies. Where it stands in it, the parameter ``cell`` says; without
     one at its origin. Of the copies in `chain_only` the joint states hold the joints of the chain alone, so that the frames of the
-    others come from here; those of floating joints, which no joint state holds, come from here for every copy.
+    others come from here; those of floating joints, which no joint state holds, come from here for every copy. `more` has prefixes
+    of further copies of the chain alone, each by the name of its tree.
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
@@ -32,6 +33,7 @@ class Settings(pydantic.BaseModel):
     parent: str = "world"
     prefixes: list[str]
     chain_only: list[str]
+    more: dict[str, str] = {}
 
 
 class StaticFramesNode:
@@ -42,12 +44,14 @@ class StaticFramesNode:
         place = Pose(np.zeros(3), np.eye(3)) if cell is None else load_cell(cell).world_T_root(robot.name)
         # the URDF's root, which need not be the base of the chain: any other link has a parent already
         base = parse_urdf(robot.urdf).get_root()
-        transforms = [self._transform(settings.parent, tf_frame(prefix, base), place) for prefix in settings.prefixes]
+        more = list(settings.more.values())
+        prefixes, chain_only = settings.prefixes + more, settings.chain_only + more
+        transforms = [self._transform(settings.parent, tf_frame(prefix, base), place) for prefix in prefixes]
         transforms += [
             self._transform(tf_frame(prefix, frame.parent), tf_frame(prefix, frame.child), frame.pose)
-            for prefix in settings.prefixes
+            for prefix in prefixes
             for frame in other_frames(robot)
-            if prefix in settings.chain_only or frame.kind == "floating"
+            if prefix in chain_only or frame.kind == "floating"
         ]
         ports.publishers["/tf_static"].publish(TFMessage(transforms))
 

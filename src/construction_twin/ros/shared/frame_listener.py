@@ -27,8 +27,8 @@ PUBLISHERS = {
     "physical": ("physical_state_publisher", "static_frames"),
     "preview": ("preview_state_publisher", "static_frames"),
 }
-#: The tree of a simulated pose, which nothing here is told of.
-SIMULATED = "simulated"
+#: Trees for people to look at, which nothing here is told of: of a simulated pose, and of where the servos should have the arm.
+SHOWN = ("simulated", "expected")
 #: Messages that are kept for a callback that is busy: about a second of three trees and of other robots'.
 _QUEUE = 100
 #: Refused static transforms that are kept; of more the oldest are forgotten.
@@ -72,7 +72,7 @@ class FrameListener:
             self._forget_what_lies_ahead()
             for transform in message.transforms:
                 frame = transform.child_frame_id.lstrip("/")
-                if _tree(frame)[1] == SIMULATED:
+                if _tree(frame)[1] in SHOWN:
                     continue
                 problem = self._problem(frame, caller)
                 # what it says now is newer
