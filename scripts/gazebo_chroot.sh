@@ -23,9 +23,10 @@ fail() {
   exit 1
 }
 
-# $1: a command's words follow. Folders of this machine lie in the chroot at their own paths.
+# A command's words. Folders of this machine lie in the chroot at their own paths. Environment: unshared, more options of unshare.
 inside() {
-  exec env root="$root" unshare --mount --propagation private bash -c '
+  # shellcheck disable=SC2086
+  exec env root="$root" unshare --mount --propagation private ${unshared:-} bash -c '
     set -e
     system=$1; shift
     for folder in /proc /sys /dev /tmp /root /home "$root" "${ROS_HOME:-/tmp}"; do
@@ -57,8 +58,9 @@ make_system() {
     fail "debootstrap or Debian's keys are missing. As root: apt-get install debootstrap debian-archive-keyring"
   [ -e "$place/.base" ] || make_base
   say "installing Gazebo 11 in it (about 3 minutes)"
-  # dpkg first finishes what an interrupted run has left half installed
-  (inside env DEBIAN_FRONTEND=noninteractive sh -c "dpkg --configure -a && apt-get update && apt-get install -y --fix-broken --no-install-recommends -o Acquire::Retries=3 $packages && apt-get clean") >"$place/make.log" 2>&1 ||
+  # dpkg first finishes what an interrupted run has left half installed. It runs in a session of its own, and would go on alone after a
+  # kill: among processes that end together it does not
+  (unshared="--pid --fork --kill-child" inside env DEBIAN_FRONTEND=noninteractive sh -c "dpkg --configure -a && apt-get update && apt-get install -y --fix-broken --no-install-recommends -o Acquire::Retries=3 $packages && apt-get clean") >"$place/make.log" 2>&1 ||
     fail "apt-get failed: $(tail -n 2 "$place/make.log" | tr '\n' ' ') (all of it: $place/make.log)"
   printf '%s\n' "$packages" >"$place/.packages"
 }
@@ -75,7 +77,7 @@ case "${1:-}" in
     mkdir -p "$place"
     # programs of a run that was killed hold it as well, until they end
     exec 9>"$place/.lock"
-    flock --nonblock 9 || fail "another run is still making it, or what it started: wait until that has ended"
+    flock --timeout 10 9 || fail "another run is still making it, or what it started: wait until that has ended"
     # without this the shell would go on when a program ends on Ctrl-C by itself
     trap 'fail "interrupted; the next make goes on from the last finished step"' INT TERM
     make_system
