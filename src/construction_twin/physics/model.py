@@ -136,29 +136,32 @@ def build_model(
     load: Load = Load(),
     gravity: Sequence[float] = (0.0, 0.0, -GRAVITY),
     step: float = STEP,
+    contacts: bool = True,
 ) -> PhysicsModel:
     """Compile the model.
 
     Args:
         gravity: Length 3. In the root of the URDF [m/s^2].
         step: Of the simulation [s].
+        contacts: Whether bodies touch each other; if not, they have masses and no shapes.
 
     Raises:
         SceneError: If the scene names links or objects that do not exist, or a mesh cannot be used.
         ConfigurationError: If an inertia of the URDF is none.
     """
-    return _Builder(bodies, scene, self_collision, drives, load, gravity, step).build()
+    return _Builder(bodies, scene, self_collision, drives, load, gravity, step, contacts).build()
 
 
 class _Builder:
     """Builds one model; the order of its steps is that of `build`."""
 
-    def __init__(self, bodies, scene, self_collision, drives, load, gravity, step):
+    def __init__(self, bodies, scene, self_collision, drives, load, gravity, step, contacts):
         self._robot_bodies: RobotBodies = bodies
         self._scene: Scene = scene
         self._self_collision: SelfCollision = self_collision
         self._drives: ArmDrives = drives
         self._load: Load = load
+        self._contacts: bool = contacts
         self._own = (*bodies.bodies, *bodies.place_all(scene))
         self._remarks: list[str] = []
         self._owners: list[str] = []
@@ -328,6 +331,8 @@ class _Builder:
 
     def _add_geoms(self, holder, pieces: Sequence[Body], placed: bool = True) -> None:
         """Add the shapes of a link or an object, with a remark where they are not the planner's, or more than the mesh."""
+        if not self._contacts:
+            return
         shapes = pieces[0].shapes
         if shapes is not None and shapes.whole is not None:
             self._remarks.append(Sentence("physics.remark.pieces", object=pieces[0].owner, reach=shapes.reach * 1e3))
