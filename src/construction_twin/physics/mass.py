@@ -111,6 +111,9 @@ def of_object(pieces: Sequence[Body]) -> MassProperties:
     Args:
         pieces: What `RobotBodies.place` gives.
     """
+    shapes = pieces[0].shapes
+    if shapes is not None and shapes.whole is not None:
+        return of_shape(shapes.whole)
     parts = [of_shape(piece.geometry) for piece in pieces]
     return parts[0] if len(parts) == 1 else together(parts)
 

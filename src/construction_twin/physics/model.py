@@ -7,7 +7,7 @@ is the root of the URDF's tree; SI; joints in the order of ``robot.joint_names``
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import coal
@@ -136,29 +136,32 @@ def build_model(
     load: Load = Load(),
     gravity: Sequence[float] = (0.0, 0.0, -GRAVITY),
     step: float = STEP,
+    contacts: bool = True,
 ) -> PhysicsModel:
     """Compile the model.
 
     Args:
         gravity: Length 3. In the root of the URDF [m/s^2].
         step: Of the simulation [s].
+        contacts: Whether bodies touch each other; if not, they have masses and no shapes.
 
     Raises:
         SceneError: If the scene names links or objects that do not exist, or a mesh cannot be used.
         ConfigurationError: If an inertia of the URDF is none.
     """
-    return _Builder(bodies, scene, self_collision, drives, load, gravity, step).build()
+    return _Builder(bodies, scene, self_collision, drives, load, gravity, step, contacts).build()
 
 
 class _Builder:
     """Builds one model; the order of its steps is that of `build`."""
 
-    def __init__(self, bodies, scene, self_collision, drives, load, gravity, step):
+    def __init__(self, bodies, scene, self_collision, drives, load, gravity, step, contacts):
         self._robot_bodies: RobotBodies = bodies
         self._scene: Scene = scene
         self._self_collision: SelfCollision = self_collision
         self._drives: ArmDrives = drives
         self._load: Load = load
+        self._contacts: bool = contacts
         self._own = (*bodies.bodies, *bodies.place_all(scene))
         self._remarks: list[str] = []
         self._owners: list[str] = []
@@ -326,24 +329,57 @@ class _Builder:
             parts.append(part)
         return together(parts) if parts else None
 
-    def _add_geoms(self, holder, pieces: Iterable[Body], placed: bool = True) -> None:
-        """Add the shapes of a link or an object; what one cannot be is its convex hull, and a remark."""
-        for number, one in enumerate(pieces):
+    def _add_geoms(self, holder, pieces: Sequence[Body], placed: bool = True) -> None:
+        """Add the shapes of a link or an object, with a remark where they are not the planner's, or more than the mesh."""
+        if not self._contacts:
+            return
+        shapes = pieces[0].shapes
+        if shapes is not None and shapes.whole is not None:
+            self._remarks.append(Sentence("physics.remark.pieces", object=pieces[0].owner, reach=shapes.reach * 1e3))
+        for one in pieces:
             placement = one.placement if placed else pinocchio.SE3.Identity()
-            shape = _shape(self._spec, f"{one.owner}\n{number}", one.geometry)
-            if shape is None:
-                self._remarks.append(Sentence("physics.remark.flat", object=one.owner))
-                continue
-            kind, values, is_hull = shape
-            if is_hull:
-                self._remarks.append(Sentence("physics.remark.hull", object=one.owner))
-            holder.add_geom(
-                name=f"{one.owner}\n{number}\n{len(self._owners)}", type=kind,
-                pos=placement.translation, quat=_quaternion(placement.rotation),
-                contype=1, conaffinity=1, mass=0.0,
-                friction=[FRICTION, 0.005, 0.0001], solref=list(_CONTACT), **values,
-            )  # fmt: skip
-            self._owners.append(one.owner)
+            for geometry in self._touchable(one):
+                name = f"{one.owner}\n{len(self._owners)}"
+                kind, values = _shape(self._spec, name, geometry)
+                holder.add_geom(
+                    name=name, type=kind, pos=placement.translation, quat=_quaternion(placement.rotation),
+                    contype=1, conaffinity=1, mass=0.0,
+                    friction=[FRICTION, 0.005, 0.0001], solref=list(_CONTACT), **values,
+                )  # fmt: skip
+                self._owners.append(one.owner)
+
+    def _touchable(self, one: Body) -> list[coal.CollisionGeometry | np.ndarray]:
+        """Return what MuJoCo can have of a shape: itself, or convex bodies by their corners."""
+        geometry = one.geometry
+        if isinstance(geometry, coal.BVHModelBase):
+            vertices, triangles = mesh_triangles(geometry)
+            if not is_convex(vertices, triangles):
+                return self._of_surface(one.owner, vertices, triangles)
+        elif isinstance(geometry, coal.ConvexBase):
+            vertices = np.array(geometry.points(), dtype=float)
+        else:
+            return [geometry]
+        return self._unless_flat(one.owner, vertices)
+
+    def _of_surface(self, owner: str, vertices: np.ndarray, triangles: np.ndarray) -> list[np.ndarray]:
+        """Return the corners of convex bodies that hold what the planner has as a surface."""
+        # loaded here: most arms and scenes have no such mesh, and manifold3d is tens of MB
+        from construction_twin.scene.convex_pieces import convex_pieces  # noqa: PLC0415
+
+        pieces = convex_pieces(vertices, triangles)
+        if pieces is None:
+            corners = self._unless_flat(owner, vertices)
+            if corners:
+                self._remarks.append(Sentence("physics.remark.hull", object=owner))
+            return corners
+        self._remarks.append(Sentence("physics.remark.cover", object=owner, reach=pieces.reach * 1e3))
+        return [corners for corners in pieces.corners if not _is_flat(corners)]
+
+    def _unless_flat(self, owner: str, vertices: np.ndarray) -> list[np.ndarray]:
+        if _is_flat(vertices):
+            self._remarks.append(Sentence("physics.remark.flat", object=owner))
+            return []
+        return [vertices]
 
     def _exclude_pairs(self) -> None:
         """Leave out the pairs of the arm, and what it carries, that the planner does not check."""
@@ -423,25 +459,25 @@ def _inertias(model: mujoco.MjModel, count: int) -> tuple[np.ndarray, np.ndarray
     return places, related
 
 
-def _shape(spec: mujoco.MjSpec, name: str, geometry: coal.CollisionGeometry) -> tuple | None:
-    """Return kind and numbers of a geom, and whether it is a hull where the planner has a surface; None: nothing to touch."""
+def _shape(
+    spec: mujoco.MjSpec, name: str, geometry: coal.CollisionGeometry | np.ndarray
+) -> tuple[mujoco.mjtGeom, dict]:
+    """Return kind and numbers of a geom: of a shape, or of the hull of corners, shape (k, 3)."""
     kinds = mujoco.mjtGeom
     if isinstance(geometry, coal.Box):
-        return kinds.mjGEOM_BOX, {"size": np.array(geometry.halfSide).ravel()}, False
+        return kinds.mjGEOM_BOX, {"size": np.array(geometry.halfSide).ravel()}
     if isinstance(geometry, coal.Sphere):
-        return kinds.mjGEOM_SPHERE, {"size": [geometry.radius, 0.0, 0.0]}, False
+        return kinds.mjGEOM_SPHERE, {"size": [geometry.radius, 0.0, 0.0]}
     if isinstance(geometry, (coal.Cylinder, coal.Capsule)):
         kind = kinds.mjGEOM_CYLINDER if isinstance(geometry, coal.Cylinder) else kinds.mjGEOM_CAPSULE
-        return kind, {"size": [geometry.radius, geometry.halfLength, 0.0]}, False
-    if isinstance(geometry, coal.BVHModelBase):
-        vertices, triangles = mesh_triangles(geometry)
-        is_hull = not is_convex(vertices, triangles)
-    else:
-        vertices, is_hull = np.array(geometry.points(), dtype=float), False
-    if np.linalg.matrix_rank(vertices - vertices.mean(axis=0), tol=1e-6) < 3:
-        return None
-    spec.add_mesh(name=name, uservert=vertices.ravel().tolist(), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
-    return kinds.mjGEOM_MESH, {"meshname": name}, is_hull
+        return kind, {"size": [geometry.radius, geometry.halfLength, 0.0]}
+    spec.add_mesh(name=name, uservert=geometry.ravel().tolist(), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
+    return kinds.mjGEOM_MESH, {"meshname": name}
+
+
+def _is_flat(vertices: np.ndarray) -> bool:
+    """Return whether corners have no volume that MuJoCo takes."""
+    return bool(np.linalg.matrix_rank(vertices - vertices.mean(axis=0), tol=1e-6) < 3)
 
 
 def _set_mass(body, properties: MassProperties) -> None:

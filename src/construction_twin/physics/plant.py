@@ -42,10 +42,7 @@ def bare_model(
     """
     carried = carried_part(scene)
     load = Load(masses_of(known, (carried,), bodies), flange=flange)
-    physics = build_model(bodies, carried, SelfCollision({}, ""), drives, load)
-    # no link is to find another one in its way
-    physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    return physics
+    return build_model(bodies, carried, SelfCollision({}, ""), drives, load, contacts=False)
 
 
 class Plant:

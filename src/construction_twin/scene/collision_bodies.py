@@ -41,6 +41,8 @@ _ASIDE = (1e-6, 1e-5, 1e-4)
 _NO_LIMIT = 1e3
 #: Most meshes of scene objects that are kept for the next scene.
 _MESHES_KEPT = 4096
+#: Pieces that reach further beyond their mesh would keep the arm out of what is free: [m], and as a fraction of the mesh's size.
+_FARTHEST, _FARTHEST_SHARE = 0.005, 0.025
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,7 @@ class Body:
         joint: Pinocchio's index of the joint that moves it; 0: nothing does.
         placement: Of the shape in the joint's frame.
         item: None for a link of the robot.
+        shapes: All shapes of a scene object, of which this is one; None for a link.
     """
 
     owner: str
@@ -61,6 +64,22 @@ class Body:
     placement: pinocchio.SE3
     geometry: coal.CollisionGeometry
     item: SceneObject | None = None
+    shapes: ObjectShapes | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectShapes:
+    """What contacts of a scene object are checked with, in its frame.
+
+    Attributes:
+        shapes: One, or the convex pieces of its mesh.
+        reach: How far the pieces reach beyond the mesh [m].
+        whole: The surface that has the object's volume and moments; None: its shapes have them, together.
+    """
+
+    shapes: tuple[coal.CollisionGeometry, ...]
+    reach: float = 0.0
+    whole: coal.CollisionGeometry | None = None
 
 
 class RobotBodies:
@@ -82,7 +101,7 @@ class RobotBodies:
 
     def __init__(self, robot: RobotModel):
         self.robot = robot
-        self._meshes: dict[tuple[str, tuple[float, ...]], tuple[coal.CollisionGeometry, ...]] = {}
+        self._meshes: dict[tuple[str, tuple[float, ...]], ObjectShapes] = {}
         try:
             urdf = with_mesh_files(_of_single_joints(robot))
             full = pinocchio.buildModelFromXML(urdf)
@@ -213,13 +232,14 @@ class RobotBodies:
         if item.link:
             frame = self.model.frames[self.model.getFrameId(item.link, pinocchio.FrameType.BODY)]
             link, joint, placement = item.link, frame.parentJoint, frame.placement * pose
-        return tuple(Body(item.name, link, joint, placement, shape, item) for shape in self._shapes(item))
+        shapes = self._shapes(item)
+        return tuple(Body(item.name, link, joint, placement, shape, item, shapes) for shape in shapes.shapes)
 
     def place_all(self, scene: Scene) -> tuple[Body, ...]:
         """Return the bodies of all objects of a scene, in its order; see `place`."""
         return tuple(body for item in scene.objects for body in self.place(item, scene.names))
 
-    def _shapes(self, item: SceneObject) -> tuple[coal.CollisionGeometry, ...]:
+    def _shapes(self, item: SceneObject) -> ObjectShapes:
         """Return an object's shapes; a mesh is read and divided once, and again only when its contents are others."""
         if not item.mesh:
             return scene_shapes(item)
@@ -279,36 +299,37 @@ def scene_geometry(item: SceneObject) -> coal.CollisionGeometry:
     return _mesh(item)
 
 
-def scene_shapes(item: SceneObject) -> tuple[coal.CollisionGeometry, ...]:
-    """Return the shapes of which a scene object consists, in its frame: what the planner and the simulation check contacts with.
+def scene_shapes(item: SceneObject) -> ObjectShapes:
+    """Return the shapes of which a scene object consists: what the planner and the simulation check contacts with.
 
-    A closed mesh is solid; one that is not convex becomes convex pieces (`convex_pieces`). What cannot be divided stays a surface:
-    an arm completely inside it is not in contact with it.
+    A closed mesh is solid; one that is not convex becomes convex pieces (`convex_pieces`) that reach at most 5 mm beyond it. What
+    cannot be divided so stays a surface: an arm completely inside it is not in contact with it.
 
     Raises:
         SceneError: As `scene_geometry`.
     """
     whole = scene_geometry(item)
     if not isinstance(whole, coal.BVHModelBase):
-        return (whole,)
+        return ObjectShapes((whole,))
     # loaded here: most scenes have no such mesh, and manifold3d and scipy.spatial are tens of MB
     from scipy.spatial import ConvexHull  # noqa: PLC0415
 
     from construction_twin.scene.convex_pieces import convex_pieces  # noqa: PLC0415
 
-    pieces = convex_pieces(*mesh_triangles(whole))
-    if pieces is None:
-        return (whole,)
+    vertices, triangles = mesh_triangles(whole)
+    pieces = convex_pieces(vertices, triangles)
+    if pieces is None or pieces.reach > min(_FARTHEST, _FARTHEST_SHARE * float(np.ptp(vertices, axis=0).max())):
+        return ObjectShapes((whole,))
     shapes = []
-    for corners in pieces:
+    for corners in pieces.corners:
         piece = surface(*hull_mesh(ConvexHull(corners)))
         try:
             piece.buildConvexHull(True, "Qt")
         except RuntimeError:
             # too thin for coal: a part less would be a hole
-            return (whole,)
+            return ObjectShapes((whole,))
         shapes.append(piece.convex)
-    return tuple(shapes)
+    return ObjectShapes(tuple(shapes), pieces.reach, None if pieces.whole is None else surface(*pieces.whole))
 
 
 def _mesh(item: SceneObject) -> coal.CollisionGeometry:

@@ -37,13 +37,12 @@ def lost(
         body: The same as a closed body, if it is one.
         pieces: Each of shape (k, 3). Corners of each.
     """
-    planes = [ConvexHull(points).equations for points in pieces]
-    outside = float(_outside(points_on(vertices, triangles), planes).max(initial=0.0))
+    outside = farthest_outside(points_on(vertices, triangles), pieces)
     if body is not None:
         rest = body - union(hull_solid(resized(points, _APART)) for points in pieces)
         # a sheet of that thickness over the whole surface is what rounding may leave
         if rest.volume() > HELD * triangle_area(vertices, triangles):
-            outside = max(outside, float(_outside(mesh_of(rest)[0], planes).max(initial=0.0)), 2.0 * HELD)
+            outside = max(outside, farthest_outside(mesh_of(rest)[0], pieces), 2.0 * HELD)
     return outside if outside > HELD else 0.0
 
 
@@ -66,12 +65,17 @@ def points_on(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.concatenate([vertices[np.unique(triangles)], inner, corners.mean(axis=1)])
 
 
-def _outside(points: np.ndarray, planes: Sequence[np.ndarray]) -> np.ndarray:
-    """Return how far each point lies outside of the piece that it lies least outside of: at most its distance to it."""
+def farthest_outside(points: np.ndarray, pieces: Sequence[np.ndarray]) -> float:
+    """Return how far the worst of some points lies outside of the piece that it lies least outside of: at most its distance [m].
+
+    Args:
+        points: Shape (n, 3). [m]
+        pieces: Each of shape (k, 3). Corners of each.
+    """
     least = np.full(len(points), np.inf)
-    for piece in planes:
-        least = np.minimum(least, (points @ piece[:, :3].T + piece[:, 3]).max(axis=1))
-    return least
+    for planes in (ConvexHull(corners).equations for corners in pieces):
+        least = np.minimum(least, (points @ planes[:, :3].T + planes[:, 3]).max(axis=1))
+    return float(np.maximum(least, 0.0).max(initial=0.0))
 
 
 def excess(body: manifold3d.Manifold, pieces: Sequence[np.ndarray]) -> float:

@@ -181,7 +181,7 @@ class Shapes:
     def _shapes(self, item: SceneObject) -> tuple[coal.CollisionGeometry, ...]:
         key = (item.shape, item.size, item.mesh_digest)
         if key not in self._geometries:
-            shapes = scene_shapes(item)
+            shapes = scene_shapes(item).shapes
             for shape in shapes:
                 shape.computeLocalAABB()
             self._geometries[key] = shapes

@@ -11,9 +11,14 @@ from scene_samples import FLOOR, clutter, random_poses, write_stl
 
 from construction_twin.kinematics.chain import Chain
 from construction_twin.physics.constants import GRAVITY
-from construction_twin.physics.model import Load
+from construction_twin.physics.drive import drives_of
+from construction_twin.physics.model import Load, build_model
+from construction_twin.robot.description import load_robot
+from construction_twin.robot.new_robot import new_description
+from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.self_collision import SelfCollision
 
 ARMS = ("kr120", "kr120_track", *OTHERS, "ur_like_gripper", "balanced_like", "endless_like")
 #: Those of the URDFs that say what their links weigh.
@@ -207,6 +212,32 @@ def test_a_mesh_that_cannot_be_divided_is_its_hull_and_says_so(tmp_path):
     beside = model_of(scene=Scene((corner, probe)), load=Load({"probe": 1.0}, {"probe": "probe"}))
     owners = [{beside.owners[geom] for geom in geoms} for geoms in beside.at_rest(READY).contact.geom]
     assert {"corner", "probe"} in owners
+
+
+def test_a_link_that_is_not_convex_is_pieces_in_the_simulation_and_says_so(tmp_path):
+    """The planner keeps its surface; its hull would touch what lies in its notch."""
+    mesh = corner_mesh(tmp_path / "l.stl")
+    shape = f'<geometry><mesh filename="file://{mesh}"/></geometry>'
+    urdf = (
+        f'<robot name="one"><link name="base_link"/><link name="arm"><collision>{shape}</collision></link><link name="tool0"/>'
+        '<joint name="j" type="revolute"><parent link="base_link"/><child link="arm"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" velocity="1" effort="100"/></joint><joint name="f" type="fixed">'
+        '<parent link="arm"/><child link="tool0"/><origin xyz="0 0 -0.2"/></joint></robot>'
+    )
+    robot = load_robot(urdf, new_description(urdf, "one", "base_link", "tool0", 1.0))
+    bodies, none = RobotBodies(robot), SelfCollision({}, "")
+    for gap, free in ((0.03, True), (-0.005, False)):
+        probe = SceneObject("probe", "sphere", (0.03,), (0.13 + gap, 0.2, 0.05))
+        scene = Scene((probe,))
+        physics = build_model(bodies, scene, none, drives_of(robot))
+        (remark,) = [
+            remark for remark in physics.remarks if remark.key in ("physics.remark.cover", "physics.remark.hull")
+        ]
+        assert remark.key == "physics.remark.cover"
+        assert remark.values["object"] == "arm" and remark.values["reach"] == 0.0
+        owners = [{physics.owners[geom] for geom in geoms} for geoms in physics.at_rest([0.0]).contact.geom]
+        assert ({"arm", "probe"} not in owners) is free
+        assert CollisionWorld(robot, scene, none).is_free([0.0]) is free
 
 
 def test_a_convex_mesh_has_no_remark(tmp_path):

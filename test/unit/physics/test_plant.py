@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio
 import pytest
-from physics_samples import READY, bodies_of, drives, dynamics_of, robot_of
+from physics_samples import READY, bodies_of, drives, dynamics_of, model_of, robot_of
 from scene_samples import random_poses
 
 from construction_twin.core.errors import ConfigurationError
@@ -34,6 +34,15 @@ def settled(arm: Plant, q=READY, cycles=50) -> np.ndarray:
     for _ in range(cycles):
         arm.cycle(np.array(q))
     return arm.torque
+
+
+def test_an_arm_alone_has_masses_and_nothing_that_could_touch():
+    """A folded arm, and what it carries, would find itself in its way; and shapes that nobody needs take time to be made."""
+    tile = SceneObject("tile", "box", (0.5, 0.5, 0.5), (0.0, 0.0, 0.0), link="tool0")
+    physics = bare_model(bodies_of("kr120"), drives(), None, Scene((tile,)), {"tile": 60.0})
+    assert physics.model.ngeom == 0 and physics.owners == ()
+    assert physics.model.body("tile").mass[0] == pytest.approx(60.0)
+    assert model_of().model.ngeom > 0
 
 
 @pytest.mark.parametrize("name", ["kr120", "kr120_track", "ur_like", "ur_like_gripper"])
