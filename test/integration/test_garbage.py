@@ -222,6 +222,8 @@ class GarbageTest(RobotTest):
     def record_motion(self, bag: Path) -> None:
         """Record a motion to another pose."""
         topics = [rospy.resolve_name(topic) for topic in HEARD_BY if topic not in MADE] + ["/tf"]
+        rehearsals: list = []
+        heard = rospy.Subscriber("rehearsal", rospy.AnyMsg, rehearsals.append)
         recorder = subprocess.Popen(["rosbag", "record", "--quiet", "-O", bag, *topics])
         try:
             for topic in topics:
@@ -229,7 +231,10 @@ class GarbageTest(RobotTest):
                     lambda: any("/record_" in node for node in subscribers(topic)), f"the recorder to hear {topic}"
                 )
             self.client.go_to(LEFT)
+            # the first one begins with a start of its process, behind everything else: it may end after the motion
+            self.client.wait(lambda: rehearsals, "the rehearsal of the motion", 40.0)
         finally:
+            heard.unregister()
             recorder.send_signal(signal.SIGINT)
             recorder.wait(10)
 
