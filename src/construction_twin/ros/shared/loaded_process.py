@@ -22,7 +22,6 @@ output. Linux only.
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import gc
 import io
@@ -34,11 +33,13 @@ import socket
 import struct
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import import_module
+from multiprocessing import get_context
+from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, TextIO
 
 import setproctitle
 
@@ -48,6 +49,7 @@ PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PATIENCE = 2.0
 #: Exit code when nobody can say how the node ended.
 UNKNOWN = 1
+_FORK = get_context("fork")
 _NUMBER = struct.Struct("=i")
 _PEER = struct.Struct("=iII")
 
@@ -58,8 +60,6 @@ def run_program(module: str) -> NoReturn:
     Args:
         module: Its full name.
     """
-    # Ctrl-C during the imports is no error; what runs afterwards takes the signal over
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
     code = _run_as_copy(module, _name_for(os.getppid()))
     if code is None:
         _run_here(module)
@@ -189,8 +189,8 @@ class _Loaded:
         self._listener = listener
         self._roslaunch = roslaunch
         self._selector = selectors.DefaultSelector()
-        #: The connection to the program of each copy, by the copy's pidfd.
-        self._copies: dict[int, tuple[int, socket.socket]] = {}
+        #: Each copy and the connection to its program, by the copy's pidfd.
+        self._copies: dict[int, tuple[BaseProcess, socket.socket]] = {}
 
     def serve(self) -> NoReturn:
         """Serve until roslaunch and every copy have ended; in a copy, run the program to its end."""
@@ -228,25 +228,45 @@ class _Loaded:
             os.close(file)
 
     def _copy(self, connection: socket.socket, request: _Request, files: list[int]) -> None:
-        pid = os.fork()
-        if pid == 0:
-            self._close()
-            _become(request, files, connection)
-        _lead_group(pid)
-        copy = os.pidfd_open(pid)
-        self._copies[copy] = (pid, connection)
+        # it ends a copy without taking apart every module that was ever loaded, which takes longer than a node's start
+        process = _FORK.Process(target=self._become, args=(connection, request, files))
+        process.start()
+        assert process.pid is not None  # it has been started
+        _lead_group(process.pid)
+        copy = os.pidfd_open(process.pid)
+        self._copies[copy] = (process, connection)
         self._selector.register(copy, selectors.EVENT_READ, self._end_of_copy)
         with contextlib.suppress(OSError):  # a program that was killed meanwhile: the copy notices, too
-            connection.sendall(_NUMBER.pack(pid))
+            connection.sendall(_NUMBER.pack(process.pid))
 
     def _end_of_copy(self, copy: int) -> None:
         self._selector.unregister(copy)
-        pid, connection = self._copies.pop(copy)
-        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        process, connection = self._copies.pop(copy)
+        process.join()
         with contextlib.suppress(OSError):
-            connection.sendall(_NUMBER.pack(code))
+            connection.sendall(_NUMBER.pack(process.exitcode))
         connection.close()
         os.close(copy)
+
+    def _become(self, connection: socket.socket, request: _Request, files: list[int]) -> None:
+        """Become a program's node, in a copy."""
+        self._close()
+        _lead_group(os.getpid())
+        for number, file in enumerate(files):
+            os.dup2(file, number)
+            os.close(file)
+        sys.stdin = open(0, closefd=False)  # noqa: SIM115: as long as the process
+        _buffer_as_asked(sys.stdout, request.environment)
+        for number in PASSED_ON:
+            signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, PASSED_ON)
+        os.chdir(request.folder)
+        os.environ.clear()
+        os.environ.update(request.environment)
+        sys.argv[:] = request.words
+        setproctitle.setproctitle(request.title)
+        threading.Thread(target=_die_with, args=(connection,), name="program", daemon=True).start()
+        _run_here(request.module)
 
     def _close(self) -> None:
         """Close in a copy what is the loaded process's."""
@@ -296,27 +316,11 @@ def _lead_group(pid: int) -> None:
         os.setpgid(pid, pid)
 
 
-def _become(request: _Request, files: list[int], connection: socket.socket) -> NoReturn:
-    """Become a program's node."""
-    _lead_group(os.getpid())
-    for number, file in enumerate(files):
-        os.dup2(file, number)
-        os.close(file)
-    for number in PASSED_ON:
-        signal.signal(number, signal.SIG_DFL)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, PASSED_ON)
-    os.chdir(request.folder)
-    os.environ.clear()
-    os.environ.update(request.environment)
-    sys.argv[:] = request.words
-    unbuffered = bool(request.environment.get("PYTHONUNBUFFERED"))
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(line_buffering=os.isatty(1), write_through=unbuffered)
-    setproctitle.setproctitle(request.title)
-    # extension modules look at the end of Python whether all that is theirs has been given back
-    atexit.register(gc.unfreeze)
-    threading.Thread(target=_die_with, args=(connection,), name="program", daemon=True).start()
-    _run_here(request.module)
+def _buffer_as_asked(stream: TextIO, environment: Mapping[str, str]) -> None:
+    """Have a stream written as Python would have it for a program of its own."""
+    if isinstance(stream, io.TextIOWrapper):
+        unbuffered = bool(environment.get("PYTHONUNBUFFERED"))
+        stream.reconfigure(line_buffering=stream.isatty(), write_through=unbuffered)
 
 
 def _die_with(connection: socket.socket) -> None:

@@ -64,7 +64,11 @@ def run_node(name: str, start: Callable[[], object]) -> None:
             if rospy.core.is_shutdown_requested():
                 return
             raise
-        _serve(name, start)
+        try:
+            _serve(name, start)
+        finally:
+            # the master is told in a copy of the loaded process, too, which ends without Python's exit functions
+            rospy.signal_shutdown("ended")
 
 
 def _serve(name: str, start: Callable[[], object]) -> None:
