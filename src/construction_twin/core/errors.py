@@ -22,9 +22,15 @@ class ConstructionTwinError(Exception):
         return self.args[0] if self.args and isinstance(self.args[0], Sentence) else str(self)
 
 
+#: Characters of a value that an error shows: the content of a wrong file would hide what is said of it.
+_MOST_SHOWN = 300
+
+
 def found_and_expected(where: str, value: object, expected: str) -> Sentence:
     """Return the sentence of what stands somewhere, and what would have been accepted there; a value None: nothing."""
     found = Sentence("expected.nothing") if value is None else repr(value)
+    if len(found) > _MOST_SHOWN:
+        found = f"{found[: _MOST_SHOWN - 3]}..."
     return Sentence("motion.scene", where=where, found=found, expected=expected)
 
 

@@ -55,7 +55,7 @@ def write_report(recording: Recording, robot: RobotModel | None, directory: str 
         linear = tuple(joint for joint, slides in zip(robot.joint_names, robot.linear) if slides)
         recording = dataclasses.replace(recording, linear=linear)
     evaluation = evaluate(recording)
-    summary = {**summarise(evaluation), "twin": twin or None, "environment": environment()}
+    summary = {**summarise(evaluation), "twin": twin or None, "environment": environment(twin)}
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     drawings = {"figure9.png": figures.joint_figure(evaluation), "timing.png": figures.timing_figure(evaluation)}
@@ -74,7 +74,8 @@ def write_report(recording: Recording, robot: RobotModel | None, directory: str 
     return Report(summary, tuple(directory / name for name in names))
 
 
-def environment() -> dict:
-    """Return the versions of the interpreter and libraries, and the machine."""
-    packages = {name: importlib.metadata.version(name) for name in ("numpy", "scipy")}
+def environment(twin: str = "") -> dict:
+    """Return the versions of the interpreter and libraries, and the machine; with a twin in MuJoCo that of the engine, too."""
+    names = ("numpy", "scipy", *(("mujoco-core",) if twin == "mujoco" else ()))
+    packages = {name: importlib.metadata.version(name) for name in names}
     return {"python": platform.python_version(), "system": platform.platform(), "cpus": os.cpu_count(), **packages}

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import pydantic
 import yaml
@@ -53,7 +53,7 @@ class ArmDrives:
         friction: Length n. Friction at any speed [N m], [N].
         rating: None: nobody says.
         source: Where the torques are from.
-        estimates: Keys of the file whose numbers are estimates; ``torque``: the URDF's efforts are.
+        estimates: What is an estimate: keys of the file, `torque` also where it is the URDF's effort; `link_masses`: the URDF's.
     """
 
     torque: tuple[float | None, ...]
@@ -91,7 +91,8 @@ class _DrivesFile(_Strict):
     source: str
     joints: dict[str, _Axis]
     payload: _Rating | None = None
-    estimates: tuple[str, ...] = ()
+    # a word that is none would leave an estimate unnamed
+    estimates: tuple[Literal["torque", "armature", "damping", "friction", "payload", "link_masses"], ...] = ()
 
 
 def drives_of(robot: RobotModel) -> ArmDrives:

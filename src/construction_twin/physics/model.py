@@ -189,7 +189,7 @@ class _Builder:
         carried = self._add_objects(joints)
         payload = self._add_flange_load(joints, carried)
         if self._drives.estimates:
-            keys = ", ".join(self._drives.estimates)
+            keys = ", ".join(self._drives.estimates).replace("_", " ")
             self._remarks.append(Sentence("physics.remark.drives", keys=keys, source=self._drives.source))
         self._exclude_pairs()
         self._add_followers()

@@ -52,3 +52,9 @@ def test_a_file_that_is_no_text_says_where(tmp_path):
     with pytest.raises(UnicodeDecodeError) as caught:
         (tmp_path / "a.csv").read_text(encoding="utf-8")
     assert says("view.file.no_text", path="a.csv", position=2)(FileError("a.csv", caught.value))
+
+
+def test_the_content_of_a_wrong_file_is_cut_off_before_what_is_said_of_it():
+    said = str(ConfigurationError("scene.yaml", "x" * 5000, "a mapping"))
+    assert said.startswith("scene.yaml: found 'xxx") and said.endswith("xxx..., expected a mapping")
+    assert len(said) < 400

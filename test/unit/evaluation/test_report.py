@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib.metadata
 import io
 import json
 
@@ -171,6 +172,12 @@ def test_report_writes_every_file(tmp_path):
     assert json.loads((tmp_path / "results/now/summary.json").read_text()) == written.summary
     assert all(path.read_bytes()[:4] == b"\x89PNG" for path in written.files if path.suffix == ".png")
     assert written.summary["environment"]["cpus"] >= 1
+
+
+def test_report_of_a_twin_in_mujoco_says_which_version(tmp_path):
+    found = report.write_report(run(duration=1.0), None, tmp_path, "mujoco").summary["environment"]
+    assert found["mujoco-core"] == importlib.metadata.version("mujoco-core")
+    assert "mujoco-core" not in report.write_report(run(duration=1.0), None, tmp_path, "kinematic").summary["environment"]
 
 
 def test_report_without_a_robot_has_no_tool_path(tmp_path):

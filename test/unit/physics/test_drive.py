@@ -28,7 +28,7 @@ def test_the_file_of_the_kr120_is_read_in_the_order_of_its_joints():
     assert found.torque == (7290.0, 8910.0, 7759.0, 2462.0, 1492.0, 908.0)
     assert found.armature == (120.0, 120.0, 90.0, 12.0, 10.0, 6.0)
     assert found.rating.mass == 120.0
-    assert found.estimates == ("torque", "armature", "damping")
+    assert found.estimates == ("torque", "armature", "damping", "link_masses")
 
 
 @pytest.mark.parametrize(
@@ -46,6 +46,7 @@ def test_the_file_of_the_kr120_is_read_in_the_order_of_its_joints():
         ("payload/mass_kg", -120.0),
         ("payload/source", None),
         ("colour", "orange"),
+        ("estimates", ["torque", "mass of the links"]),
     ],
 )
 def test_a_wrong_file_is_refused_with_file_and_key(path, value):

@@ -14,7 +14,8 @@ import pytest
 import rosbag
 import rospy
 from matplotlib.image import imread
-from physics_samples import between
+from physics_samples import ROOT, between
+from PIL import Image
 from plan_samples import make_plan
 
 from construction_twin.core.errors import ConstructionTwinError
@@ -26,6 +27,7 @@ from construction_twin.ros.commands.rehearse import BROKEN, FAILED, PASSED, main
 from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.scene.objects import Scene
 
+DATA = ROOT / "test/data"
 XACRO = "urdf/kr120_track.urdf.xacro"
 NAMES = ",".join(["time_s", *(f"joint_a{number}_deg" for number in range(1, 7))])
 WALL = """
@@ -208,14 +210,57 @@ def test_without_graphics_everything_but_the_picture_is_there(plan, tmp_path, mo
     assert not picture.exists()
 
 
-def test_it_needs_no_ros_master(plan):
-    environment = {name: value for name, value in os.environ.items() if name != "ROS_MASTER_URI"}
+def as_a_process(plan, **changed: str) -> subprocess.CompletedProcess:
+    environment = {name: value for name, value in os.environ.items() if name != "ROS_MASTER_URI"} | changed
     program = "import sys; from construction_twin.ros.commands.rehearse import main; sys.exit(main(sys.argv[1:]))"
-    done = subprocess.run(
+    return subprocess.run(
         [sys.executable, "-c", program, str(plan)], env=environment, capture_output=True, text=True, timeout=120
     )
+
+
+def test_it_needs_no_ros_master(plan):
+    done = as_a_process(plan)
     assert done.returncode == PASSED, done.stderr
     assert re.match(r"rehearsal of plan \w+: passed", done.stdout)
+
+
+def test_a_way_to_draw_that_mujoco_does_not_know_is_no_failed_rehearsal(plan):
+    done = as_a_process(plan, MUJOCO_GL="bogus")
+    assert done.returncode == BROKEN
+    assert done.stderr.startswith("rehearse: MuJoCo cannot be loaded: ") and "bogus" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_picture_and_video_carry_of_which_result_they_are_and_what_simulated(plan, tmp_path, with_graphics, capsys):
+    picture, video = tmp_path / "out.png", tmp_path / "out.mp4"
+    report = said_of([str(plan), "--picture", str(picture), "--video", str(video), "--rate", "2"], capsys)
+    words = [report["engine"], report["hash"], f"plan {report['plan_id']}: passed"]
+    assert report["engine"].startswith("MuJoCo 4.")
+    with Image.open(picture) as opened:
+        described = opened.info["Description"]
+    # what a player of videos shows
+    read = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(video), "-f", "ffmetadata", "-"]
+    commented = subprocess.run(read, capture_output=True, text=True, check=True, timeout=60).stdout
+    assert all(word in described and word in commented for word in words)
+
+
+def test_an_ffmpeg_that_ends_early_is_a_sentence_and_changes_nothing_of_the_result(
+    plan, tmp_path, monkeypatch, with_graphics, capsys
+):
+    monkeypatch.setattr(imageio_ffmpeg._io, "get_ffmpeg_exe", lambda: "/bin/false")
+    assert main([str(plan), "--video", str(tmp_path / "out.mp4"), "--rate", "2"]) == PASSED
+    said = capsys.readouterr()
+    assert said.err == "rehearse: the video could not be encoded: the program ffmpeg ended early\n"
+
+
+def test_the_drives_of_another_arm_are_those_beside_its_file_or_none(tmp_path, capsys):
+    plan = tmp_path / "plan.csv"
+    plan.write_text("time_s,pan_deg,lift_deg,elbow_deg,wrist_1_deg,wrist_2_deg,wrist_3_deg\n0,0,-90,90,0,45,0\n3,9,-90,90,0,45,0\n")
+    files = {"xacro": ".urdf", "config": ".yaml"}
+    arm = [word for name, end in files.items() for word in (f"--robot-{name}", str(DATA / f"ur_like{end}"))]
+    arm += ["--self-collision", str(DATA / "ur_like_self_collision.yaml")]
+    assert main([str(plan), *arm]) == PASSED
+    assert "torques: URDF effort" in capsys.readouterr().out
 
 
 # -- of a bag

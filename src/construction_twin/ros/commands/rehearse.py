@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import importlib
 import json
 import sys
 import time
@@ -50,10 +51,19 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(rospy.myargv()[1:] if arguments is None else arguments)
     try:
         check_extras("physics")
+        _load_mujoco()
         return _rehearse(options)
     except (ConstructionTwinError, OSError) as error:
         print(f"rehearse: {spoken(error)}", file=sys.stderr)
         return BROKEN
+
+
+def _load_mujoco() -> None:
+    """Load MuJoCo, which refuses a value of MUJOCO_GL that it does not know, and a machine that lacks what it is linked to."""
+    try:
+        importlib.import_module("mujoco")
+    except (ImportError, OSError, RuntimeError) as error:
+        raise ConstructionTwinError(Sentence("rehearsal.no_mujoco", problem=" ".join(str(error).split()))) from error
 
 
 def _rehearse(options: argparse.Namespace) -> int:
@@ -65,6 +75,7 @@ def _rehearse(options: argparse.Namespace) -> int:
     from construction_twin.physics.rehearsal import Rehearsal
     from construction_twin.views.rehearsal_table import rehearsal_table
 
+    options.drives = options.drives or _drives_beside(options.robot_config)
     robot = read_robot_files(options.robot_xacro, options.robot_config, options.robot_xacro_args)
     _check_files(options)
     tool = read_tool(options.tool) if options.tool else None
@@ -96,18 +107,26 @@ def _rehearse(options: argparse.Namespace) -> int:
 
 
 def _draw(options: argparse.Namespace, film, report, console: Console) -> None:
-    """Write picture and video; that they cannot be drawn here changes nothing of the result."""
+    """Write picture and video; that they cannot be drawn here changes nothing of the result.
+
+    Both carry of which result they are, and what simulated: the picture as `Description`, the video as `comment`.
+    """
+    from construction_twin.views.rehearsal_table import headline
+
     touching = frozenset(name for one in report.contacts for name in (one.first, one.second))
     worst = report.contacts[0].time if report.contacts else report.worst_time
+    caption = f"{headline(report)}; {report.engine}; hash {report.hash}"
     try:
         if options.picture:
             # matplotlib takes a second to import
             from matplotlib.image import imsave
 
-            imsave(options.picture, np.ascontiguousarray(film.picture(worst, touching)))
+            imsave(
+                options.picture, np.ascontiguousarray(film.picture(worst, touching)), metadata={"Description": caption}
+            )
             console.print(f"{options.picture}: after {worst:.2f} s", soft_wrap=True)
         if options.video:
-            _write_video(options, film, touching, console)
+            _write_video(options, film, touching, caption, console)
     except (ConstructionTwinError, OSError) as error:
         print(f"rehearse: {spoken(error)}", file=sys.stderr)
 
@@ -115,10 +134,19 @@ def _draw(options: argparse.Namespace, film, report, console: Console) -> None:
 def _check_files(options: argparse.Namespace) -> None:
     """Refuse what cannot be written before the work is done, and an option that says nothing of this plan."""
     for option, file, suffix in (("--picture", options.picture, ".png"), ("--video", options.video, ".mp4")):
-        if file is not None and (file.suffix.lower() != suffix or not file.absolute().parent.is_dir()):
+        if file is None:
+            continue
+        if file.suffix.lower() != suffix or file.is_dir() or not file.absolute().parent.is_dir():
             raise _wrong(option, str(file), f"a file *{suffix} in a folder that is there")
     if options.plan_id and options.plan.suffix != ".bag":
         raise _wrong("--plan-id", options.plan_id, "a bag: a file of waypoints is one plan")
+
+
+def _drives_beside(robot_config: str) -> str:
+    """Return the file of the drives that lies beside a robot YAML; none: there is none."""
+    file = Path(robot_config)
+    drives = file.with_name(f"{file.stem}_drives.yaml")
+    return str(drives) if drives.is_file() else "none"
 
 
 def _inputs(options: argparse.Namespace, masses: Mapping[str, float]) -> str:
@@ -146,21 +174,26 @@ def _masses(given: Sequence[str], scene: Scene, bodies: RobotBodies) -> dict[str
     return found
 
 
-def _write_video(options: argparse.Namespace, film, touching, console: Console) -> None:
+def _write_video(options: argparse.Namespace, film, touching, caption: str, console: Console) -> None:
     import imageio_ffmpeg
 
     from construction_twin.physics.film import HEIGHT, WIDTH
 
     pictures = film.pictures(options.rate, touching)
     try:
-        writer = imageio_ffmpeg.write_frames(str(options.video), (WIDTH, HEIGHT), fps=options.rate, codec="libx264")
+        writer = imageio_ffmpeg.write_frames(
+            str(options.video), (WIDTH, HEIGHT), fps=options.rate, codec="libx264",
+            output_params=["-metadata", f"comment={caption}"],
+        )  # fmt: skip
         writer.send(None)
-        for picture in track(pictures, "video", film.count(options.rate), console=console, transient=True):
+        count, quiet = film.count(options.rate), not console.is_terminal
+        for picture in track(pictures, "video", count, console=console, transient=True, disable=quiet):
             writer.send(np.ascontiguousarray(picture))
         writer.close()
-    # what imageio-ffmpeg raises where its program ends early: for an unwritable file, an unknown ending
+    # RuntimeError: there is no ffmpeg. OSError without a number: it ended early, and its own words are on standard error
     except (OSError, RuntimeError) as error:
-        problem = " ".join(str(error).split()[-30:])
+        ended = isinstance(error, OSError) and error.errno is None
+        problem = Sentence("rehearsal.ffmpeg_ended") if ended else spoken(error)
         raise ConstructionTwinError(Sentence("rehearsal.no_video", problem=problem)) from error
     version = imageio_ffmpeg.get_ffmpeg_version()
     console.print(f"{options.video}: {options.rate:g} pictures/s, H.264 by ffmpeg {version}", soft_wrap=True)
@@ -264,11 +297,15 @@ def _parser() -> argparse.ArgumentParser:
         "--robot-xacro": ("urdf/kr120r2500.urdf.xacro", "URDF or xacro"),
         "--robot-config": ("config/kr120.yaml", "robot YAML"),
         "--self-collision": ("config/kr120_self_collision.yaml", "YAML of the link pairs that are not checked"),
-        "--drives": ("config/kr120_drives.yaml", "YAML of the drives; none: what the URDF says"),
     }
     for option, (file, meaning) in files.items():
         parser.add_argument(
             option, default=str(package_file(file)), metavar="FILE", help=f"{meaning} (default: {Path(file).name})"
         )
+    parser.add_argument(
+        "--drives",
+        metavar="FILE",
+        help="YAML of the drives; none: what the URDF says (default: *_drives.yaml beside the robot YAML, else none)",
+    )
     parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
     return parser
