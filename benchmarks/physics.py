@@ -2,12 +2,13 @@
 
     python benchmarks/physics.py --output results/bench/physics.json
 
-`real_time_factor`: simulated over real time of one moving arm with 20 blocks that lie on tables asleep, without a picture, as in the
-moving part of a rehearsal; `real_time_factor_awake`: with the blocks awake, as while they settle. `rehearsal_s`: of plans of 1, 10
-and 60 s among the same blocks; `settling_s`: before the motion and after it, with the blocks awake, which is not in `rehearsal_s`.
-`rehearsal_wall_s`: of 10 s beside a wall of 20 bricks, as earlier tasks lay them, likewise, in CPU time. `gravity_rel_error`: largest difference to Pinocchio's torques at rest over 1000 poses,
-of the largest torque of a pose. `inverse_dynamics_rel_rms`: torques of a motion against Pinocchio's inverse dynamics. `live`: the
-twin beside the whole system (`physics_live.py`), one kind after the other.
+`real_time_factor`: simulated over real time of one moving arm with 20 blocks that lie on tables asleep, without a picture, as in
+the moving part of a rehearsal; `real_time_factor_awake`: with the blocks awake, as while they settle. `rehearsal_s`: of plans of
+1, 10 and 60 s among the same blocks; `settling_s`: before the motion and after it, with the blocks awake, which is not in
+`rehearsal_s`. `rehearsal_wall_s`: of 10 s beside a wall of 20 bricks, as earlier tasks lay them, likewise, in CPU time.
+`gravity_rel_error`: largest difference to Pinocchio's torques at rest over 1000 poses, of the largest torque of a pose.
+`inverse_dynamics_rel_rms`: torques of a motion against Pinocchio's inverse dynamics. `live`: the twin beside the whole system
+(`physics_live.py`), one kind after the other.
 """
 
 from __future__ import annotations

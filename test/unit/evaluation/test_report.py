@@ -177,7 +177,9 @@ def test_report_writes_every_file(tmp_path):
 def test_report_of_a_twin_in_mujoco_says_which_version(tmp_path):
     found = report.write_report(run(duration=1.0), None, tmp_path, "mujoco").summary["environment"]
     assert found["mujoco-core"] == importlib.metadata.version("mujoco-core")
-    assert "mujoco-core" not in report.write_report(run(duration=1.0), None, tmp_path, "kinematic").summary["environment"]
+    assert (
+        "mujoco-core" not in report.write_report(run(duration=1.0), None, tmp_path, "kinematic").summary["environment"]
+    )
 
 
 def test_report_without_a_robot_has_no_tool_path(tmp_path):

@@ -247,7 +247,7 @@ def test_picture_and_video_carry_of_which_result_they_are_and_what_simulated(pla
 def test_an_ffmpeg_that_ends_early_is_a_sentence_and_changes_nothing_of_the_result(
     plan, tmp_path, monkeypatch, with_graphics, capsys
 ):
-    monkeypatch.setattr(imageio_ffmpeg._io, "get_ffmpeg_exe", lambda: "/bin/false")
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/bin/false")
     assert main([str(plan), "--video", str(tmp_path / "out.mp4"), "--rate", "2"]) == PASSED
     said = capsys.readouterr()
     assert said.err == "rehearse: the video could not be encoded: the program ffmpeg ended early\n"
@@ -255,7 +255,9 @@ def test_an_ffmpeg_that_ends_early_is_a_sentence_and_changes_nothing_of_the_resu
 
 def test_the_drives_of_another_arm_are_those_beside_its_file_or_none(tmp_path, capsys):
     plan = tmp_path / "plan.csv"
-    plan.write_text("time_s,pan_deg,lift_deg,elbow_deg,wrist_1_deg,wrist_2_deg,wrist_3_deg\n0,0,-90,90,0,45,0\n3,9,-90,90,0,45,0\n")
+    plan.write_text(
+        "time_s,pan_deg,lift_deg,elbow_deg,wrist_1_deg,wrist_2_deg,wrist_3_deg\n0,0,-90,90,0,45,0\n3,9,-90,90,0,45,0\n"
+    )
     files = {"xacro": ".urdf", "config": ".yaml"}
     arm = [word for name, end in files.items() for word in (f"--robot-{name}", str(DATA / f"ur_like{end}"))]
     arm += ["--self-collision", str(DATA / "ur_like_self_collision.yaml")]
