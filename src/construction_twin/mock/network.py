@@ -35,7 +35,7 @@ log = logging.getLogger(__name__)
 CATCH_UP = NANOSECONDS // 10
 #: Most datagrams read before the clock is checked again, so that a flood of datagrams cannot stop it.
 _DRAIN_LIMIT = 64
-#: After a session that nobody has answered another one is tried this soon [ns]: whoever starts the controller waits for the gateway.
+#: After a session that nobody has answered another one is tried this soon [ns]: who starts the controller waits for the gateway.
 _UNANSWERED = NANOSECONDS // 10
 
 Result = TypeVar("Result")
