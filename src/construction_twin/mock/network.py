@@ -35,6 +35,8 @@ log = logging.getLogger(__name__)
 CATCH_UP = NANOSECONDS // 10
 #: Most datagrams read before the clock is checked again, so that a flood of datagrams cannot stop it.
 _DRAIN_LIMIT = 64
+#: After a session that nobody has answered another one is tried this soon [ns]: who starts the controller waits for the gateway.
+_UNANSWERED = NANOSECONDS // 10
 
 Result = TypeVar("Result")
 
@@ -44,7 +46,8 @@ class MockRsi:
 
     Args:
         gateway: Host and UDP port of the gateway.
-        restart_after: A stopped controller starts a new session after this time [s]; 0 (default): it stays stopped.
+        restart_after: A stopped controller starts a new session after this time [s], sooner after one that nobody has answered; 0
+            (default): it stays stopped.
         observe: Called with this object in every cycle, right after sending; must be quick.
         report: Called with one sentence when a session starts or stops, and when replies begin to be refused or count again.
         fault_seed: Of the faults' random numbers.
@@ -85,7 +88,7 @@ class MockRsi:
         self._clock = ArrivalClock(time.time_ns, time.monotonic_ns)
         #: A reply that arrives later than this is too late for the open cycle [ns].
         self._ends = 0
-        self._session = 0
+        self._session = self._replies = 0
         self._stopped_at: int | None = None
 
     @property
@@ -148,13 +151,16 @@ class MockRsi:
             if self._stopped_at is None:
                 self._stopped_at = now
                 self._report(f"{controller.words.protocol} session {controller.session} stopped: {controller.reason}")
-            due = self._restart_after and now - self._stopped_at >= self._restart_after
+            answered = controller.counters["replies"] > self._replies
+            wait = self._restart_after if answered else min(self._restart_after, _UNANSWERED)
+            due = self._restart_after and now - self._stopped_at >= wait
             if due and not controller.needs_person:
                 controller.restart()
         if controller.running:
             self._stopped_at = None
         if controller.session != self._session:
             self._session = controller.session
+            self._replies = controller.counters["replies"]
             # the new one first: while one of them asks for stamps, the kernel goes on stamping
             before = self._socket
             self._socket, self._stamped = _open_socket()

@@ -116,6 +116,19 @@ def test_every_session_has_a_port_of_its_own_and_starts_by_itself_when_told(robo
     assert max(b - a for a, b in zip(ipocs, ipocs[1:])) > 400
 
 
+def test_a_session_that_nobody_answers_is_tried_again_soon_and_one_that_was_answered_after_its_time(robot, pc):
+    pc.answering = False
+    with running(robot, pc.address, restart_after=3600.0, timeout=5) as mock:
+        wait_for(lambda: mock.controller.session == 3)
+        pc.answering = True
+        wait_for(lambda: mock.controller.counters["replies"] > 20)
+        answered = mock.controller.session
+        pc.answering = False
+        wait_for(lambda: not mock.controller.running)
+        time.sleep(0.3)  # longer than the other would take
+        assert mock.controller.session == answered
+
+
 def test_i_a_requested_restart_takes_another_pose(robot, pc):
     pose = radians((10, -80, 70, 5, 60, -20))
     with running(robot, pc.address) as mock:

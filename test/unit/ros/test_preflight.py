@@ -628,25 +628,25 @@ def test_whether_a_broker_lets_in_everybody_is_read_from_its_configuration(tmp_p
     if text is not None:
         file.write_text(text)
     arguments = ["arm:=real", f"bridge_account:={account}", "gateway:=false", "broker:=true", f"broker_config:={file}"]
-    assert preflight.main(arguments) == said
+    assert preflight.check(arguments) == said
     assert ("broker_config" in capsys.readouterr().err) is said
 
 
 def test_preflight_by_hand(capsys, tmp_path):
-    assert preflight.main([f"{name}:={value}" for name, value in KR120.items() if name != "robot"]) == 0
+    assert preflight.check([f"{name}:={value}" for name, value in KR120.items() if name != "robot"]) == 0
     few = ("robot", "robot_xacro", "robot_config", "ethernet_xml")
-    assert preflight.main([f"{name}:={KR120[name]}" for name in few]) == 0
+    assert preflight.check([f"{name}:={KR120[name]}" for name in few]) == 0
     assert capsys.readouterr().out == "ok\nok\n"
-    assert preflight.main([f"robot_config:={tmp_path}"]) == 1
-    assert preflight.main(["robot_config:=test_startup.py"]) == 1
+    assert preflight.check([f"robot_config:={tmp_path}"]) == 1
+    assert preflight.check(["robot_config:=test_startup.py"]) == 1
     assert capsys.readouterr().err.count("preflight: robot_config:=") == 2
 
 
 def test_for_roslaunch_the_result_is_on_standard_output(capsys):
-    assert preflight.main(["--for-roslaunch", "arm:=foo"]) == 0
+    assert preflight.check(["--for-roslaunch", "arm:=foo"]) == 0
     said = capsys.readouterr()
     assert said.out == "refused\n" and said.err == "preflight: arm:=foo: expected mock, real or none\n"
-    assert preflight.main(["--for-roslaunch", "arm:=mock"]) == 0
+    assert preflight.check(["--for-roslaunch", "arm:=mock"]) == 0
     assert capsys.readouterr().out == "true\n"
 
 

@@ -15,6 +15,7 @@ import sys
 import urllib.parse
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import NoReturn
 
 import rosgraph
 import rospkg
@@ -361,11 +362,11 @@ def contents_problem(given: Given) -> str:
     except ConstructionTwinError as error:
         files = {"config": given["robot_config"], "xacro": given["robot_xacro"]}
         return Sentence("preflight.robot", problem=error.sentence, **files)
-    for name, check in CONTENTS:
+    for name, check_content in CONTENTS:
         if name not in given:
             continue
         try:
-            check(given, robot)
+            check_content(given, robot)
         except ConstructionTwinError as error:
             path = given[name]
             # most of these sentences begin with the file
@@ -520,24 +521,26 @@ def refusal(given: Given, call: RoslaunchCall | None, uri: str) -> str:
     return sentence or running_problem(given, uri) or (port_problem(given) if call is not None else "")
 
 
-def program() -> int:
-    """Do what roslaunch and a person start: `main`, and for a roslaunch that starts a robot leave its loaded process behind."""
+def main() -> NoReturn:
+    """Check what this program was called with; for a roslaunch that starts a robot, leave its loaded process behind."""
     words = sys.argv[1:]
     pid, above = next(iter(command_lines()), (0, []))
     call = roslaunch_call(above)
     starts = call.starts if call is not None else any(Path(word).name == "rostest" for word in above[:2])
     if starts and "--for-roslaunch" in words and any(word.startswith("robot:=") for word in words):
         leave_behind(pid)
-    return main(words)
+    code = check(words)
+    sys.stdout.flush()
+    # roslaunch waits: nothing of what was loaded has to be taken apart
+    os._exit(code)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def check(words: Sequence[str]) -> int:
     """Check ``name:=value`` arguments; print "ok", or a sentence on standard error and return 1.
 
     With ``--for-roslaunch`` the result is what standard output says, ``true`` or ``refused``, and the exit code is 0: roslaunch
     would print the whole command again. The sentence then stands below roslaunch's last line, too.
     """
-    words = sys.argv[1:] if arguments is None else list(arguments)
     for_roslaunch = "--for-roslaunch" in words
     above = roslaunch_parent() if for_roslaunch else None
     pid, call = above if above is not None else (None, None)

@@ -255,7 +255,7 @@ class _Loaded:
         for number, file in enumerate(files):
             os.dup2(file, number)
             os.close(file)
-        sys.stdin = open(0, closefd=False)  # noqa: SIM115: as long as the process
+        sys.stdin = open(0, closefd=False)  # noqa: SIM115
         _buffer_as_asked(sys.stdout, request.environment)
         for number in PASSED_ON:
             signal.signal(number, signal.SIG_DFL)
