@@ -34,6 +34,8 @@ test("one line says that it passed, and the axis that uses most; opened, each ax
   assert.equal(bars[1].querySelector(".rehearsal-bar").style.getPropertyValue("--used"), "0.610");
   assert.match(bars[2].textContent, /limit not known/);
   assert.match(page.find(".rehearsal-found").textContent, /42\.0~ kg of 120\.0 kg/);
+  assert.match(page.find(".rehearsal-found").textContent, /The drives put in 0\.01 kJ/);
+  assert.match(page.find(".rehearsal-found").textContent, /Simulated by MuJoCo 4/);
 });
 
 test("of one that failed the reasons stand below the line, in the page's language", async () => {

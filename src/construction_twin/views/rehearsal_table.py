@@ -46,6 +46,11 @@ def rehearsal_lines(report: RehearsalReport) -> list[str]:
                 f"braking at {braking.time:.2f} s: {braking.seconds:.2f} s, flange {braking.distance * 1e3:.0f} mm, "
                 f"most of {braking.joint}, {braking.usage:.0%} of an axis' torque"
             )
+        if math.isfinite(report.tracking) and math.isfinite(report.energy):
+            lines.append(
+                f"off its way by at most {report.tracking:.1e} ({report.tracking_joint}; rad, of a linear axis m); "
+                f"the drives put in {report.energy / 1e3:.2f} kJ"
+            )
         if report.grip.name:
             lines.append(
                 f"grip: {report.grip.cups} cups on {report.grip.name}, at most {report.grip.usage:.0%} of what they hold, "

@@ -63,6 +63,12 @@ def test_payload_and_braking():
     assert "payload: 42.0~ kg of 120.0 kg" in text and "flange 321 mm, most of a1, 44% of an axis' torque" in text
 
 
+def test_tracking_and_energy_where_they_are_known():
+    text = shown(replace(REPORT, tracking=2.5e-4, tracking_joint="a3", energy=1234.0))
+    assert "off its way by at most 2.5e-04 (a3; rad, of a linear axis m); the drives put in 1.23 kJ" in text
+    assert "off its way" not in shown(REPORT)
+
+
 def test_reasons_contacts_objects_and_remarks_of_one_that_failed():
     report = replace(
         REPORT,

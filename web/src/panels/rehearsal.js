@@ -42,7 +42,7 @@ export function headline(rehearsal, texts) {
 }
 
 /** Return what else was found, one sentence each. */
-export function findings({payload, braking, grip, contacts, objects, remarks, axes, engine}, texts) {
+export function findings({payload, braking, grip, contacts, objects, remarks, axes, energy, engine}, texts) {
   const found = [];
   if (axes.length > 0) {
     const mass = `${payload.mass.toFixed(1)}${payload.estimated ? "~" : ""}`;
@@ -57,6 +57,7 @@ export function findings({payload, braking, grip, contacts, objects, remarks, ax
   for (const {first, second, time} of contacts) found.push(texts("verdict.rehearsal.found.contact", {first, second, time: time.toFixed(1)}));
   for (const {name, moved} of objects) found.push(texts("verdict.rehearsal.found.object", {name, distance: (1000 * moved).toFixed(0)}));
   for (const remark of remarks) found.push(texts.reason(remark));
+  if (energy !== null) found.push(texts("verdict.rehearsal.found.energy", {energy: (energy / 1000).toFixed(2)}));
   if (engine) found.push(texts("verdict.rehearsal.found.engine", {engine}));
   return found;
 }
