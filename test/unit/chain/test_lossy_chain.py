@@ -80,8 +80,10 @@ def test_one_lost_reply_at_full_speed_is_one_standstill_and_no_hold():
     assert 0.2 < put_off / (speed / (2 * 0.8 * chain.robot.acceleration[0])) < 1.5
 
 
-def test_a_stall_is_found_while_datagrams_are_lost():
-    chain = lossy(0.01, None)
+@pytest.mark.parametrize("servos", [NOMINAL, None], ids=["servos known", "not known"])
+@pytest.mark.parametrize("share", [0.01, 0.05])
+def test_a_stall_is_found_while_datagrams_are_lost(share, servos):
+    chain = lossy(share, servos)
     plan, fastest, _ = sweep(chain, 0)
     chain.play(plan)
     chain.run_for(0.5 * fastest)
