@@ -18,9 +18,9 @@ roslaunch has ended, and every node    the loaded process ends
 
 It is found by an abstract socket (unix(7)) named by user and roslaunch's number, so nothing of it stays on disk, and it copies
 itself for its own user alone. What a node has of the shell comes from its program: words, environment, folder, standard input and
-output. What a program has by ``launch-prefix`` (`nice`, `chrt`, `taskset`, `prlimit`, ...) a copy would not have, and variables that do
-not begin with ROS it would have too late, as libraries look at them when they are loaded: where these are not the loaded process's own
-there is no copy. Only the class of `ionice` is not looked at. Linux only.
+output. What a program has by ``launch-prefix`` (`nice`, `chrt`, `taskset`, `prlimit`, ...) a copy would not have, and variables
+that do not begin with ROS it would have too late, as libraries look at them when they are loaded: where these are not the loaded
+process's own there is no copy. Only the class of `ionice` is not looked at. Linux only.
 """
 
 from __future__ import annotations
@@ -317,7 +317,7 @@ class _Loaded:
         for number, file in enumerate(files):
             os.dup2(file, number)
             os.close(file)
-        sys.stdin = open(0, closefd=False)  # noqa: SIM115: as long as the process
+        sys.stdin = open(0, closefd=False)  # noqa: SIM115 - as long as the process
         _buffer_as_asked(sys.stdout, request.environment)
         for number in _heard():
             signal.signal(number, signal.SIG_DFL)
