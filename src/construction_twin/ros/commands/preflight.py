@@ -15,6 +15,7 @@ import sys
 import urllib.parse
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import NoReturn
 
 import rosgraph
 import rospkg
@@ -520,15 +521,21 @@ def refusal(given: Given, call: RoslaunchCall | None, uri: str) -> str:
     return sentence or running_problem(given, uri) or (port_problem(given) if call is not None else "")
 
 
-def program() -> int:
-    """Do what roslaunch and a person start: `main`, and for a roslaunch that starts a robot leave its loaded process behind."""
+def program() -> NoReturn:
+    """Do what roslaunch and a person start: `main`, and for a roslaunch that starts a robot leave its loaded process behind.
+
+    Does not return.
+    """
     words = sys.argv[1:]
     pid, above = next(iter(command_lines()), (0, []))
     call = roslaunch_call(above)
     starts = call.starts if call is not None else any(Path(word).name == "rostest" for word in above[:2])
     if starts and "--for-roslaunch" in words and any(word.startswith("robot:=") for word in words):
         leave_behind(pid)
-    return main(words)
+    code = main(words)
+    sys.stdout.flush()
+    # roslaunch waits: nothing of what was loaded has to be taken apart
+    os._exit(code)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
