@@ -12,10 +12,10 @@ from servo_chain import NOMINAL, poses, servo_chain, sweep
 
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.states import State
-from construction_twin.mqtt.messages import Control
 from construction_twin.mock.faults import Fault
 from construction_twin.monitor import round_trip
 from construction_twin.monitor.states import SyncState
+from construction_twin.mqtt.messages import Control
 
 
 def left_in_sync(chain) -> list[str]:

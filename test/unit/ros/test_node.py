@@ -37,7 +37,7 @@ from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.ros.shared import node as shared_node
 
 shared_node.wait_for_master = lambda name: None
-rospy.init_node = lambda name, disable_signals: rospy.rostime.set_rostime_initialized(True)
+rospy.init_node = lambda name, argv, disable_signals: rospy.rostime.set_rostime_initialized(True)
 rospy.get_param = lambda name, default: default
 rospy.resolve_name = lambda name, caller_id=None: "/kr120/" + name
 
@@ -118,7 +118,7 @@ def test_a_master_that_is_killed_while_a_node_starts_is_one_sentence(monkeypatch
 @pytest.mark.parametrize("asked", [True, False])
 def test_ctrl_c_while_ros_is_initialised_is_no_traceback(asked):
     """rospy says so itself, by an exception; one for another reason is no known end."""
-    body = "def init_node(name, disable_signals):\n"
+    body = "def init_node(name, argv, disable_signals):\n"
     body += "    rospy.signal_shutdown('signal-2')\n" if asked else ""
     body += "    raise rospy.exceptions.ROSInitException('init_node interrupted before it could complete')\n"
     code = f"{BEGIN}\n{body}\nrospy.init_node = init_node\nrun_node('node', Node)\n"
