@@ -242,10 +242,11 @@ class Executor:
         """Take how long the arm trails the setpoints [s]; one that trails by much is waited for on the path.
 
         Args:
-            round_trip: From a setpoint to the arm's answer; nan: not known. Then an arm that was waited for still is.
-            servo_lag: What the arm trails by beyond that; nan: not known, which counts as 0.
+            round_trip: From a setpoint to the arm's answer; nan, or no such time: not known. Then an arm that was waited for still is.
+            servo_lag: What the arm trails by beyond that; nan, or no such time: not known, which counts as 0.
         """
-        lag = round_trip + (servo_lag if math.isfinite(servo_lag) else 0.0)
+        known = 0.0 <= round_trip < math.inf
+        lag = round_trip + (servo_lag if 0.0 <= servo_lag < math.inf else 0.0) if known else math.nan
         self.lag = lag if 0.0 <= lag < math.inf else 0.0
         if self.limit.trail(lag):
             self._say()

@@ -307,9 +307,9 @@ class TestWords:
         bench.executor.limit_rate(1.0, "")
         assert bench.executor.reason.startswith("waits on the path until the arm has caught up")
 
-    @given(st.floats(), st.one_of(st.just(math.nan), st.floats(0.0, 0.1)))
+    @given(st.floats(), st.floats())
     def test_what_is_no_known_lag_neither_begins_nor_ends_a_wait(self, unknown, servo_lag):
-        assume(not 0.0 <= unknown + (0.0 if math.isnan(servo_lag) else servo_lag) < math.inf)
+        assume(not 0.0 <= unknown < math.inf)
         bench = self.playing()
         for waits in (False, True):
             bench.executor.trail(unknown, servo_lag)
@@ -317,7 +317,7 @@ class TestWords:
             bench.executor.trail(1.0)
         bench.executor.trail(unknown, servo_lag)
         assert bench.executor.limit.waits
-        bench.executor.trail(0.4, servo_lag)
+        bench.executor.trail(0.4, math.nan)
         assert not bench.executor.limit.waits
 
     def test_a_new_session_waits_for_no_arm_of_the_one_before(self):
