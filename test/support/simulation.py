@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import heapq
 import itertools
-import math
 from collections import Counter
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -242,7 +241,7 @@ class SimulatedChain:
         self.executor.on_sync(gate.state, gate.agreed(stamp), gate.policy, gate.held_stamp)
         last = gate.comparison.last
         if last is not None:
-            self.executor.trail(sum(filter(math.isfinite, (last.round_trip, last.servo_lag))))
+            self.executor.trail(last.round_trip, last.servo_lag)
         keeper = self.executor.engagement
         if not keeper.settled:
             # a disk that takes everything at once

@@ -146,7 +146,8 @@ class Boundary:
             stamp: Of this cycle's setpoint [ns].
             now: [ns]
             scene: Hash of the present scene; empty: not known.
-            may_switch: Whether a switch may be armed now: not while a speed limit of 0 keeps everything still.
+            may_switch: Whether a switch may be armed now: not while a speed limit of 0 keeps everything still, or
+                the arm is waited for.
         """
         self.observe(tool, now)
         if not self._confirmed:

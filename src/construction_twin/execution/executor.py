@@ -6,6 +6,7 @@ for `stop`, `pause` and `restart`: these are compared with when a plan was made,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -237,14 +238,22 @@ class Executor:
         if self.limit.take(factor, reason):
             self._say()
 
-    def trail(self, lag: float) -> None:
-        """Take how long the arm trails the setpoints, as far as is known [s]; one that trails by much is waited for on the path."""
-        self.lag = lag
+    def trail(self, round_trip: float, servo_lag: float = 0.0) -> None:
+        """Take how long the arm trails the setpoints [s]; one that trails by much is waited for on the path.
+
+        Args:
+            round_trip: From a setpoint to the arm's answer; nan, or no such time: not known. Then an arm that was waited for still is.
+            servo_lag: What the arm trails by beyond that; nan, or no such time: not known, which counts as 0.
+        """
+        known = 0.0 <= round_trip < math.inf
+        lag = round_trip + (servo_lag if 0.0 <= servo_lag < math.inf else 0.0) if known else math.nan
+        self.lag = lag if 0.0 <= lag < math.inf else 0.0
         if self.limit.trail(lag):
             self._say()
 
     def restart(self, reason: str, now: int) -> None:
         """Drop everything, plans asked for until `now` [ns] too, and wait for twin and arm to agree again."""
+        self.limit.forget()
         self.tell_withdrawn(self.under_review.void(now), reason)
         while self.state is not ExecutorState.WAITING:
             self._on(ExecutorEvent.NEW_SESSION, reason)
@@ -431,7 +440,10 @@ class Executor:
         self._on(ExecutorEvent.STOP, reason)
         if brakes:
             return self._answer("executor.stop.again")
-        return self._answer(f"executor.stop.{'braking' if self.state is ExecutorState.STOPPING else 'at_rest'}")
+        if self.state is not ExecutorState.STOPPING:
+            return self._answer("executor.stop.at_rest")
+        # also where the setpoints rest already, the gateway still plays what it has put off
+        return self._answer(f"executor.stop.{'trailing' if self.limit.waits else 'braking'}")
 
     def _answer(self, key: str, **values: Value) -> Sentence:
         """Return a sentence about the present plan."""
@@ -532,7 +544,7 @@ class Executor:
         work = self.segment_run
         assert work is not None  # only a work plan has boundaries
         scene = self.under_review.scene if self.under_review.scene_alive else ""
-        event = work.update(stamp, now, self.tool, scene, self.limit.fraction > 0.0)
+        event = work.update(stamp, now, self.tool, scene, self.limit.rate > 0.0)
         if event is not None:
             self._on(event.event, event.reason)
         else:

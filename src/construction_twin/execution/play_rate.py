@@ -4,6 +4,8 @@ why it plays. Pure.
 
 from __future__ import annotations
 
+import math
+
 from construction_twin.core.errors import ExecutionError
 from construction_twin.core.sentences import Sentence
 
@@ -33,11 +35,20 @@ class PlayRate:
         return 0.0 if self.waits else self.fraction
 
     def trail(self, lag: float) -> bool:
-        """Take how long the arm trails its setpoints [s]; return whether there is something new to say."""
+        """Take how long the arm trails its setpoints [s]; return whether there is something new to say.
+
+        What is not known, or is no such time, changes nothing: an arm that was waited for has not caught up by it.
+        """
+        if not 0.0 <= lag < math.inf:
+            return False
         waits = lag >= (KEEPS_UP if self.waits else TRAILS)
         changed = waits is not self.waits
         self.waits = waits
         return changed
+
+    def forget(self) -> None:
+        """Wait for nothing: a new session, of whose arm nothing is known yet."""
+        self.waits = False
 
     def take(self, fraction: float, reason: str) -> bool:
         """Take a limit and why it is there; return whether there is something new to say.

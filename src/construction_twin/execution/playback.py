@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import islice
 
 from construction_twin.core.errors import ExecutionError
 from construction_twin.core.sentences import Sentence
@@ -17,8 +18,10 @@ from construction_twin.execution.stopping import StoppingForecast, distance_alon
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 
-#: Setpoints that are remembered: 1 s. The monitor is heard within 0.5 s, or it counts as silent.
-HISTORY = 250
+#: Setpoints that are remembered: 3 s. What the arm has not reached yet belongs to the forecast of a stop.
+HISTORY = 750
+#: Newest setpoints of which one may be the last that passed a gate: 1 s. The monitor is heard within 0.5 s, or it counts as silent.
+RECENT = 250
 #: Setpoints that a forecast computes in one go: about 1 ms of Python.
 SETPOINTS_AT_ONCE = 4
 
@@ -92,7 +95,7 @@ class Playback:
 
     def knows(self, stamp: int) -> bool:
         """Return whether a setpoint of this execution had this nominal stamp [ns]; of those too long ago nothing is known."""
-        return any(known == stamp for known, _ in self._history)
+        return any(known == stamp for known, _ in islice(reversed(self._history), RECENT))
 
     def rest_where(self, stamp: int) -> None:
         """Stand, from the next setpoint on, where the setpoint with this nominal stamp [ns] was: one that it `knows`."""
@@ -108,13 +111,16 @@ class Playback:
         """Return what is needed to forecast a stop that begins now; nothing is computed yet.
 
         Args:
-            lag: How long the arm trails the setpoints [s]; 0 when there is none, or it is not known.
+            lag: How long the arm trails the setpoints [s]; 0 when there is none, or it is not known. Of an arm that trails by more
+                than is remembered nothing is forecast.
 
         Raises:
             ExecutionError: When the lag is negative: an arm is never ahead of its setpoints.
         """
         if lag < 0.0:
             raise ExecutionError(Sentence("executor.refused.lag", lag=lag))
+        if len(self._history) == HISTORY and lag > (HISTORY - 1) * CYCLE:
+            lag = 0.0
         cycles = min(-int(-lag * NANOSECONDS // CYCLE_NS), len(self._history) - 1)
         in_flight = [elapsed for _, elapsed in list(self._history)[len(self._history) - 1 - cycles :]]
         return StopForecaster(self._progress.copy(), in_flight, lag)

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 import pytest
 from chain_samples import make_plan
 from servo_chain import NOMINAL, poses, servo_chain, sweep
 
+from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.states import State
 from construction_twin.mock.faults import Fault
+from construction_twin.monitor import round_trip
 from construction_twin.monitor.states import SyncState
+from construction_twin.mqtt.messages import Control
 
 
 def left_in_sync(chain) -> list[str]:
@@ -80,11 +84,45 @@ def test_one_lost_reply_at_full_speed_is_one_standstill_and_no_hold():
     assert 0.2 < put_off / (speed / (2 * 0.8 * chain.robot.acceleration[0])) < 1.5
 
 
-def test_a_stall_is_found_while_datagrams_are_lost():
-    chain = lossy(0.01, None)
+@pytest.mark.parametrize("servos", [NOMINAL, None], ids=["servos known", "not known"])
+@pytest.mark.parametrize("share", [0.01, 0.05])
+def test_a_stall_is_found_while_datagrams_are_lost(share, servos):
+    chain = lossy(share, servos)
     plan, fastest, _ = sweep(chain, 0)
     chain.play(plan)
     chain.run_for(0.5 * fastest)
     chain.faults.inject(Fault("stall", chain.robot.axes[0].name))
     assert chain.run_until(lambda: chain.gate.state is not SyncState.IN_SYNC, 2.0)
     assert "joint_a1" in chain.gate.reason
+
+
+@pytest.mark.parametrize("servos", [NOMINAL, None], ids=["servos known", "not known"])
+def test_an_arm_that_its_gateway_keeps_still_is_waited_for_longer_than_setpoints_are_remembered(monkeypatch, servos):
+    monkeypatch.setattr(round_trip, "KEPT", 1024)
+    chain = servo_chain(servos)
+    plan, fastest, _ = sweep(chain, 0)
+    chain.transitions.clear()
+    chain.play(plan)
+    chain.run_for(0.2 * fastest)
+    assert chain.gateway.on_control(Control("1", chain.gateway.session, "speed_limit", 0.0), chain.now).ok
+    assert chain.run_until(lambda: chain.executor.limit.standing, 5.0)
+    chain.run_for(8.0)
+    # nobody knows any more by how much it trails
+    assert math.isnan(chain.gate.comparison.last.round_trip) and chain.executor.limit.waits
+    assert chain.executor.limit.standing and left_in_sync(chain) == []
+    assert chain.gateway.on_control(Control("2", chain.gateway.session, "speed_limit", 1.0), chain.now).ok
+    assert chain.run_until(lambda: chain.executor.outcome != "", plan.trajectory.duration + 10.0)
+    assert chain.executor.outcome == "finished" and left_in_sync(chain) == []
+
+
+def test_a_link_that_falls_silent_while_the_arm_is_waited_for_closes_the_gate():
+    chain = servo_chain(NOMINAL)
+    plan, fastest, _ = sweep(chain, 0)
+    chain.transitions.clear()
+    chain.play(plan)
+    chain.run_for(0.2 * fastest)
+    assert chain.gateway.on_control(Control("1", chain.gateway.session, "speed_limit", 0.0), chain.now).ok
+    assert chain.run_until(lambda: chain.executor.limit.standing, 5.0)
+    chain.faults.inject(Fault("drop", values=(1.0,)))
+    assert chain.run_until(lambda: chain.gate.state is not SyncState.IN_SYNC, 2.0), chain.gate.reason
+    assert chain.run_until(lambda: chain.executor.state is not ExecutorState.PLAYING, 0.1)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from executor_bench import GOAL, ROBOT, Bench, make_plan, reach, within_acceleration
+from hypothesis import assume, given
+from hypothesis import strategies as st
 from sentence_checks import says
 
 from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.execution.executor import TWIN_TIMEOUT, Executor, ExecutorState
+from construction_twin.execution.playback import HISTORY
 from construction_twin.monitor.gate import SyncState
 from construction_twin.robot.trajectory import Trajectory
 
@@ -302,6 +306,62 @@ class TestWords:
         assert bench.executor.reason == "stands still on the path, goes on by itself: separation 0.50 m"
         bench.executor.limit_rate(1.0, "")
         assert bench.executor.reason.startswith("waits on the path until the arm has caught up")
+
+    @given(st.floats(), st.floats())
+    def test_what_is_no_known_lag_neither_begins_nor_ends_a_wait(self, unknown, servo_lag):
+        assume(not 0.0 <= unknown < math.inf)
+        bench = self.playing()
+        for waits in (False, True):
+            bench.executor.trail(unknown, servo_lag)
+            assert bench.executor.limit.waits is waits and bench.executor.lag == 0.0
+            bench.executor.trail(1.0)
+        bench.executor.trail(unknown, servo_lag)
+        assert bench.executor.limit.waits
+        bench.executor.trail(0.4, math.nan)
+        assert not bench.executor.limit.waits
+
+    def test_a_new_session_waits_for_no_arm_of_the_one_before(self):
+        bench = self.playing()
+        bench.executor.trail(2.0)
+        bench.executor.restart("new session", bench.stamp)
+        assert not bench.executor.limit.waits
+
+    def test_it_stops_while_it_waits_and_says_that_the_arm_is_not_there_yet(self):
+        bench = self.playing()
+        bench.executor.trail(2.0)
+        bench.run(1)
+        told = "braking plan p; the arm trails by much, and goes on until it is there"
+        assert bench.executor.stop(bench.stamp) == told
+        assert bench.run_until_idle()[-1] != GOAL and bench.executor.outcome == "stopped"
+        bench = self.playing()
+        bench.executor.trail(2.0)
+        while not bench.executor.limit.standing:
+            bench.step()
+        before = bench.step()
+        assert bench.executor.stop(bench.stamp) == told
+        # where the arm is behind is remembered
+        assert max(bench.executor.braking().forecast().arm.joints) > 0.0
+        assert set(bench.run_until_idle()) == {before} and bench.executor.outcome == "stopped"
+
+    def test_of_an_arm_that_trails_by_more_than_is_remembered_no_way_is_forecast(self):
+        bench = self.playing()
+        bench.executor.trail(60.0)
+        bench.run(HISTORY + 250)
+        bench.executor.stop(bench.stamp)
+        forecast = bench.executor.braking().forecast()
+        assert forecast.lag == 0.0 and "the arm" not in forecast.text(ROBOT)
+
+    def test_it_pauses_and_resumes_while_it_waits(self):
+        bench = self.playing()
+        bench.executor.trail(2.0)
+        bench.executor.pause(bench.stamp)
+        while bench.state is not ExecutorState.PAUSED:
+            bench.step()
+        bench.executor.resume()
+        standing = bench.run(50)
+        assert (np.diff(standing, axis=0) == 0.0).all() and bench.state is ExecutorState.PLAYING
+        bench.executor.trail(0.1)
+        assert bench.run_until_idle()[-1] == GOAL and within_acceleration(bench.outputs)
 
     def test_other_states_do_not_speak_of_it(self):
         bench = self.playing()

@@ -358,9 +358,11 @@ class TestAge:
         first.join(10.0), other.join(10.0)
         assert [type(error) for error in failed] == [ExpiredError]
 
-    def test_what_an_arm_that_trails_kept_from_beginning_never_begins_by_itself(self, bench):
+    @pytest.mark.parametrize("work", [False, True])
+    def test_what_an_arm_that_trails_kept_from_beginning_never_begins_by_itself(self, bench, work):
+        bench.with_tool()
         bench.executor.trail(2.0)
-        bench.play(make_plan(), SECOND * 34 // 10)
+        bench.play(make_work_plan() if work else make_plan(), SECOND * 34 // 10)
         assert bench.state is ExecutorState.IDLE and bench.executor.outcome == "stopped"
         assert "not begun, waits on the path until the arm has caught up" in bench.executor.reason
 

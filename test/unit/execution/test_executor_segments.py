@@ -304,6 +304,17 @@ class TestBoundary:
         assert [order.id for order in bench.tool.orders] == ["w/1/0/1", "", "w/1/0/2"]
         assert bench.tool.fired == [("vacuum", True)]
 
+    def test_no_switch_is_armed_while_the_arm_is_waited_for(self, bench):
+        bench.approve(make_work_plan())
+        bench.run_into(1)
+        bench.run_to_end_of(1)
+        bench.executor.trail(2.0)
+        bench.run(1500)
+        assert bench.tool.orders == [] and bench.state is ExecutorState.AT_BOUNDARY
+        bench.executor.trail(0.1)
+        bench.run_into(2)
+        assert bench.tool.fired == [("vacuum", True)]
+
     def test_a_tool_that_is_not_known_yet_is_waited_for(self, bench):
         bench.run(1)
         plan = make_work_plan()

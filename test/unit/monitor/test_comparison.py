@@ -215,17 +215,20 @@ class Whole(TwinHistory):
         self._poses.append((stamp, q))
 
 
-@given(st.lists(st.tuples(st.integers(0, 12), st.floats(-0.01, 0.01)), min_size=1, max_size=12), st.data())
+@given(
+    st.lists(st.tuples(st.lists(st.integers(1, 5), max_size=12), st.floats(-0.01, 0.01)), min_size=1, max_size=12),
+    st.data(),
+)
 def test_a_rest_of_which_the_middle_is_forgotten_is_interpolated_as_if_nothing_were(motion, data):
-    """Each part of the motion: cycles at rest, and a step [rad] behind them."""
+    """Each part of the motion: cycles between poses at rest, some of which are missing, and a step [rad] behind them."""
     kept, whole, stamp, q = TwinHistory(), Whole(), CYCLE_NS, 0.0
     for rest, step in motion:
         q += step
-        for _ in range(1 + rest):
+        for cycles in (*rest, 1):
             for history in (kept, whole):
                 history.add(stamp, (q,))
-            stamp += CYCLE_NS
-    at = data.draw(st.integers(CYCLE_NS, stamp - CYCLE_NS))
+            newest, stamp = stamp, stamp + cycles * CYCLE_NS
+    at = data.draw(st.integers(CYCLE_NS, newest))
     found, wanted = kept.at(at), whole.at(at)
     assert found is not None and wanted is not None
     assert found[0] == pytest.approx(wanted[0], abs=1e-15) and found[1] == pytest.approx(wanted[1], abs=1e-12)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -16,7 +18,7 @@ from processes import wait_until
 
 #: A module that says who loaded it, and then does what its first word says.
 NODE = """
-import json, os, signal, subprocess, sys
+import ctypes, json, os, signal, subprocess, sys
 
 LOADED_BY = os.getpid()
 
@@ -28,7 +30,7 @@ def main():
             file.write(text)
         os.rename(note + ".part", note)
     if what == "tell":
-        tell(words=sys.argv[3:], value=os.environ.get("PROBE"), folder=os.getcwd())
+        tell(words=sys.argv[3:], value=os.environ.get("ROS_PROBE"), folder=os.getcwd())
         print("printed", flush=True)
         print(sys.stdin.readline(), end="")
         return 3
@@ -40,6 +42,10 @@ def main():
             os._exit(5)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, end)
+    if what == "hang":
+        tell()
+        # Python stays locked
+        ctypes.PyDLL(None).sleep(600)
     child = subprocess.Popen(["sleep", "600"]).pid if what == "parent" else 0
     tell(child=child)
     while True:
@@ -54,6 +60,24 @@ from construction_twin.ros.shared.loaded_process import leave_behind
 
 leave_behind(os.getppid())
 print("left", flush=True)
+"""
+
+#: Before that: a thread, and a kernel that makes no processes but the first.
+THREADS = """
+import threading
+threading.Thread(target=threading.Event().wait, daemon=True).start()
+"""
+NO_FORK = """
+import os
+fork, left = os.fork, [1]
+
+def fork_once():
+    if not left:
+        raise BlockingIOError("Resource temporarily unavailable")
+    left.pop()
+    return fork()
+
+os.fork = fork_once
 """
 
 PROGRAM = """
@@ -98,10 +122,10 @@ class Roslaunch:
         self.process.stdin.flush()
         return json.loads(self.process.stdout.readline())
 
-    def start(self, name: str, *words: str, **environment: str) -> int:
-        """Start one of the scripts; return its number."""
+    def start(self, name: str, *words: str, prefix: Sequence[str] = (), **environment: str) -> int:
+        """Start one of the scripts, by a launch-prefix; return its number."""
         output = self.folder / f"{name}.output"
-        command = [sys.executable, str(self.folder / f"{name}.py"), *words]
+        command = [*prefix, sys.executable, str(self.folder / f"{name}.py"), *words]
         environment = {**os.environ, "PYTHONPATH": f"{self.folder}:{os.environ.get('PYTHONPATH', '')}", **environment}
         return self.order(args=command, env=environment, cwd=str(self.folder), output=str(output))
 
@@ -119,10 +143,10 @@ class Roslaunch:
         """Return whether a process was started below this folder."""
         return os.readlink(f"/proc/{pid}/cwd") == str(self.folder)
 
-    def node(self, what: str) -> tuple[int, dict]:
+    def node(self, what: str, prefix: Sequence[str] = (), **environment: str) -> tuple[int, dict]:
         """Start a program whose node does something; return the program's number and what the node told."""
         note = self.folder / f"{what}-{len(list(self.folder.iterdir()))}"
-        pid = self.start("program", what, str(note))
+        pid = self.start("program", what, str(note), prefix=prefix, **environment)
         return pid, told(note)
 
 
@@ -149,23 +173,32 @@ def told(note: Path) -> dict:
     return json.loads(note.read_text())
 
 
+@contextlib.contextmanager
+def ended(stand_in: Roslaunch) -> Iterator[None]:
+    """End it and what it has started when the block has ended."""
+    try:
+        yield
+    finally:
+        stand_in.process.kill()
+        stand_in.process.wait()
+        left = [pid for pid in numbers() if runs(pid) and str(stand_in.folder) in title(pid)]
+        for pid in left:
+            with contextlib.suppress(ProcessLookupError):  # it was about to
+                os.kill(pid, signal.SIGKILL)
+        wait_until(lambda: not any(runs(pid) for pid in left), what="the end of all")
+
+
 @pytest.fixture
 def roslaunch(tmp_path):
     stand_in = Roslaunch(tmp_path)
-    yield stand_in
-    stand_in.process.kill()
-    stand_in.process.wait()
-    left = [pid for pid in numbers() if runs(pid) and str(tmp_path) in title(pid)]
-    for pid in left:
-        with contextlib.suppress(ProcessLookupError):  # it was about to
-            os.kill(pid, signal.SIGKILL)
-    wait_until(lambda: not any(runs(pid) for pid in left), what="the end of all")
+    with ended(stand_in):
+        yield stand_in
 
 
 def test_a_copy_has_the_programs_words_environment_folder_and_pipes_and_its_exit_code_is_the_programs(roslaunch):
     loaded = roslaunch.load()
     note = roslaunch.folder / "note"
-    program = roslaunch.start("program", "tell", str(note), "__name:=executor", "ein Wort", PROBE="\udcffvalue")
+    program = roslaunch.start("program", "tell", str(note), "__name:=executor", "ein Wort", ROS_PROBE="\udcffvalue")
     assert roslaunch.end_of(program) == 3
     said = told(note)
     assert said["words"] == ["__name:=executor", "ein Wort"] and said["value"] == "\udcffvalue"
@@ -217,6 +250,89 @@ def test_a_killed_program_takes_its_node_and_what_that_started_along(roslaunch):
     assert roslaunch.end_of(program) == -signal.SIGKILL
     wait_until(lambda: not runs(said["pid"]) and not runs(said["child"]), what="the end of the node and its child")
     assert runs(other["pid"])
+
+
+def test_a_killed_program_takes_a_node_along_that_hangs_with_python_locked(roslaunch):
+    roslaunch.load()
+    program, said = roslaunch.node("hang")
+    assert said["pid"] != program
+    os.killpg(program, signal.SIGKILL)
+    assert roslaunch.end_of(program) == -signal.SIGKILL
+    wait_until(lambda: not runs(said["pid"]), what="the end of the node")
+
+
+def test_programs_that_are_killed_all_at_once_take_their_nodes_along_and_the_loaded_process_goes_on(roslaunch):
+    loaded = roslaunch.load()
+    pairs = [roslaunch.node("stay") for _ in range(6)]
+    # what has happened meanwhile is heard in one go
+    os.kill(loaded, signal.SIGSTOP)
+    for program, said in pairs:
+        os.killpg(program, signal.SIGKILL)
+        roslaunch.end_of(program)
+        wait_until(lambda said=said: not runs(said["pid"]), what="the end of the node")
+    os.kill(loaded, signal.SIGCONT)
+    program, said = roslaunch.node("stay")
+    assert said["pid"] != program and runs(loaded)
+
+
+@pytest.mark.parametrize(
+    "prefix",
+    [
+        ("nice", "-n", "5"),
+        ("taskset", "1"),
+        ("chrt", "--batch", "0"),
+        ("prlimit", "--nofile=512:512"),
+        ("choom", "-n", "500", "--"),
+        ("setarch", "-R"),
+        ("sh", "-c", 'umask 027; exec "$0" "$@"'),
+        ("env", "OMP_NUM_THREADS=3"),
+        ("nohup",),
+    ],
+    ids=lambda prefix: prefix[0],
+)
+def test_what_a_launch_prefix_gives_a_program_its_node_has(roslaunch, prefix):
+    if shutil.which(prefix[0]) is None:
+        pytest.skip(f"there is no {prefix[0]} here")
+    roslaunch.load()
+    program, said = roslaunch.node("stay", prefix)
+    assert said["pid"] == said["loaded_by"] == program
+
+
+def test_what_is_for_ros_alone_is_no_other_circumstance(roslaunch):
+    roslaunch.load()
+    program, said = roslaunch.node("stay", ROS_NAMESPACE="/kr120", ROSCONSOLE_FORMAT="", OPENBLAS_NUM_THREADS="1")
+    assert said["pid"] != program
+
+
+def test_a_program_and_its_node_ignore_what_roslaunch_was_told_to(tmp_path):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        roslaunch = Roslaunch(tmp_path)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    with ended(roslaunch):
+        roslaunch.load()
+        program, said = roslaunch.node("stay")
+        assert said["pid"] != program
+        os.killpg(program, signal.SIGHUP)
+        os.kill(said["pid"], signal.SIGHUP)
+        os.killpg(program, signal.SIGTERM)
+        assert roslaunch.end_of(program) == -signal.SIGTERM
+
+
+def test_a_process_of_several_threads_is_not_left_behind(roslaunch):
+    (roslaunch.folder / "preflight.py").write_text(THREADS + PREFLIGHT)
+    assert roslaunch.end_of(roslaunch.start("preflight")) == 0
+    program, said = roslaunch.node("stay")
+    assert said["pid"] == program
+
+
+def test_where_no_copy_can_be_made_the_program_is_the_node(roslaunch):
+    (roslaunch.folder / "preflight.py").write_text(NO_FORK + PREFLIGHT)
+    roslaunch.load()
+    for _ in range(2):
+        program, said = roslaunch.node("stay")
+        assert said["pid"] == program
 
 
 def test_a_node_outlives_the_loaded_process_and_the_next_loads_its_module_itself(roslaunch):

@@ -6,7 +6,6 @@ what `tool` says; `engagement`, and the service `release_engagement`.
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable
@@ -289,7 +288,7 @@ class ExecutorNode:
         with self._lock:
             self._sync_at = time.monotonic_ns()
             self._executor.on_sync(state, message.agreed, message.policy, from_time(message.held_stamp))
-            self._executor.trail(sum(filter(math.isfinite, (message.round_trip, message.servo_lag))))
+            self._executor.trail(message.round_trip, message.servo_lag)
 
     def on_limit(self, message: SpeedLimitInForce) -> None:
         """Take the speed limit in force."""

@@ -12,12 +12,15 @@ the node ends                          the program ends with its exit code, or b
 the program is killed                  the node kills itself
 the loaded process is killed           nodes go on; programs that start later load their modules themselves
 there is none: `rosrun`, a debugger    the program loads the module and is the node
+the program has other circumstances    likewise: see below
 roslaunch has ended, and every node    the loaded process ends
 =====================================  ==============================================================================
 
 It is found by an abstract socket (unix(7)) named by user and roslaunch's number, so nothing of it stays on disk, and it copies
 itself for its own user alone. What a node has of the shell comes from its program: words, environment, folder, standard input and
-output. Linux only.
+output. What a program has by ``launch-prefix`` (`nice`, `chrt`, `taskset`, `prlimit`, ...) a copy would not have, and variables
+that do not begin with ROS it would have too late, as libraries look at them when they are loaded: where these are not the loaded
+process's own there is no copy. Only the class of `ionice` is not looked at. Linux only.
 """
 
 from __future__ import annotations
@@ -47,6 +50,15 @@ import setproctitle
 PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 #: How long a program may take to say what it wants [s].
 PATIENCE = 2.0
+#: Where Linux says by what a process is bound, beside its /proc/self/status.
+_BOUNDS = ("limits", "cgroup", "oom_score_adj", "timerslack_ns", "personality")
+#: The lines of that which say so, too.
+_STATUS = (
+    "Umask", "Uid", "Gid", "Groups", "SigIgn", "CapInh", "CapPrm", "CapEff", "CapBnd", "CapAmb", "NoNewPrivs", "Seccomp",
+    "Cpus_allowed", "Mems_allowed",
+)  # fmt: skip
+#: With what the loaded process has loaded numpy: see nodes/preflight.
+_LOADED_WITH = {"OPENBLAS_NUM_THREADS": "1"}
 #: Exit code when nobody can say how the node ended.
 UNKNOWN = 1
 _FORK = get_context("fork")
@@ -113,10 +125,31 @@ def _send_request(connection: socket.socket, module: str) -> None:
             "title": " ".join(_own_words()),
             "environment": dict(os.environ),
             "folder": os.getcwd(),
+            "circumstances": _circumstances(),
         }
     ).encode()
     socket.send_fds(connection, [_NUMBER.pack(len(request))], [0, 1, 2])
     connection.sendall(request)
+
+
+def _circumstances() -> dict[str, str]:
+    """Return what a copy has from the loaded process, and a program from whoever started it: equal where a copy will do."""
+    own = Path("/proc/self")
+    found = {f"environment {name}": value for name, value in (_LOADED_WITH | os.environ).items() if name[:3] != "ROS"}
+    for line in (own / "status").read_text().splitlines():
+        name, _, value = line.partition(":")
+        if name in _STATUS:
+            found[name] = value
+    for name in _BOUNDS:
+        # not every kernel has each, nor may each be read: then neither of the two can
+        with contextlib.suppress(OSError):
+            found[name] = (own / name).read_text()
+    for space in sorted((own / "ns").iterdir()):
+        found[space.name] = os.readlink(space)
+    found["root"] = os.readlink(own / "root")
+    found["schedule"] = f"{os.sched_getscheduler(0)} {os.sched_getparam(0).sched_priority}"
+    found["nice"] = str(os.getpriority(os.PRIO_PROCESS, 0))
+    return found
 
 
 def _own_words() -> list[str]:
@@ -138,13 +171,19 @@ def _signals_passed_on(group: int) -> Iterator[None]:
         with contextlib.suppress(ProcessLookupError):  # it has ended, and its exit code is on its way
             os.killpg(group, number)
 
-    for number in PASSED_ON:
+    heard = _heard()
+    for number in heard:
         signal.signal(number, pass_on)
     try:
         yield
     finally:
-        for number in PASSED_ON:
+        for number in heard:
             signal.signal(number, signal.SIG_IGN)
+
+
+def _heard() -> list[signal.Signals]:
+    """Return the signals to be passed on: not what this process was told to ignore, as SIGHUP by `nohup`."""
+    return [number for number in PASSED_ON if signal.getsignal(number) is not signal.SIG_IGN]
 
 
 # -- the loaded process
@@ -153,11 +192,13 @@ def _signals_passed_on(group: int) -> Iterator[None]:
 def leave_behind(pid: int) -> None:
     """Leave a copy of this process behind, as the loaded process of a roslaunch, unless that has one already; return at once.
 
-    Has to be called while this process has one thread.
+    Does nothing in a process of several threads: what others hold locked would stay so in every copy.
 
     Args:
         pid: Of the roslaunch, this process's parent.
     """
+    if len(os.listdir("/proc/self/task")) > 1:
+        return
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         listener.bind(_name_for(pid))
@@ -191,6 +232,8 @@ class _Loaded:
         self._selector = selectors.DefaultSelector()
         #: Each copy and the connection to its program, by the copy's pidfd.
         self._copies: dict[int, tuple[BaseProcess, socket.socket]] = {}
+        #: Those whose program has not ended, either.
+        self._watched: set[BaseProcess] = set()
 
     def serve(self) -> NoReturn:
         """Serve until roslaunch and every copy have ended; in a copy, run the program to its end."""
@@ -220,28 +263,47 @@ class _Loaded:
             with contextlib.suppress(OSError, ValueError, TypeError):
                 request, files = _receive_request(connection)
             connection.settimeout(None)
-        if request is None:
+        if request is None or request.circumstances != _circumstances() or not self._copy(connection, request, files):
             connection.close()
-        else:
-            self._copy(connection, request, files)
         for file in files:
             os.close(file)
 
-    def _copy(self, connection: socket.socket, request: _Request, files: list[int]) -> None:
+    def _copy(self, connection: socket.socket, request: _Request, files: list[int]) -> bool:
+        """Make a copy; return whether there is one: not where the user may have no more processes, or no memory is left."""
         # it ends a copy without taking apart every module that was ever loaded, which takes longer than a node's start
         process = _FORK.Process(target=self._become, args=(connection, request, files))
-        process.start()
+        try:
+            process.start()
+        except OSError:
+            return False
         assert process.pid is not None  # it has been started
         _lead_group(process.pid)
         copy = os.pidfd_open(process.pid)
         self._copies[copy] = (process, connection)
         self._selector.register(copy, selectors.EVENT_READ, self._end_of_copy)
+        self._watched.add(process)
+        self._selector.register(connection, selectors.EVENT_READ, lambda _: self._end_of_program(process, connection))
         with contextlib.suppress(OSError):  # a program that was killed meanwhile: the copy notices, too
             connection.sendall(_NUMBER.pack(process.pid))
+        return True
+
+    def _end_of_program(self, process: BaseProcess, connection: socket.socket) -> None:
+        if process not in self._watched:
+            # it has ended at the same time
+            return
+        self._watched.remove(process)
+        self._selector.unregister(connection)
+        assert process.pid is not None  # it has been started
+        # not left to the copy alone: a node that hangs in a library, with Python locked, is what programs are killed for
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
 
     def _end_of_copy(self, copy: int) -> None:
         self._selector.unregister(copy)
         process, connection = self._copies.pop(copy)
+        if process in self._watched:
+            self._watched.remove(process)
+            self._selector.unregister(connection)
         process.join()
         with contextlib.suppress(OSError):
             connection.sendall(_NUMBER.pack(process.exitcode))
@@ -257,7 +319,7 @@ class _Loaded:
             os.close(file)
         sys.stdin = open(0, closefd=False)  # noqa: SIM115
         _buffer_as_asked(sys.stdout, request.environment)
-        for number in PASSED_ON:
+        for number in _heard():
             signal.signal(number, signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, PASSED_ON)
         os.chdir(request.folder)
@@ -288,6 +350,7 @@ class _Request:
         words: `sys.argv`.
         title: Its command line, as `ps` shows it.
         environment, folder: Its own.
+        circumstances: See `_circumstances`.
     """
 
     module: str
@@ -295,6 +358,7 @@ class _Request:
     title: str
     environment: dict[str, str]
     folder: str
+    circumstances: dict[str, str]
 
 
 def _receive_request(connection: socket.socket) -> tuple[_Request, list[int]]:
