@@ -242,7 +242,7 @@ class Executor:
         """Take how long the arm trails the setpoints [s]; one that trails by much is waited for on the path.
 
         Args:
-            round_trip: From a setpoint to the arm's answer; nan, or no such time: not known. Then an arm that was waited for still is.
+            round_trip: From a setpoint to the arm's answer; nan, or no such time: not known; an arm that was waited for still is.
             servo_lag: What the arm trails by beyond that; nan, or no such time: not known, which counts as 0.
         """
         known = 0.0 <= round_trip < math.inf
