@@ -139,7 +139,8 @@ class Tool(_Strict):
         for name, action in (("grip", self.grip), ("release", self.release)):
             unknown = sorted((set(action.set) - set(self.outputs)) | (set(action.confirm) - set(self.inputs)))
             if unknown:
-                raise ValueError(Sentence("expected.tool.known", action=name, names=", ".join(unknown)))
+                known = ", ".join((*self.outputs, *self.inputs))
+                raise ValueError(Sentence("expected.tool.known", action=name, names=", ".join(unknown), known=known))
         opening = {name: output.opens for name, output in self.outputs.items() if output.opens is not None}
         if not opening:
             raise ValueError(Sentence("expected.tool.opens"))
