@@ -9,7 +9,7 @@ what happens                           what follows
 =====================================  ==============================================================================
 signals to the program                 SIGINT, SIGTERM and SIGHUP are passed on to the node
 the node ends                          the program ends with its exit code, or by the same signal
-the program is killed                  the node kills itself
+the program is killed                  the node kills itself; the loaded process kills it, too
 the loaded process is killed           nodes go on; programs that start later load their modules themselves
 there is none: `rosrun`, a debugger    the program loads the module and is the node
 the program has other circumstances    likewise: see below
@@ -135,7 +135,7 @@ def _send_request(connection: socket.socket, module: str) -> None:
 def _circumstances() -> dict[str, str]:
     """Return what a copy has from the loaded process, and a program from whoever started it: equal where a copy will do."""
     own = Path("/proc/self")
-    found = {f"environment {name}": value for name, value in (_LOADED_WITH | os.environ).items() if name[:3] != "ROS"}
+    found = {}
     for line in (own / "status").read_text().splitlines():
         name, _, value = line.partition(":")
         if name in _STATUS:
@@ -150,6 +150,11 @@ def _circumstances() -> dict[str, str]:
     found["schedule"] = f"{os.sched_getscheduler(0)} {os.sched_getparam(0).sched_priority}"
     found["nice"] = str(os.getpriority(os.PRIO_PROCESS, 0))
     return found
+
+
+def _loaded_with(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the variables that libraries may have looked at when they were loaded: equal where a copy will do."""
+    return {name: value for name, value in (_LOADED_WITH | dict(environment)).items() if name[:3] != "ROS"}
 
 
 def _own_words() -> list[str]:
@@ -263,7 +268,7 @@ class _Loaded:
             with contextlib.suppress(OSError, ValueError, TypeError):
                 request, files = _receive_request(connection)
             connection.settimeout(None)
-        if request is None or request.circumstances != _circumstances() or not self._copy(connection, request, files):
+        if request is None or not request.fits_here() or not self._copy(connection, request, files):
             connection.close()
         for file in files:
             os.close(file)
@@ -359,6 +364,10 @@ class _Request:
     environment: dict[str, str]
     folder: str
     circumstances: dict[str, str]
+
+    def fits_here(self) -> bool:
+        """Return whether a copy of this process is what the program would be."""
+        return self.circumstances == _circumstances() and _loaded_with(self.environment) == _loaded_with(os.environ)
 
 
 def _receive_request(connection: socket.socket) -> tuple[_Request, list[int]]:
