@@ -24,14 +24,16 @@ ACCURACY, ACCURACY_PART = 1e-4, 0.01
 RESOLUTION = 2e-5
 #: A stretch between two rows is divided no nearer to its ends than this part of it.
 _EDGE = 0.1
-#: Every so many rows all pairs are measured before the search begins.
-_STRIDE = 256
-#: One pose stands for so many rows; the levers are larger by the way to the others.
+#: In every so many rows the distances of all pairs are estimated before the search begins.
+STRIDE = 64
+#: By so much an estimate may be too large, for rounding [m].
+_ROUNDING = 1e-9
+#: One pose stands for so many rows; the levers are larger by the way to the others. An even number.
 _GROUP = 8
+#: So many such groups are computed together.
+_TOGETHER = 1024
 #: So many stretches are divided together, those first where most is to be expected.
-_TOGETHER = 64
-#: Accuracy of a distance from an axis, which is computed from a difference of squares [m].
-_ROUNDING = 1e-6
+_DIVIDED = 64
 
 
 class PairLevers:
@@ -44,28 +46,29 @@ class PairLevers:
     def __init__(self, robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple]):
         model = robot.model
         self._robot = robot
-        self._moving = [body for body in bodies if body.joint]
-        self._largest, _ = body_levers(robot, self._moving, robot.strokes)
-        self._centres = np.array([body.placement.act(np.array(body.geometry.aabb_center)) for body in self._moving])
-        self._radii = np.array([body.geometry.aabb_radius for body in self._moving])
-        self._joints = np.array([body.joint for body in self._moving], dtype=int)
+        below = np.zeros((len(bodies), model.nq), dtype=bool)
+        for index, body in enumerate(bodies):
+            below[index, sorted(_joints_below(robot, body))] = True
+        first, second = np.array([(pair[0], pair[1]) for pair in pairs], dtype=int).reshape(-1, 2).T
+        # a joint that moves both bodies moves them together: what counts is each body with the joints that move it alone
+        sides = np.concatenate((first, second))
+        moves = below[sides] & ~below[np.concatenate((second, first))]
+        still = ~moves.any(axis=1)
+        sides[still] = 0
+        unique, columns = np.unique(np.column_stack((sides, moves)), axis=0, return_inverse=True)
+        self._columns = columns.reshape(2, -1)
+        carried = [bodies[index] for index in unique[:, 0]]
+        self._moves = unique[:, 1:].astype(bool)
+        self._largest = (body_levers(robot, carried, robot.strokes)[0] * self._moves.T).T
+        self._centres = np.array([body.placement.act(np.array(body.geometry.aabb_center)) for body in carried])
+        self._radii = np.array([body.geometry.aabb_radius for body in carried])
+        self._joints = np.array([body.joint for body in carried], dtype=int)
         self._linear = np.zeros(model.nq, dtype=bool)
         self._axes = np.zeros((model.nq, 3))
         self._of_place = np.zeros(model.nq, dtype=int)
         for joint, axis, linear in robot.joint_axes:
             place = model.joints[joint].idx_q
             self._axes[place], self._linear[place], self._of_place[place] = axis, linear, joint
-        # the column after those of the moving bodies is that of all that stands
-        columns = np.cumsum([body.joint > 0 for body in bodies]) - 1
-        columns[[not body.joint for body in bodies]] = len(self._moving)
-        below = np.zeros((len(bodies), model.nq), dtype=bool)
-        for index, body in enumerate(bodies):
-            below[index, sorted(_joints_below(robot, body))] = True
-        first, second = np.array([(pair[0], pair[1]) for pair in pairs], dtype=int).reshape(-1, 2).T
-        # a joint that moves both bodies moves them together
-        apart = below[first] ^ below[second]
-        self._columns = columns[first], columns[second]
-        self._moves = apart & below[first], apart & below[second]
 
     def travel(self, rows: np.ndarray) -> Travel:
         """Return the travel of all pairs on a motion, each joint going evenly from one row to the next.
@@ -73,39 +76,99 @@ class PairLevers:
         Args:
             rows: Shape (m, n). Joint values, Pinocchio's order.
         """
-        steps = np.abs(np.diff(rows, axis=0))
-        way = np.vstack([np.zeros(rows.shape[1]), np.cumsum(steps, axis=0)])
-        first = np.arange(0, max(1, len(rows) - 1), _GROUP)
-        # up to the first row of the next group: what lies between the two is covered, too
-        last = np.minimum(first + _GROUP, len(rows) - 1)
-        middle = (first + last) // 2
-        aside = np.maximum(way[middle] - way[first], way[last] - way[middle])
-        levers = self._levers(rows[middle], aside)
-        moved = np.zeros((len(rows), len(self._moving) + 1, rows.shape[1]))
-        group = np.arange(len(rows) - 1) // _GROUP
-        np.cumsum(steps[:, None, :] * levers[group], axis=0, out=moved[1:, :-1])
-        return Travel(moved, self._columns, self._moves)
+        groups = -(-(len(rows) - 1) // _GROUP)
+        moved = np.zeros((groups + 1, len(self._radii)))
+        for begin in range(0, groups, _TOGETHER):
+            end = min(begin + _TOGETHER, groups)
+            moved[begin + 1 : end + 1] = _GROUP * self._steps(rows[begin * _GROUP : end * _GROUP + 1])
+        return Travel(len(rows), np.cumsum(moved, axis=0, out=moved), self._columns)
 
-    def _levers(self, rows: np.ndarray, aside: np.ndarray) -> np.ndarray:
-        """Return how far any point of a moving body moves at most per unit of each joint, near some poses.
+    def _steps(self, rows: np.ndarray) -> np.ndarray:
+        """Return how far any point of each body can move at most in any step of each group of rows, by the joints that count.
+
+        The speed of a point is that of the body's centre, by the joints together, and that of its turning about the centre. At the
+        middle of a group, with its mean step, this is computed. Elsewhere in the group a joint adds at most what its step differs
+        from the mean; and what it contributes differs by at most the way of the other joints until there: it turns with those
+        before it in the chain, and its lever changes with those after it.
 
         Args:
-            rows: Shape (g, n).
-            aside: Shape (g, n). So far each joint may be from there.
+            rows: Shape (k, n). k >= 2
 
         Returns:
-            Shape (g, b, n). [m/rad], or 1 for prismatic joints.
+            Shape (g, b). [m]
+        """
+        groups = -(-(len(rows) - 1) // _GROUP)
+        # the last group may be short: as if it went on
+        steps = np.diff(rows, axis=0)[np.minimum(np.arange(groups * _GROUP), len(rows) - 2)].reshape(groups, _GROUP, -1)
+        sizes, mean, half = np.abs(steps), steps.mean(axis=1), _GROUP // 2
+        aside = np.maximum(sizes[:, :half].sum(axis=1), sizes[:, half:].sum(axis=1))
+        largest = sizes.max(axis=1)
+        beside = np.abs(steps - mean[:, None]).max(axis=1)
+        way = self._together(rows[np.minimum(np.arange(groups) * _GROUP + half, len(rows) - 1)], mean)
+        way += beside @ self._largest.T + (largest @ self._moves.T) * (aside @ self._largest.T)
+        # straight ways are not turned by the joints before them: each counts by itself
+        way += largest @ (self._moves & self._linear).T
+        return np.minimum(way, largest @ self._largest.T)
+
+    def _together(self, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Return how far any point of each body moves at poses, to first order, when the revolute joints that count step together.
+
+        Args:
+            rows, steps: Shape (g, n).
+
+        Returns:
+            Shape (g, b). [m]
         """
         rotations, positions = self._robot.joint_places(rows)
         centres = (rotations[:, self._joints] @ self._centres[:, :, None])[..., 0] + positions[:, self._joints]
-        axes = (rotations[:, self._of_place] @ self._axes[:, :, None])[..., 0]
-        offsets = centres[:, :, None] - positions[:, None, self._of_place]
-        along = np.einsum("gbnx,gnx->gbn", offsets, axes)
-        squares = np.einsum("gbnx,gbnx->gbn", offsets, offsets) - along**2
-        levers = np.sqrt(np.maximum(squares, 0.0)) + (self._radii[:, None] + _ROUNDING)
-        # neither the body nor the axis is further from where it is at that pose than the joints can have carried it
-        levers += (aside @ self._largest)[:, :, None]
-        return np.where(self._linear, 1.0, np.minimum(levers, self._largest.T))
+        turns = (rotations[:, self._of_place] @ self._axes[:, :, None])[..., 0] * (steps * ~self._linear)[..., None]
+        # a joint turns the body about an axis through the joint: it moves the origin by this
+        shifts = _cross(positions[:, self._of_place], turns)
+        turn, shift = self._moves @ turns, self._moves @ shifts
+        return _lengths(shift + _cross(turn, centres)) + self._radii * _lengths(turn)
+
+
+class PairBounds:
+    """How near the two bodies of each pair can be at poses, from a ball around one and a box around the other.
+
+    Args:
+        pairs: Their first two entries are indices into `bodies`.
+    """
+
+    def __init__(self, robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple]):
+        self._robot = robot
+        for body in bodies:
+            body.geometry.computeLocalAABB()
+        self._joints = np.array([body.joint for body in bodies], dtype=int)
+        self._centres = np.array([body.placement.act(np.array(body.geometry.aabb_center)) for body in bodies])
+        self._turns = np.array([body.placement.rotation for body in bodies])
+        self._radii = np.array([body.geometry.aabb_radius for body in bodies])
+        boxes = [body.geometry.aabb_local for body in bodies]
+        self._halves = np.array([0.5 * (np.array(box.max_) - np.array(box.min_)) for box in boxes])
+        self._first, self._second = np.array([(pair[0], pair[1]) for pair in pairs], dtype=int).reshape(-1, 2).T
+
+    def at(self, rows: np.ndarray) -> np.ndarray:
+        """Return a lower bound of the distance of each pair at poses, negative where they may be in each other.
+
+        Args:
+            rows: Shape (m, n). Joint values, Pinocchio's order.
+
+        Returns:
+            Shape (m, p). [m]
+        """
+        rotations, positions = self._robot.joint_places(rows)
+        turns = rotations[:, self._joints]
+        centres = (turns @ self._centres[:, :, None])[..., 0] + positions[:, self._joints]
+        turns = turns @ self._turns
+        apart = centres[:, self._first] - centres[:, self._second]
+        return np.maximum(
+            self._gap(apart, turns, self._first, self._second), self._gap(apart, turns, self._second, self._first)
+        )
+
+    def _gap(self, apart: np.ndarray, turns: np.ndarray, balls: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+        beyond = np.abs(np.einsum("mpi,mpij->mpj", apart, turns[:, boxes])) - self._halves[boxes]
+        inside = np.minimum(beyond.max(axis=-1), 0.0)
+        return _lengths(np.maximum(beyond, 0.0)) + inside - self._radii[balls] - _ROUNDING
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,20 +176,15 @@ class Travel:
     """For each pair, an upper bound of the relative motion of its bodies from the first row on.
 
     Attributes:
-        moved: Shape (m, b + 1, n). How far a point of each body has been carried by each joint up to each row [m]; the last body
-            stands.
-        columns: For both bodies of each pair, shape (p,): their place in `moved`.
-        moves: For both bodies of each pair, shape (p, n): the joints that move this one and not the other.
+        rows: Number of rows of the motion.
+        moved: Shape (g + 1, b). How far a point of each body has been carried after each group of rows, by the joints that count for
+            a pair [m]; evenly within a group.
+        columns: Shape (2, p). For both bodies of each pair their place in `moved`.
     """
 
+    rows: int
     moved: np.ndarray
-    columns: tuple[np.ndarray, np.ndarray]
-    moves: tuple[np.ndarray, np.ndarray]
-
-    @property
-    def rows(self) -> int:
-        """Number of rows of the motion."""
-        return len(self.moved)
+    columns: np.ndarray
 
     def at(self, places: np.ndarray, pairs: np.ndarray) -> np.ndarray:
         """Return the travel of some pairs, each up to a place [m], shape (k,).
@@ -134,14 +192,20 @@ class Travel:
         Args:
             places, pairs: Shape (k,).
         """
-        row = places.astype(int)
-        after, part = np.minimum(row + 1, len(self.moved) - 1), (places - row)[:, None]
-        total = np.zeros(len(places))
-        for columns, moves in zip(self.columns, self.moves):
-            column = columns[pairs]
-            low, high = self.moved[row, column], self.moved[after, column]
-            total += np.einsum("kn,kn->k", low + part * (high - low), moves[pairs])
-        return total
+        groups = places / _GROUP
+        group, columns = groups.astype(int), self.columns[:, pairs]
+        low, high = self.moved[group, columns], self.moved[np.minimum(group + 1, len(self.moved) - 1), columns]
+        return (low + (groups - group) * (high - low)).sum(axis=0)
+
+
+def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the cross products along the last axis; `numpy.cross` takes several times as long for few vectors."""
+    (a, b, c), (d, e, f) = np.moveaxis(first, -1, 0), np.moveaxis(second, -1, 0)
+    return np.stack((b * f - c * e, c * d - a * f, a * e - b * d), axis=-1)
+
+
+def _lengths(vectors: np.ndarray) -> np.ndarray:
+    return np.sqrt((vectors**2).sum(axis=-1))
 
 
 def body_levers(robot: RobotBodies, bodies: Sequence[Body], strokes: np.ndarray) -> tuple[np.ndarray, list[float]]:
@@ -187,30 +251,27 @@ class Motion:
     A place on it is a number of rows: 3.5 is half way from row 3 to row 4. What was measured for one question serves the next.
 
     Args:
-        pairs: Their number, at least 1.
-        measure_row: Returns the distances of all pairs in a row, shape (p,) [m].
+        rows: Shape (r,). Some rows, ascending, from the first to the last one.
+        least: Shape (r, p). Lower bounds of the distances of all pairs in these rows [m]; p >= 1.
         measure: Returns the distances of some pairs, each at a place [m]: ``measure(places, pairs)``, arrays of shape (k,).
     """
 
     def __init__(
         self,
         travel: Travel,
-        pairs: int,
-        measure_row: Callable[[int], np.ndarray],
+        rows: np.ndarray,
+        least: np.ndarray,
         measure: Callable[[np.ndarray, np.ndarray], np.ndarray],
     ):
-        self._travel, self._measure, self._count = travel, measure, pairs
-        rows = np.unique(np.linspace(0, travel.rows - 1, 1 + -(-travel.rows // _STRIDE)).astype(int))
-        known = np.array([measure_row(int(row)) for row in rows])
-        # all that was measured, and the stretches between
-        self._places = np.repeat(rows.astype(float), pairs)
-        self._pairs = np.tile(np.arange(pairs), len(rows))
-        self._distances = known.ravel()
-        moved = travel.at(self._places, self._pairs)
-        self._gaps = _Gaps(
-            self._pairs[pairs:], self._places[:-pairs], self._places[pairs:], known[:-1].ravel(), known[1:].ravel(),
-            moved[:-pairs], moved[pairs:],
-        )  # fmt: skip
+        self._travel, self._measure = travel, measure
+        self._count = least.shape[1]
+        if len(rows) == 1:
+            rows, least = np.repeat(rows, 2), np.repeat(least, 2, axis=0)
+        pairs = np.tile(np.arange(self._count), len(rows))
+        moved = travel.at(np.repeat(rows, self._count).astype(float), pairs).reshape(least.shape)
+        self._gaps = _Gaps(rows, least, moved)
+        # all that was measured
+        self._places, self._pairs, self._distances = np.empty(0), np.empty(0, dtype=int), np.empty(0)
 
     def smallest(self, without: Sequence[int] = ()) -> tuple[float, int]:
         """Find the smallest distance of all pairs anywhere on the motion.
@@ -224,15 +285,17 @@ class Motion:
         """
         wanted = np.ones(self._count, dtype=bool)
         wanted[list(without)] = False
+        closest, below, gaps = None, math.inf, self._gaps
         while True:
-            distances = np.where(wanted[self._pairs], self._distances, math.inf)
-            closest = int(np.argmin(distances))
-            best, gaps = float(distances[closest]), self._gaps
-            below = best - max(ACCURACY, ACCURACY_PART * best)
+            measured = np.flatnonzero(wanted[self._pairs])
+            if len(measured):
+                closest = int(measured[np.argmin(self._distances[measured])])
+                best = float(self._distances[closest])
+                below = best - max(ACCURACY, ACCURACY_PART * best)
             chosen = np.flatnonzero((gaps.bounds < below) & wanted[gaps.pairs])
-            if not len(chosen):
+            if closest is not None and not len(chosen):
                 return float(self._places[closest]), int(self._pairs[closest])
-            self._divide(_first_of(chosen, gaps.bounds[chosen]))
+            self._divide(_first_of(chosen, gaps.bounds[chosen], 1 if closest is None else _DIVIDED))
 
     def first_contact(
         self, margins: np.ndarray, touches: Callable[[float, int], bool]
@@ -264,79 +327,115 @@ class Motion:
             open_ = gaps.bounds < limits[gaps.pairs]
             if first is not None:
                 open_ &= gaps.lows < first[0]
-            chosen = np.flatnonzero(open_ & (gaps.ways > RESOLUTION))
+            chosen = np.flatnonzero(open_)
+            chosen = chosen[gaps.divisible(chosen)]
             if not len(chosen):
                 return first, clear and not open_.any()
             # earlier ones first: a contact that is found ends the search of all that comes later
-            self._divide(_first_of(chosen, gaps.lows[chosen]))
+            self._divide(_first_of(chosen, gaps.lows[chosen], _DIVIDED))
 
     def _divide(self, chosen: np.ndarray) -> None:
         """Measure somewhere within stretches, and put their two parts in their place."""
-        gap = self._gaps.some(chosen)
-        places = gap.middles()
-        distances, moved = self._measure(places, gap.pairs), self._travel.at(places, gap.pairs)
+        places, pairs = self._gaps.middles(chosen), self._gaps.pairs[chosen]
+        distances = self._measure(places, pairs)
         self._places = np.concatenate((self._places, places))
-        self._pairs = np.concatenate((self._pairs, gap.pairs))
+        self._pairs = np.concatenate((self._pairs, pairs))
         self._distances = np.concatenate((self._distances, distances))
-        self._gaps.replace(
-            chosen,
-            _Gaps(gap.pairs, gap.lows, places, gap.at_lows, distances, gap.moved_lows, moved),
-            _Gaps(gap.pairs, places, gap.highs, distances, gap.at_highs, moved, gap.moved_highs),
-        )
+        self._gaps.divide(chosen, places, distances, self._travel.at(places, pairs))
+
+
+#: What a stretch is, one row each of a table.
+_LOW, _HIGH, _AT_LOW, _AT_HIGH, _KNOWN_LOW, _KNOWN_HIGH, _MOVED_LOW, _MOVED_HIGH, _BOUND = range(9)
 
 
 class _Gaps:
-    """Stretches of a motion between two measured places, each of one pair.
+    """Stretches of a motion between two places, each of one pair.
 
-    Attributes, arrays of shape (k,):
-        pairs
-        lows, highs: The two places.
-        at_lows, at_highs: The distances there [m].
-        moved_lows, moved_highs: The travel of the pair up to there [m].
-        ways: Its travel from one to the other [m].
-        bounds: Nowhere on the stretch the distance is smaller [m].
+    At both ends a lower bound of the distance is kept, and whether it is the distance itself, measured; and the travel of the pair up
+    to there. Between the ends the distance is nowhere smaller than half of what is left of both when the travel between them is taken
+    off.
+
+    Args:
+        rows: Shape (r,). The ends of the first stretches, of every pair.
+        least, moved: Shape (r, p). Lower bounds of the distances there, and the travel [m].
     """
 
-    _NAMES = ("pairs", "lows", "highs", "at_lows", "at_highs", "moved_lows", "moved_highs", "ways", "bounds")
+    def __init__(self, rows: np.ndarray, least: np.ndarray, moved: np.ndarray):
+        stretches, pairs = len(rows) - 1, least.shape[1]
+        self._count = stretches * pairs
+        self._pairs = np.empty(2 * self._count, dtype=int)
+        self._pairs[: self._count] = np.tile(np.arange(pairs), stretches)
+        self._table = np.empty((9, 2 * self._count))
+        table = self._table[:, : self._count]
+        table[_LOW], table[_HIGH] = np.repeat(rows[:-1], pairs), np.repeat(rows[1:], pairs)
+        table[_AT_LOW], table[_AT_HIGH] = least[:-1].ravel(), least[1:].ravel()
+        table[_KNOWN_LOW] = table[_KNOWN_HIGH] = 0.0
+        table[_MOVED_LOW], table[_MOVED_HIGH] = moved[:-1].ravel(), moved[1:].ravel()
+        table[_BOUND] = _bounds(table)
 
-    def __init__(
-        self,
-        pairs: np.ndarray,
-        lows: np.ndarray,
-        highs: np.ndarray,
-        at_lows: np.ndarray,
-        at_highs: np.ndarray,
-        moved_lows: np.ndarray,
-        moved_highs: np.ndarray,
-    ):
-        self.pairs, self.lows, self.highs = pairs, lows, highs
-        self.at_lows, self.at_highs = at_lows, at_highs
-        self.moved_lows, self.moved_highs = moved_lows, moved_highs
-        self.ways = moved_highs - moved_lows
-        self.bounds = (at_lows + at_highs - self.ways) / 2
+    @property
+    def pairs(self) -> np.ndarray:
+        """Shape (k,). The pair of each stretch."""
+        return self._pairs[: self._count]
 
-    def some(self, which: np.ndarray) -> _Gaps:
-        """Return some of the stretches."""
-        return _Gaps(*(getattr(self, name)[which] for name in self._NAMES[:7]))
+    @property
+    def lows(self) -> np.ndarray:
+        """Shape (k,). Where each begins."""
+        return self._table[_LOW, : self._count]
 
-    def replace(self, which: np.ndarray, first: _Gaps, second: _Gaps) -> None:
-        """Put two parts in the place of some stretches."""
-        for name in self._NAMES:
-            values = getattr(self, name)
-            values[which] = getattr(first, name)
-            setattr(self, name, np.concatenate((values, getattr(second, name))))
+    @property
+    def bounds(self) -> np.ndarray:
+        """Shape (k,). Nowhere on the stretch the distance is smaller [m]."""
+        return self._table[_BOUND, : self._count]
 
-    def middles(self) -> np.ndarray:
-        """Return about where the bounds from both ends meet: in a row as long as there is one in between, then between two."""
+    def divisible(self, which: np.ndarray) -> np.ndarray:
+        """Return whether the bodies move on some stretches, or something is not yet measured at one of their ends."""
+        gap = self._table[:, which]
+        return (gap[_MOVED_HIGH] - gap[_MOVED_LOW] > RESOLUTION) | (gap[_KNOWN_LOW] + gap[_KNOWN_HIGH] < 2.0)
+
+    def middles(self, which: np.ndarray) -> np.ndarray:
+        """Return where to measure in some stretches, shape (k,).
+
+        At the end that is not yet measured, if the other one is. Else about where the bounds from both ends meet: in a row as long as
+        there is one in between, then between two.
+        """
+        gap = self._table[:, which]
+        lows, highs, at_lows, at_highs = gap[:4]
+        ways = np.maximum(gap[_MOVED_HIGH] - gap[_MOVED_LOW], 1e-300)
         # not too near an end, or the search would hardly get on
-        part = np.clip(0.5 + 0.5 * (self.at_lows - self.at_highs) / np.maximum(self.ways, 1e-300), _EDGE, 1.0 - _EDGE)
-        places = self.lows + part * (self.highs - self.lows)
-        first, last = np.floor(self.lows) + 1.0, np.ceil(self.highs) - 1.0
-        return np.where(first <= last, np.clip(np.round(places), first, last), places)
+        part = np.clip(0.5 + 0.5 * (at_lows - at_highs) / ways, _EDGE, 1.0 - _EDGE)
+        places = lows + part * (highs - lows)
+        first, last = np.floor(lows) + 1.0, np.ceil(highs) - 1.0
+        places = np.where(first <= last, np.clip(np.round(places), first, last), places)
+        one = gap[_KNOWN_LOW] - gap[_KNOWN_HIGH]
+        return np.where(one > 0.0, highs, np.where(one < 0.0, lows, places))
+
+    def divide(self, which: np.ndarray, places: np.ndarray, distances: np.ndarray, moved: np.ndarray) -> None:
+        """Put two parts in the place of some stretches, given what was measured where they meet."""
+        first = self._table[:, which]
+        second = first.copy()
+        first[_HIGH], first[_AT_HIGH], first[_KNOWN_HIGH], first[_MOVED_HIGH] = places, distances, 1.0, moved
+        second[_LOW], second[_AT_LOW], second[_KNOWN_LOW], second[_MOVED_LOW] = places, distances, 1.0, moved
+        # an end is no nearer than this, either
+        np.maximum(first[_AT_LOW], distances - (moved - first[_MOVED_LOW]), out=first[_AT_LOW])
+        np.maximum(second[_AT_HIGH], distances - (second[_MOVED_HIGH] - moved), out=second[_AT_HIGH])
+        first[_BOUND], second[_BOUND] = _bounds(first), _bounds(second)
+        more = self._count + len(which)
+        if more > len(self._pairs):
+            self._pairs = np.concatenate((self._pairs, np.empty(more, dtype=int)))
+            self._table = np.concatenate((self._table, np.empty((9, more))), axis=1)
+        self._table[:, which] = first
+        self._table[:, self._count : more] = second
+        self._pairs[self._count : more] = self._pairs[which]
+        self._count = more
 
 
-def _first_of(chosen: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Return at most `_TOGETHER` of them, those of the lowest order."""
-    if len(chosen) <= _TOGETHER:
+def _bounds(gap: np.ndarray) -> np.ndarray:
+    return (gap[_AT_LOW] + gap[_AT_HIGH] - (gap[_MOVED_HIGH] - gap[_MOVED_LOW])) / 2
+
+
+def _first_of(chosen: np.ndarray, order: np.ndarray, count: int) -> np.ndarray:
+    """Return at most so many of them, those of the lowest order."""
+    if len(chosen) <= count:
         return chosen
-    return chosen[np.argsort(order, kind="stable")[:_TOGETHER]]
+    return chosen[np.argsort(order, kind="stable")[:count]]
