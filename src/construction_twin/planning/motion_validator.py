@@ -97,32 +97,47 @@ class ShortcutCheck:
         Args:
             start, end: Shape (n,). [rad] or [m]
         """
-        edge = start.tobytes(), end.tobytes()
-        if edge not in self._edges:
-            self._edges[edge] = self._end_free(end) and self._between_free(start, end)
-        return self._edges[edge]
+        return self.first_free(np.array([start]), np.array([end])) is not None
 
-    def _end_free(self, end: np.ndarray) -> bool:
-        point = end.tobytes()
-        if point not in self._points:
-            self._points[point] = self._validator.world.is_free(end)
-        return self._points[point]
+    def first_free(self, starts: np.ndarray, ends: np.ndarray) -> int | None:
+        """Return the first of some edges that is free, as `free` says it of one; None: none is.
 
-    def _between_free(self, start: np.ndarray, end: np.ndarray) -> bool:
-        world, states = self._validator.world, self._validator.states(start, end)[1:]
-        if not len(states):
-            return True
-        if self._contact is not None:
-            displacement = end - start
-            part = (self._contact - start) @ displacement / (displacement @ displacement)
-            beside = start + min(max(part, 0.0), 1.0) * displacement
-            if not world.is_free(beside):
-                self._contact = beside
-                return False
-        row = world.all_free(states)
-        if row is not None:
-            self._contact = states[row]
-        return row is None
+        Args:
+            starts, ends: Shape (k, n). [rad] or [m]
+        """
+        world, besides = self._validator.world, self._besides(starts, ends)
+        for index in range(len(starts)):
+            edge = starts[index].tobytes(), ends[index].tobytes()
+            found = self._edges.get(edge)
+            if found is None:
+                found = self._end_free(edge[1], ends[index])
+                if found and besides is not None:
+                    found = world.is_free(besides[index])
+                if found:
+                    states = self._validator.states(starts[index], ends[index])[1:]
+                    row = world.all_free(states)
+                    if row is not None:
+                        found, self._contact = False, states[row]
+                        besides = self._besides(starts, ends)
+                self._edges[edge] = found
+            if found:
+                return index
+        return None
+
+    def _end_free(self, point: bytes, end: np.ndarray) -> bool:
+        found = self._points.get(point)
+        if found is None:
+            found = self._points[point] = self._validator.world.is_free(end)
+        return found
+
+    def _besides(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray | None:
+        """Return the point of each edge that is closest to the last contact, shape (k, n); None without one."""
+        if self._contact is None:
+            return None
+        ways = ends - starts
+        squares = np.maximum(np.einsum("kn,kn->k", ways, ways), 1e-300)
+        parts = np.einsum("kn,kn->k", self._contact - starts, ways) / squares
+        return starts + np.clip(parts, 0.0, 1.0)[:, None] * ways
 
 
 class CornerRounding:

@@ -63,7 +63,7 @@ class OmplSearch:
         check = ShortcutCheck(query.validator)
         for times in (COARSER, 1.0):
             points = self._search(query, query.validator.coarser(times), budget)
-            path = shortened(points, check.free)
+            path = shortened(points, check.first_free)
             if times == 1.0 or all(check.free(*edge) for edge in zip(path, path[1:])):
                 break
         return path

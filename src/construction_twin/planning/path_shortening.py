@@ -13,45 +13,39 @@ import numpy as np
 #: Distance of the points between which shortcuts are tried: shorter costs more checks and gains little.
 SPACING = 0.7
 #: A shortcut that gains less than this part of the path's length is not tried.
-WORTHWHILE = 0.01
+WORTHWHILE = 0.02
+
+#: Returns the first of some straight edges that is free, given their starts and ends, shape (k, n); None: none is.
+FirstFree = Callable[[np.ndarray, np.ndarray], int | None]
 
 
-def shortened(path: np.ndarray, free: Callable[[np.ndarray, np.ndarray], bool]) -> np.ndarray:
+def shortened(path: np.ndarray, first_free: FirstFree) -> np.ndarray:
     """Return a path from the same start to the same goal that is no longer.
 
     Args:
         path: Shape (m, n). m >= 2; successive points differ, and the edges between them are free.
-        free: Whether the straight edge from one point to another is free.
 
     Returns:
         Shape (k, n). At least two points, both ends to the last bit; every edge is a part of a given one or was found free.
     """
     points = _divided(path)
-    blocked: set[tuple[bytes, bytes]] = set()
     while True:
-        gains = _gains(points)
-        least = WORTHWHILE * float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-        keys = [point.tobytes() for point in points]
-        for index in np.argsort(-gains, axis=None, kind="stable").tolist():
-            first, last = divmod(index, len(points))
-            if gains[first, last] < least:
-                return _fewer(_corners(points), free)
-            pair = keys[first], keys[last]
-            if pair in blocked:
-                continue
-            if free(points[first], points[last]):
-                points = np.concatenate((points[:first], _divided(points[[first, last]]), points[last + 1 :]))
-                break
-            blocked.add(pair)
-        else:
-            return _fewer(_corners(points), free)
+        gains, length = _gains(points)
+        firsts, lasts = np.nonzero(gains >= WORTHWHILE * length)
+        order = np.argsort(-gains[firsts, lasts], kind="stable")
+        firsts, lasts = firsts[order], lasts[order]
+        found = first_free(points[firsts], points[lasts])
+        if found is None:
+            return _fewer(_corners(points), first_free)
+        first, last = firsts[found], lasts[found]
+        points = np.concatenate((points[:first], _divided(points[[first, last]]), points[last + 1 :]))
 
 
-def _fewer(points: np.ndarray, free: Callable[[np.ndarray, np.ndarray], bool]) -> np.ndarray:
+def _fewer(points: np.ndarray, first_free: FirstFree) -> np.ndarray:
     """Return the path without the corners that need not be: each one slows the motion, however little it makes it longer."""
     index = 1
     while index < len(points) - 1:
-        if free(points[index - 1], points[index + 1]):
+        if first_free(points[[index - 1]], points[[index + 1]]) is not None:
             points = np.delete(points, index, axis=0)
             index = max(1, index - 1)
         else:
@@ -59,10 +53,11 @@ def _fewer(points: np.ndarray, free: Callable[[np.ndarray, np.ndarray], bool]) -
     return points
 
 
-def _gains(points: np.ndarray) -> np.ndarray:
-    """Return by how much the straight edge between each two points is shorter than the path, shape (m, m)."""
-    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
-    return along - along[:, None] - np.linalg.norm(points[:, None] - points, axis=2)
+def _gains(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return by how much the straight edge between each two points is shorter than the path, shape (m, m), and the path's length."""
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    along = np.concatenate(([0.0], np.cumsum(np.diagonal(apart, 1))))
+    return along - along[:, None] - apart, float(along[-1])
 
 
 def _divided(path: np.ndarray) -> np.ndarray:

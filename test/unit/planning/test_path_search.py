@@ -133,6 +133,13 @@ def test_a_shortcut_is_free_only_if_the_whole_edge_is_and_blocked_only_by_a_cont
                 assert edges.free(start, end) if found else max(start[0], end[0]) > 0.5
     same = check.free(points[0], points[-1])
     assert same == (points[0][0] <= 0.5)
+    # of many edges the first free one, whatever was asked before
+    starts, ends = points[:-1], points[1:]
+    differ = np.any(starts != ends, axis=1)
+    free = [check.free(start, end) for start, end in zip(starts[differ], ends[differ])]
+    for asked in (check, ShortcutCheck(edges)):
+        found = asked.first_free(starts[differ], ends[differ])
+        assert found == (free.index(True) if True in free else None)
 
 
 def test_shortcuts_ask_nothing_twice_and_look_beside_the_last_contact_first():
@@ -194,17 +201,20 @@ def test_shortcuts_make_a_path_shorter_and_keep_its_ends_and_it_free():
         line = first + np.linspace(0.0, 1.0, 400)[:, None] * (second - first)
         return not np.any(np.linalg.norm(line, axis=1) < 1.0)
 
+    def first_free(starts, ends) -> int | None:
+        return next((index for index, edge in enumerate(zip(starts, ends)) if free(*edge)), None)
+
     path = np.array([[-2.0, 0.0], [-2.0, 3.0], [0.0, 3.0], [0.5, 2.0], [2.0, 3.0], [2.0, 0.0]])
-    short = shortened(path, free)
+    short = shortened(path, first_free)
     assert short[0].tobytes() == path[0].tobytes() and short[-1].tobytes() == path[-1].tobytes()
     assert all(free(a, b) for a, b in zip(short, short[1:]))
     lengths = [np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)) for points in (path, short)]
     # the shortest way round the disc: two tangents and an arc
     shortest = 2.0 * np.sqrt(3.0) + np.pi / 3.0
     assert shortest <= lengths[1] < 1.08 * shortest < lengths[0]
-    assert shortened(short, free).shape[0] <= short.shape[0]
-    np.testing.assert_array_equal(shortened(path[:2], free), path[:2])
-    straight = shortened(np.array([[-2.0, 2.0], [0.0, 3.0], [2.0, 2.0]]), free)
+    assert shortened(short, first_free).shape[0] <= short.shape[0]
+    np.testing.assert_array_equal(shortened(path[:2], first_free), path[:2])
+    straight = shortened(np.array([[-2.0, 2.0], [0.0, 3.0], [2.0, 2.0]]), first_free)
     np.testing.assert_array_equal(straight, [[-2.0, 2.0], [2.0, 2.0]])
 
 
