@@ -73,9 +73,9 @@ class Bench:
         return description, CollisionWorld(self.robot, load_scene(description, path.parent), self.self_collision)
 
     def planner(self, seed: int, budget: float = BUDGET) -> Planner:
-        """Return a planner as shipped, but at the full limits and with this seed."""
+        """Return a planner as shipped, but at the full limits; its own seeds follow from this one."""
         settings = {key: value for key, value in self._shipped.items() if key in PlannerSettings.model_fields}
-        settings |= {"planner": self._planner, "seed": seed, "planning_budget": budget, "speed_scale": 1.0}
+        settings |= {"planner": self._planner, "planning_budget": budget, "speed_scale": 1.0}
         rng = np.random.default_rng(seed)
         return Planner(self.robot, self._solver, PlannerSettings(**settings), time.perf_counter, rng)
 

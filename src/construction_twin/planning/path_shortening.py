@@ -54,7 +54,7 @@ def _fewer(points: np.ndarray, first_free: FirstFree) -> np.ndarray:
 
 
 def _gains(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return by how much the straight edge between each two points is shorter than the path, shape (m, m), and the path's length."""
+    """Return by how much the edge between each two points is shorter than the path, shape (m, m), and the path's length."""
     apart = np.linalg.norm(points[:, None] - points, axis=2)
     along = np.concatenate(([0.0], np.cumsum(np.diagonal(apart, 1))))
     return along - along[:, None] - apart, float(along[-1])

@@ -21,6 +21,7 @@ from construction_twin.core.share import share_file
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
+from construction_twin.planning.path_memory import PathMemory
 from construction_twin.planning.path_search import PathQuery, PathSearch
 from construction_twin.planning.path_searches import path_search, path_searches
 from construction_twin.planning.recheck import recheck
@@ -54,7 +55,7 @@ class PlannerSettings(pydantic.BaseModel):
         speed_scale: Used by requests that give neither this nor a duration, in (0, 1].
         max_waypoints: A plan with more is refused.
         max_duration: A longer plan is refused [s].
-        seed: 0: different every time.
+        seed: 0: different every time, and ways that were found before are tried first (`path_memory`).
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
@@ -183,6 +184,8 @@ class Planner:
         self._clock = clock
         self._rng = rng
         self._search = search or path_search(settings.planner)
+        # with it, a plan depends on those before it
+        self._memory = None if settings.seed else PathMemory()
 
     def plan_to_joints(
         self, start: JointValues, goal: JointValues, request: PlanRequest, world: CollisionWorld
@@ -277,13 +280,18 @@ class Planner:
         lower, upper = self._bounds(start, goals)
         attempt = 0
         while (left := settings.planning_budget - (self._clock() - began)) > 0.0:
-            try:
-                path = self._search.find(PathQuery(start, goals, validator, lower, upper, seed + attempt), left)
-            except NoPathError as error:
-                raise NoPathError(self._search.name, self._clock() - began) from error
-            _demand_ends(path, start, goals, self._search.name)
+            query = PathQuery(start, goals, validator, lower, upper, seed + attempt)
+            path = self._memory.find(query) if self._memory is not None and not attempt else None
+            if path is None:
+                try:
+                    path = self._search.find(query, left)
+                except NoPathError as error:
+                    raise NoPathError(self._search.name, self._clock() - began) from error
+                _demand_ends(path, start, goals, self._search.name)
             timed = self._timed(path, request, world)
             if timed is not None:
+                if self._memory is not None:
+                    self._memory.keep(path)
                 return _Found(self._search.name, timed)
             # the path passed through something thinner than the step of its check: check with smaller steps
             attempt += 1

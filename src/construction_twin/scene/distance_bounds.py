@@ -177,8 +177,8 @@ class Travel:
 
     Attributes:
         rows: Number of rows of the motion.
-        moved: Shape (g + 1, b). How far a point of each body has been carried after each group of rows, by the joints that count for
-            a pair [m]; evenly within a group.
+        moved: Shape (g + 1, b). How far a point of each body has been carried after each group of rows, by the joints that count
+            for a pair [m]; evenly within a group.
         columns: Shape (2, p). For both bodies of each pair their place in `moved`.
     """
 
@@ -351,9 +351,9 @@ _LOW, _HIGH, _AT_LOW, _AT_HIGH, _KNOWN_LOW, _KNOWN_HIGH, _MOVED_LOW, _MOVED_HIGH
 class _Gaps:
     """Stretches of a motion between two places, each of one pair.
 
-    At both ends a lower bound of the distance is kept, and whether it is the distance itself, measured; and the travel of the pair up
-    to there. Between the ends the distance is nowhere smaller than half of what is left of both when the travel between them is taken
-    off.
+    At both ends a lower bound of the distance is kept, and whether it is the distance itself, measured; and the travel of the pair
+    up to there. Between the ends the distance is nowhere smaller than half of what is left of both when the travel between them is
+    taken off.
 
     Args:
         rows: Shape (r,). The ends of the first stretches, of every pair.

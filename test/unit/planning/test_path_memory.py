@@ -1,0 +1,107 @@
+"""Ways found before: tried in the present world, never taken for granted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from construction_twin.planning.motion_validator import MotionValidator
+from construction_twin.planning.path_memory import DETOUR, KEPT, TRIED, PathMemory
+from construction_twin.planning.path_search import PathQuery
+
+LEVERS = np.ones(2)
+
+
+class Disc:
+    """A world of two joints in which a disc around the origin must not be entered; it counts what it is asked."""
+
+    def __init__(self, radius: float = 1.0):
+        self.radius, self.asked = radius, 0
+
+    def is_free(self, q) -> bool:
+        self.asked += 1
+        return bool(np.hypot(*q) > self.radius)
+
+    def all_free(self, qs) -> int | None:
+        return next((row for row, q in enumerate(qs) if not self.is_free(q)), None)
+
+
+def query(start, goals, world: Disc) -> PathQuery:
+    edges = MotionValidator(world, LEVERS, 0.02)
+    goals = [np.array(goal, dtype=float) for goal in goals]
+    return PathQuery(np.array(start, dtype=float), goals, edges, -5.0 * np.ones(2), 5.0 * np.ones(2), seed=1)
+
+
+def kept(*paths) -> PathMemory:
+    memory = PathMemory()
+    for path in paths:
+        memory.keep(np.array(path, dtype=float))
+    return memory
+
+
+OVER = [(-2.0, 0.1), (-1.0, 1.3), (1.0, 1.3), (2.0, 0.0)]
+
+
+@pytest.mark.parametrize("start, goal", [((-2.2, 0.0), (2.1, 0.3)), ((2.1, 0.3), (-2.2, 0.0))])
+def test_a_way_serves_other_ends_in_both_directions(start, goal):
+    world = Disc()
+    wanted = query(start, [goal], world)
+    path = kept(OVER).find(wanted)
+    assert path[0].tobytes() == wanted.start.tobytes() and path[-1].tobytes() == wanted.goals[0].tobytes()
+    assert all(wanted.validator.free(a, b) for a, b in zip(path, path[1:]))
+    # shortened, too: it is no longer than through the points that were kept
+    through = np.vstack((start, OVER[1:-1] if start[0] < 0 else OVER[2:0:-1], goal))
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() <= np.linalg.norm(np.diff(through, axis=0), axis=1).sum()
+
+
+def test_what_is_no_longer_free_is_not_taken():
+    # the disc has grown since: the edge between the kept points, or those to the ends, are in it
+    assert kept(OVER).find(query((-2.0, 0.1), [(2.0, 0.0)], Disc(1.4))) is None
+    thin = [(-2.0, 0.1), (-1.0, 1.3), (0.0, 0.5), (1.0, 1.3), (2.0, 0.0)]
+    assert kept(thin).find(query((-2.0, 0.1), [(2.0, 0.0)], Disc(0.6))) is None
+
+
+def test_the_shortest_way_to_any_goal_is_taken_first():
+    under = [(x, -y) for x, y in OVER]
+    far = [(-2.0, 0.1), (-1.0, 1.9), (1.0, 1.9), (2.0, 0.0)]
+    path = kept(far, OVER, under).find(query((-2.0, -0.4), [(2.0, 4.0), (2.0, -0.4)], Disc()))
+    assert path[-1][1] == -0.4 and path[1][1] < 0.0
+
+
+def test_long_ways_and_straight_ones_are_not_tried():
+    world = Disc()
+    assert PathMemory().find(query((-2, 0), [(2, 0)], world)) is None
+    assert kept([(-2.0, 2.0), (2.0, 2.0)]).find(query((-2, 0), [(2, 0)], world)) is None
+    high = 2.0 * np.sqrt(DETOUR**2 - 1.0)
+    assert kept([(-2.0, 0.0), (0.0, high + 0.01), (2.0, 0.0)]).find(query((-2, 0), [(2, 0)], world)) is None
+    assert world.asked == 0
+    assert kept([(-2.0, 0.0), (0.0, high - 0.01), (2.0, 0.0)]).find(query((-2, 0), [(2, 0)], world)) is not None
+
+
+def test_a_request_tries_few_of_many_and_forgets_the_oldest():
+    world = Disc()
+    blocked = [[(-2.0, 0.0), (0.0, 0.001 * k), (2.0, 0.0)] for k in range(KEPT)]
+    assert kept(*blocked).find(query((-2, 0), [(2, 0)], world)) is None
+    # a blocked way costs little: its first state is the kept point
+    assert 0 < world.asked <= 2 * TRIED
+    assert kept(OVER, *blocked[: KEPT - 1]).find(query((-2, 0.1), [(2, 0)], Disc(0.0005))) is not None
+    assert kept(OVER, *blocked).find(query((-2, 0.1), [(2, 0)], Disc())) is None
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_whatever_is_kept_what_comes_out_is_a_free_path(seed):
+    rng = np.random.default_rng(seed)
+    memory = kept(*(rng.uniform(-3.0, 3.0, (rng.integers(2, 6), 2)) for _ in range(rng.integers(1, 30))))
+    world = Disc(0.8)
+    ends = rng.uniform(-3.0, 3.0, (3, 2))
+    ends = ends[[world.is_free(q) for q in ends]]
+    if len(ends) < 2:
+        return
+    wanted = query(ends[0], ends[1:], world)
+    path = memory.find(wanted)
+    if path is not None:
+        assert path[0].tobytes() == wanted.start.tobytes()
+        assert path[-1].tobytes() in [goal.tobytes() for goal in wanted.goals]
+        assert all(wanted.validator.free(a, b) for a, b in zip(path, path[1:]))
