@@ -1,9 +1,9 @@
 """Ways found before, tried before a search begins.
 
 A cell has few ways round what stands in it, and one request resembles the next: over the rack, through the window, back. The inner
-points of the last paths are kept, and a request is first answered by one of them, from its own start and to its own goal, if that is
-free now. Nothing is taken for granted: every edge is checked in the world of the request, so it does not matter in which scene a path
-was found.
+points of the last paths are kept, and a request is first answered by one of them, from its own start and to its own goal, if that
+is free now. Nothing is taken for granted: every edge is checked in the world of the request, so it does not matter in which scene a
+path was found.
 
 What comes out depends on what was asked before. So a planner whose seed is fixed, whose plans must be the same each time, does
 without (`planner.Planner`).
@@ -47,7 +47,7 @@ class PathMemory:
             self._inner.append(path[-2:0:-1])
 
     def find(self, query: PathQuery) -> np.ndarray | None:
-        """Return a path through points of an earlier one, as `path_search.PathSearch.find` would; None if none that is kept fits."""
+        """Return a path through points of an earlier one, as `path_search.PathSearch.find` would; None if none fits."""
         coarse = query.validator.coarser(COARSER)
         for way in self._ways(query.start, query.goals):
             # the edges to the ends are new, those between them were free once; kept points are checked first, the ends are free

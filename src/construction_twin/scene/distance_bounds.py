@@ -396,8 +396,8 @@ class _Gaps:
     def middles(self, which: np.ndarray) -> np.ndarray:
         """Return where to measure in some stretches, shape (k,).
 
-        At the end that is not yet measured, if the other one is. Else about where the bounds from both ends meet: in a row as long as
-        there is one in between, then between two.
+        At the end that is not yet measured, if the other one is. Else about where the bounds from both ends meet: in a row as long
+        as there is one in between, then between two.
         """
         gap = self._table[:, which]
         lows, highs, at_lows, at_highs = gap[:4]
