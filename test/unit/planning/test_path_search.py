@@ -92,7 +92,8 @@ def test_the_levers_hold_for_every_point_of_the_arm_its_tool_and_its_load():
             assert np.linalg.norm(moved, axis=1).max() <= np.abs(step) @ levers
 
 
-def test_a_corner_that_touches_is_tightened_and_others_are_not():
+@pytest.mark.parametrize("edges_free", [False, True])
+def test_a_corner_that_touches_is_tightened_and_others_are_not(edges_free):
     # the second corner turns right below the contact: cutting it is free, cutting the first one is not
     path = np.zeros((4, 6))
     path[:, 0] = [0.0, -1.0, -1.0, 0.0]
@@ -104,7 +105,7 @@ def test_a_corner_that_touches_is_tightened_and_others_are_not():
 
     edges = MotionValidator(Inside(), np.ones(6), 0.01)
     assert edges.world.all_free(rounded(path, PACE, 1.0)(np.linspace(0.0, 1.0, 50))) is not None
-    tight = CornerRounding(edges, PACE).tightened(path)
+    tight = CornerRounding(edges, PACE, edges_free).tightened(path)
     curve = rounded(tight, PACE, 1.0)
     assert edges.world.all_free(curve(np.linspace(0.0, curve.length, 2000))) is None
     added = [q for q in tight if not any(np.array_equal(q, corner) for corner in path)]
