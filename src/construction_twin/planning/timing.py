@@ -31,12 +31,12 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds
 
 #: Fractions of the velocity and acceleration limits that a plan uses. The remainder covers what happens to the setpoints after
-#: planning, where they are checked against the full limits: rounding to the wire's decimals adds up to 0.25 deg/s at 3
-#: decimals (its effect on the acceleration has an allowance of its own), the gateway interpolates between setpoints on
-#: the grid of another clock, and makes up for what a speed limit has put off by playing 1 % faster (`gateway.slew.CATCH_UP`): at
-#: 0.98 of the velocity 0.2 % and 1 % find room, at 0.9 of the acceleration the change of that rate does.
-VELOCITY_FRACTION = 0.98
-ACCELERATION_FRACTION = 0.9
+#: planning, where they are checked against the full limits: the gateway interpolates between setpoints on the grid of another
+#: clock, and makes up for what a speed limit has put off by playing 1 % faster (`gateway.slew.CATCH_UP`), which is 2 % more
+#: acceleration. It changes that rate no faster than the motion leaves room for. Rounding to the wire's decimals has allowances of
+#: its own.
+VELOCITY_FRACTION = 0.99
+ACCELERATION_FRACTION = 0.97
 #: Spacing of the waypoints if the request gives no number of waypoints [s], and their smallest number then.
 WAYPOINT_SPACING = 0.02
 MINIMUM_WAYPOINTS = 20
