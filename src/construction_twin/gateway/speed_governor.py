@@ -19,7 +19,7 @@ BRAKING_FRACTION = 0.95
 #: The same for letting it run again.
 RISING_FRACTION = 0.5
 #: This fraction of the acceleration limits is always available for slowing time: what a plan leaves.
-LEAST_FRACTION = 0.03
+LEAST_FRACTION = 0.02
 #: Largest growth of the rate per second.
 LARGEST_RISE = 1.0
 #: The same after the arm has stood: as fast as it may, because what it trails meanwhile is made up for slowly.

@@ -20,6 +20,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import BSpline, CubicSpline, PPoly
 
+from construction_twin.planning.pieces import Pieces
+
 #: A knot closer than this to the one before is the same knot, as a fraction of the curve's length.
 SAME_KNOT = 1e-9
 
@@ -37,12 +39,21 @@ class JointCurve:
     """
 
     def __init__(self, pieces: PPoly):
-        self._derivatives = (pieces, pieces.derivative(1), pieces.derivative(2))
-        self._third = pieces.derivative(3)
+        self.straight = pieces.c.shape[:2] == (2, 1)
+        # a straight line gets an empty square term
+        coefficients = np.concatenate((np.zeros_like(pieces.c[:1]), pieces.c)) if self.straight else pieces.c
+        self._pieces = Pieces(pieces.x, coefficients)
         self.knots = pieces.x
         self.length = float(pieces.x[-1])
-        self.joints = pieces.c.shape[2]
-        self.straight = pieces.c.shape[:2] == (2, 1)
+        self.joints = coefficients.shape[2]
+
+    def states(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Evaluate the curve and its first two derivatives, shape (m, n) each.
+
+        Args:
+            s: Shape (m,). Within [0, `length`].
+        """
+        return self._pieces.states(s)
 
     def __call__(self, s: np.ndarray, order: int = 0) -> np.ndarray:
         """Evaluate the curve or one of its derivatives.
@@ -54,7 +65,7 @@ class JointCurve:
         Returns:
             Shape (m, n)
         """
-        return self._derivatives[order](s)
+        return self._pieces.states(s)[order]
 
     def largest_third(self, s: np.ndarray) -> np.ndarray:
         """Return the size of the third derivative, which jumps at the knots: there the larger one of both sides.
@@ -67,7 +78,7 @@ class JointCurve:
         """
         margin = SAME_KNOT * self.length
         before, after = np.maximum(s - margin, 0.0), np.minimum(s + margin, self.length - margin)
-        return np.maximum(np.abs(self._third(before)), np.abs(self._third(after)))
+        return np.maximum(np.abs(self._pieces.third(before)), np.abs(self._pieces.third(after)))
 
 
 def straight(start: np.ndarray, goal: np.ndarray, pace: np.ndarray) -> JointCurve:
