@@ -18,7 +18,7 @@ Three kinds of curve along the points of a path:
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import BSpline, CubicSpline, PPoly
+from scipy.interpolate import CubicSpline, PPoly
 
 from construction_twin.planning.pieces import Pieces
 
@@ -162,10 +162,17 @@ def rounded(points: np.ndarray, pace: np.ndarray, corner_fraction: float) -> Joi
     means = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3.0
     control = np.column_stack([np.interp(means, corners, column) for column in points.T])
     control[0], control[-1] = points[0], points[-1]
-    spline = BSpline(knots, control, 3)
-    at = knots[3:-4]
-    coefficients = [spline(at, 3) / 6.0, spline(at, 2) / 2.0, spline(at, 1), spline(at)]
-    return JointCurve(PPoly(np.stack(coefficients), knots[3:-3]))
+    # the derivatives of a B-spline are B-splines of differences of its control points: the third is a constant on each piece, the
+    # second has its control points at the knots
+    first = 3.0 * np.diff(control, axis=0) / (knots[4:-1] - knots[1:-4])[:, None]
+    second = 2.0 * np.diff(first, axis=0) / (knots[4:-2] - knots[2:-4])[:, None]
+    h = np.diff(knots[3:-3])[:, None]
+    third = np.diff(second, axis=0) / h
+    a0, a1 = second[:-1], second[1:]
+    slopes = first[0] + np.concatenate((np.zeros_like(a0[:1]), np.cumsum(0.5 * (a0 + a1) * h, axis=0)))[:-1]
+    steps = (slopes + (2.0 * a0 + a1) / 6.0 * h) * h
+    values = points[0] + np.concatenate((np.zeros_like(a0[:1]), np.cumsum(steps, axis=0)))[:-1]
+    return JointCurve(PPoly(np.stack((third / 6.0, 0.5 * a0, slopes, values)), knots[3:-3]))
 
 
 def _spans(points: np.ndarray, pace: np.ndarray) -> np.ndarray:

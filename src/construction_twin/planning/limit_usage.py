@@ -26,11 +26,13 @@ class SampledUsage:
     """A trajectory's use of the limits at its 4 ms samples; 1 is exactly at the limit.
 
     Attributes:
+        trajectory: That it was measured on.
         times: Shape (m,). See `cycle_times` [s].
         positions: Shape (m, n). [rad] or [m]
         velocity, acceleration, jerk: Shape (m, n). Fractions of each joint's limit.
     """
 
+    trajectory: Trajectory
     times: np.ndarray
     positions: np.ndarray
     velocity: np.ndarray
@@ -72,7 +74,8 @@ def sampled_usage(trajectory: Trajectory, robot: RobotModel) -> SampledUsage:
     # a waypoint is assigned to the sample after it; there may be several waypoints between two samples
     np.maximum.at(jerk, samples[:-1], np.abs(after))
     np.maximum.at(jerk, samples[1:], np.abs(before))
-    return SampledUsage(times, q, velocity / robot.velocity, acceleration / robot.acceleration, jerk / robot.jerk)
+    fractions = velocity / robot.velocity, acceleration / robot.acceleration, jerk / robot.jerk
+    return SampledUsage(trajectory, times, q, *fractions)
 
 
 def range_excess(q: np.ndarray, robot: RobotModel) -> np.ndarray:

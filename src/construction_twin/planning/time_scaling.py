@@ -307,12 +307,12 @@ def _fastest_squares(solver: seidelWrapper, steps: np.ndarray) -> np.ndarray:
     for i in range(stages - 1, -1, -1):
         ceiling[i] = solver.solve_stagewise_optim(i, None, upwards, math.nan, math.nan, 0.0, ceiling[i + 1])[1]
     squares = np.zeros(stages + 1)
+    forwards = np.array([0.0, -1.0])
     for i in range(stages):
         step = 2.0 * steps[i]
+        forwards[0] = -step
         for _ in range(SLOWER_TRIES):
-            u = solver.solve_stagewise_optim(
-                i, None, np.array([-step, -1.0]), squares[i], squares[i], 0.0, ceiling[i + 1]
-            )[0]
+            u = solver.solve_stagewise_optim(i, None, forwards, squares[i], squares[i], 0.0, ceiling[i + 1])[0]
             if not math.isnan(u):
                 break
             squares[i] *= 0.999

@@ -68,7 +68,7 @@ SHORTEST_MOTION = 0.04
 EDGE = 1e-5
 
 
-def time_path(
+def timed_path(
     path: np.ndarray,
     robot: RobotModel,
     duration: float | None = None,
@@ -78,7 +78,7 @@ def time_path(
     corner_fraction: float | None = None,
     bounds: PlanBounds = PlanBounds(),
     times: np.ndarray | None = None,
-) -> Trajectory:
+) -> TimedPath:
     """Time a joint path.
 
     The trajectory starts and ends at rest (velocities and accelerations exactly 0), exactly at the path's ends. At
@@ -99,6 +99,9 @@ def time_path(
         bounds: Largest duration and number of waypoints. Default: any.
         times: Shape (m,). Increasing [s]: from one point to the next the motion takes no less time than these do. Not with
             `corner_fraction`.
+
+    Returns:
+        The trajectory with what was measured on it.
 
     Raises:
         DurationError: If `duration` is shorter than the limits allow.
@@ -129,6 +132,22 @@ def time_path(
         except JointRangeError:
             continue
     return slow.run(monotone(inside, pace), ends)
+
+
+def time_path(
+    path: np.ndarray,
+    robot: RobotModel,
+    duration: float | None = None,
+    speed_scale: float = 1.0,
+    acceleration_scale: float | None = None,
+    waypoints: int | None = None,
+    corner_fraction: float | None = None,
+    bounds: PlanBounds = PlanBounds(),
+    times: np.ndarray | None = None,
+) -> Trajectory:
+    """Return the trajectory of `timed_path`, which says what the arguments are."""
+    scales = speed_scale, acceleration_scale
+    return timed_path(path, robot, duration, *scales, waypoints, corner_fraction, bounds, times).trajectory
 
 
 def time_curve(
@@ -198,6 +217,14 @@ def with_midpoints(path: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
+class TimedPath:
+    """A trajectory with its use of the limits, if that was measured."""
+
+    trajectory: Trajectory
+    usage: SampledUsage | None
+
+
+@dataclass(frozen=True, eq=False)
 class TimedCurve:
     """A curve with a motion along it.
 
@@ -208,6 +235,7 @@ class TimedCurve:
     trajectory: Trajectory
     scaling: TimeScaling
     stretch: float
+    usage: SampledUsage
 
     def parameter(self, times: np.ndarray) -> np.ndarray:
         """Return where on the curve the motion is.
@@ -238,16 +266,17 @@ class _Request:
     #: Times of the curve's knots [s]: between two of them the motion takes no less time.
     asked: np.ndarray | None = None
 
-    def run(self, curve: JointCurve, ends: np.ndarray) -> Trajectory:
+    def run(self, curve: JointCurve, ends: np.ndarray) -> TimedPath:
         """Time a curve; raises `JointRangeError` if the curve or the trajectory leaves the range."""
         timed = self.timed(curve, ends)
         minimum = timed.trajectory.duration
         if self.duration is None:
-            return timed.trajectory
+            return TimedPath(timed.trajectory, timed.usage)
         if self.duration < minimum:
             # rounded up, so that a request for the duration in the message succeeds
             raise DurationError(self.duration, math.ceil(minimum * 1e3) / 1e3)
-        return self._build(curve, timed.scaling, self.duration / timed.scaling.duration, ends, self.duration)
+        slower = self._way(curve, timed.scaling, self.duration / timed.scaling.duration, ends, self.duration)
+        return TimedPath(slower.trajectory(self.robot), None)
 
     def timed(self, curve: JointCurve, ends: np.ndarray, top_speed: float = math.inf) -> TimedCurve:
         """Return the fastest motion along a curve."""
@@ -287,22 +316,23 @@ class _Request:
         limits.
 
         Args:
-            count: Of the waypoints that `least` was found with.
+            count: Of the waypoints that `least` was found with: with as many, it is enough for what is between the samples.
         """
         limits = TimeScalingLimits.fractions(self.robot, self.velocity_fraction, self.acceleration_fraction)
-        stretch = max(1.0, least)
+        stretch, known = max(1.0, least), count is not None
         for _ in range(STRETCH_ROUNDS):
             if self.whole_cycles:
                 stretch = math.ceil(stretch * scaling.duration / CYCLE - 1e-6) * CYCLE / scaling.duration
             way = self._way(curve, scaling, stretch, ends, count=count)
-            factor = float(np.max(way.too_fast(limits)))
+            factor = 1.0 if known and len(way.times) == count else float(np.max(way.too_fast(limits)))
+            known = False
             if factor <= 1.0:
                 trajectory = way.trajectory(self.robot)
                 sampled = sampled_usage(trajectory, self.robot)
                 check_range(sampled.positions, self.robot)
                 factor = self._excess(sampled)
                 if factor <= 1.0:
-                    return TimedCurve(trajectory, scaling, stretch)
+                    return TimedCurve(trajectory, scaling, stretch, sampled)
             stretch *= factor * (1.0 + STRETCH_STEP)
         raise PlanningError(Sentence("motion.timing.too_fast", factor=factor))
 
@@ -311,12 +341,6 @@ class _Request:
         velocity = float(np.max(sampled.velocity)) / (WITHIN * self.velocity_fraction)
         acceleration = float(np.max(sampled.acceleration)) / (WITHIN * self.acceleration_fraction)
         return max(velocity, math.sqrt(acceleration), math.cbrt(float(np.max(sampled.jerk))))
-
-    def _build(
-        self, curve: JointCurve, scaling: TimeScaling, stretch: float, ends: np.ndarray, duration: float
-    ) -> Trajectory:
-        """Return the trajectory of a time scaling, `stretch` times slower."""
-        return self._way(curve, scaling, stretch, ends, duration).trajectory(self.robot)
 
     def _way(
         self,
