@@ -18,6 +18,7 @@ from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.arrivals import Arrivals
 from construction_twin.gateway.slew import CALM, CATCH_UP, URGENT, Slew
 from construction_twin.gateway.speed_governor import Governor
+from construction_twin.gateway.target_changes import TargetChanges
 
 #: Part of the delay that is not for jitter: the newest command is up to 4 ms old when a telegram finds it, and the cubic needs the
 #: command after the one it leads to.
@@ -74,6 +75,7 @@ class Playout:
         # those that were played, the newest last; a rate above 1 needs a few more than the time says
         self._past: deque[tuple[int, Pose]] = deque(maxlen=1 + (2 * behind // CYCLE_NS))
         self._arrivals = Arrivals(max(0, bounds.start - MARGIN))
+        self._cycle_ns = cycle_ns
         self._slew = Slew(cycle_ns)
         self._calm, self._urgent, self._catch_up = [limit.of_cycle(cycle_ns) for limit in (CALM, URGENT, CATCH_UP)]
         self.clear()
@@ -95,6 +97,7 @@ class Playout:
         self._put_off = 0
         if self._governor is not None:
             self._governor.restart()
+            self._governor.changes.clear()
             self._governed = self._governor.active
         self.delay = self.bounds.delay(self._arrivals.learned)
 
@@ -210,11 +213,22 @@ class Playout:
         self._clock += elapsed
         if self._arrivals.note_telegram(self._newest - self._clock, self._clock):
             self._choose_delay()
+        governor = self._governor
+        if governor is not None and elapsed != self._cycle_ns:
+            # what comes after missed telegrams cannot be compared with what was before them
+            governor.changes.clear()
+        steady = self._slew.shift
         if self._slew.moving:
             self._move()
-        if self._governed and self._governor is not None:
-            self._hold_back(self._governor, before, elapsed)
-        return self._at(self._now)
+        if self._governed and governor is not None:
+            self._hold_back(governor, before, elapsed)
+        # what the governor held back it has brought into the limits itself
+        if governor is not None and self._slew.shift != steady and self._now == before + elapsed + self._slew.shift:
+            self._keep_room(governor.changes, steady)
+        stamp, target = self._at(self._now)
+        if governor is not None:
+            governor.changes.note(target)
+        return stamp, target
 
     def report(self) -> dict:
         """Return what the playout does, for the status: ms, ppm, and the rate's deviation in percent."""
@@ -258,6 +272,14 @@ class Playout:
             self._now += self._slew.step(self._slew_limit)
         if self._put_off:
             self._put_off = max(0, min(self._put_off, self._slew.remaining))
+
+    def _keep_room(self, changes: TargetChanges, steady: int) -> None:
+        """Let the rate of playout time change only as far as the motion itself leaves room for; `steady` is the last shift [ns]."""
+        unmoved, wanted = self._now - self._slew.shift, self._slew.shift
+        shift = changes.fit(wanted, steady, lambda moved: self._target(unmoved + moved))
+        if shift != wanted:
+            self._slew.replace(shift)
+            self._now = unmoved + shift
 
     def _hold_back(self, governor: Governor, before: int, elapsed: int) -> None:
         """Take back what of a cycle's advance the speed limit does not allow; it is made up for as a delay that is too long."""

@@ -16,7 +16,7 @@ class SlewLimit:
     """How fast playout time may be moved.
 
     Played at a rate 1 + r, a motion's velocity is multiplied by 1 + r and its acceleration by (1 + r)^2, and a change of r adds
-    velocity times dr/dt.
+    velocity times dr/dt. How much of that the motion leaves room for in a cycle is `target_changes`' to say.
 
     Attributes:
         back, ahead: Largest shift per cycle [ns], backwards and forwards.
@@ -41,13 +41,13 @@ class SlewLimit:
 #: For clock drift, and to shrink a delay: 0.5 %, changing by 0.005 per second. At 2 rad/s that adds 0.01 rad/s^2; it takes 1.8 s
 #: to move a cycle.
 CALM = SlewLimit.of(0.005, 0.005, 0.005)
-#: For a delay that has become too short: 5 %, changing by 0.1 per second. At 2 rad/s that adds 0.2 rad/s^2, 8 % of what axis 1 may;
-#: time is slowed only, so the motion's own acceleration falls. It takes 1.1 s to gain 30 ms.
+#: For a delay that has become too short: 5 %, changing by 0.1 per second. At 2 rad/s that adds 0.2 rad/s^2, 8 % of what axis 1 may,
+#: so it changes more slowly where the motion itself brakes at its limit. It takes 1.1 s to gain 30 ms.
 URGENT = SlewLimit.of(0.05, 0.005, 0.1)
 
-#: To make up for what a speed limit has put off: 1 %, changing by 0.1 per second, so that a motion at 0.9 of its acceleration
-#: limits still keeps inside them.
-CATCH_UP = SlewLimit.of(0.05, 0.01, 0.1)
+#: To make up for what a speed limit has put off: 0.8 %, changing by 0.1 per second. A motion at 0.992 of its velocity and 0.98 of its
+#: acceleration limits keeps inside them.
+CATCH_UP = SlewLimit.of(0.05, 0.008, 0.1)
 
 
 class Slew:
@@ -89,3 +89,8 @@ class Slew:
         self.remaining -= shift
         self.shift = shift
         return shift
+
+    def replace(self, shift: int) -> None:
+        """Carry out another shift [ns] in place of the last step's; what it leaves remains."""
+        self.remaining += self.shift - shift
+        self.shift = shift

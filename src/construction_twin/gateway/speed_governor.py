@@ -12,21 +12,20 @@ from collections.abc import Callable, Sequence
 from construction_twin.core.interpolation import Pose
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.gateway.target_changes import TargetChanges
 
 #: Fraction of the acceleration limits for slowing time down; what the motion itself needs of it counts.
 BRAKING_FRACTION = 0.95
 #: The same for letting it run again.
 RISING_FRACTION = 0.5
-#: This fraction of the acceleration limits is always available for slowing time.
-LEAST_FRACTION = 0.1
+#: This fraction of the acceleration limits is always available for slowing time: what a plan leaves.
+LEAST_FRACTION = 0.02
 #: Largest growth of the rate per second.
 LARGEST_RISE = 1.0
 #: The same after the arm has stood: as fast as it may, because what it trails meanwhile is made up for slowly.
 STARTING_FRACTION = 0.8
 #: Largest growth of the rate in a cycle after the arm has stood: it bounds what the motion's own acceleration grows by.
 LARGEST_START = 0.1
-#: Halvings with which a cycle's advance is brought into the acceleration limits.
-HALVINGS = 5
 #: How much a step may exceed the limit because of the wire's rounding, as a fraction of the limit.
 ROUNDING_FRACTION = 0.1
 
@@ -41,12 +40,12 @@ class Governor:
 
     def __init__(self, limits: MotionLimits, decimals: int, cycle_ns: int = CYCLE_NS):
         self._cycle_ns = cycle_ns
-        self._cycle = cycle = cycle_ns / NANOSECONDS
+        self._cycle = cycle_ns / NANOSECONDS
         self._velocity = limits.velocity
         self._acceleration = limits.acceleration
         self._digit = limits.last_digits(decimals)
-        allowances = limits.allowances(decimals, cycle)
-        self._largest_change = tuple((a + extra) * cycle * cycle for a, extra in zip(limits.acceleration, allowances))
+        #: Of the targets played, whether a limit is in force or not; who plays them notes them.
+        self.changes = TargetChanges(limits, decimals, cycle_ns)
         self._steps: tuple[float, ...] = ()
         self.fraction = 1.0
         self.restart()
@@ -57,14 +56,13 @@ class Governor:
         self.active = self.fraction < 1.0
         #: Rate of playout time in the last cycle; None: whatever it would be without a limit.
         self.rate: float | None = None
-        self._targets: list[Pose] = []
         self._starting = False
 
     def stand(self) -> None:
         """Let time begin to run anew from a standstill, as fast as the acceleration limits allow."""
         self.active = self._starting = True
         self.rate = 0.0
-        self._targets = []
+        self.changes.clear()
 
     def limit(self, fraction: float) -> None:
         """Allow every joint this fraction of its velocity limit from now on, 0 to 1."""
@@ -90,15 +88,10 @@ class Governor:
         rate = min(max(goal, last - fall, 0.0), last + rise, free)
         if rate >= min(goal, free):
             self._starting = False
-        step = round(rate * elapsed)
-        if elapsed != self._cycle_ns:
-            # what comes after missed telegrams cannot be compared with what was before them
-            self._targets.clear()
-        step = self._fit(step, last, fall, elapsed, target)
+        step = self._fit(round(rate * elapsed), last, fall, elapsed, target)
         if step >= wanted and self.fraction >= 1.0:
             self.active = False
         self.rate = step / elapsed
-        self._targets = [*self._targets[-1:], target(step)]
         return step
 
     def _bounds(
@@ -130,29 +123,15 @@ class Governor:
 
     def _fit(self, step: int, last: float, fall: float, elapsed: int, target: Callable[[int], Pose]) -> int:
         """Return `step` [ns], changed as far as this very cycle's poses ask for it."""
-        targets = self._targets
-        if not targets or self.fraction >= 1.0:
+        old_target = self.changes.last
+        if old_target is None or self.fraction >= 1.0:
             return step
         cycles = elapsed / self._cycle_ns
         excess = 1.0
-        for new, old, allowed, digit in zip(target(step), targets[-1], self._steps, self._digit):
+        for new, old, allowed, digit in zip(target(step), old_target, self._steps, self._digit):
             allowed = (allowed + min(digit, ROUNDING_FRACTION * allowed)) * cycles
             if allowed and abs(new - old) > excess * allowed:
                 excess = abs(new - old) / allowed
         if excess > 1.0:
             step = min(step, max(math.floor(step / excess), math.ceil((last - fall) * elapsed) if fall < last else 0))
-        if len(targets) < 2 or self._changes_within(target(step)):
-            return step
-        refused, accepted = step, round(last * elapsed)
-        for _ in range(HALVINGS):
-            middle = (refused + accepted) // 2
-            if self._changes_within(target(middle)):
-                accepted = middle
-            else:
-                refused = middle
-        return accepted
-
-    def _changes_within(self, new: Pose) -> bool:
-        """Return whether the second differences of the last two targets and `new` keep the acceleration limits."""
-        before, last = self._targets
-        return all([abs(c - 2.0 * b + a) <= most for a, b, c, most in zip(before, last, new, self._largest_change)])
+        return self.changes.fit(step, round(last * elapsed), target)

@@ -18,7 +18,9 @@ Three kinds of curve along the points of a path:
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import BSpline, CubicSpline, PPoly
+from scipy.interpolate import CubicSpline, PPoly
+
+from construction_twin.planning.pieces import Pieces
 
 #: A knot closer than this to the one before is the same knot, as a fraction of the curve's length.
 SAME_KNOT = 1e-9
@@ -37,12 +39,21 @@ class JointCurve:
     """
 
     def __init__(self, pieces: PPoly):
-        self._derivatives = (pieces, pieces.derivative(1), pieces.derivative(2))
-        self._third = pieces.derivative(3)
+        self.straight = pieces.c.shape[:2] == (2, 1)
+        # a straight line gets an empty square term
+        coefficients = np.concatenate((np.zeros_like(pieces.c[:1]), pieces.c)) if self.straight else pieces.c
+        self._pieces = Pieces(pieces.x, coefficients)
         self.knots = pieces.x
         self.length = float(pieces.x[-1])
-        self.joints = pieces.c.shape[2]
-        self.straight = pieces.c.shape[:2] == (2, 1)
+        self.joints = coefficients.shape[2]
+
+    def states(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Evaluate the curve and its first two derivatives, shape (m, n) each.
+
+        Args:
+            s: Shape (m,). Within [0, `length`].
+        """
+        return self._pieces.states(s)
 
     def __call__(self, s: np.ndarray, order: int = 0) -> np.ndarray:
         """Evaluate the curve or one of its derivatives.
@@ -54,7 +65,7 @@ class JointCurve:
         Returns:
             Shape (m, n)
         """
-        return self._derivatives[order](s)
+        return self._pieces.states(s)[order]
 
     def largest_third(self, s: np.ndarray) -> np.ndarray:
         """Return the size of the third derivative, which jumps at the knots: there the larger one of both sides.
@@ -67,7 +78,7 @@ class JointCurve:
         """
         margin = SAME_KNOT * self.length
         before, after = np.maximum(s - margin, 0.0), np.minimum(s + margin, self.length - margin)
-        return np.maximum(np.abs(self._third(before)), np.abs(self._third(after)))
+        return np.maximum(np.abs(self._pieces.third(before)), np.abs(self._pieces.third(after)))
 
 
 def straight(start: np.ndarray, goal: np.ndarray, pace: np.ndarray) -> JointCurve:
@@ -151,10 +162,17 @@ def rounded(points: np.ndarray, pace: np.ndarray, corner_fraction: float) -> Joi
     means = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3.0
     control = np.column_stack([np.interp(means, corners, column) for column in points.T])
     control[0], control[-1] = points[0], points[-1]
-    spline = BSpline(knots, control, 3)
-    at = knots[3:-4]
-    coefficients = [spline(at, 3) / 6.0, spline(at, 2) / 2.0, spline(at, 1), spline(at)]
-    return JointCurve(PPoly(np.stack(coefficients), knots[3:-3]))
+    # the derivatives of a B-spline are B-splines of differences of its control points: the third is a constant on each piece, the
+    # second has its control points at the knots
+    first = 3.0 * np.diff(control, axis=0) / (knots[4:-1] - knots[1:-4])[:, None]
+    second = 2.0 * np.diff(first, axis=0) / (knots[4:-2] - knots[2:-4])[:, None]
+    h = np.diff(knots[3:-3])[:, None]
+    third = np.diff(second, axis=0) / h
+    a0, a1 = second[:-1], second[1:]
+    slopes = first[0] + np.concatenate((np.zeros_like(a0[:1]), np.cumsum(0.5 * (a0 + a1) * h, axis=0)))[:-1]
+    steps = (slopes + (2.0 * a0 + a1) / 6.0 * h) * h
+    values = points[0] + np.concatenate((np.zeros_like(a0[:1]), np.cumsum(steps, axis=0)))[:-1]
+    return JointCurve(PPoly(np.stack((third / 6.0, 0.5 * a0, slopes, values)), knots[3:-3]))
 
 
 def _spans(points: np.ndarray, pace: np.ndarray) -> np.ndarray:

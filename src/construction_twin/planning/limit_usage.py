@@ -26,11 +26,13 @@ class SampledUsage:
     """A trajectory's use of the limits at its 4 ms samples; 1 is exactly at the limit.
 
     Attributes:
+        trajectory: That it was measured on.
         times: Shape (m,). See `cycle_times` [s].
         positions: Shape (m, n). [rad] or [m]
         velocity, acceleration, jerk: Shape (m, n). Fractions of each joint's limit.
     """
 
+    trajectory: Trajectory
     times: np.ndarray
     positions: np.ndarray
     velocity: np.ndarray
@@ -66,17 +68,14 @@ def sampled_usage(trajectory: Trajectory, robot: RobotModel) -> SampledUsage:
     np.maximum(acceleration, np.abs(second_difference) / CYCLE**2, out=acceleration)
     np.maximum(jerk, np.maximum(np.abs(third_difference[:-1]), np.abs(third_difference[1:])) / CYCLE**3, out=jerk)
     samples = np.minimum(np.searchsorted(times, trajectory.times), len(times) - 1)
-    before, after = _knot_jerks(trajectory)
+    after, before, _ = segment_jerks(
+        trajectory.times, trajectory.positions, trajectory.velocities, trajectory.accelerations
+    )
     # a waypoint is assigned to the sample after it; there may be several waypoints between two samples
-    np.maximum.at(jerk, samples[:-1], after)
-    np.maximum.at(jerk, samples[1:], before)
-    return SampledUsage(times, q, velocity / robot.velocity, acceleration / robot.acceleration, jerk / robot.jerk)
-
-
-def largest_jerk(trajectory: Trajectory, robot: RobotModel) -> float:
-    """Return the largest fraction of a joint's jerk limit anywhere on the quintics, between the samples too."""
-    before, after = _knot_jerks(trajectory)
-    return float(np.max(np.maximum(np.maximum(before, after), _inner_jerks(trajectory)) / robot.jerk))
+    np.maximum.at(jerk, samples[:-1], np.abs(after))
+    np.maximum.at(jerk, samples[1:], np.abs(before))
+    fractions = velocity / robot.velocity, acceleration / robot.acceleration, jerk / robot.jerk
+    return SampledUsage(trajectory, times, q, *fractions)
 
 
 def range_excess(q: np.ndarray, robot: RobotModel) -> np.ndarray:
@@ -85,29 +84,32 @@ def range_excess(q: np.ndarray, robot: RobotModel) -> np.ndarray:
     return np.where(excess > SAME_POINT, excess, 0.0)
 
 
-def _knot_jerks(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return the size of the jerk just before each waypoint but the first, and just after each but the last.
+def segment_jerks(
+    times: np.ndarray, positions: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the jerk of the quintics between waypoints, as `Trajectory` has them, shape (k - 1, n) each.
 
-    The jerk of the quintics jumps at the waypoints, and usually has its maximum there.
+    The jerk jumps at the waypoints, and usually has its maximum there.
+
+    Returns:
+        after, before: Just after each waypoint but the last, just before each but the first.
+        largest: Its largest size on each whole quintic.
     """
-    h = np.diff(trajectory.times)[:, None]
-    step = 60.0 * np.diff(trajectory.positions, axis=0)
-    (v0, v1), (a0, a1) = ((values[:-1], values[1:]) for values in (trajectory.velocities, trajectory.accelerations))
-    after = (step - (36.0 * v0 + 24.0 * v1) * h - (9.0 * a0 - 3.0 * a1) * h**2) / h**3
-    before = (step - (24.0 * v0 + 36.0 * v1) * h - (3.0 * a0 - 9.0 * a1) * h**2) / h**3
-    return np.abs(before), np.abs(after)
-
-
-def _inner_jerks(trajectory: Trajectory) -> np.ndarray:
-    """Return the size of the jerk where it turns within each segment, 0 where it does not, shape (k - 1, n)."""
-    h = np.diff(trajectory.times)[:, None]
-    coefficients = trajectory.coefficients
-    first, second, third = 6.0 * coefficients[:, 3], 24.0 * coefficients[:, 4], 60.0 * coefficients[:, 5]
+    h = np.diff(times)[:, None]
+    step = 60.0 * np.diff(positions, axis=0)
+    v0, v1 = velocities[:-1] * h, velocities[1:] * h
+    h2 = h * h
+    a0, a1 = accelerations[:-1] * h2, accelerations[1:] * h2
+    h3 = h2 * h
+    after = (step - 36.0 * v0 - 24.0 * v1 - 9.0 * a0 + 3.0 * a1) / h3
+    before = (step - 24.0 * v0 - 36.0 * v1 - 3.0 * a0 + 9.0 * a1) / h3
+    # after + slope x + bend x^2 for x from 0 to 1, whose mean is the change of the acceleration over h
+    bend = 3.0 * (after + before) - 6.0 * (a1 - a0) / h3
+    slope = before - after - bend
     with np.errstate(divide="ignore", invalid="ignore"):
-        at = -0.5 * second / third
-    inside = (at > 0.0) & (at < h)
-    at = np.where(inside, at, 0.0)
-    return np.where(inside, np.abs(first + (second + third * at) * at), 0.0)
+        turn = -0.5 * slope / bend
+    inner = np.where((turn > 0.0) & (turn < 1.0), np.abs(after + 0.5 * slope * turn), 0.0)
+    return after, before, np.maximum(np.maximum(np.abs(after), np.abs(before)), inner)
 
 
 def check_range(q: np.ndarray, robot: RobotModel) -> None:

@@ -26,7 +26,7 @@ from construction_twin.planning.path_search import PathQuery, PathSearch
 from construction_twin.planning.path_searches import path_search, path_searches
 from construction_twin.planning.recheck import recheck
 from construction_twin.planning.request_limits import PlanBounds, check_request
-from construction_twin.planning.timing import time_path, with_midpoints
+from construction_twin.planning.timing import timed_path, with_midpoints
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Plan, PlanReport, content_hash
 from construction_twin.robot.segments import Segment
@@ -324,7 +324,7 @@ class Planner:
                 if tightened is None:
                     return None
                 path = tightened
-            trajectory = time_path(
+            timed = timed_path(
                 path,
                 self._robot,
                 request.duration,
@@ -335,7 +335,8 @@ class Planner:
                 bounds=self._settings.bounds,
             )
             try:
-                return _Timed(trajectory, recheck(trajectory, self._robot, world, self._clock))
+                report = recheck(timed.trajectory, self._robot, world, self._clock, timed.usage)
+                return _Timed(timed.trajectory, report)
             except CollisionError as error:
                 if len(path) == 2:
                     return None

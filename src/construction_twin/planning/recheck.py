@@ -19,7 +19,7 @@ import numpy as np
 
 from construction_twin.core.motion_errors import CollisionError, LimitError
 from construction_twin.core.sentences import Sentence
-from construction_twin.planning.limit_usage import SampledUsage, cycle_times, range_excess, sampled_usage
+from construction_twin.planning.limit_usage import SampledUsage, range_excess, sampled_usage
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Clearance, LimitUsage, PlanReport
 from construction_twin.robot.trajectory import Trajectory
@@ -51,23 +51,32 @@ class World(Protocol):
         """
 
 
-def recheck(trajectory: Trajectory, robot: RobotModel, world: World, clock: Callable[[], float]) -> PlanReport:
+def recheck(
+    trajectory: Trajectory,
+    robot: RobotModel,
+    world: World,
+    clock: Callable[[], float],
+    sampled: SampledUsage | None = None,
+) -> PlanReport:
     """Check and measure a trajectory: its limits at every 4 ms sample, its contacts and clearance also between two samples.
 
     Args:
         trajectory: In the robot's joint order.
         clock: Returns seconds from any fixed origin; measures `PlanReport.recheck_time`.
+        sampled: What `sampled_usage` found of this very trajectory; of another one it is not used. Default: it is measured here.
 
     Raises:
         LimitError: If a sample is outside the range or a limit.
         CollisionError: If something touches, at a sample or between two; `where` says when.
     """
     began = clock()
-    usage = check_limits(trajectory, robot)
-    times = cycle_times(trajectory)
+    if sampled is None or sampled.trajectory is not trajectory:
+        sampled = sampled_usage(trajectory, robot)
+    usage = _check_usage(sampled, robot)
     # the 4 ms grid may end up to one cycle before the last waypoint, so the last waypoint is added
-    times = np.append(times[times < trajectory.duration], trajectory.duration)
-    q = trajectory.sample_many(times)[0]
+    moving = sampled.times < trajectory.duration
+    times = np.append(sampled.times[moving], trajectory.duration)
+    q = np.concatenate((sampled.positions[moving], trajectory.positions[-1:]))
     check_free(q, times, world)
     clearance, place = world.clearance_of(q, changing=True)
     clearance = dataclasses.replace(clearance, time=at_place(times, place))
@@ -80,7 +89,10 @@ def check_limits(trajectory: Trajectory, robot: RobotModel) -> LimitUsage:
     Raises:
         LimitError: For the first sample outside, naming time, joint, quantity, value and limit.
     """
-    sampled = sampled_usage(trajectory, robot)
+    return _check_usage(sampled_usage(trajectory, robot), robot)
+
+
+def _check_usage(sampled: SampledUsage, robot: RobotModel) -> LimitUsage:
     _check_range(sampled, robot)
     for quantity in _QUANTITIES:
         fractions = getattr(sampled, quantity)

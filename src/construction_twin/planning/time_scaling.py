@@ -12,11 +12,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import PPoly
 
 from construction_twin.core.motion_errors import PlanningError
 from construction_twin.core.sentences import Sentence
 from construction_twin.planning.curves import JointCurve
+from construction_twin.planning.pieces import Pieces
 from construction_twin.planning.toppra_passes import (
     LinearConstraint,
     canlinear_colloc_to_interpolate,
@@ -25,17 +25,21 @@ from construction_twin.planning.toppra_passes import (
 from construction_twin.robot.description import RobotModel
 
 #: Stages of toppra along the whole curve, and the fewest on each of its pieces.
-STAGES = 100
+STAGES = 40
 PIECE_STAGES = 2
 #: Second smoothing window [s]: over this time the jerk rises to its limit.
 JERK_RISE = 0.02
-#: Fraction of the jerk limit that is planned with; the quintics of the trajectory exceed it slightly.
+#: Fraction of the jerk limit that is planned with: along a curve the quintics of the trajectory exceed it; along a straight line they
+#: are the motion itself, and what is left is for beginning where the arm is instead of where it was to be (`work_plan`).
 JERK_FRACTION = 0.96
+STRAIGHT_JERK = 0.99
 #: Fraction of the speed at which the curve itself uses up the jerk limit: what the motion adds by speeding up and slowing down
 #: along a bend must find room beside it. Of 0.7 to 1, this makes the shortest motions.
-CURVE_JERK = 0.8
+CURVE_JERK = 0.9
 #: Shortest first smoothing window [s].
 SHORTEST_WINDOW = 0.02
+#: Shortest phase of constant velocity or acceleration; a shorter one is left out [s].
+SHORTEST_PHASE = 1e-4
 #: Largest ds/dt, as a multiple of the median of what the velocity limits allow along the curve.
 LARGEST_RATE = 10.0
 #: How often a stage of the forward pass is repeated with less speed if rounding leaves no solution.
@@ -56,9 +60,8 @@ class TimeScalingLimits:
 
     @classmethod
     def fractions(cls, robot: RobotModel, velocity: float, acceleration: float) -> TimeScalingLimits:
-        """Return fractions of a robot's velocity and acceleration limits, and `JERK_FRACTION` of its jerk limit."""
-        limits = ((velocity, robot.velocity), (acceleration, robot.acceleration), (JERK_FRACTION, robot.jerk))
-        return cls(*(fraction * np.array(limit) for fraction, limit in limits))
+        """Return fractions of a robot's velocity and acceleration limits, and all of its jerk limit."""
+        return cls(velocity * np.array(robot.velocity), acceleration * np.array(robot.acceleration), np.array(robot.jerk))
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,14 +69,19 @@ class TimeScaling:
     """The curve parameter s over time, from 0 to the curve's length, from rest to rest.
 
     Attributes:
-        duration: [s]
-        derivatives: Length 3. s, ds/dt and d2s/dt2 over t in [0, `duration`].
+        pieces: s over t in [0, `duration`].
         blur: Half-width of the smoothing: values this far before and after are averaged [s].
+        phases: The jerk is constant on each piece: a quintic that begins and ends in one is the motion itself.
     """
 
-    duration: float
-    derivatives: tuple[PPoly, PPoly, PPoly]
+    pieces: Pieces
     blur: float
+    phases: bool = False
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return float(self.pieces.knots[-1])
 
 
 @dataclass(frozen=True)
@@ -109,21 +117,23 @@ class RestToRest:
         return self.distance / self.velocity + self.velocity / self.acceleration + self.window
 
     def time_scaling(self) -> TimeScaling:
-        """Return the motion smoothed to a continuous jerk, which makes it `JERK_RISE` longer."""
+        """Return the motion as phases of constant jerk."""
         ramp = self.velocity / self.acceleration
-        cruise = max(self.distance / self.velocity - ramp, 0.0)
-        knots = np.array([0.0, ramp, ramp + cruise, 2.0 * ramp + cruise])
-        half = 0.5 * self.acceleration
-        first = 0.5 * self.velocity * ramp
-        s = np.array([0.0, first, first + self.velocity * cruise])
-        pieces = np.array([[half, 0.0, -half], [0.0, self.velocity, self.velocity], s])
-        if cruise <= 0.0:
-            return smoothed(PPoly(pieces[:, [0, 2]], knots[[0, 1, 3]]), self.window, JERK_RISE)
-        return smoothed(PPoly(pieces, knots), self.window, JERK_RISE)
+        cruise = self.distance / self.velocity - ramp
+        steady, even = ramp - self.window, cruise - self.window
+        spans = np.array([self.window, steady, self.window, even, self.window, steady, self.window])
+        jerk = self.acceleration / self.window * np.array([1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0])
+        kept = (jerk != 0.0) | (spans > SHORTEST_PHASE)
+        h, jerk = spans[kept], jerk[kept]
+        begin = np.cumsum(jerk * h) - jerk * h
+        knots, coefficients, end = _integrated(h, np.zeros_like(h), jerk, begin)
+        # what a phase that was left out would have added
+        coefficients *= self.distance / end
+        return TimeScaling(Pieces(knots, coefficients), 0.0, True)
 
 
 def straight_time_scaling(curve: JointCurve, limits: TimeScalingLimits, top_speed: float = math.inf) -> TimeScaling:
-    """Return the fastest smooth time scaling of a straight curve.
+    """Return the fastest time scaling of a straight curve.
 
     Args:
         curve: With `straight` true.
@@ -133,7 +143,7 @@ def straight_time_scaling(curve: JointCurve, limits: TimeScalingLimits, top_spee
     moving = direction > 0.0
     velocity, acceleration, jerk = (
         float(np.min(limit[moving] / direction[moving]))
-        for limit in (limits.velocity, limits.acceleration, limits.jerk)
+        for limit in (limits.velocity, limits.acceleration, STRAIGHT_JERK * limits.jerk)
     )
     return RestToRest.fastest(curve.length, min(velocity, top_speed), acceleration, jerk).time_scaling()
 
@@ -142,26 +152,24 @@ class TimeScalingSearch:
     """Finds the time scaling of one curve, repeatedly with less speed where the last one was too fast.
 
     Args:
-        curve: JointCurve or alike. With `length`, `knots` and `__call__(s, order)`.
         top_speed: Largest ds/dt.
 
     Raises:
         PlanningError: From `find`, if no motion is within the limits.
     """
 
-    def __init__(self, curve, limits: TimeScalingLimits, top_speed: float = math.inf):
-        self._limits = limits
+    def __init__(self, curve: JointCurve, limits: TimeScalingLimits, top_speed: float = math.inf):
+        self._limits, self._jerk = limits, JERK_FRACTION * limits.jerk
         self._grid = _stages(curve.knots)
-        self._first, self._second = curve(self._grid, 1), curve(self._grid, 2)
+        _, self._first, self._second = curve.states(self._grid)
         with np.errstate(divide="ignore"):
             bound = np.min(limits.velocity / np.abs(self._first), axis=1)
         # where the curve's derivative vanishes (at a sharp corner), the velocity limits do not bound ds/dt
         self._top = np.minimum(np.minimum(bound, LARGEST_RATE * np.median(bound)), top_speed)
-        if isinstance(curve, JointCurve):
-            # at even speed along the curve, its third derivative alone is a jerk
-            with np.errstate(divide="ignore"):
-                even = np.min(np.cbrt(limits.jerk / curve.largest_third(self._grid)), axis=1)
-            self._top = np.minimum(self._top, CURVE_JERK * even)
+        # at even speed along the curve, its third derivative alone is a jerk
+        with np.errstate(divide="ignore"):
+            even = np.cbrt(np.min(self._jerk / curve.largest_third(self._grid), axis=1))
+        self._top = np.minimum(self._top, CURVE_JERK * even)
         self._first_window: float | None = None
 
     def slow_down(self, at: np.ndarray, speed: np.ndarray) -> None:
@@ -176,7 +184,7 @@ class TimeScalingSearch:
             self._first_window = self._window(fastest)
         return smoothed(fastest, self._first_window, JERK_RISE)
 
-    def _fastest(self) -> PPoly:
+    def _fastest(self) -> Pieces:
         grid, length = self._grid, self._grid[-1]
         # toppra's tolerances are absolute, so the curve is scaled to length 1. With time in units of sqrt(length) the
         # accelerations do not change
@@ -187,13 +195,13 @@ class TimeScalingSearch:
         solver.setup_solver()
         speed = np.sqrt(_fastest_squares(solver, np.diff(grid) / length)) * math.sqrt(length)
         solver.close_solver()
-        if not np.all(speed[:-1] + speed[1:] > 0.0):
+        both = speed[:-1] + speed[1:]
+        if not np.all(both > 0.0):
             raise PlanningError(Sentence("motion.timing.none"))
         ds = np.diff(grid)
-        dt = 2.0 * ds / (speed[:-1] + speed[1:])
         half_acceleration = 0.25 * (speed[1:] ** 2 - speed[:-1] ** 2) / ds
-        times = np.concatenate(([0.0], np.cumsum(dt)))
-        return PPoly(np.stack((half_acceleration, speed[:-1], grid[:-1])), times)
+        times = np.concatenate(([0.0], np.cumsum(2.0 * ds / both)))
+        return Pieces(times, np.stack((half_acceleration, speed[:-1], grid[:-1])))
 
     def _window(self, fastest: PPoly) -> float:
         """Return the first smoothing window for which the motion is shortest after it is slowed to the jerk limit.
@@ -201,23 +209,25 @@ class TimeScalingSearch:
         A switch between full acceleration and full deceleration needs twice the window of a switch to or from constant
         speed.
         """
-        shortest = float(np.max(self._limits.acceleration / self._limits.jerk))
-        end = float(fastest.x[-1])
+        shortest = float(np.max(self._limits.acceleration / self._jerk))
+        end = float(fastest.knots[-1])
         times = np.linspace(0.0, end, 200)
-        slope = fastest.derivative(2)
         # the fraction of the jerk limit per unit of d3s/dt3; the curve's curvature adds jerk, which the stretching removes later
-        fraction = np.max(np.abs(self._first) / self._limits.jerk, axis=1)
-        fraction = np.interp(fastest(times), self._grid, fraction)
+        fraction = np.max(np.abs(self._first) / self._jerk, axis=1)
+        fraction = np.interp(fastest.states(times)[0], self._grid, fraction)
         best = (math.inf, SHORTEST_WINDOW)
         for window in (max(SHORTEST_WINDOW, k * shortest) for k in (1.0, 1.4, 2.0)):
-            before, after = np.clip(times - 0.5 * window, 0.0, end), np.clip(times + 0.5 * window, 0.0, end)
-            jump = np.abs(np.where(after < end, slope(after), 0.0) - np.where(before > 0.0, slope(before), 0.0))
+            before, after = times - 0.5 * window, times + 0.5 * window
+            slopes = fastest.states(np.concatenate((after, before)))[2]
+            # at rest before and after
+            slopes[np.concatenate((after >= end, before <= 0.0))] = 0.0
+            jump = np.abs(slopes[: len(times)] - slopes[len(times) :])
             factor = max(1.0, np.cbrt(np.max(jump * fraction) / window))
             best = min(best, ((end + window) * factor, window))
         return best[1]
 
 
-def smoothed(s_over_time: PPoly, first: float, second: float) -> TimeScaling:
+def smoothed(s_over_time: Pieces, first: float, second: float) -> TimeScaling:
     """Average a piecewise quadratic s(t) over two windows in time, one after the other.
 
     d2s/dt2 of the result is a difference of four values of s divided by the windows, hence quadratic between shifted
@@ -227,19 +237,38 @@ def smoothed(s_over_time: PPoly, first: float, second: float) -> TimeScaling:
         s_over_time: From t = 0.
         first, second: Windows [s]; the result is longer by both.
     """
-    end = s_over_time.x[-1]
+    end = s_over_time.knots[-1]
     shifts = np.array([0.0, first, second, first + second])
-    knots = np.sort((s_over_time.x + shifts[:, None]).ravel())
+    knots = np.sort((s_over_time.knots + shifts[:, None]).ravel())
     knots = knots[np.concatenate(([True], np.diff(knots) > 1e-9 * knots[-1]))]
     h = np.diff(knots)
     at = np.stack((knots[:-1], knots[:-1] + 0.5 * h, knots[1:]))
-    s0, s1, s2, s3 = s_over_time(np.clip(at - shifts[:, None, None], 0.0, end))
+    shifted = np.minimum(np.maximum(at - shifts[:, None, None], 0.0), end)
+    s0, s1, s2, s3 = s_over_time.states(shifted.ravel())[0].reshape(shifted.shape)
     start, middle, stop = ((s0 - s1) - (s2 - s3)) / (first * second)
     curve = 2.0 * (start - 2.0 * middle + stop) / h**2
     slope = (4.0 * middle - 3.0 * start - stop) / h
-    sdd = PPoly(np.stack((curve, slope, start)), knots)
-    sd = sdd.antiderivative()
-    return TimeScaling(float(knots[-1]), (sd.antiderivative(), sd, sdd), 0.5 * (first + second))
+    return TimeScaling(Pieces(*_integrated(h, curve, slope, start)[:2]), 0.5 * (first + second))
+
+
+def _integrated(
+    h: np.ndarray, square: np.ndarray, linear: np.ndarray, constant: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Integrate d2s/dt2 from rest at s = 0.
+
+    Args:
+        h: Shape (k,). Durations of the pieces [s].
+        square, linear, constant: Shape (k,). d2s/dt2 of each piece, by powers of the time since its begin.
+
+    Returns:
+        knots, coefficients: Of s, as `Pieces` takes them.
+        end: s at the end.
+    """
+    speeds = np.concatenate(([0.0], np.cumsum(((square / 3.0 * h + 0.5 * linear) * h + constant) * h)))
+    fourth, third, second = square / 12.0, linear / 6.0, 0.5 * constant
+    ways = np.concatenate(([0.0], np.cumsum((((fourth * h + third) * h + second) * h + speeds[:-1]) * h)))
+    knots = np.concatenate(([0.0], np.cumsum(h)))
+    return knots, np.stack((fourth, third, second, speeds[:-1], ways[:-1])), float(ways[-1])
 
 
 class _Limits(LinearConstraint):
@@ -278,12 +307,12 @@ def _fastest_squares(solver: seidelWrapper, steps: np.ndarray) -> np.ndarray:
     for i in range(stages - 1, -1, -1):
         ceiling[i] = solver.solve_stagewise_optim(i, None, upwards, math.nan, math.nan, 0.0, ceiling[i + 1])[1]
     squares = np.zeros(stages + 1)
+    forwards = np.array([0.0, -1.0])
     for i in range(stages):
         step = 2.0 * steps[i]
+        forwards[0] = -step
         for _ in range(SLOWER_TRIES):
-            u = solver.solve_stagewise_optim(
-                i, None, np.array([-step, -1.0]), squares[i], squares[i], 0.0, ceiling[i + 1]
-            )[0]
+            u = solver.solve_stagewise_optim(i, None, forwards, squares[i], squares[i], 0.0, ceiling[i + 1])[0]
             if not math.isnan(u):
                 break
             squares[i] *= 0.999

@@ -17,10 +17,9 @@ from construction_twin.core.motion_errors import DurationError, JointRangeError,
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.planning.curves import JointCurve, interpolated, monotone, rounded
-from construction_twin.planning.limit_usage import check_range, largest_jerk, sampled_usage
+from construction_twin.planning.limit_usage import SampledUsage, check_range, sampled_usage, segment_jerks
 from construction_twin.planning.request_limits import PlanBounds, check_path, check_request, distinct
 from construction_twin.planning.time_scaling import (
-    JERK_FRACTION,
     RestToRest,
     TimeScaling,
     TimeScalingLimits,
@@ -31,15 +30,19 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds
 
 #: Fractions of the velocity and acceleration limits that a plan uses. The remainder covers what happens to the setpoints after
-#: planning, where they are checked against the full limits: rounding to the wire's decimals adds up to 0.25 deg/s at 3
-#: decimals (its effect on the acceleration has an allowance of its own), the gateway interpolates between setpoints on
-#: the grid of another clock, and makes up for what a speed limit has put off by playing 1 % faster (`gateway.slew.CATCH_UP`): at
-#: 0.98 of the velocity 0.2 % and 1 % find room, at 0.9 of the acceleration the change of that rate does.
-VELOCITY_FRACTION = 0.98
-ACCELERATION_FRACTION = 0.9
+#: planning, where they are checked against the full limits: the gateway interpolates between setpoints on the grid of another
+#: clock, and makes up for what a speed limit has put off by playing 0.8 % faster (`gateway.slew.CATCH_UP`), which is 1.6 % more
+#: acceleration. It changes that rate no faster than the motion leaves room for. Rounding to the wire's decimals has allowances of
+#: its own.
+VELOCITY_FRACTION = 0.992
+ACCELERATION_FRACTION = 0.98
 #: Spacing of the waypoints if the request gives no number of waypoints [s], and their smallest number then.
 WAYPOINT_SPACING = 0.02
 MINIMUM_WAYPOINTS = 20
+#: A motion that is slowed keeps its waypoints while there would be no more than so many times their number.
+SPACING_KEPT = 1.1
+#: A velocity or acceleration limit is met up to rounding.
+WITHIN = 1.0 + 1e-8
 #: Resolution of the factor by which a motion is slowed into the limits.
 STRETCH_STEP = 1e-4
 #: How often a motion is slowed. Two rounds are usual; the 4 ms samples of the slower motion lie at other places, which can need
@@ -48,7 +51,7 @@ STRETCH_ROUNDS = 20
 #: A motion that is more than this many times too fast somewhere is slowed there; a smaller excess is removed by slowing the
 #: whole motion.
 LOCAL_SLOWING = 1.02
-LOCAL_ROUNDS = 3
+LOCAL_ROUNDS = 4
 #: The same for `time_curve`, where slowing the whole motion would also slow the parts that run at the tool's speed.
 CURVE_SLOWING = 1.002
 CURVE_ROUNDS = 8
@@ -58,12 +61,14 @@ PACE_ROUNDS = 12
 #: Samples of a motion for each point, to find when it passes them.
 PASSING_SAMPLES = 200
 LARGEST_REST = 4.0
+#: No straight motion is shorter [s].
+SHORTEST_MOTION = 0.04
 #: Inner points of a path keep this distance from the ends of the range [rad] or [m]: the quintics between the waypoints
 #: overshoot the curve by less. About half of the last decimal of the joint string.
 EDGE = 1e-5
 
 
-def time_path(
+def timed_path(
     path: np.ndarray,
     robot: RobotModel,
     duration: float | None = None,
@@ -73,7 +78,7 @@ def time_path(
     corner_fraction: float | None = None,
     bounds: PlanBounds = PlanBounds(),
     times: np.ndarray | None = None,
-) -> Trajectory:
+) -> TimedPath:
     """Time a joint path.
 
     The trajectory starts and ends at rest (velocities and accelerations exactly 0), exactly at the path's ends. At
@@ -94,6 +99,9 @@ def time_path(
         bounds: Largest duration and number of waypoints. Default: any.
         times: Shape (m,). Increasing [s]: from one point to the next the motion takes no less time than these do. Not with
             `corner_fraction`.
+
+    Returns:
+        The trajectory with what was measured on it.
 
     Raises:
         DurationError: If `duration` is shorter than the limits allow.
@@ -126,8 +134,24 @@ def time_path(
     return slow.run(monotone(inside, pace), ends)
 
 
+def time_path(
+    path: np.ndarray,
+    robot: RobotModel,
+    duration: float | None = None,
+    speed_scale: float = 1.0,
+    acceleration_scale: float | None = None,
+    waypoints: int | None = None,
+    corner_fraction: float | None = None,
+    bounds: PlanBounds = PlanBounds(),
+    times: np.ndarray | None = None,
+) -> Trajectory:
+    """Return the trajectory of `timed_path`, which says what the arguments are."""
+    scales = speed_scale, acceleration_scale
+    return timed_path(path, robot, duration, *scales, waypoints, corner_fraction, bounds, times).trajectory
+
+
 def time_curve(
-    curve,
+    curve: JointCurve,
     robot: RobotModel,
     speed_scale: float = 1.0,
     acceleration_scale: float | None = None,
@@ -138,8 +162,6 @@ def time_curve(
     """Time a given smooth joint curve from rest to rest, as fast as the limits allow.
 
     Args:
-        curve: JointCurve or alike. Has `length`, `knots` (where its pieces meet, with both ends) and ``curve(s, order)`` for orders
-            0 to 2.
         speed_scale, acceleration_scale: As in `time_path`.
         top_speed: Largest ds/dt [unit of `length` per s], for a curve over the length of the tool's path the tool's speed.
         spacing: Time between waypoints [s]; with a shorter one the motion stays closer to the curve.
@@ -195,6 +217,14 @@ def with_midpoints(path: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
+class TimedPath:
+    """A trajectory with its use of the limits, if that was measured."""
+
+    trajectory: Trajectory
+    usage: SampledUsage | None
+
+
+@dataclass(frozen=True, eq=False)
 class TimedCurve:
     """A curve with a motion along it.
 
@@ -205,6 +235,7 @@ class TimedCurve:
     trajectory: Trajectory
     scaling: TimeScaling
     stretch: float
+    usage: SampledUsage
 
     def parameter(self, times: np.ndarray) -> np.ndarray:
         """Return where on the curve the motion is.
@@ -215,7 +246,7 @@ class TimedCurve:
         Returns:
             Shape (m,). From 0 to the curve's length.
         """
-        return self.scaling.derivatives[0](np.clip(times / self.stretch, 0.0, self.scaling.duration))
+        return self.scaling.pieces.states(np.clip(times / self.stretch, 0.0, self.scaling.duration))[0]
 
 
 @dataclass(frozen=True)
@@ -235,22 +266,24 @@ class _Request:
     #: Times of the curve's knots [s]: between two of them the motion takes no less time.
     asked: np.ndarray | None = None
 
-    def run(self, curve: JointCurve, ends: np.ndarray) -> Trajectory:
+    def run(self, curve: JointCurve, ends: np.ndarray) -> TimedPath:
         """Time a curve; raises `JointRangeError` if the curve or the trajectory leaves the range."""
         timed = self.timed(curve, ends)
         minimum = timed.trajectory.duration
         if self.duration is None:
-            return timed.trajectory
+            return TimedPath(timed.trajectory, timed.usage)
         if self.duration < minimum:
             # rounded up, so that a request for the duration in the message succeeds
             raise DurationError(self.duration, math.ceil(minimum * 1e3) / 1e3)
-        return self._build(curve, timed.scaling, self.duration / timed.scaling.duration, ends, self.duration)
+        slower = self._way(curve, timed.scaling, self.duration / timed.scaling.duration, ends, self.duration)
+        return TimedPath(slower.trajectory(self.robot), None)
 
-    def timed(self, curve, ends: np.ndarray, top_speed: float = math.inf) -> TimedCurve:
+    def timed(self, curve: JointCurve, ends: np.ndarray, top_speed: float = math.inf) -> TimedCurve:
         """Return the fastest motion along a curve."""
         limits = TimeScalingLimits.fractions(self.robot, self.velocity_fraction, self.acceleration_fraction)
-        if getattr(curve, "straight", False):
-            return self._slowed(curve, straight_time_scaling(curve, limits, top_speed), ends)
+        if curve.straight:
+            scaling = straight_time_scaling(curve, limits, top_speed)
+            return self._slowed(curve, scaling, ends, SHORTEST_MOTION / scaling.duration)
         check_range(curve(_between(curve.knots)), self.robot)
         search = TimeScalingSearch(curve, limits, top_speed)
         if self.asked is not None:
@@ -258,106 +291,157 @@ class _Request:
         scaling, early = search.find(), np.ones(1)
         for rounds_left in range(self.local_rounds, -1, -1):
             self.bounds.check(scaling.duration)
-            times = np.linspace(0.0, scaling.duration, math.ceil(scaling.duration / self.spacing) + 1)
-            fractions = _motion_usage(times, *_states(curve, scaling, times)[1:], self.robot)
-            factor = self._too_fast(*fractions, JERK_FRACTION)
+            way = _Way.along(curve, scaling, self._times(scaling, scaling.duration))
+            factor = way.too_fast(limits)
             if self.asked is not None:
                 passed = _passing_times(scaling, curve.knots)
                 early = np.diff(self.asked) / np.diff(passed)
-                factor = np.maximum(factor, early[np.clip(np.searchsorted(passed, times) - 1, 0, len(early) - 1)])
+                row = np.clip(np.searchsorted(passed, way.times) - 1, 0, len(early) - 1)
+                factor = np.maximum(factor, early[row])
             if not rounds_left or np.max(factor) <= self.local_slowing:
                 break
-            search.slow_down(*_slower(scaling, times, factor))
+            search.slow_down(*_slower(scaling, way, factor))
             scaling = search.find()
         rest = float(np.max(early))
         if rest > LARGEST_REST:
             row = int(np.argmax(early)) + 1
             raise PlanningError(Sentence("motion.timing.too_slow", row=row, factor=rest))
-        least = float(np.max(self._too_fast(*fractions))) * (1.0 - STRETCH_STEP)
-        return self._slowed(curve, scaling, ends, max(least, rest))
+        least = max(rest, float(np.max(factor)) * (1.0 + STRETCH_STEP))
+        return self._slowed(curve, scaling, ends, least, len(way.times))
 
-    def _slowed(self, curve, scaling: TimeScaling, ends: np.ndarray, least: float = 1.0) -> TimedCurve:
+    def _slowed(
+        self, curve: JointCurve, scaling: TimeScaling, ends: np.ndarray, least: float, count: int | None = None
+    ) -> TimedCurve:
         """Slow a motion by the smallest factor (at least 1 and `least`, to `STRETCH_STEP`) that brings it into the
         limits.
+
+        Args:
+            count: Of the waypoints that `least` was found with: with as many, it is enough for what is between the samples.
         """
-        stretch = max(1.0, least)
+        limits = TimeScalingLimits.fractions(self.robot, self.velocity_fraction, self.acceleration_fraction)
+        stretch, known = max(1.0, least), count is not None
         for _ in range(STRETCH_ROUNDS):
             if self.whole_cycles:
                 stretch = math.ceil(stretch * scaling.duration / CYCLE - 1e-6) * CYCLE / scaling.duration
-            trajectory = self._build(curve, scaling, stretch, ends)
-            sampled = sampled_usage(trajectory, self.robot)
-            check_range(sampled.positions, self.robot)
-            factor = float(np.max(self._too_fast(sampled.velocity, sampled.acceleration, sampled.jerk)))
-            factor = max(factor, float(np.cbrt(largest_jerk(trajectory, self.robot))))
+            way = self._way(curve, scaling, stretch, ends, count=count)
+            factor = 1.0 if known and len(way.times) == count else float(np.max(way.too_fast(limits)))
+            known = False
             if factor <= 1.0:
-                return TimedCurve(trajectory, scaling, stretch)
+                trajectory = way.trajectory(self.robot)
+                sampled = sampled_usage(trajectory, self.robot)
+                check_range(sampled.positions, self.robot)
+                factor = self._excess(sampled)
+                if factor <= 1.0:
+                    return TimedCurve(trajectory, scaling, stretch, sampled)
             stretch *= factor * (1.0 + STRETCH_STEP)
         raise PlanningError(Sentence("motion.timing.too_fast", factor=factor))
 
-    def _too_fast(
-        self, velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray, jerk_fraction: float = 1.0
-    ) -> np.ndarray:
-        """Return the factor by which a motion must be slowed at each time to meet the limits, from its use of them."""
-        return np.maximum(
-            np.maximum(
-                velocity.max(axis=1) / self.velocity_fraction,
-                np.sqrt(acceleration.max(axis=1) / self.acceleration_fraction),
-            ),
-            np.cbrt(jerk.max(axis=1) / jerk_fraction),
-        )
+    def _excess(self, sampled: SampledUsage) -> float:
+        """Return the factor by which a motion must be slowed to meet the limits at its samples."""
+        velocity = float(np.max(sampled.velocity)) / (WITHIN * self.velocity_fraction)
+        acceleration = float(np.max(sampled.acceleration)) / (WITHIN * self.acceleration_fraction)
+        return max(velocity, math.sqrt(acceleration), math.cbrt(float(np.max(sampled.jerk))))
 
-    def _build(
-        self, curve, scaling: TimeScaling, stretch: float, ends: np.ndarray, duration: float | None = None
-    ) -> Trajectory:
-        """Return the trajectory of a time scaling, `stretch` times slower."""
+    def _way(
+        self,
+        curve: JointCurve,
+        scaling: TimeScaling,
+        stretch: float,
+        ends: np.ndarray,
+        duration: float | None = None,
+        count: int | None = None,
+    ) -> _Way:
+        """Return the waypoints of a time scaling, `stretch` times slower, at rest at the ends; times to the nanosecond."""
         duration = stretch * scaling.duration if duration is None else duration
         self.bounds.check(duration)
+        times = self._times(scaling, duration, count)
+        times = whole_nanoseconds(times)
+        way = _Way.along(curve, scaling, times / stretch)
+        velocities, accelerations = way.velocities / stretch, way.accelerations / stretch**2
+        way.positions[0], way.positions[-1] = ends
+        velocities[[0, -1]] = accelerations[[0, -1]] = 0.0
+        return replace(way, times=times, velocities=velocities, accelerations=accelerations)
+
+    def _times(self, scaling: TimeScaling, duration: float, kept: int | None = None) -> np.ndarray:
+        """Return the times of the waypoints of a motion that is as long as `duration` [s].
+
+        Args:
+            kept: Number of waypoints of a motion that is little faster: the quintics of as many are the same, only slower.
+        """
         count = self.waypoints or max(MINIMUM_WAYPOINTS, math.ceil(duration / self.spacing) + 1)
+        if kept is not None and count <= SPACING_KEPT * kept:
+            count = kept
         self.bounds.check(duration, count)
-        times = whole_nanoseconds(np.linspace(0.0, duration, count))
-        s, velocities, accelerations = _states(curve, scaling, times / stretch)
-        velocities /= stretch
-        accelerations /= stretch**2
-        positions = curve(s)
-        positions[0], positions[-1] = ends
-        velocities[[0, -1]] = 0.0
-        accelerations[[0, -1]] = 0.0
-        return Trajectory(self.robot.joint_names, times, positions, velocities, accelerations)
+        if self.waypoints is not None or not scaling.phases:
+            return np.linspace(0.0, duration, count)
+        # every phase begins and ends at a waypoint: the quintics between are the motion itself, however far apart they are
+        ends = scaling.pieces.knots[1:] * (duration / scaling.duration)
+        left = count - np.arange(len(ends), 0, -1)
+        rows = np.minimum(np.round(ends / duration * (count - 1)).astype(int), left)
+        times, row, begin = [], 0, 0.0
+        for last, end in zip(rows.tolist(), ends.tolist()):
+            steps = max(1, last - row)
+            times.append(np.linspace(begin, end, steps, endpoint=False))
+            row, begin = row + steps, end
+        return np.concatenate([*times, [duration]])
 
 
-def _states(curve, scaling: TimeScaling, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the curve parameter, the joints' velocities and their accelerations at some times."""
-    s, sd, sdd = (derivative(times) for derivative in scaling.derivatives)
-    s = np.clip(s, 0.0, curve.length)
-    sd, sdd = sd[:, None], sdd[:, None]
-    first = curve(s, 1)
-    return s, first * sd, curve(s, 2) * sd**2 + first * sdd
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """Waypoints of a motion along a curve.
+
+    Attributes:
+        times: Shape (k,). [s]
+        s, speed: Shape (k,). Parameter of the curve and its derivative by time.
+        positions, velocities, accelerations: Shape (k, n)
+    """
+
+    times: np.ndarray
+    s: np.ndarray
+    speed: np.ndarray
+    positions: np.ndarray
+    velocities: np.ndarray
+    accelerations: np.ndarray
+
+    @classmethod
+    def along(cls, curve: JointCurve, scaling: TimeScaling, times: np.ndarray) -> _Way:
+        """Return the states at some times [s]."""
+        s, speed, change = scaling.pieces.states(times)
+        s = np.minimum(np.maximum(s, 0.0), curve.length)
+        positions, first, second = curve.states(s)
+        column = speed[:, None]
+        return cls(times, s, speed, positions, first * column, second * (column * column) + first * change[:, None])
+
+    def too_fast(self, limits: TimeScalingLimits) -> np.ndarray:
+        """Return the factor by which the motion must be slowed at each waypoint, and in the quintics beside it, shape (k,)."""
+        velocity = np.max(np.abs(self.velocities) / (WITHIN * limits.velocity), axis=1)
+        most = WITHIN * limits.acceleration
+        acceleration = np.max(np.abs(self.accelerations) / most, axis=1)
+        after, before, largest = segment_jerks(self.times, self.positions, self.velocities, self.accelerations)
+        jerk = np.max(largest / limits.jerk, axis=1)
+        # where the jerk turns round between two waypoints, the acceleration is largest there
+        part = np.divide(after, after - before, out=np.zeros_like(after), where=after * before < 0.0)
+        turn = 0.5 * part * after
+        inner = np.max(np.abs(self.accelerations[:-1] + turn * np.diff(self.times)[:, None]) / most, axis=1)
+        inside = np.maximum(np.cbrt(jerk), np.sqrt(inner))
+        beside = np.maximum(np.append(inside, 0.0), np.append(0.0, inside))
+        return np.maximum(np.maximum(velocity, np.sqrt(acceleration)), beside)
+
+    def trajectory(self, robot: RobotModel) -> Trajectory:
+        """Return the motion through the waypoints."""
+        return Trajectory(robot.joint_names, self.times, self.positions, self.velocities, self.accelerations)
 
 
-def _motion_usage(
-    times: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray, robot: RobotModel
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return each joint's fraction of the limits at some times of a motion, shape (m, n) each; jerk by differences."""
-    jerks = np.diff(accelerations, axis=0) / np.diff(times)[:, None]
-    jerks = np.concatenate((jerks, jerks[-1:]))
-    return (
-        np.abs(velocities) / robot.velocity,
-        np.abs(accelerations) / robot.acceleration,
-        np.abs(jerks) / robot.jerk,
-    )
-
-
-def _slower(scaling: TimeScaling, times: np.ndarray, factor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _slower(scaling: TimeScaling, way: _Way, factor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest ds/dt over s that slows the present motion by the factors; inf where it is not too fast.
 
     Around a time that is too fast, the motion is slowed over the half-width of the smoothing on both sides, because the smoothing
     averages over it.
     """
-    reach = math.ceil(scaling.blur / (times[1] - times[0]))
+    reach = math.ceil(scaling.blur / (way.times[1] - way.times[0]))
     padded = np.pad(factor, reach, constant_values=1.0)
     around = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1)
-    s, speed = scaling.derivatives[0](times), scaling.derivatives[1](times)
-    return s, np.where(around > 1.0, speed / around, math.inf)
+    return way.s, np.where(around > 1.0, way.speed / around, math.inf)
 
 
 def _asked_times(times: np.ndarray, kept: np.ndarray) -> np.ndarray:
@@ -379,7 +463,7 @@ def _asked_speed(knots: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.n
 def _passing_times(scaling: TimeScaling, knots: np.ndarray) -> np.ndarray:
     """Return when a motion passes the knots of its curve [s]."""
     times = np.linspace(0.0, scaling.duration, PASSING_SAMPLES * len(knots))
-    passed = np.interp(knots, np.maximum.accumulate(scaling.derivatives[0](times)), times)
+    passed = np.interp(knots, np.maximum.accumulate(scaling.pieces.states(times)[0]), times)
     passed[0], passed[-1] = 0.0, scaling.duration
     return passed
 

@@ -107,19 +107,20 @@ class Trajectory:
         times = np.asarray(times, dtype=np.float64)
         segment = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
         x = (np.clip(times, 0.0, self.duration) - self.times[segment])[:, None]
-        derivatives: list[np.ndarray] = []
-        coefficients = [self._coefficients[segment, degree] for degree in range(6)]
-        while len(derivatives) < 4:
-            value = np.zeros_like(coefficients[0])
-            for coefficient in reversed(coefficients):
-                value = value * x + coefficient
-            derivatives.append(value)
-            coefficients = [degree * coefficient for degree, coefficient in enumerate(coefficients)][1:]
+        coefficients = self._coefficients[segment]
+        # Horner's scheme for all four: each order takes what the order below was before
+        q = coefficients[:, 5] * x + coefficients[:, 4]
+        qd, half, sixth = coefficients[:, 5], 0.0, 0.0
+        for degree in (3, 2, 1, 0):
+            sixth = sixth * x + half
+            half = half * x + qd
+            qd = qd * x + q
+            q = q * x + coefficients[:, degree]
+        qdd, qddd = 2.0 * half, 6.0 * sixth
         outside = (times < 0.0) | (times > self.duration)
-        for value in derivatives[1:]:
+        for value in (qd, qdd, qddd):
             value[outside] = 0.0
-        derivatives[0][times >= self.duration] = self.positions[-1]
-        q, qd, qdd, qddd = derivatives
+        q[times >= self.duration] = self.positions[-1]
         return q, qd, qdd, qddd
 
     def content_hash(self) -> str:

@@ -16,7 +16,7 @@ from sentence_checks import says
 from construction_twin.core.motion_errors import WaypointsError, WaypointTimesError
 from construction_twin.core.sentences import Sentence
 from construction_twin.planning.limit_usage import sampled_usage
-from construction_twin.planning.timing import time_path
+from construction_twin.planning.timing import ACCELERATION_FRACTION, time_path
 from construction_twin.planning.waypoints import START_TOLERANCE_RAD, from_points, plan_waypoints, retime_waypoints
 from construction_twin.robot.description import RobotModel, read_robot_files
 
@@ -246,7 +246,7 @@ def test_times_of_planners_without_a_jerk_limit_are_refused_and_may_be_replaced(
         plan_waypoints(points, HOME, ROBOT)
     trajectory = retime_waypoints(points, HOME, ROBOT)
     use = sampled_usage(trajectory, ROBOT).largest()
-    assert max(*use.velocity, *use.acceleration) <= 0.9 + 1e-6 and max(use.jerk) <= 1.0 + 1e-6
+    assert max(*use.velocity, *use.acceleration) <= ACCELERATION_FRACTION + 1e-6 and max(use.jerk) <= 1.0 + 1e-6
     assert times[-1] <= trajectory.duration < 3.0 * times[-1]
     np.testing.assert_allclose(trajectory.positions[-1], rows[-1], atol=1e-12)
     # the same points: the motion is a straight line, so is this
