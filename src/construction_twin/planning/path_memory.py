@@ -11,13 +11,15 @@ without (`planner.Planner`).
 
 from __future__ import annotations
 
+import dataclasses
 from collections import deque
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from construction_twin.planning.motion_validator import ShortcutCheck
-from construction_twin.planning.path_search import PathQuery
+from construction_twin.core.motion_errors import NoPathError
+from construction_twin.planning.motion_validator import MotionValidator, ShortcutCheck
+from construction_twin.planning.path_search import PathQuery, PathSearch
 from construction_twin.planning.path_shortening import shortened
 
 #: Paths that are kept, each good for both directions.
@@ -46,18 +48,39 @@ class PathMemory:
             self._inner.append(path[1:-1])
             self._inner.append(path[-2:0:-1])
 
-    def find(self, query: PathQuery) -> np.ndarray | None:
-        """Return a path through points of an earlier one, as `path_search.PathSearch.find` would; None if none fits."""
+    def find(self, query: PathQuery, search: PathSearch, budget: float) -> np.ndarray | None:
+        """Return a path through points of an earlier one, as `path_search.PathSearch.find` would; None if none fits.
+
+        Where the straight edge to one of the ends is blocked, a way to there is sought: easier than one to the other end.
+
+        Args:
+            search: For the way to one end.
+            budget: For it [s].
+        """
         coarse = query.validator.coarser(COARSER)
+        part: tuple[np.ndarray, bool] | None = None
         for way in self._ways(query.start, query.goals):
-            # the edges to the ends are new, those between them were free once; kept points are checked first, the ends are free
-            edges = [(way[0], way[1]), (way[-1], way[-2]), *zip(way[1:-2], way[2:-1])]
-            if all(coarse.free(*edge) for edge in edges):
-                check = ShortcutCheck(query.validator)
-                path = shortened(way, check.first_free)
-                if all(check.free(*edge) for edge in zip(path, path[1:])):
+            # kept points are checked first, the ends are free
+            begins, ends = coarse.free(way[0], way[1]), coarse.free(way[-1], way[-2])
+            if begins and ends and self._inner_free(way, coarse):
+                path = _shortened(way, query)
+                if path is not None:
                     return path
-        return None
+            elif begins != ends and part is None and self._inner_free(way, coarse):
+                part = way, begins
+        if part is None:
+            return None
+        way, begins = part
+        between = (way[-2], way[-1]) if begins else (way[0], way[1])
+        try:
+            found = search.find(dataclasses.replace(query, start=between[0], goals=[between[1]]), budget)
+        except NoPathError:
+            return None
+        return _shortened(np.vstack((way[:-2], found) if begins else (found, way[2:])), query)
+
+    def _inner_free(self, way: np.ndarray, coarse: MotionValidator) -> bool:
+        """Return whether the points between the ends are free, and the edges between them: they were, once."""
+        return coarse.world.is_free(way[1]) and all(coarse.free(*edge) for edge in zip(way[1:-2], way[2:-1]))
 
     def _ways(self, start: np.ndarray, goals: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
         """Yield paths from a start to one of the goals through kept points, the shortest first, at most `TRIED`.
@@ -79,3 +102,10 @@ class PathMemory:
             if lengths[goal, kept] == np.inf:
                 return
             yield np.vstack((start, self._inner[kept], goals[goal]))
+
+
+def _shortened(way: np.ndarray, query: PathQuery) -> np.ndarray | None:
+    """Return a way whose edges were checked coarsely, shortened; None where the query's own check finds a contact."""
+    check = ShortcutCheck(query.validator)
+    path = shortened(way, check.first_free)
+    return path if all(check.free(*edge) for edge in zip(path, path[1:])) else None

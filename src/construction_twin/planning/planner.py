@@ -40,6 +40,8 @@ TIMINGS_TRIED = 3
 FINEST_HALVING = 2
 #: A joint with a larger range is searched only half of this to either side of the motion's ends [rad].
 TURN = 2.0 * np.pi
+#: Part of the time for a search that may be spent on a way to one that was found before.
+MEMORY_SHARE = 0.2
 #: Name of the planner in a plan that is a straight line between two joint vectors.
 DIRECT = "direct"
 
@@ -281,7 +283,9 @@ class Planner:
         attempt = 0
         while (left := settings.planning_budget - (self._clock() - began)) > 0.0:
             query = PathQuery(start, goals, validator, lower, upper, seed + attempt)
-            path = self._memory.find(query) if self._memory is not None and not attempt else None
+            path = None
+            if self._memory is not None and not attempt:
+                path = self._memory.find(query, self._search, MEMORY_SHARE * left)
             if path is None:
                 try:
                     path = self._search.find(query, left)
