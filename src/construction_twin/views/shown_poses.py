@@ -11,8 +11,8 @@ from typing import Generic, TypeVar
 
 #: Time between two poses that are shown at rest [s].
 REST_PERIOD = 0.2
-#: A joint that is no further than this from where it was shown last has not moved [rad], [m]: 25 µm at the end of an arm of 2.5 m. A
-#: measured pose is never quite still.
+#: A joint that is no further than this from where it was shown last has not moved [rad], [m]: 25 µm at the end of an arm of 2.5 m.
+#: A measured pose is never quite still.
 STILL = 1e-5
 
 Shown = TypeVar("Shown")

@@ -1,7 +1,7 @@
 """joint_velocities: poses at a low rate, for those who need no 250 Hz.
 
-`velocities/joint_states` is the twin's pose with velocities, which joint_state_publisher reads for `joint_states`. Of a twin with mass
-that is the commanded pose: MoveIt starts from it, and goals in a link's frame are looked up in the tf made of it.
+`velocities/joint_states` is the twin's pose with velocities, which joint_state_publisher reads for `joint_states`. Of a twin with
+mass that is the commanded pose: MoveIt starts from it, and goals in a link's frame are looked up in the tf made of it.
 
 `shown/twin` and `shown/physical` are what tf is made of: `joint_states` and the arm's poses, a few a second while they rest.
 """

@@ -394,10 +394,15 @@ class MqttPlanner:
         """Tell the status line, where it is due."""
         if self._feed is None:
             return
-        link, sync, execution = (report[0] if report is not None else None for report in self._reports())
+        link, sync, execution = self._reports()
         now = time.monotonic()
         self._feed.publish_cameras(now)
-        self._feed.publish_status_line(link, sync, execution, now)
+        self._feed.publish_status_line(
+            link[0] if link is not None else None,
+            sync[0] if sync is not None else None,
+            execution[0] if execution is not None else None,
+            now,
+        )
 
     def _run_view(self) -> None:
         """Show everything `view_rate` times a second."""

@@ -115,7 +115,7 @@ class PcaMonitorNode:
         behaviour: What the gate was given.
         names: Joint names.
         compares: Whether there is a physical arm.
-        sync_rate: How often `sync` is published while its state does not change [Hz]; at rest no more often than `RESTING_SYNC` says.
+        sync_rate: How often `sync` is published while its state does not change [Hz]; at rest see `RESTING_SYNC`.
         diagnostics: Counts what is refused.
         stopped_in: The session in which a monitor before this one was STOPPED: the gate stays so until the link tells of another
             session.
