@@ -136,25 +136,6 @@ def test_a_twin_that_was_silent_is_watched_again_once_it_is_back():
     assert tuple(found.last.velocity) == (0.0,) * 6 and len(found.messages) == 6
 
 
-def test_at_rest_the_node_publishes_now_and_then_and_in_motion_each_pose():
-    found = bench()
-    cycles = iter(range(200))
-
-    def pass_poses(count: int, step: float) -> list:
-        found.messages.clear()
-        for cycle in (next(cycles) for _ in range(count)):
-            q = tuple(value + step * cycle for value in HOME)
-            found.node.on_twin(0.02 * cycle, 5 * NANOSECONDS + cycle * PERIOD, q)
-        return [tuple(message.velocity) for message in found.messages]
-
-    assert pass_poses(50, 0.001)[1:] == [pytest.approx((0.05,) * 6)] * 49
-    assert len(pass_poses(1, 0.0)) == 1, "it has jumped"
-    velocities = pass_poses(51, 0.0)
-    # the first that rests says so at once
-    assert velocities == [(0.0,) * 6] * len(velocities) and 5 <= len(velocities) <= 6
-    assert len(pass_poses(10, 0.001)) == 10
-
-
 def test_what_tf_is_made_of_is_passed_on_as_it_came():
     sent = Sent()
     stream = ShownStream(0.04, sent)

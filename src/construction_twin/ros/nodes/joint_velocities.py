@@ -33,7 +33,7 @@ from construction_twin.ros.shared.ports import (
 )
 from construction_twin.ros.transport.joint_stream import to_time
 from construction_twin.ros.transport.publisher import Sink
-from construction_twin.views.shown_poses import REST_PERIOD, ShownPoses
+from construction_twin.views.shown_poses import ShownPoses
 
 #: A twin that has published nothing for this time is silent [s]; at a low rate, for two periods.
 SILENCE = 0.25
@@ -113,8 +113,6 @@ class JointVelocitiesNode:
         # poses come in a thread of their own: a pose and the end of its motion must not overtake each other
         self._lock = threading.Lock()
         self._last: tuple[int, tuple[float, ...]] | None = None
-        #: Whether the last message told a pose at rest, and when it was, on the monotonic clock [s].
-        self._told_rest, self._told_at = False, 0.0
         self._heard = 0.0
         self._silent = False
 
@@ -135,13 +133,8 @@ class JointVelocitiesNode:
             When the next one is of interest, on the monotonic clock [s].
         """
         with self._lock:
-            rests = not self._silent and self._last is not None and self._last[1] == q
             self._last, self._heard, self._silent = (stamp, q), now, False
-            velocity = self._velocities.of(stamp, q)
-            # once at rest, and then now and then: joint_state_publisher repeats the last one
-            if not rests or not self._told_rest or now - self._told_at >= REST_PERIOD:
-                self._told_rest, self._told_at = rests, now
-                self._publish(stamp, q, velocity)
+            self._publish(stamp, q, self._velocities.of(stamp, q))
         # a grid, so that the rate does not depend on how long a message takes; begun anew after a silence
         self._next = max(self._next + self._period, now)
         return self._next
