@@ -77,6 +77,8 @@ def poses_in_tf(*words: str) -> dict[tuple[str, str], str]:
         if node.type != "robot_state_publisher":
             continue
         topic = dict(node.remap_args).get("joint_states", "joint_states")
+        # ours between, which leaves out poses at rest
+        topic = {"shown/twin": "joint_states", "shown/physical": "physical/joint_states"}.get(topic, topic)
         if topic == "joint_states":
             # the stock node between, and ours that adds velocities to the twin's poses
             (topic,) = known["joint_state_publisher/source_list"]

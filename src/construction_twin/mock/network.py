@@ -86,6 +86,8 @@ class MockRsi:
         self._requests: SimpleQueue[tuple[Callable[[], object], Future]] = SimpleQueue()
         self._socket, self._stamped = _open_socket()
         self._clock = ArrivalClock(time.time_ns, time.monotonic_ns)
+        #: Whether more came in a cycle of this session than is read at a time: since then everything is read when it comes.
+        self._flooded = False
         #: A reply that arrives later than this is too late for the open cycle [ns].
         self._ends = 0
         self._session = self._replies = 0
@@ -164,6 +166,7 @@ class MockRsi:
             # the new one first: while one of them asks for stamps, the kernel goes on stamping
             before = self._socket
             self._socket, self._stamped = _open_socket()
+            self._flooded = False
             before.close()
             begun = f"session {controller.session} started, {controller.words.stamp} {controller.stamp}"
             self._report(f"{controller.words.protocol} {begun}, gateway {self._gateway}")
@@ -200,8 +203,13 @@ class MockRsi:
     def _receive_until(self, deadline: int) -> None:
         now = time.monotonic_ns()
         while True:
-            # select: poll and epoll count in whole milliseconds
-            select.select([self._socket], [], [], max(0, self._wake_up(deadline) - now) / NANOSECONDS)
+            wait = max(0, self._wake_up(deadline) - now) / NANOSECONDS
+            if self._stamped and not self._flooded:
+                # the kernel has noted when each reply came: to read them at the end is one time less to wake up
+                time.sleep(wait)
+            else:
+                # select: poll and epoll count in whole milliseconds
+                select.select([self._socket], [], [], wait)
             # the time first: what arrived before the deadline is then read before the cycle ends
             now = time.monotonic_ns()
             self._drain()
@@ -241,6 +249,7 @@ class MockRsi:
             else:
                 # not known: as far as this process can tell, it is in time
                 self.controller.receive(data, arrived is None or arrived <= self._ends)
+        self._flooded = True
 
 
 def _open_socket() -> tuple[socket.socket, bool]:

@@ -257,3 +257,19 @@ def test_the_command_line_explains_itself_and_its_mistakes():
     wrong = subprocess.run([*command, "--robot-config", "missing.yaml"], capture_output=True, text=True)
     assert wrong.returncode == 2
     assert "missing.yaml" in wrong.stderr and "Traceback" not in wrong.stderr
+
+
+def test_strangers_that_send_more_than_is_read_at_a_time_keep_no_reply_from_being_read(robot, pc):
+    """75 to 150 datagrams a cycle: if 64 were read at its end, replies would wait behind more and more of them."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger, running(robot, pc.address) as mock:
+        wait_for(lambda: mock.counters["replies"] >= 10)
+        port, before = pc.received[-1][2][1], mock.counters
+        for _ in range(100):
+            seen = len(pc.received)
+            for _ in range(150):
+                stranger.sendto(b"?", ("127.0.0.1", port))
+            wait_for(lambda seen=seen: len(pc.received) > seen)
+        after = mock.counters
+    assert after["foreign"] - before["foreign"] > 100 * 64
+    # one or the other may be late on a busy machine
+    assert after["replies"] - before["replies"] > 0.8 * (after["packets"] - before["packets"])

@@ -358,7 +358,7 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
         (FollowSettings, "follow_joint_trajectory", {"arm": "mock"}),
         (SeparationSettings, "separation", {}),
         (NeighbourSettings, "neighbour", {"name": "b"}),
-        (VelocitySettings, "joint_velocities", {}),
+        (VelocitySettings, "joint_velocities", {"arm": "mock", "frame_rate": 25.0}),
         (MarkerSettings, "tool_marker", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": "", "reviewer": "me"}),
         (PlannerSettings, "planner", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": ""}),
     ],

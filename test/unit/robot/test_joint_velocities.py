@@ -11,7 +11,7 @@ from scene_samples import kr120
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.robot.joint_velocities import JointVelocities
-from construction_twin.ros.nodes.joint_velocities import JointVelocitiesNode
+from construction_twin.ros.nodes.joint_velocities import JointVelocitiesNode, ShownStream
 
 PERIOD = 20_000_000
 HOME = kr120().home
@@ -61,8 +61,12 @@ class Sent:
     def __init__(self):
         self.messages: list = []
 
-    def publish(self, message) -> None:
-        self.messages.append(message)
+    @property
+    def is_heard(self) -> bool:
+        return True
+
+    def publish(self, *message) -> None:
+        self.messages.append(message[0] if len(message) == 1 else message)
 
 
 @dataclass
@@ -79,7 +83,8 @@ class Bench:
 
 def bench(period: float = 0.02) -> Bench:
     sent = Sent()
-    return Bench(JointVelocitiesNode(kr120().joint_names, JointVelocities(LARGEST), period, sent), sent.messages)
+    shown = ShownStream(0.04, Sent())
+    return Bench(JointVelocitiesNode(kr120().joint_names, JointVelocities(LARGEST), period, sent, shown), sent.messages)
 
 
 def moving(found: Bench, now: float) -> None:
@@ -129,3 +134,12 @@ def test_a_twin_that_was_silent_is_watched_again_once_it_is_back():
     assert found.node.report().level == 0 and len(found.messages) == 5
     found.node.watch(11.3)
     assert tuple(found.last.velocity) == (0.0,) * 6 and len(found.messages) == 6
+
+
+def test_what_tf_is_made_of_is_passed_on_as_it_came():
+    sent = Sent()
+    stream = ShownStream(0.04, sent)
+    assert stream.take(7.0, ("a",), (1.0,), "message") == 7.04
+    assert stream.take(7.04, ("a",), (1.0,), "the same again") == pytest.approx(7.08)
+    assert stream.take(7.3, ("a",), (1.0,), 5, (1.0,)) == pytest.approx(7.34)
+    assert sent.messages == ["message", (5, (1.0,))]

@@ -59,7 +59,9 @@ class MockNode:
 
     def __init__(self, monkeypatch, **settings):
         self.pc = Pc()
-        self.statuses, self.lines, self.ends = [], [], []
+        self.statuses, self.lines, self.ends, self.poses = [], [], [], []
+        #: Whether somebody hears the poses.
+        self.is_heard = False
         host, port = self.pc.socket.getsockname()
         settings = {"ethernet_xml": ETHERNET, "timeout": 2500} | settings
         chosen = MockSettings(gateway_host=host, gateway_port=port, **settings)
@@ -76,8 +78,10 @@ class MockNode:
         self._loop.start()
 
     def publish(self, content, *pose):
-        """Take a status; poses are not kept."""
-        if not pose:
+        """Take a status, or the stamp of a pose and the pose."""
+        if pose:
+            self.poses.append((content, *pose))
+        else:
             self.statuses.append(json.loads(content))
 
     def wait_for_line(self, text):
@@ -146,3 +150,14 @@ def test_a_stop_for_command_velocity_says_value_and_limit_in_log_status_and_diag
     assert reason == f"command velocity A1: {5.729578 / CYCLE:.6g} deg/s, limit 246 deg/s (2 times 123 deg/s)"
     assert node.report().level == ERROR
     wait_until(lambda: node.statuses[-1]["reason"] == reason)
+
+
+def test_poses_are_handed_over_while_somebody_hears_them(start):
+    node = start()
+    wait_until(lambda: node.statuses and node.statuses[-1]["counters"]["replies"] >= 20)
+    # with a status that is due there is a pose
+    assert len(node.poses) < 20
+    node.is_heard = True
+    wait_until(lambda: len(node.poses) > 100)
+    stamps = [stamp for stamp, _ in node.poses[-50:]]
+    assert stamps == sorted(stamps) and all(len(q) == 6 for _, q in node.poses)

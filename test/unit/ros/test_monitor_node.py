@@ -146,6 +146,35 @@ def opened(world: World, session: str = "s1", sync=None):
     return node
 
 
+def syncs_of(world: World, node, angles) -> int:
+    """Return how often `sync` is told while a robot follows these angles of its first joint at once, from home on [rad]."""
+    world.said.clear()
+    for angle in angles:
+        world.pass_time()
+        q = (HOME[0] + angle, *HOME[1:])
+        node.on_twin(world.wall, q)
+        node.on_feedback(world.wall, q, 0, 0)
+        node.on_next(world.wall, q)
+    return len(world.syncs())
+
+
+def test_sync_is_told_at_its_rate_in_motion_and_while_the_gate_is_closed_and_less_often_at_rest(world):
+    node, step = opened(world), 1e-5
+    assert syncs_of(world, node, [0.0] * 250) == pytest.approx(10, abs=1)
+    assert syncs_of(world, node, [step * cycle for cycle in range(250)]) == pytest.approx(50, abs=1)
+    # for half a second it may go on to move
+    assert syncs_of(world, node, [step * 249] * 125) == pytest.approx(25, abs=1)
+    assert syncs_of(world, node, [step * 249] * 250) == pytest.approx(10, abs=1)
+    world.pass_time(0.2)
+    node.watch()
+    assert world.gate.state is SyncState.STALE
+    world.said.clear()
+    for _ in range(50):
+        world.pass_time(0.02)
+        node.watch()
+    assert len(world.syncs()) == 50
+
+
 def test_settings_of_this_test_are_all_there_are():
     watched = {name for name in Behaviour.model_fields if name.startswith("torque_")}
     assert set(SETTINGS) | {"thresholds"} | watched == set(Behaviour.model_fields)

@@ -60,6 +60,7 @@ class Bench:
         self.callbacks, self.services, self.refused = unplugged.callbacks, unplugged.services, unplugged.refused
         self.messages = unplugged.published["plan_markers"]
         self.rehearsals = unplugged.published["rehearsal_markers"]
+        self.ghosts = unplugged.published["preview/joint_states"]
         (self._timer,) = unplugged.timers
 
     def unknown(self, _):
@@ -261,3 +262,18 @@ def test_the_ghost_of_a_rehearsal_carries_what_the_arm_carries_then(rehearsed):
     assert "rehearsal_carried" not in rehearsed.namespaces()
     rehearsed.hear_rehearsal(rehearsal(plan, worst_time=plan.segments[0].end + 0.01))
     assert "rehearsal_carried" in rehearsed.namespaces()
+
+
+def test_the_ghost_is_told_at_each_moment_while_it_moves_and_now_and_then_while_it_rests(bench):
+    assert bench.services["preview_plan"](PreviewPlanRequest(speed=1.0)).success
+    bench.at(bench.now)
+    bench.ghosts.clear()
+    begun = bench.now
+    for cycle in range(1, 11):
+        bench.at(begun + 0.04 * cycle)
+    assert len(bench.ghosts) == 10
+    bench.at(begun + 1e6)
+    bench.ghosts.clear()
+    for cycle in range(1, 51):
+        bench.at(begun + 1e6 + 0.04 * cycle)
+    assert 8 <= len(bench.ghosts) <= 10

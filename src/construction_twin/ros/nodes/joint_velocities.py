@@ -1,7 +1,9 @@
-"""joint_velocities: the twin's pose at a low rate with velocities, which joint_state_publisher reads for `joint_states`.
+"""joint_velocities: poses at a low rate, for those who need no 250 Hz.
 
-Of a twin with mass that is the commanded pose: MoveIt starts from it, and goals in a link's frame are looked up in
-the tf made of it.
+`velocities/joint_states` is the twin's pose with velocities, which joint_state_publisher reads for `joint_states`. Of a twin with
+mass that is the commanded pose: MoveIt starts from it, and goals in a link's frame are looked up in the tf made of it.
+
+`shown/twin` and `shown/physical` are what tf is made of: `joint_states` and the arm's poses, a few a second while they rest.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
+from typing import Any, Literal
 
 import pydantic
 import rospy
@@ -17,21 +20,68 @@ from sensor_msgs.msg import JointState
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.joint_velocities import JointVelocities
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.launch_arguments import arm_of
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
-from construction_twin.ros.shared.ports import Interface, Ports, PoseSubscription, Publication
+from construction_twin.ros.shared.ports import (
+    Interface,
+    Ports,
+    PosePublication,
+    PoseSubscription,
+    Publication,
+    Subscription,
+    has_arm,
+)
 from construction_twin.ros.transport.joint_stream import to_time
 from construction_twin.ros.transport.publisher import Sink
+from construction_twin.views.shown_poses import ShownPoses
 
 #: A twin that has published nothing for this time is silent [s]; at a low rate, for two periods.
 SILENCE = 0.25
 
 
 class Settings(pydantic.BaseModel):
-    """Private parameters, given in config/joint_velocities.yaml: messages per second."""
+    """Private parameters: see config/joint_velocities.yaml; `arm` and `frame_rate` are given in launch/twin.launch.
+
+    Attributes:
+        arm: The physical arm.
+        frame_rate: Poses for tf per second, while they change.
+    """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     rate: float = pydantic.Field(ge=1, le=250)
+    arm: Literal["mock", "real", "none"]
+    frame_rate: float = pydantic.Field(ge=1, le=250)
+
+
+class ShownStream:
+    """What tf is made of, of one tree; several publishers may be heard.
+
+    Args:
+        period: Between two poses that change [s].
+        publisher: Takes what is shown.
+    """
+
+    def __init__(self, period: float, publisher: Sink):
+        self._period, self._publisher = period, publisher
+        self._poses: ShownPoses[tuple[Any, ...]] = ShownPoses()
+        self._lock = threading.Lock()
+
+    def take(self, now: float, names: Sequence[str], q: Sequence[float], *message: Any) -> float:
+        """Show a pose, if it is its turn.
+
+        Args:
+            now, names, q: As of `ShownPoses`.
+            message: What the publisher is given for it.
+
+        Returns:
+            When the next one is of interest, on the monotonic clock [s].
+        """
+        with self._lock:
+            shown = self._poses.take(now, names, q, message)
+            if shown is not None:
+                self._publisher.publish(*shown)
+        return now + self._period
 
 
 class JointVelocitiesNode:
@@ -41,9 +91,19 @@ class JointVelocitiesNode:
         names: The chain's joints.
         period: Between two messages [s].
         publisher: Of `velocities/joint_states`.
+        twin, physical: What tf is made of; the latter is None without a physical arm.
     """
 
-    def __init__(self, names: Sequence[str], velocities: JointVelocities, period: float, publisher: Sink):
+    def __init__(
+        self,
+        names: Sequence[str],
+        velocities: JointVelocities,
+        period: float,
+        publisher: Sink,
+        twin: ShownStream,
+        physical: ShownStream | None = None,
+    ):
+        self.twin, self.physical = twin, physical
         self._names = names
         self._velocities = velocities
         self._period = period
@@ -115,21 +175,50 @@ class JointVelocitiesNode:
 
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> JointVelocitiesNode:
     """Return the node with its parameters and topics."""
-    publisher = ports.publishers["velocities/joint_states"]
-    return JointVelocitiesNode(robot.joint_names, JointVelocities(robot.velocity), 1.0 / settings.rate, publisher)
+    frame = 1.0 / settings.frame_rate
+    return JointVelocitiesNode(
+        robot.joint_names,
+        JointVelocities(robot.velocity),
+        1.0 / settings.rate,
+        ports.publishers["velocities/joint_states"],
+        ShownStream(frame, ports.publishers["shown/twin"]),
+        ShownStream(frame, ports.publishers["shown/physical"]) if has_arm(settings) else None,
+    )
+
+
+def _sleep_until(moment: float) -> None:
+    # in rospy's thread of a connection: when it reads on it takes the newest of what came meanwhile
+    time.sleep(max(0.0, moment - time.monotonic()))
 
 
 def _on_twin(node: JointVelocitiesNode, stamp: int, q: tuple[float, ...]) -> None:
-    # sleeps until the next pose is of interest: rospy then takes the newest of what came meanwhile
-    time.sleep(max(0.0, node.on_twin(time.monotonic(), stamp, q) - time.monotonic()))
+    _sleep_until(node.on_twin(time.monotonic(), stamp, q))
+
+
+def _on_joints(node: JointVelocitiesNode, message: JointState) -> None:
+    _sleep_until(node.twin.take(time.monotonic(), message.name, message.position, message))
+
+
+def _on_physical(node: JointVelocitiesNode, stamp: int, q: tuple[float, ...]) -> None:
+    assert node.physical is not None  # it is heard only where there is an arm
+    _sleep_until(node.physical.take(time.monotonic(), (), q, stamp, q))
 
 
 INTERFACE = Interface(
     report=JointVelocitiesNode.report,
-    publishes=(Publication("velocities/joint_states", JointState, queue_size=5),),
-    hears=(PoseSubscription("twin/joint_states", _on_twin, queue_size=1),),
+    publishes=(
+        Publication("velocities/joint_states", JointState, queue_size=5),
+        Publication("shown/twin", JointState, queue_size=5),
+        PosePublication("shown/physical", when=has_arm),
+    ),
+    hears=(
+        PoseSubscription("twin/joint_states", _on_twin, queue_size=1),
+        Subscription("joint_states", JointState, _on_joints, queue_size=1),
+        PoseSubscription("physical/joint_states", _on_physical, queue_size=1, when=has_arm),
+    ),
 )
-NODE = NodeShell("joint_velocities", Settings, start, INTERFACE, file=ConfigFile())
+FILE = ConfigFile(lambda given: {"arm": arm_of(given), "frame_rate": float(given.get("frame_rate", "25"))})
+NODE = NodeShell("joint_velocities", Settings, start, INTERFACE, file=FILE)
 
 
 def main() -> None:

@@ -94,6 +94,8 @@ class MockRsiNode:
         due = self._cycle % self._status_cycles == 0 or state != self._reported
         self._cycle += 1
         self._reported = state
+        if not due and not self._joints.is_heard:
+            return
         # a node that reacts to the packet may be quicker than this thread
         stamp = now_ns() - (time.monotonic_ns() - mock.left)
         self._outbox.put(_Observed(stamp, self._controller.true, self._snapshot(stamp) if due else None))

@@ -82,9 +82,9 @@ REPEAT_WINDOW = 5.0
 #: What `sync`, `link` and `speed_limit_in_force` repeat by themselves counts as lost after so long [s].
 SYNC_AGE, LINK_AGE, SPEED_AGE = 0.5, 3.0, 1.0
 
-_Message = TypeVar("_Message")
-#: A message and its age [s]; None: there is none, or it is too old.
-_Report = tuple[_Message, float] | None
+_Record = TypeVar("_Record")
+#: What was reported and its age [s]; None: there is nothing, or it is too old.
+_Report = tuple[_Record, float] | None
 
 
 class Settings(MqttSettings):
@@ -167,9 +167,9 @@ class MqttPlanner:
         self._consoles: ConsoleRequests | None = None
         self._looks_around = bool(settings.private)
         self._counts = RequestCounts("trajectories", "under review", "no plan")
-        self._sync: tuple[Sync, float] | None = None
-        self._link: tuple[Link, float] | None = None
-        self._execution: tuple[Execution, float] | None = None
+        self._sync: tuple[SyncReport, float] | None = None
+        self._link: tuple[LinkReport, float] | None = None
+        self._execution: tuple[ExecutionReport, float] | None = None
         self._speed: tuple[SpeedReport, float] | None = None
         self._progress = PlanProgress()
         self._executor_is_there: Callable[[], bool] = lambda: True
@@ -317,13 +317,15 @@ class MqttPlanner:
 
     def on_sync(self, message: Sync) -> None:
         """Take the gate's report."""
+        report = from_msg(SyncReport, message)
         with self._lock:
-            self._sync = message, time.monotonic()
+            self._sync = report, time.monotonic()
 
     def on_link(self, message: Link) -> None:
         """Take the bridge's report."""
+        report = from_msg(LinkReport, message)
         with self._lock:
-            self._link = message, time.monotonic()
+            self._link = report, time.monotonic()
         if self._feed is not None:
             self._feed.on_link(message)
 
@@ -332,7 +334,7 @@ class MqttPlanner:
         report = from_msg(ExecutionReport, message)
         with self._lock:
             self._progress.on_report(report)
-            self._execution = message, time.monotonic()
+            self._execution = report, time.monotonic()
         if self._feed is not None:
             self._feed.on_execution(report)
 
@@ -357,7 +359,7 @@ class MqttPlanner:
         with self._writing:
             return self._writer.write(now_ns(), seen, moment)
 
-    def _reports(self) -> tuple[_Report[Link], _Report[Sync], _Report[Execution]]:
+    def _reports(self) -> tuple[_Report[LinkReport], _Report[SyncReport], _Report[ExecutionReport]]:
         """Return what was reported, with its age; None for what is silent."""
         now = time.monotonic()
         with self._lock:
@@ -376,9 +378,9 @@ class MqttPlanner:
         return Seen(
             _pose_view(self._poses.twin, self._settings),
             _pose_view(self._poses.arm, self._settings),
-            Shown(from_msg(SyncReport, sync[0]), sync[1]) if sync is not None else None,
-            Shown(from_msg(LinkReport, link[0]), link[1]) if link is not None else None,
-            Shown(from_msg(ExecutionReport, execution[0]), execution[1]) if execution is not None else None,
+            Shown(*sync) if sync is not None else None,
+            Shown(*link) if link is not None else None,
+            Shown(*execution) if execution is not None else None,
             self._feed.plan if self._feed is not None else "",
             self._consoles.closest() if self._consoles is not None else None,
             progress,
@@ -392,10 +394,15 @@ class MqttPlanner:
         """Tell the status line, where it is due."""
         if self._feed is None:
             return
-        link, sync, execution = (report[0] if report is not None else None for report in self._reports())
+        link, sync, execution = self._reports()
         now = time.monotonic()
         self._feed.publish_cameras(now)
-        self._feed.publish_status_line(link, sync, execution, now)
+        self._feed.publish_status_line(
+            link[0] if link is not None else None,
+            sync[0] if sync is not None else None,
+            execution[0] if execution is not None else None,
+            now,
+        )
 
     def _run_view(self) -> None:
         """Show everything `view_rate` times a second."""

@@ -71,6 +71,8 @@ SETPOINTS_KEPT = 25
 TORQUE_SILENCE = 2.0
 #: Poses of the arm kept while the gate is busy.
 FEEDBACK_KEPT = 50
+#: Longest time between two `sync` of an open gate while the command rests [ns]: five nodes read each of them.
+RESTING_SYNC = NANOSECONDS // 10
 
 
 class Settings(NodeSettings, Behaviour):
@@ -113,7 +115,7 @@ class PcaMonitorNode:
         behaviour: What the gate was given.
         names: Joint names.
         compares: Whether there is a physical arm.
-        sync_rate: How often `sync` is published while nothing changes [Hz].
+        sync_rate: How often `sync` is published while its state does not change [Hz]; at rest see `RESTING_SYNC`.
         diagnostics: Counts what is refused.
         stopped_in: The session in which a monitor before this one was STOPPED: the gate stays so until the link tells of another
             session.
@@ -356,7 +358,7 @@ class PcaMonitorNode:
             with self._lock:
                 gate = self._gate
                 state = (gate.state, gate.reason, gate.agreed(now))
-                if state == self._reported and now - self._sync_at < self._sync_period:
+                if state == self._reported and now - self._sync_at < self._pause_of_sync(now):
                     return
                 self._reported, self._sync_at = state, now
                 message, cause = self._sync_message(*state), gate.cause
@@ -364,6 +366,12 @@ class PcaMonitorNode:
             if (cause,) != self._hold:
                 self._hold = (cause,)
                 self._outputs.hold.publish(_hold_message(cause, now))
+
+    def _pause_of_sync(self, now: int) -> int:
+        """Return how long nothing is told while the state is the same [ns]; under the lock."""
+        gate = self._gate
+        resting = gate.state is SyncState.IN_SYNC and gate.rests(now) and not gate.mirrored
+        return max(self._sync_period, RESTING_SYNC) if resting else self._sync_period
 
     def _sync_message(self, state: SyncState, reason: str, agreed: bool) -> Sync:
         gate = self._gate

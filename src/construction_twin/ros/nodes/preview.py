@@ -55,6 +55,7 @@ from construction_twin.views.rehearsal_picture import (
     rehearsal_picture,
 )
 from construction_twin.views.rehearsal_picture import TEXT_SIZE as REHEARSAL_TEXT
+from construction_twin.views.shown_poses import ShownPoses
 from construction_twin.views.sync_picture import Shape, headline_height, visual_shapes
 from construction_twin.views.work_picture import MOST_BODIES, WorkPath, WorkStates, work_states
 
@@ -113,6 +114,7 @@ class PreviewNode:
         self._ghost, self._markers = ports.publishers["preview/joint_states"], ports.publishers["plan_markers"]
         self._rehearsal = ports.publishers["rehearsal_markers"]
         self._twin = ports.poses["twin/joint_states"]
+        self._shown: ShownPoses[tuple[int, tuple[float, ...]]] = ShownPoses()
 
     # -- subscriptions
 
@@ -202,7 +204,9 @@ class PreviewNode:
             pose = self._preview.pose(now)
             self._grip(now)
         if pose is not None:
-            self._ghost.publish(now_ns(), pose)
+            shown = self._shown.take(now, (), pose, (now_ns(), pose))
+            if shown is not None:
+                self._ghost.publish(*shown)
 
     # -- the markers
 

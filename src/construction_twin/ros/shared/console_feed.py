@@ -16,14 +16,14 @@ from std_msgs.msg import String
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.records import SPACED, dumped
-from construction_twin.core.reports import ExecutionReport, HoldReport, SpeedChange, WorkReport
+from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedChange, SyncReport, WorkReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.states import ACTIVE
 from construction_twin.link.path_view import PathView
 from construction_twin.link.remote_review import PlanBoard
 from construction_twin.mqtt.messages import Topics
-from construction_twin.msg import Execution, Hold, Link, Plan, Rehearsal, Review, SessionRequest, Sync, WorkTasks
+from construction_twin.msg import Hold, Link, Plan, Rehearsal, Review, SessionRequest, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.msg import SpeedChange as SpeedChangeMessage
 from construction_twin.physics.report import STATES
@@ -239,7 +239,7 @@ class ConsoleFeed:
         self._twin_seen, self._arm_seen = self._twin_seen or twin, self._arm_seen or arm
 
     def publish_status_line(
-        self, link: Link | None, sync: Sync | None, execution: Execution | None, now: float
+        self, link: LinkReport | None, sync: SyncReport | None, execution: ExecutionReport | None, now: float
     ) -> None:
         """Send the status line when it has changed, or was not sent for a while.
 
@@ -270,7 +270,7 @@ class ConsoleFeed:
         for topic, payload in self._cameras.items():
             self._publish(topic, payload, 0, True)
 
-    def _lines(self, link: Link | None, sync: Sync | None, execution: Execution | None) -> list[Line]:
+    def _lines(self, link: LinkReport | None, sync: SyncReport | None, execution: ExecutionReport | None) -> list[Line]:
         words = _word(link), _word(sync), _word(execution)
         deployment = self._deployment
         heard = ReportsNow(
@@ -299,7 +299,7 @@ def _path_of(message: Plan) -> bytes:
     return PathView(message.id, [time / NANOSECONDS for time in times], path).to_json(PATH_POINTS, rests)
 
 
-def _word(report: Link | Sync | Execution | None) -> Word | None:
+def _word(report: LinkReport | SyncReport | ExecutionReport | None) -> Word | None:
     return None if report is None else Word(report.text, report.reason, getattr(report, "gateway_state", ""))
 
 

@@ -89,6 +89,11 @@ class JointPublisher:
         """Publish a pose [rad] with its stamp [ns]; as feedback also with the gateway's counter and the command's stamp [ns]."""
         self._publisher.publish(self._message.sent(stamp, q, seq, command_stamp))
 
+    @property
+    def is_heard(self) -> bool:
+        """Whether a subscriber is connected."""
+        return self._publisher.is_heard
+
 
 class JointSubscriber:
     """Hands a topic's poses to a callback, from the topic's own publisher; see `Subscriber`.

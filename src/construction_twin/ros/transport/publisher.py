@@ -14,6 +14,10 @@ from rospy.exceptions import TransportException, TransportTerminated
 class Sink(Protocol):
     """A publisher as nodes use it."""
 
+    @property
+    def is_heard(self) -> bool:
+        """Whether a subscriber is connected."""
+
     def publish(self, *content) -> None:
         """Send a message, or what it is made of."""
 
@@ -31,6 +35,11 @@ class Publisher(rospy.Publisher):
         add_connection = self.impl.add_connection
         self.impl.set_queue_size(None)
         self.impl.add_connection = lambda connection: add_connection(DirectConnection(connection, queue_size))
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether a subscriber is connected."""
+        return self.get_num_connections() > 0
 
     def publish(self, *args, **kwds) -> None:
         """Publish a message; ROSException unless the node is shutting down."""

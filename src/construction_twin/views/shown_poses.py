@@ -1,0 +1,49 @@
+"""Which poses of a stream are shown: all of them while they change, a few a second at rest.
+
+Each pose in tf costs `robot_state_publisher` three questions to the master, and whoever hears tf the reading of all its frames.
+Pure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Generic, TypeVar
+
+#: Time between two poses that are shown at rest [s].
+REST_PERIOD = 0.2
+#: A joint that is no further than this from where it was shown last has not moved [rad], [m]: 25 µm at the end of an arm of 2.5 m.
+#: A measured pose is never quite still.
+STILL = 1e-5
+
+Shown = TypeVar("Shown")
+
+
+class ShownPoses(Generic[Shown]):
+    """Takes one pose after the other."""
+
+    def __init__(self):
+        self._names: tuple[str, ...] = ()
+        self._q: tuple[float, ...] = ()
+        self._at = 0.0
+        self._left_out: Shown | None = None
+
+    def take(self, now: float, names: Sequence[str], q: Sequence[float], shown: Shown) -> Shown | None:
+        """Return what is shown now: the pose, at the end of a rest the one before, or None.
+
+        Args:
+            now: On the monotonic clock [s].
+            names: Of the joints.
+            q: Their positions [rad], [m], of the same length.
+            shown: The pose, as the caller shows it.
+        """
+        same_joints = tuple(names) == self._names
+        moved = not same_joints or any(abs(value - before) > STILL for value, before in zip(q, self._q))
+        if not moved and now - self._at < REST_PERIOD:
+            self._left_out = shown
+            return None
+        left_out, self._left_out, self._at = self._left_out, None, now
+        if moved and same_joints and left_out is not None:
+            # tf draws a line from one frame to the next: a motion begins where the rest ended, not up to `REST_PERIOD` before
+            return left_out
+        self._names, self._q = tuple(names), tuple(q)
+        return shown

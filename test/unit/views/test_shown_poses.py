@@ -1,0 +1,70 @@
+"""Poses that are left out at rest, and none that anybody would miss."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from construction_twin.views.shown_poses import REST_PERIOD, STILL, ShownPoses
+
+NAMES = ("a", "b")
+#: Between two poses [s]; sums of it are exact.
+PERIOD = 1 / 32
+
+
+def shown(*q: float) -> list[int]:
+    """Return which poses of a stream are shown, by their number, in the order of being shown."""
+    poses: ShownPoses[int] = ShownPoses()
+    taken = [poses.take(number * PERIOD, NAMES, (value, 0.0), number) for number, value in enumerate(q)]
+    return [number for number in taken if number is not None]
+
+
+def test_in_motion_each_pose_is_shown():
+    assert shown(*(0.001 * number for number in range(20))) == list(range(20))
+
+
+def test_at_rest_a_few_a_second_are_shown():
+    assert shown(*[1.0] * 26) == [0, 7, 14, 21]
+
+
+def test_a_motion_begins_where_the_rest_ended():
+    """Then tf draws no line from a pose that was long ago."""
+    assert shown(0.0, 0.0, 0.0, 0.1, 0.2, 0.3, 0.3, 0.3) == [0, 2, 4, 5]
+
+
+def test_a_motion_of_a_pose_right_after_one_that_was_shown_is_shown_at_once():
+    assert shown(0.0, 0.1) == [0, 1]
+
+
+def test_a_single_step_is_shown_with_the_next_pose():
+    assert shown(0.0, 0.0, 0.5, 0.5) == [0, 1, 3]
+
+
+def test_an_arm_that_trembles_rests_and_one_that_creeps_moves():
+    tremble = [0.9 * STILL * (number % 2) for number in range(26)]
+    assert len(shown(*tremble)) == 4
+    creep = [0.4 * STILL * number for number in range(26)]
+    assert len(shown(*creep)) > 4
+
+
+@pytest.mark.parametrize("names, q", [(("a", "c"), (0.0, 0.0)), (("a",), (0.0,)), (NAMES, (0.0,))])
+def test_what_another_publisher_says_of_other_joints_is_shown(names, q):
+    poses: ShownPoses[str] = ShownPoses()
+    assert poses.take(0.0, NAMES, (0.0, 0.0), "first") == "first"
+    assert (poses.take(0.01, names, q, "other") == "other") == (names != NAMES)
+
+
+@given(st.lists(st.sampled_from([0.0, 0.5 * STILL, 0.1, 0.2]), max_size=60))
+def test_what_is_shown_is_never_far_from_the_truth_for_longer_than_two_poses_nor_old(values):
+    poses: ShownPoses[int] = ShownPoses()
+    last, seen_at, off = None, 0.0, 0
+    for number, value in enumerate(values):
+        taken = poses.take(number * PERIOD, NAMES, (value, 0.0), number)
+        if taken is not None:
+            assert last is None or taken > last, "in the order of time, and none twice"
+            last, seen_at = taken, number * PERIOD
+        assert last is not None
+        off = off + 1 if abs(values[last] - value) > 2 * STILL else 0
+        assert off <= 1
+        assert number * PERIOD - seen_at <= REST_PERIOD
