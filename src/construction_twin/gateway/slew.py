@@ -45,8 +45,8 @@ CALM = SlewLimit.of(0.005, 0.005, 0.005)
 #: so it changes more slowly where the motion itself brakes at its limit. It takes 1.1 s to gain 30 ms.
 URGENT = SlewLimit.of(0.05, 0.005, 0.1)
 
-#: To make up for what a speed limit has put off: 0.8 %, changing by 0.1 per second. A motion at 0.992 of its velocity and 0.98 of its
-#: acceleration limits keeps inside them.
+#: To make up for what a speed limit has put off: 0.8 %, changing by 0.1 per second. A motion at 0.992 of its velocity and 0.98 of
+#: its acceleration limits keeps inside them.
 CATCH_UP = SlewLimit.of(0.05, 0.008, 0.1)
 
 

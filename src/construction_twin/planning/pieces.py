@@ -30,7 +30,7 @@ class Pieces:
         """
         rest, coefficients = self._at(x)
         # Horner's scheme for all three: each order takes what the order below was before
-        half, first, value = 0.0, coefficients[0], coefficients[0] * rest + coefficients[1]
+        half, first, value = np.zeros_like(rest), coefficients[0], coefficients[0] * rest + coefficients[1]
         for coefficient in coefficients[2:]:
             half = half * rest + first
             first = first * rest + value

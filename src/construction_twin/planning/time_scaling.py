@@ -29,8 +29,8 @@ STAGES = 40
 PIECE_STAGES = 2
 #: Second smoothing window [s]: over this time the jerk rises to its limit.
 JERK_RISE = 0.02
-#: Fraction of the jerk limit that is planned with: along a curve the quintics of the trajectory exceed it; along a straight line they
-#: are the motion itself, and what is left is for beginning where the arm is instead of where it was to be (`work_plan`).
+#: Fraction of the jerk limit that is planned with: along a curve the quintics of the trajectory exceed it; along a straight line
+#: they are the motion itself, and what is left is for beginning where the arm is instead of where it was to be (`work_plan`).
 JERK_FRACTION = 0.96
 STRAIGHT_JERK = 0.99
 #: Fraction of the speed at which the curve itself uses up the jerk limit: what the motion adds by speeding up and slowing down
@@ -61,7 +61,9 @@ class TimeScalingLimits:
     @classmethod
     def fractions(cls, robot: RobotModel, velocity: float, acceleration: float) -> TimeScalingLimits:
         """Return fractions of a robot's velocity and acceleration limits, and all of its jerk limit."""
-        return cls(velocity * np.array(robot.velocity), acceleration * np.array(robot.acceleration), np.array(robot.jerk))
+        return cls(
+            velocity * np.array(robot.velocity), acceleration * np.array(robot.acceleration), np.array(robot.jerk)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +205,7 @@ class TimeScalingSearch:
         times = np.concatenate(([0.0], np.cumsum(2.0 * ds / both)))
         return Pieces(times, np.stack((half_acceleration, speed[:-1], grid[:-1])))
 
-    def _window(self, fastest: PPoly) -> float:
+    def _window(self, fastest: Pieces) -> float:
         """Return the first smoothing window for which the motion is shortest after it is slowed to the jerk limit.
 
         A switch between full acceleration and full deceleration needs twice the window of a switch to or from constant

@@ -296,8 +296,7 @@ class _Request:
             if self.asked is not None:
                 passed = _passing_times(scaling, curve.knots)
                 early = np.diff(self.asked) / np.diff(passed)
-                row = np.clip(np.searchsorted(passed, way.times) - 1, 0, len(early) - 1)
-                factor = np.maximum(factor, early[row])
+                factor = np.maximum(factor, early[np.clip(np.searchsorted(passed, way.times) - 1, 0, len(early) - 1)])
             if not rounds_left or np.max(factor) <= self.local_slowing:
                 break
             search.slow_down(*_slower(scaling, way, factor))

@@ -110,7 +110,7 @@ class Trajectory:
         coefficients = self._coefficients[segment]
         # Horner's scheme for all four: each order takes what the order below was before
         q = coefficients[:, 5] * x + coefficients[:, 4]
-        qd, half, sixth = coefficients[:, 5], 0.0, 0.0
+        qd, half, sixth = coefficients[:, 5], np.zeros_like(q), np.zeros_like(q)
         for degree in (3, 2, 1, 0):
             sixth = sixth * x + half
             half = half * x + qd
