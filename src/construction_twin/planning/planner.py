@@ -324,9 +324,8 @@ class Planner:
         pace = np.array(self._robot.velocity)
         for attempt in range(TIMINGS_TRIED):
             if len(path) > 2:
-                tightened = CornerRounding(self._validator(world, attempt), pace, edges_free=not attempt).tightened(
-                    path
-                )
+                rounding = CornerRounding(self._validator(world, attempt), pace, edges_free=not attempt)
+                tightened = rounding.tightened(path)
                 if tightened is None:
                     return None
                 path = tightened
