@@ -48,36 +48,38 @@ def pose_at(home: tuple[float, ...], cycle: int) -> tuple[float, ...]:
     return (home[0] + 0.1 * (1.0 - math.cos(1.5 * cycle * CYCLE)), *home[1:])
 
 
-class Cell:
-    """A gateway and a mock controller, each a process.
+#: Modules of gateway and mock controller, which are run as programs.
+GATEWAY, MOCK = "construction_twin.gateway", "construction_twin.mock"
+
+
+def cell_options(
+    world: World, config: GatewayConfig, realtime: int = REALTIME, prefix: str = "twin"
+) -> dict[str, list[object]]:
+    """Return the options of a gateway and of a mock controller that find each other, by their modules.
 
     Args:
         world: With a broker.
         realtime: SCHED_FIFO priority of the 250 Hz path; these two get 10 more, as in launch/link.launch.
     """
+    path = world.folder / f"{config.robot}.json"
+    path.write_text(config.to_json())
+    listen, broker = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}", f"127.0.0.1:{world.broker_port}"
+    priority = ["--realtime", realtime and realtime + 10]
+    return {
+        GATEWAY: ["--config", path, "--listen", listen, "--broker", broker, "--prefix", prefix, *priority],
+        MOCK: ["--gateway", listen, "--restart-after", 1.0, *priority],
+    }
+
+
+class Cell:
+    """A gateway and a mock controller, each a process; see `cell_options`."""
 
     def __init__(self, world: World, config: GatewayConfig, realtime: int = REALTIME, prefix: str = "twin"):
-        name = config.robot
-        path = world.folder / f"{name}.json"
-        path.write_text(config.to_json())
-        listen = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
-        priority = realtime and realtime + 10
-        package = [sys.executable, "-m"]
-        options = [
-            "--config",
-            path,
-            "--listen",
-            listen,
-            "--broker",
-            f"127.0.0.1:{world.broker_port}",
-            "--prefix",
-            prefix,
-        ]
-        self.gateway = world.start(
-            f"{name}-gateway", [*package, "construction_twin.gateway", *options, "--realtime", priority]
-        )
-        options = ["--gateway", listen, "--restart-after", 1.0, "--realtime", priority]
-        self.mock = world.start(f"{name}-mock", [*package, "construction_twin.mock", *options])
+        started = {
+            module: world.start(f"{config.robot}-{module.rpartition('.')[2]}", [sys.executable, "-m", module, *options])
+            for module, options in cell_options(world, config, realtime, prefix).items()
+        }
+        self.gateway, self.mock = started[GATEWAY], started[MOCK]
 
     @property
     def pids(self) -> tuple[int, int]:

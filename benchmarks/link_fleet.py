@@ -18,15 +18,17 @@ import select
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import rospy
 from construction_twin.msg import Feedback
-from link_cell import Cell, pose_at, reply_spread
+from link_cell import GATEWAY, MOCK, cell_options, pose_at, reply_spread
 from link_mqtt import MqttEnd, read_publish
 from link_routes import bridge_parameters
 from link_world import REALTIME, ROBOT_YAML, ROOT, XACRO, World, cpu_seconds, end_in_order, spread_ms, wait_for
 
+from construction_twin.core.per_robot import AND
 from construction_twin.core.realtime import release_realtime, request_realtime
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.mqtt.messages import read_command_properties, read_state_properties
@@ -37,6 +39,8 @@ from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher
 PREFIX = "fleet"
 #: Between the first command and the measurement [s].
 SETTLE = 2.0
+#: What each robot has a process of, or shares.
+PARTS = ("bridge", "gateway", "mock")
 
 
 class Observer:
@@ -122,9 +126,13 @@ class Gates:
 
 
 class Fleet:
-    """A number of robots, and the observer on their broker."""
+    """A number of robots, and the observer on their broker.
 
-    def __init__(self, world: World, count: int, realtime: int):
+    Args:
+        shared: Of `PARTS`, those that are one process for all robots.
+    """
+
+    def __init__(self, world: World, count: int, realtime: int, shared: Sequence[str] = ()):
         self._world = world
         model = read_robot_files(XACRO, ROBOT_YAML)
         self.names = [f"robot{k}" for k in range(1, count + 1)]
@@ -135,7 +143,8 @@ class Fleet:
         context = multiprocessing.get_context("fork")  # rospy has no thread in here yet
         self._observer = context.Process(target=observe, args=(far, port), daemon=True)
         self._observer.start()
-        self.pids: dict[str, list[int]] = {"bridge": [], "gateway": [], "mock": []}
+        self.pids: dict[str, list[int]] = {part: [] for part in PARTS}
+        options: dict[str, list[list[object]]] = {GATEWAY: [], MOCK: []}
         shared = bridge_parameters(port, realtime, PREFIX)
         shared["publishers"] = {"command/joint_states": "/link_gates"}
         for name in self.names:
@@ -144,9 +153,15 @@ class Fleet:
             config = gateway_config(dataclasses.replace(model, name=name), parameters["gateway"])
             bridge = [sys.executable, ROOT / "nodes/mqtt_bridge", "__name:=mqtt_bridge"]
             self.pids["bridge"].append(world.start(f"{name}-bridge", bridge, ROS_NAMESPACE=name).pid)
-            cell = Cell(world, config, realtime, PREFIX)
-            self.pids["gateway"].append(cell.gateway.pid)
-            self.pids["mock"].append(cell.mock.pid)
+            for module, given in cell_options(world, config, realtime, PREFIX).items():
+                options[module].append(given)
+        for module, robots in options.items():
+            part = module.rpartition(".")[2]
+            if part in shared:
+                robots = [[word for given in robots for word in (AND, *given)][1:]]
+            for number, given in enumerate(robots, 1):
+                started = world.start(f"{part}-{number}", [sys.executable, "-m", module, *given])
+                self.pids[part].append(started.pid)
         request_realtime(realtime)
         self.gates = Gates(self.names, model.joint_names, tuple(model.home))
 
@@ -247,12 +262,13 @@ def main() -> None:
     parser.add_argument("--robots", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=10.0, help="[%(default)s]")
     parser.add_argument("--timeout", type=float, default=60.0, help="to start and arm all [s] [%(default)s]")
+    parser.add_argument("--shared", nargs="*", choices=PARTS, default=[], help="one process for all robots [none]")
     parser.add_argument("--realtime", type=int, default=REALTIME, help="SCHED_FIFO priority; 0: none [%(default)s]")
     parser.add_argument("--output", type=Path, required=True, help="JSON")
     options = parser.parse_args()
     end_in_order()
     with tempfile.TemporaryDirectory() as folder, World(Path(folder)) as world:
-        fleet = Fleet(world, options.robots, options.realtime)
+        fleet = Fleet(world, options.robots, options.realtime, options.shared)
         armed = fleet.start(options.timeout)
         result = fleet.measure(options.seconds) | {"armed_in_time": armed}
         options.output.write_text(json.dumps(result))

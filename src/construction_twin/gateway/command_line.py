@@ -6,18 +6,22 @@ import argparse
 import gc
 import logging
 import secrets
+import selectors
 import signal
 import sys
 import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
+from construction_twin.core.per_robot import AND, per_robot
 from construction_twin.core.realtime import lock_memory, request_realtime
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.udp import address_of, bind
 from construction_twin.gateway.config import GatewayConfig, load_config
 from construction_twin.gateway.log import log_beside_the_loop
-from construction_twin.gateway.service import GatewayService
+from construction_twin.gateway.service import GatewayService, serve
 from construction_twin.gateway.states import Mode, noted
 from construction_twin.gateway.trace import TraceWriter
 from construction_twin.mqtt.account import load_account
@@ -30,7 +34,9 @@ log = logging.getLogger("rsi_gateway")
 def _arguments(argv: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="rsi_gateway",
-        description="Bridge between MQTT joint strings and a robot controller (KUKA RSI). Needs no ROS. Not safety rated.",
+        description="Bridge between MQTT joint strings and a robot controller (KUKA RSI). Needs no ROS. Not safety rated."
+        f" Several robots in one process: their options one after the other, with {AND} between them; when that process ends, all of"
+        " these arms stop.",
     )
     parser.add_argument(
         "--config", required=True, help="JSON file written by `rosrun construction_twin export_gateway_config`"
@@ -92,62 +98,101 @@ def _listen_address(text: str, config: GatewayConfig) -> tuple[str, int]:
     return host, port or config.layout.port
 
 
-def _run(arguments: argparse.Namespace) -> int:
+@dataclass(frozen=True)
+class _Opened:
+    """A robot's gateway, where it records, and what there is to say of its options."""
+
+    service: GatewayService
+    trace: TraceWriter | None
+    tell: Callable[[], None]
+
+
+def _opened(arguments: argparse.Namespace, selector: selectors.BaseSelector, alone: bool) -> _Opened:
+    """Return a robot's gateway.
+
+    Args:
+        alone: Whether it is the only one of this process; the others' lines in the log name their robots.
+    """
+    config = load_config(arguments.config)
+    said = log if alone else log.getChild(config.robot)
+    account = load_account(arguments.account) if arguments.account else None
+    broker = Broker(*_address(arguments.broker, "--broker"), protocol=arguments.protocol, account=account)
+    topics = Topics(arguments.prefix, config.robot)
+    address = _listen_address(arguments.listen, config)
+    file = arguments.ethernet_xml
+    told = config.make.form_of(file).sends_to(file, config.layout) if file else address[0]
+    controller = address_of(arguments.controller, "--controller") if arguments.controller else None
+    if controller is None and not is_loopback(address[0]):
+        raise ConfigurationError("--controller", "", Sentence("expected.controller_address", address=address[0]))
+    run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
+    service = GatewayService(
+        config, bind(*address), broker, topics, run, controller, commissioning, selector=selector, log=said
+    )
+    # last: it takes room on a disk, which what else may be refused must not leave taken
+    trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
+    if trace is not None:
+        service.gateway.trace = trace.record
+
+    def tell() -> None:
+        said.info(
+            "configuration %s; run %s; listening on %s:%d; broker %s", config.hash[:12], run, *address, arguments.broker
+        )
+        said.info("telegrams are read from %s", f"{controller} only" if controller else "any sender that begins a session")
+        words = config.make.words
+        if address[1] != config.layout.port:
+            said.warning(
+                "%s tells the controller to send to port %d, not %d", words.description, config.layout.port, address[1]
+            )
+        if told != address[0] and address[0] != "0.0.0.0":
+            said.warning("%s tells the controller to send to address %s, not %s", words.description, told, address[0])
+        if config.layout.not_filled:
+            said.info("channels that no reply fills, so they stay as they are: %s", ", ".join(config.layout.not_filled))
+        if service.gateway.mode is not Mode.NORMAL:
+            said.warning("%s", noted(f"mode {service.gateway.mode.value}", service.gateway.mode, words))
+
+    return _Opened(service, trace, tell)
+
+
+def _run(robots: Sequence[argparse.Namespace]) -> int:
+    selector = selectors.DefaultSelector()
     try:
-        config = load_config(arguments.config)
-        account = load_account(arguments.account) if arguments.account else None
-        broker = Broker(*_address(arguments.broker, "--broker"), protocol=arguments.protocol, account=account)
-        topics = Topics(arguments.prefix, config.robot)
-        address = _listen_address(arguments.listen, config)
-        file = arguments.ethernet_xml
-        told = config.make.form_of(file).sends_to(file, config.layout) if file else address[0]
-        controller = address_of(arguments.controller, "--controller") if arguments.controller else None
-        if controller is None and not is_loopback(address[0]):
-            raise ConfigurationError("--controller", "", Sentence("expected.controller_address", address=address[0]))
-        run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
-        service = GatewayService(config, bind(*address), broker, topics, run, controller, commissioning)
-        # last: it takes room on a disk, which what else may be refused must not leave taken
-        trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
-        if trace is not None:
-            service.gateway.trace = trace.record
+        opened = [_opened(arguments, selector, len(robots) == 1) for arguments in robots]
     except ConstructionTwinError as error:
         log.error("%s", error)
         return 2
+    services = [each.service for each in opened]
+
+    def on_thread_failure(failed: threading.ExceptHookArgs) -> None:
+        # nobody knows whose thread it was
+        for service in services:
+            service.on_thread_failure(failed)
+        # to stderr as well: the thread that has ended may be the one that writes the log
+        threading.__excepthook__(failed)
+
     # before the first line is logged: the log's thread may be the one that fails
-    threading.excepthook = service.on_thread_failure
+    threading.excepthook = on_thread_failure
+    for each in opened:
+        each.tell()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: service.stop())
-    log.info(
-        "configuration %s; run %s; listening on %s:%d; broker %s", config.hash[:12], run, *address, arguments.broker
-    )
-    log.info("telegrams are read from %s", f"{controller} only" if controller else "any sender that begins a session")
-    words = config.make.words
-    if address[1] != config.layout.port:
-        log.warning(
-            "%s tells the controller to send to port %d, not %d", words.description, config.layout.port, address[1]
-        )
-    if told != address[0] and address[0] != "0.0.0.0":
-        log.warning("%s tells the controller to send to address %s, not %s", words.description, told, address[0])
-    if config.layout.not_filled:
-        log.info("channels that no reply fills, so they stay as they are: %s", ", ".join(config.layout.not_filled))
-    if service.gateway.mode is not Mode.NORMAL:
-        log.warning("%s", noted(f"mode {service.gateway.mode.value}", service.gateway.mode, words))
-    log.info("%s; %s", request_realtime(arguments.realtime), lock_memory())
+        signal.signal(number, lambda *_: [service.stop() for service in services])
+    priority = max(arguments.realtime for arguments in robots)
+    log.info("%s; %s", request_realtime(priority), lock_memory())
     # a full collection over everything imported would take longer than the controller waits
     gc.freeze()
-    service.run()
-    if trace is not None:
-        trace.close()
-    return 1 if service.failure else 0
+    serve(services)
+    for each in opened:
+        if each.trace is not None:
+            each.trace.close()
+    return 1 if any(service.failure for service in services) else 0
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the gateway until SIGINT or SIGTERM; return the exit code."""
-    arguments = _arguments(sys.argv[1:] if argv is None else argv)
+    robots = [_arguments(words) for words in per_robot(sys.argv[1:] if argv is None else argv)]
     # the log's thread may keep the interpreter for 5 ms otherwise, more than a cycle
     sys.setswitchinterval(0.001)
     listener = log_beside_the_loop()
     try:
-        return _run(arguments)
+        return _run(robots)
     finally:
         listener.stop()

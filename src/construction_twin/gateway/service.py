@@ -1,18 +1,20 @@
 """rsi_gateway: MQTT <-> robot controller on the cell PC. Runs without ROS: ``python -m construction_twin.gateway --help``.
 
-One thread, one select loop: the controller's datagrams first, then MQTT. An unexpected exception ends neither loop nor answers:
-`GatewayService.guarded` hands the arm to the last resort, which brakes. Standard library and paho-mqtt only.
+One thread, one select loop, also for several robots: the controllers' datagrams first, then MQTT. An unexpected exception ends
+neither loop nor answers: `GatewayService.guarded` hands that arm to the last resort, which brakes. Standard library and paho-mqtt
+only.
 """
 
 from __future__ import annotations
 
 import json
 import logging
+import math
 import selectors
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
@@ -64,6 +66,8 @@ _LONGEST_BRAKING = 3.0
 _LAST_STOP = 0.1
 #: What is quoted of an exception in `status` [characters].
 _LONGEST_FAILURE = 300
+#: A gateway for which nothing came looks at its clocks this often [s].
+_LONGEST_PAUSE = 0.05
 
 _Result = TypeVar("_Result")
 
@@ -91,6 +95,8 @@ class GatewayService:
         controller: Only datagrams from this IPv4 address are read, see `address_of`; None reads any.
         commissioning: Send every correction as zero.
         measures: See `Gateway`: False for a controller that is no match for real time.
+        selector: Of the loop that serves it, see `serve`; default: one of its own.
+        log: Where it says what happens.
     """
 
     def __init__(
@@ -103,6 +109,8 @@ class GatewayService:
         controller: str | None = None,
         commissioning: bool = False,
         measures: bool = True,
+        selector: selectors.BaseSelector | None = None,
+        log: logging.Logger = log,
     ):
         self.gateway = Gateway(config, run, commissioning, measures)
         self.reply_time = Histogram.of_microseconds()
@@ -120,12 +128,15 @@ class GatewayService:
         self._thread_failure: BaseException | None = None
         # what failed, until it has been told
         self._cause: BaseException | None = None
-        self._selector = selectors.DefaultSelector()
-        self._selector.register(sock, selectors.EVENT_READ, None)
+        self.selector = selector or selectors.DefaultSelector()
+        self.selector.register(sock, selectors.EVENT_READ, self)
+        self._logger = log
+        #: Whether its connection to the broker is TLS.
+        self.encrypted = broker.encrypted
         # a last will may come late, when another run, or this one over another connection, speaks already: it says whose it is
         self._number = 1
         client = make_client(broker, unique_id(topics.robot, "gateway"), topics.status, offline_word(run, self._number))
-        self._connection = ConnectionReport(broker, log.error)
+        self._connection = ConnectionReport(broker, self._logger.error)
         # guarded here, because paho would handle a message again whose callback raised
         client.on_connect = partial(self.guarded, self._on_connect)
         client.on_disconnect = partial(self.guarded, self._on_disconnect)
@@ -133,40 +144,60 @@ class GatewayService:
         client.message_callback_add(self._topics.control, partial(self.guarded, self._on_control))
         client.message_callback_add(self._topics.stop_by("+"), partial(self.guarded, self._on_stop))
         client.connect_async(broker.host, broker.port, broker.keepalive)
-        self._mqtt = PolledClient(client, self._selector, self._connection.failed)
+        self._mqtt = PolledClient(client, self.selector, self._connection.failed)
         self._state_properties = broker.protocol == "5"
         self._status = StatusClock(_STATUS_PERIOD)
         self._lines = LineLimiter()
         self._speed_answer: tuple = ()
         self._held_channels: tuple[bool, ...] = ()
         self._logged = _LoggedState()
+        # whether a telegram was answered in this turn
+        self._answered = False
         self._running = True
+        # until when it may brake, and may send the end of the program, once it was stopped [s]
+        self._brakes_until = self._ends_until = math.inf
 
     def run(self) -> None:
-        """Serve until `stop` is called; then bring the arm to rest before answering ends, because HOLDON would stop it dead.
+        """Serve this robot alone; see `serve`."""
+        serve([self])
+
+    def stop(self) -> None:
+        """Make the loop brake and return; safe in a signal handler."""
+        self._running = False
+
+    def ended(self) -> bool:
+        """Return whether it was stopped and has ended: once the arm is at rest, after which answers may end.
 
         Where a reply can, the controller's program is ended too: a controller left alone would report a timeout.
         """
-        try:
-            while self._running:
-                self._turn()
+        if self._running:
+            return False
+        now = time.monotonic()
+        if self._brakes_until == math.inf:
             self.guarded(self.gateway.end, Sentence("gateway.ending"), True)
             self._last_resort.ending = self.gateway.config.layout.stop
-            deadline = time.monotonic() + _LONGEST_BRAKING
-            while self._braking and time.monotonic() < deadline:
-                self._turn()
-            deadline = time.monotonic() + _LAST_STOP
-            while self._ends and time.monotonic() < deadline:
-                self._turn()
-        finally:
-            self.guarded(self._tell_failure)
-            self.guarded(self._publish_status, True)
-            self.guarded(self._mqtt.close)
-            self._sock.close()
+            self._brakes_until = now + _LONGEST_BRAKING
+        if self._braking and now < self._brakes_until:
+            return False
+        if self._ends_until == math.inf:
+            self._ends_until = now + _LAST_STOP
+        if self._ends and now < self._ends_until:
+            return False
+        self.close()
+        return True
 
-    def stop(self) -> None:
-        """Make `run` brake and return; safe in a signal handler."""
-        self._running = False
+    def close(self) -> None:
+        """Say that it ends, and answer no more."""
+        self.guarded(self._tell_failure)
+        self.guarded(self._publish_status, True)
+        self.guarded(self._mqtt.close)
+        # another gateway of this loop goes on
+        self.guarded(self._forget)
+        self._sock.close()
+
+    def _forget(self) -> None:
+        for source in [key.fileobj for key in self.selector.get_map().values() if key.data in (self, self._mqtt)]:
+            self.selector.unregister(source)
 
     @property
     def _braking(self) -> bool:
@@ -187,17 +218,16 @@ class GatewayService:
         try:
             return part(*arguments)
         except Exception as error:
-            self._fail(error)
+            self.fail(error)
             return None
 
     def on_thread_failure(self, arguments: threading.ExceptHookArgs) -> None:
         """Take an exception that ended another thread, as `threading.excepthook`; the loop takes it in its next turn."""
         if arguments.exc_value is not None:
             self._thread_failure = arguments.exc_value
-        # to stderr as well: the thread that has ended may be the one that writes the log
-        threading.__excepthook__(arguments)
 
-    def _fail(self, error: BaseException) -> None:
+    def fail(self, error: BaseException) -> None:
+        """Hand the arm to the last resort, which brakes, because of what was raised."""
         if self.failure:
             # said once; whatever else fails after that changes nothing any more
             self.gateway.counters["failures"] += 1
@@ -220,7 +250,7 @@ class GatewayService:
         self.failure = Sentence("gateway.failed", what=what)
         # a thread of its own, because a traceback is formatted from source files, and a disk may take longer than a cycle
         threading.Thread(
-            target=log.critical, args=("%s", self.failure), kwargs={"exc_info": error}, daemon=True
+            target=self._logger.critical, args=("%s", self.failure), kwargs={"exc_info": error}, daemon=True
         ).start()
         self.gateway.fail(self.failure)
 
@@ -252,33 +282,38 @@ class GatewayService:
 
     # -- the loop
 
-    def _turn(self) -> None:
-        events: list | None = []
+    @property
+    def mqtt(self) -> PolledClient:
+        """Its connection to the broker."""
+        return self._mqtt
+
+    def answer(self) -> None:
+        """Answer the controller's newest telegram, before anything else is done for any robot."""
+        self._answered = False
         if not self.failure:
-            self.guarded(self._work)
-        else:
-            events = self.guarded(self._wait)
+            self._answered = bool(self.guarded(self._serve_controller))
         if self.failure:
             self.guarded(self._rescue)
+
+    def attend(self, readable: bool) -> None:
+        """Do what else there is to do; `readable` says whether MQTT can be read."""
+        if not self.failure:
+            self.guarded(self._work, readable)
+            if self.failure:
+                self.guarded(self._rescue)
+        if self.failure:
             self.guarded(self._tell_failure)
-            if events is None:
-                # a selector that fails must neither take the whole processor nor silence MQTT
-                time.sleep(0.001)
-            if self._mqtt.connected if events is None else self._is_readable(events):
+            if readable:
                 self.guarded(self._mqtt.read)
             self.guarded(self._mqtt.service, time.monotonic())
             self.guarded(self._report_failure)
 
-    def _wait(self) -> list:
-        # what TLS has decrypted already makes no socket readable
-        return self._selector.select(0.0 if self._mqtt.pending else 0.05)
-
-    def _work(self) -> None:
-        events = self._wait()
+    def _work(self, readable: bool) -> None:
         if self._thread_failure is not None:
             raise self._thread_failure
-        answered = self._serve_controller()
-        if self._is_readable(events):
+        if self._answered:
+            self._publish_state()
+        if readable:
             self._mqtt.read()
         now = time.monotonic()
         self._mqtt.service(now)
@@ -286,15 +321,12 @@ class GatewayService:
         if self.gateway.take_change():
             self._log_change()
             self._publish_status()
-        elif self._status.is_due(now, answered):
+        elif self._status.is_due(now, self._answered):
             self._publish_status()
         if self.gateway.side_effects.unwritten:
             # a thread of its own, as of a failure: a traceback is formatted from source files
-            told = log.error, self.gateway.side_effects.take()
+            told = self._logger.error, self.gateway.side_effects.take()
             threading.Thread(target=self.gateway.side_effects.write, args=told, daemon=True).start()
-
-    def _is_readable(self, events: list) -> bool:
-        return any(key.data is self._mqtt and mask & selectors.EVENT_READ for key, mask in events)
 
     def _report_failure(self) -> None:
         if self.gateway.take_change() or self._status.is_due(time.monotonic(), True):
@@ -322,7 +354,7 @@ class GatewayService:
     def _log(self, level: int, kind: str, text: str) -> None:
         note = self._lines.note(kind, time.monotonic_ns())
         if note is not None:
-            log.log(level, "%s: %s%s", kind, text, note)
+            self._logger.log(level, "%s: %s%s", kind, text, note)
 
     # -- the controller
 
@@ -344,7 +376,6 @@ class GatewayService:
             self._answer(self._encoder.encode(carried, telegram.controller_ms, stop, switched), source)
             self._last_resort.sent(telegram.controller_ms, source, carried, self.gateway.kept, telegram.missed)
             self.reply_time.add((time.time_ns() - newest.arrived) / 1e3)
-        self._publish_state()
         return True
 
     def _switched(self, encoder: Encoder) -> tuple[bool, ...]:
@@ -370,7 +401,7 @@ class GatewayService:
             self._connection.refused(reason_code)
             return
         self._connection.connected()
-        log.info("connected to the broker")
+        self._logger.info("connected to the broker")
         topics = [(self._topics.command, 0), (self._topics.control, 1), (self._topics.stop_by("+"), 1)]
         client.subscribe(subscriptions(client, topics))
         info = self._publish_status()
@@ -502,3 +533,48 @@ class GatewayService:
             "decimals": config.decimals,
             "properties": config.properties,
         }
+
+
+def serve(services: Sequence[GatewayService]) -> None:
+    """Serve gateways of one selector until all were stopped; each brings its arm to rest before its answers end.
+
+    HOLDON would stop it dead. What a robot's gateway raises is that one's failure; what the selector raises is everybody's.
+    """
+    selector, serving = services[0].selector, list(services)
+    by_source = {source: service for service in services for source in (service, service.mqtt)}
+    looks_at = 0.0
+    try:
+        while serving:
+            # what TLS has decrypted already makes no socket readable
+            pending = [service for service in serving if service.encrypted and service.mqtt.pending]
+            try:
+                events = selector.select(0.0 if pending else _LONGEST_PAUSE)
+            except Exception as error:
+                for service in serving:
+                    service.fail(error)
+                # a selector that fails must neither take the whole processor nor silence MQTT
+                time.sleep(0.001)
+                _turn(serving, [service.mqtt for service in serving if service.mqtt.connected])
+                serving = [service for service in serving if not service.ended()]
+                continue
+            came = [key.data for key, mask in events if mask & selectors.EVENT_READ]
+            turns = {by_source[key.data]: None for key, _ in events}
+            now = time.monotonic()
+            if now >= looks_at or not turns:
+                # for all of them: a gateway for which nothing came looks at its clocks, too, and one that was stopped ends
+                looks_at = now + _LONGEST_PAUSE
+                turns = dict.fromkeys(serving)
+            _turn(turns, came)
+            if len(turns) == len(serving):
+                serving = [service for service in serving if not service.ended()]
+    finally:
+        for service in serving:
+            service.close()
+
+
+def _turn(services: Iterable[GatewayService], came: Collection[object]) -> None:
+    """Answer every controller that has sent something, then do what else there is to do."""
+    for service in services:
+        service.answer()
+    for service in services:
+        service.attend(service.mqtt in came)

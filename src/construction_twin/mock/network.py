@@ -1,4 +1,4 @@
-"""The mock controller on the network: UDP client and clock around `MockController`. Runs without ROS.
+"""Mock controllers on the network: UDP client and clock around each `MockController`. Runs without ROS.
 
 The clock is a grid of absolute deadlines; it never waits for a reply. A real controller is never late, but this process can be
 late. Then the packets that are due follow each other at half a cycle until they are on the grid again: the PC always has half a
@@ -16,7 +16,7 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from queue import Empty, SimpleQueue
 from typing import TypeVar
@@ -88,6 +88,9 @@ class MockRsi:
         self._clock = ArrivalClock(time.time_ns, time.monotonic_ns)
         #: A reply that arrives later than this is too late for the open cycle [ns].
         self._ends = 0
+        self._due = 0
+        #: When the loop turns to this controller, also without a datagram [ns].
+        self.wakes_at = 0
         self._session = self._replies = 0
         self._stopped_at: int | None = None
 
@@ -111,27 +114,51 @@ class MockRsi:
         return future.result(timeout)
 
     def run(self, stop: threading.Event) -> None:
-        """Run until `stop` is set; at most one cycle longer."""
-        try:
-            due = time.monotonic_ns()
-            while not stop.is_set():
-                self._serve_requests()
-                self._follow_session(due)
-                self.faults.tick()
-                self._clock.measure()
-                packet = self.controller.begin_cycle()
-                self.left = time.monotonic_ns()
-                if packet is not None:
-                    self._send(packet)
-                sent = time.monotonic_ns()
-                due = self.next_due(due, sent)
-                self._ends = max(due, sent + self._closest)
-                self._observe(self)
-                self._receive_until(self._ends)
-                if self.controller.refusals.news:
-                    self._tell_refusals()
-        finally:
-            self._socket.close()
+        """Run this controller alone; see `run_mocks`."""
+        run_mocks([self], stop)
+
+    @property
+    def sock(self) -> socket.socket:
+        """Where replies come; every session has another one."""
+        return self._socket
+
+    def begin(self) -> None:
+        """Take the present as the begin of the first cycle."""
+        self._due = self._ends = self.wakes_at = time.monotonic_ns()
+
+    def attend(self, now: int) -> None:
+        """Read what has come; when the open cycle is over, begin the next one.
+
+        Args:
+            now: Read before what is attended to: what arrived before the cycle's end is then read before it ends [ns].
+        """
+        self._drain()
+        if self.faults.to_pc.active or self.faults.to_controller.active:
+            self._deliver(now)
+        if now >= self._ends:
+            if self.controller.refusals.news:
+                self._tell_refusals()
+            self._run_cycle()
+        self.wakes_at = self._wake_up(self._ends)
+
+    def close(self) -> None:
+        """Receive no more."""
+        self._socket.close()
+
+    def _run_cycle(self) -> None:
+        due = self._due
+        self._serve_requests()
+        self._follow_session(due)
+        self.faults.tick()
+        self._clock.measure()
+        packet = self.controller.begin_cycle()
+        self.left = time.monotonic_ns()
+        if packet is not None:
+            self._send(packet)
+        sent = time.monotonic_ns()
+        self._due = due = self.next_due(due, sent)
+        self._ends = max(due, sent + self._closest)
+        self._observe(self)
 
     def _serve_requests(self) -> None:
         while True:
@@ -197,19 +224,6 @@ class MockRsi:
         self.skipped += skipped
         return due + (1 + skipped) * self._cycle
 
-    def _receive_until(self, deadline: int) -> None:
-        now = time.monotonic_ns()
-        while True:
-            # select: poll and epoll count in whole milliseconds
-            select.select([self._socket], [], [], max(0, self._wake_up(deadline) - now) / NANOSECONDS)
-            # the time first: what arrived before the deadline is then read before the cycle ends
-            now = time.monotonic_ns()
-            self._drain()
-            if self.faults.to_pc.active or self.faults.to_controller.active:
-                self._deliver(now)
-            if now >= deadline:
-                return
-
     def _wake_up(self, deadline: int) -> int:
         """Return when something is to be done next, at the latest at `deadline` [ns]."""
         for line in (self.faults.to_pc, self.faults.to_controller):
@@ -241,6 +255,24 @@ class MockRsi:
             else:
                 # not known: as far as this process can tell, it is in time
                 self.controller.receive(data, arrived is None or arrived <= self._ends)
+
+
+def run_mocks(mocks: Sequence[MockRsi], stop: threading.Event) -> None:
+    """Run controllers, each with its own clock, in this thread until `stop` is set; at most one cycle longer."""
+    try:
+        for mock in mocks:
+            mock.begin()
+        while not stop.is_set():
+            wait = min([mock.wakes_at for mock in mocks]) - time.monotonic_ns()
+            # select: poll and epoll count in whole milliseconds
+            ready, _, _ = select.select([mock.sock for mock in mocks], [], [], max(0, wait) / NANOSECONDS)
+            now = time.monotonic_ns()
+            for mock in mocks:
+                if now >= mock.wakes_at or mock.sock in ready:
+                    mock.attend(now)
+    finally:
+        for mock in mocks:
+            mock.close()
 
 
 def _open_socket() -> tuple[socket.socket, bool]:

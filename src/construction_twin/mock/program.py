@@ -11,6 +11,7 @@ import logging
 import signal
 import sys
 import threading
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -21,6 +22,7 @@ from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.controller.port import Layout
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.extras import check_extras
+from construction_twin.core.per_robot import AND, per_robot
 from construction_twin.core.realtime import request_realtime
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
@@ -29,7 +31,7 @@ from construction_twin.core.validation import configuration_error
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import ForwardKinematics, MockController
 from construction_twin.mock.gripper import Gripper
-from construction_twin.mock.network import MockRsi
+from construction_twin.mock.network import MockRsi, run_mocks
 from construction_twin.mock.servo import IdealServo, RealisticServo, Servo
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.tool import read_tool, tool_of
@@ -236,7 +238,8 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     """Return the options of the command line; only those that were given, or have a default."""
     parser = argparse.ArgumentParser(
         prog="mock_rsi",
-        description="Mock robot controller, a KUKA KR C4 with RSI by default: a UDP client with its own clock. Needs no ROS.",
+        description="Mock robot controller, a KUKA KR C4 with RSI by default: a UDP client with its own clock. Needs no ROS."
+        f" Several in one process: their options one after the other, with {AND} between them.",
         argument_default=argparse.SUPPRESS,
     )
     option = parser.add_argument
@@ -299,26 +302,39 @@ def checked_settings(options: dict) -> MockSettings:
         raise configuration_error(error, MockSettings) from error
 
 
+def _built(argv: list[str], alone: bool) -> tuple[MockRsi, MockSettings, RobotModel]:
+    """Return the mock of a command line's options; ConstructionTwinError when there is none.
+
+    Args:
+        alone: Whether it is the only one of this process; the others' lines in the log name their gateways.
+    """
+    options = vars(parse_arguments(argv))
+    robot = read_robot_files(
+        options.pop("robot_xacro"), options.pop("robot_config"), options.pop("robot_xacro_args", "")
+    )
+    settings = checked_settings(options)
+    controller, gateway = build_controller(settings, robot), gateway_address(settings)
+    report = log.info if alone else partial(log.info, "gateway %s:%d: %s", *gateway)
+    mock = MockRsi(controller, gateway, settings.restart_after, report=report, fault_seed=settings.fault_seed)
+    return mock, settings, robot
+
+
 def main(argv: list[str] | None = None) -> int:
-    """Run the mock until SIGINT or SIGTERM, then say what was counted; return the exit code."""
-    options = vars(parse_arguments(sys.argv[1:] if argv is None else argv))
+    """Run the mocks until SIGINT or SIGTERM, then say what was counted; return the exit code."""
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(levelname)s %(message)s")
     try:
-        robot = read_robot_files(
-            options.pop("robot_xacro"), options.pop("robot_config"), options.pop("robot_xacro_args", "")
-        )
-        settings = checked_settings(options)
-        controller = build_controller(settings, robot)
-        mock = MockRsi(controller, gateway_address(settings), settings.restart_after, fault_seed=settings.fault_seed)
+        robots = per_robot(sys.argv[1:] if argv is None else argv)
+        built = [_built(words, len(robots) == 1) for words in robots]
     except ConstructionTwinError as error:
         log.error("%s", error)
         return 2
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    log.info(request_realtime(settings.realtime_priority))
+    log.info(request_realtime(max(settings.realtime_priority for _, settings, _ in built)))
     gc.freeze()  # a full collection over every imported module takes longer than a cycle
-    mock.run(stop)
-    where = ", ".join(f"{value:.4f}" for value in to_wire(controller.measured, robot.linear))
-    log.info("axes [deg, mm] %s; %s", where, mock.counters)
+    run_mocks([mock for mock, _, _ in built], stop)
+    for mock, _, robot in built:
+        where = ", ".join(f"{value:.4f}" for value in to_wire(mock.controller.measured, robot.linear))
+        log.info("axes [deg, mm] %s; %s", where, mock.counters)
     return 0

@@ -60,7 +60,7 @@ PARTS = {
     "MQTT connection": lambda service: (service._mqtt, "service"),
     "MQTT reading": lambda service: (service._mqtt, "read"),
     "MQTT library": lambda service: (service._mqtt.client, "loop_read"),
-    "selector": lambda service: (service._selector, "select"),
+    "selector": lambda service: (service.selector, "select"),
 }
 #: Parts without which nothing can be said on MQTT any more: the log says it.
 MUTE = {"status publisher", "MQTT connection"}
