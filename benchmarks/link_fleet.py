@@ -151,10 +151,16 @@ class Fleet:
             parameters = shared | {"robot": shared["robot"] | {"name": name}}
             rospy.set_param(f"/{name}", parameters)
             config = gateway_config(dataclasses.replace(model, name=name), parameters["gateway"])
-            bridge = [sys.executable, ROOT / "nodes/mqtt_bridge", "__name:=mqtt_bridge"]
-            self.pids["bridge"].append(world.start(f"{name}-bridge", bridge, ROS_NAMESPACE=name).pid)
+            if "bridge" in shared:
+                rospy.set_param(f"/{name}/bridge", "/shared_bridge")
+            else:
+                bridge = [sys.executable, ROOT / "nodes/mqtt_bridge", "__name:=mqtt_bridge"]
+                self.pids["bridge"].append(world.start(f"{name}-bridge", bridge, ROS_NAMESPACE=name).pid)
             for module, given in cell_options(world, config, realtime, PREFIX).items():
                 options[module].append(given)
+        if "bridge" in shared:
+            rospy.set_param("/shared_bridge", {"robots": self.names, "realtime_priority": realtime})
+            self.pids["bridge"].append(world.start("shared-bridge", [sys.executable, ROOT / "nodes/shared_bridge"]).pid)
         for module, robots in options.items():
             part = module.rpartition(".")[2]
             if part in shared:
