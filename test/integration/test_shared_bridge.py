@@ -11,15 +11,18 @@ import signal
 import sys
 import time
 import unittest
+from collections import deque
 
 import numpy as np
 import rospy
 import rostest
 from construction_twin.msg import Feedback, Link
+from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from twin_client import node_pid, wait
 
-from construction_twin.core.units import CYCLE
+from construction_twin.core.realtime import request_realtime
+from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.states import State
 from construction_twin.gateway.trace import read_trace
 from construction_twin.ros.shared.gateway_config import config_from_parameters
@@ -36,7 +39,8 @@ def gate(robot: str, names: tuple[str, ...], home: tuple[float, ...], orders) ->
     """Publish commands of one robot as its gate: at rest where the arm is, or swinging, as `orders` say; None ends it."""
     os.environ["ROS_NAMESPACE"] = robot
     rospy.names._set_caller_id(f"/{robot}/unnamed")
-    rospy.init_node("pca_monitor", disable_signals=True, disable_rosout=True)
+    rospy.init_node("pca_monitor", argv=[], disable_signals=True, disable_rosout=True)
+    request_realtime(40)
     newest = [home]
     rospy.Subscriber(
         f"/{robot}/physical/feedback",
@@ -46,7 +50,7 @@ def gate(robot: str, names: tuple[str, ...], home: tuple[float, ...], orders) ->
         tcp_nodelay=True,
     )
     publisher = JointPublisher(f"/{robot}/command/joint_states", names)
-    due, rest, cycle, swings = time.monotonic(), home, 0, False
+    due, rest, cycle, swings = time.monotonic_ns(), home, 0, False
     while True:
         if orders.poll():
             order = orders.recv()
@@ -56,9 +60,9 @@ def gate(robot: str, names: tuple[str, ...], home: tuple[float, ...], orders) ->
             swings, cycle, rest = order == "swing", 0, newest[0]
         cycle += swings
         turned = SWING * (1.0 - math.cos(RATE * cycle * CYCLE))
-        publisher.publish(time.monotonic_ns(), (rest[0] + turned, *rest[1:]))
-        due += CYCLE
-        time.sleep(max(0.0, due - time.monotonic()))
+        publisher.publish(due, (rest[0] + turned, *rest[1:]))
+        due += CYCLE_NS
+        time.sleep(max(0, due - time.monotonic_ns()) / NANOSECONDS)
 
 
 class SharedBridgeTest(unittest.TestCase):
@@ -76,7 +80,11 @@ class SharedBridgeTest(unittest.TestCase):
             cls.gates[-1].start()
         rospy.init_node("shared_bridge_test")
         cls.links = {}
+        #: Where the first axis of each arm was in the last second [rad].
+        cls.turned = {name: deque(maxlen=250) for name in ROBOTS}
         for name in ROBOTS:
+            take = cls.turned[name].append
+            rospy.Subscriber(f"/{name}/mock_rsi/joint_states", JointState, lambda message, take=take: take(message.position[0]))
             rospy.Subscriber(f"/{name}/link", Link, lambda message, name=name: cls.links.update({name: message}))
 
     @classmethod
@@ -91,10 +99,11 @@ class SharedBridgeTest(unittest.TestCase):
         self.order("swing")
         wait(lambda: all(self.moved(name, 0.1) for name in ROBOTS), "both arms to move")
         killed = node_pid("/shared_bridge")
+        self.assertGreater(killed, 0)
         marks = {name: len(self.trace(name)) for name in ROBOTS}
         os.kill(killed, signal.SIGKILL)
         for name in ROBOTS:
-            wait(lambda name=name: self.trace(name)[-1].state is State.HOLDING, f"{name} to hold")
+            wait(lambda name=name: self.trace(name)[-1].state is State.HOLDING, f"{name} to hold", period=0.5)
             entries = self.trace(name)[marks[name] :]
             self.assertIn(State.BRAKING, {entry.state for entry in entries})
             self.assertEqual(entries[-1].position, entries[-2].position)
@@ -124,12 +133,16 @@ class SharedBridgeTest(unittest.TestCase):
         def reached() -> bool:
             return all(name in self.links and self.links[name].gateway_state == state for name in ROBOTS)
 
-        wait(reached, f"both gateways to be {state}", timeout)
+        try:
+            wait(reached, f"both gateways to be {state}", timeout)
+        except AssertionError as error:
+            said = {name: f"{link.gateway_state}, {link.name}: {link.reason}" for name, link in self.links.items()}
+            raise AssertionError(f"{error}; {said}") from None
 
     def moved(self, name: str, angle: float) -> bool:
         """Return whether the first axis has turned by an angle [rad] within the last second."""
-        turned = [entry.position[0] for entry in self.trace(name)[-250:]]
-        return max(turned) - min(turned) > angle
+        turned = list(self.turned[name])
+        return len(turned) == 250 and max(turned) - min(turned) > angle
 
     def trace(self, name: str) -> list:
         """Return what a robot's gateway has sent so far."""
@@ -143,4 +156,4 @@ class SharedBridgeTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rostest.rosrun("construction_twin", "shared_bridge", SharedBridgeTest, sys.argv)
+    rostest.rosrun("construction_twin", "shared_bridge_killed", SharedBridgeTest, sys.argv)
