@@ -225,7 +225,8 @@ class Fleet:
         return {
             "robots": len(self.names),
             "cpu_per_robot": round(sum(used[part] for part in self.pids) / took / len(self.names), 4),
-            "cores": {part: round(seconds / took, 4) for part, seconds in used.items()} | {"idle": round(idle / took, 4)},
+            "cores": {part: round(seconds / took, 4) for part, seconds in used.items()}
+            | {"idle": round(idle / took, 4)},
             "p99_ms": spread_ms(out + back)["p99_ms"],
             "late": sum(reply["late"] for reply in replies),
             "reply_p99_us": max((reply["p99"] or 0 for reply in replies), default=None),

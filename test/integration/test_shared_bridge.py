@@ -78,7 +78,9 @@ class SharedBridgeTest(unittest.TestCase):
         cls.turned = {name: deque(maxlen=250) for name in ROBOTS}
         for name in ROBOTS:
             take = cls.turned[name].append
-            rospy.Subscriber(f"/{name}/mock_rsi/joint_states", JointState, lambda message, take=take: take(message.position[0]))
+            rospy.Subscriber(
+                f"/{name}/mock_rsi/joint_states", JointState, lambda message, take=take: take(message.position[0])
+            )
             rospy.Subscriber(f"/{name}/link", Link, lambda message, name=name: cls.links.update({name: message}))
 
     def test_killed_while_both_arms_move(self):

@@ -35,8 +35,8 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="rsi_gateway",
         description="Bridge between MQTT joint strings and a robot controller (KUKA RSI). Needs no ROS. Not safety rated."
-        f" Several robots in one process: their options one after the other, with {AND} between them; when that process ends, all of"
-        " these arms stop.",
+        f" Several robots in one process: their options one after the other, with {AND} between them; when that process ends, all"
+        " of these arms stop.",
     )
     parser.add_argument(
         "--config", required=True, help="JSON file written by `rosrun construction_twin export_gateway_config`"
@@ -137,7 +137,9 @@ def _opened(arguments: argparse.Namespace, selector: selectors.BaseSelector, alo
         said.info(
             "configuration %s; run %s; listening on %s:%d; broker %s", config.hash[:12], run, *address, arguments.broker
         )
-        said.info("telegrams are read from %s", f"{controller} only" if controller else "any sender that begins a session")
+        said.info(
+            "telegrams are read from %s", f"{controller} only" if controller else "any sender that begins a session"
+        )
         words = config.make.words
         if address[1] != config.layout.port:
             said.warning(
@@ -169,12 +171,16 @@ def _run(robots: Sequence[argparse.Namespace]) -> int:
         # to stderr as well: the thread that has ended may be the one that writes the log
         threading.__excepthook__(failed)
 
+    def stop(_number: int, _frame: object) -> None:
+        for service in services:
+            service.stop()
+
     # before the first line is logged: the log's thread may be the one that fails
     threading.excepthook = on_thread_failure
     for each in opened:
         each.tell()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: [service.stop() for service in services])
+        signal.signal(number, stop)
     priority = max(arguments.realtime for arguments in robots)
     log.info("%s; %s", request_realtime(priority), lock_memory())
     # a full collection over everything imported would take longer than the controller waits

@@ -1,7 +1,7 @@
 """shared_bridge: the bridges of several robots in one process, each with its own account, connection, topics and services.
 
-It costs the PC less than a process per robot. When it ends, by whatever cause, the links of all of them end: each gateway brakes its
-arm and holds, and each robot is back once the process is.
+It takes less memory than a process per robot. When it ends, by whatever cause, the links of all of them end: each gateway brakes
+its arm and holds, and each robot is back once the process is.
 """
 
 from __future__ import annotations

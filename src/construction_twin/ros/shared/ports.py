@@ -27,7 +27,7 @@ from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import Publisher, Sink
 from construction_twin.ros.transport.subscriber import Subscriber
 
-_Topic = TypeVar("_Topic", "Publication", "PosePublication", "Subscription", "PoseSubscription")
+_Topic = TypeVar("_Topic", bound="Publication | PosePublication | Subscription | PoseSubscription")
 Refuse = Callable[[str, str], None]
 #: Takes the node's parameters; returns whether there is such a topic with them.
 When = Callable[[Any], bool]
@@ -291,9 +291,7 @@ class Ports:
         self._node = node
         for each in self._interface.hears:
             if each.when(self._settings):
-                opened = self._placed(each).open(
-                    MethodType(each.handler, node), self._robot, self.diagnostics.refuse
-                )
+                opened = self._placed(each).open(MethodType(each.handler, node), self._robot, self.diagnostics.refuse)
                 if isinstance(opened, Subscriber):
                     self._subscribers[each.topic] = opened
         for served in self._interface.serves:
