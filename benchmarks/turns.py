@@ -4,8 +4,8 @@
     python benchmarks/turns.py planning 90a3d156 HEAD --rounds 5 --output turns.json -- --runs 1
 
 Each commit's files are put into a folder of their own, with the benchmarks of this folder: the library, the settings and the models
-are the commit's, its messages too; what measures is the same. With `--own` each keeps its own benchmarks: the link's do not run with
-another protocol than their own. Packages and the interpreter are those of the shell. The rounds go A, B,
+are the commit's, its messages too; what measures is the same. With `--own` each keeps its own benchmarks: the link's do not run
+with another protocol than their own. Packages and the interpreter are those of the shell. The rounds go A, B,
 B, A, A, B, ...; of every figure the median over the rounds is printed for both, and their quotient. Without a second commit it
 is the working tree's own files, as far as git knows them.
 """
