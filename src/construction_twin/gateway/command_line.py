@@ -6,7 +6,6 @@ import argparse
 import gc
 import logging
 import secrets
-import selectors
 import signal
 import sys
 import threading
@@ -107,10 +106,11 @@ class _Opened:
     tell: Callable[[], None]
 
 
-def _opened(arguments: argparse.Namespace, selector: selectors.BaseSelector, alone: bool) -> _Opened:
+def _opened(arguments: argparse.Namespace, first: GatewayService | None, alone: bool) -> _Opened:
     """Return a robot's gateway.
 
     Args:
+        first: The one whose loop serves it, too; None: it is the first itself.
         alone: Whether it is the only one of this process; the others' lines in the log name their robots.
     """
     config = load_config(arguments.config)
@@ -126,7 +126,7 @@ def _opened(arguments: argparse.Namespace, selector: selectors.BaseSelector, alo
         raise ConfigurationError("--controller", "", Sentence("expected.controller_address", address=address[0]))
     run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
     service = GatewayService(
-        config, bind(*address), broker, topics, run, controller, commissioning, selector=selector, log=said
+        config, bind(*address), broker, topics, run, controller, commissioning, selector=first.selector if first else None, log=said
     )
     # last: it takes room on a disk, which what else may be refused must not leave taken
     trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
@@ -156,9 +156,10 @@ def _opened(arguments: argparse.Namespace, selector: selectors.BaseSelector, alo
 
 
 def _run(robots: Sequence[argparse.Namespace]) -> int:
-    selector = selectors.DefaultSelector()
+    opened: list[_Opened] = []
     try:
-        opened = [_opened(arguments, selector, len(robots) == 1) for arguments in robots]
+        for arguments in robots:
+            opened.append(_opened(arguments, opened[0].service if opened else None, len(robots) == 1))
     except ConstructionTwinError as error:
         log.error("%s", error)
         return 2

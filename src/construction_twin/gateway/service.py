@@ -547,11 +547,10 @@ def serve(services: Sequence[GatewayService]) -> None:
         while serving:
             # what TLS has decrypted already makes no socket readable
             pending = [service for service in serving if service.encrypted and service.mqtt.pending]
-            try:
-                events = selector.select(0.0 if pending else _LONGEST_PAUSE)
-            except Exception as error:
+            events = serving[0].guarded(selector.select, 0.0 if pending else _LONGEST_PAUSE)
+            if events is None:
                 for service in serving:
-                    service.fail(error)
+                    service.fail(OSError("the selector of this process has failed"))
                 # a selector that fails must neither take the whole processor nor silence MQTT
                 time.sleep(0.001)
                 _turn(serving, [service.mqtt for service in serving if service.mqtt.connected])

@@ -63,8 +63,8 @@ def program(config_file, port, topics, *options):
 
 def test_what_exists_when_it_begins_to_answer_is_kept_out_of_later_collections(config_file):
     code = (
-        "import gc, sys; from construction_twin.gateway import command_line, service\n"
-        "service.GatewayService.run = lambda self: print(gc.get_freeze_count())\n"
+        "import gc, sys; from construction_twin.gateway import command_line\n"
+        "command_line.serve = lambda services: print(gc.get_freeze_count())\n"
         "sys.exit(command_line.main(sys.argv[1:]))"
     )
     command = [
