@@ -126,7 +126,15 @@ def _opened(arguments: argparse.Namespace, first: GatewayService | None, alone: 
         raise ConfigurationError("--controller", "", Sentence("expected.controller_address", address=address[0]))
     run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
     service = GatewayService(
-        config, bind(*address), broker, topics, run, controller, commissioning, selector=first.selector if first else None, log=said
+        config,
+        bind(*address),
+        broker,
+        topics,
+        run,
+        controller,
+        commissioning,
+        selector=first.selector if first else None,
+        log=said,
     )
     # last: it takes room on a disk, which what else may be refused must not leave taken
     trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
