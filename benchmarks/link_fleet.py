@@ -37,6 +37,8 @@ from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher
 PREFIX = "fleet"
 #: Between the first command and the measurement [s].
 SETTLE = 2.0
+#: What each robot has a process of; the bridges may share one.
+PARTS = ("bridge", "gateway", "mock")
 
 
 class Observer:
@@ -122,28 +124,41 @@ class Gates:
 
 
 class Fleet:
-    """A number of robots, and the observer on their broker."""
+    """A number of robots, and the observer on their broker.
 
-    def __init__(self, world: World, count: int, realtime: int):
+    Args:
+        shared_bridge: All robots have one bridge process.
+    """
+
+    def __init__(self, world: World, count: int, realtime: int, shared_bridge: bool = False):
         self._world = world
         model = read_robot_files(XACRO, ROBOT_YAML)
         self.names = [f"robot{k}" for k in range(1, count + 1)]
         port = world.start_broker(realtime)
+        self._broker_pid = world.broker_pid
         os.environ |= {"ROS_MASTER_URI": world.start_master(), "ROS_IP": "127.0.0.1", "ROS_LOG_DIR": str(world.folder)}
         self._pipe, far = multiprocessing.Pipe()
         context = multiprocessing.get_context("fork")  # rospy has no thread in here yet
         self._observer = context.Process(target=observe, args=(far, port), daemon=True)
         self._observer.start()
-        self.pids: list[int] = []
+        self.pids: dict[str, list[int]] = {part: [] for part in PARTS}
         shared = bridge_parameters(port, realtime, PREFIX)
         shared["publishers"] = {"command/joint_states": "/link_gates"}
         for name in self.names:
             parameters = shared | {"robot": shared["robot"] | {"name": name}}
             rospy.set_param(f"/{name}", parameters)
             config = gateway_config(dataclasses.replace(model, name=name), parameters["gateway"])
-            bridge = [sys.executable, ROOT / "nodes/mqtt_bridge", "__name:=mqtt_bridge"]
-            self.pids.append(world.start(f"{name}-bridge", bridge, ROS_NAMESPACE=name).pid)
-            self.pids += Cell(world, config, realtime, PREFIX).pids
+            if shared_bridge:
+                rospy.set_param(f"/{name}/bridge", "/shared_bridge")
+            else:
+                bridge = [sys.executable, ROOT / "nodes/mqtt_bridge", "__name:=mqtt_bridge"]
+                self.pids["bridge"].append(world.start(f"{name}-bridge", bridge, ROS_NAMESPACE=name).pid)
+            cell = Cell(world, config, realtime, PREFIX)
+            self.pids["gateway"].append(cell.gateway.pid)
+            self.pids["mock"].append(cell.mock.pid)
+        if shared_bridge:
+            rospy.set_param("/shared_bridge", {"robots": self.names, "realtime_priority": realtime})
+            self.pids["bridge"].append(world.start("shared-bridge", [sys.executable, ROOT / "nodes/shared_bridge"]).pid)
         request_realtime(realtime)
         self.gates = Gates(self.names, model.joint_names, tuple(model.home))
 
@@ -174,15 +189,22 @@ class Fleet:
         self._pipe.send(None)
         self._observer.join(5.0)
 
+    def cpu(self) -> dict[str, float]:
+        """Return the processor time used so far [s], of the robots' processes and of what measures them."""
+        measured = {part: sum(map(cpu_seconds, pids)) for part, pids in self.pids.items()}
+        beside = {"gates": os.getpid(), "observer": self._observer.pid, "broker": self._broker_pid}
+        return measured | {part: cpu_seconds(pid) for part, pid in beside.items()}
+
     def measure(self, seconds: float) -> dict:
         """Measure for a time [s] and return the figures."""
         self.ask("taken")
         self.gates.sent.clear()
         self.gates.received.clear()
-        before, cpu, begin = self.ask("statuses"), sum(map(cpu_seconds, self.pids)), time.monotonic()
+        before, cpu, idle, begin = self.ask("statuses"), self.cpu(), idle_seconds(), time.monotonic()
         self.gates.stream(seconds)
         took = time.monotonic() - begin
-        cpu = sum(map(cpu_seconds, self.pids)) - cpu
+        used = {part: after - cpu[part] for part, after in self.cpu().items()}
+        idle = idle_seconds() - idle
         self.gates.stream(1.2)  # a status later
         after = self.ask("statuses")
         commands, states = self.ask("taken")
@@ -193,7 +215,9 @@ class Fleet:
         replies = [reply_spread(before[name], after[name]) for name in heard]
         return {
             "robots": len(self.names),
-            "cpu_per_robot": round(cpu / took / len(self.names), 4),
+            "cpu_per_robot": round(sum(used[part] for part in self.pids) / took / len(self.names), 4),
+            "cores": {part: round(seconds / took, 4) for part, seconds in used.items()}
+            | {"idle": round(idle / took, 4)},
             "p99_ms": spread_ms(out + back)["p99_ms"],
             "late": sum(reply["late"] for reply in replies),
             "reply_p99_us": max((reply["p99"] or 0 for reply in replies), default=None),
@@ -201,6 +225,11 @@ class Fleet:
         } | (
             {"end_to_end": end_to_end(out, back, states, after[self.names[0]], replies[0])} if len(replies) == 1 else {}
         )
+
+
+def idle_seconds() -> float:
+    """Return how long the processors had nothing to do since the machine began, all of them together [s]."""
+    return int(Path("/proc/stat").read_text().split()[4]) / os.sysconf("SC_CLK_TCK")
 
 
 def command_to_rsi(states: list) -> list[int]:
@@ -231,12 +260,13 @@ def main() -> None:
     parser.add_argument("--robots", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=10.0, help="[%(default)s]")
     parser.add_argument("--timeout", type=float, default=60.0, help="to start and arm all [s] [%(default)s]")
+    parser.add_argument("--shared-bridge", action="store_true", help="one bridge process for all robots")
     parser.add_argument("--realtime", type=int, default=REALTIME, help="SCHED_FIFO priority; 0: none [%(default)s]")
     parser.add_argument("--output", type=Path, required=True, help="JSON")
     options = parser.parse_args()
     end_in_order()
     with tempfile.TemporaryDirectory() as folder, World(Path(folder)) as world:
-        fleet = Fleet(world, options.robots, options.realtime)
+        fleet = Fleet(world, options.robots, options.realtime, options.shared_bridge)
         armed = fleet.start(options.timeout)
         result = fleet.measure(options.seconds) | {"armed_in_time": armed}
         options.output.write_text(json.dumps(result))

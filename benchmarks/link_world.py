@@ -64,7 +64,7 @@ class World(ExitStack):
     def __init__(self, folder: Path):
         super().__init__()
         self.folder = folder
-        self.broker_port = 0
+        self.broker_port = self.broker_pid = 0
         self._processes: list[subprocess.Popen] = []
         self.environment = dict(os.environ, ROS_HOME=str(folder), ROS_LOG_DIR=str(folder / "log"))
 
@@ -86,7 +86,8 @@ class World(ExitStack):
         """Start mosquitto with the project's configuration; return its port."""
         self.broker_port = free_port()
         command = [sys.executable, ROOT / "nodes/broker", "--config", ROOT / "config/mosquitto.conf"]
-        self.start("mosquitto", [*command, "--port", self.broker_port, "--realtime", realtime])
+        started = self.start("mosquitto", [*command, "--port", self.broker_port, "--realtime", realtime])
+        self.broker_pid = started.pid
         wait_for(lambda: listens(self.broker_port), 10.0, "mosquitto listening")
         return self.broker_port
 

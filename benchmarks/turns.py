@@ -4,7 +4,8 @@
     python benchmarks/turns.py planning 90a3d156 HEAD --rounds 5 --output turns.json -- --runs 1
 
 Each commit's files are put into a folder of their own, with the benchmarks of this folder: the library, the settings and the models
-are the commit's, what measures is the same. Messages, packages and the interpreter are those of the shell. The rounds go A, B,
+are the commit's, its messages too; what measures is the same. With `--own` each keeps its own benchmarks: the link's do not run
+with another protocol than their own. Packages and the interpreter are those of the shell. The rounds go A, B,
 B, A, A, B, ...; of every figure the median over the rounds is printed for both, and their quotient. Without a second commit it
 is the working tree's own files, as far as git knows them.
 """
@@ -23,10 +24,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = "construction_twin"
+#: ROS's generator of Python messages, and the packages whose messages it finds.
+GENERATOR, SHARE = Path("/usr/lib/genpy"), Path("/usr/share")
 
 
-def put(commit: str, folder: Path) -> None:
-    """Write a commit's files into a folder, with the benchmarks of this one; an empty commit is the working tree."""
+def put(commit: str, folder: Path, own: bool = False) -> None:
+    """Write a commit's files into a folder, with the benchmarks of this one, or its own; an empty commit is the working tree."""
     if commit:
         archive = subprocess.run(["git", "-C", ROOT, "archive", commit], check=True, capture_output=True).stdout
         subprocess.run(["tar", "-x", "-C", folder], input=archive, check=True)
@@ -38,8 +42,23 @@ def put(commit: str, folder: Path) -> None:
             if (ROOT / name).is_file():
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(ROOT / name, folder / name)
-    shutil.rmtree(folder / "benchmarks", ignore_errors=True)
-    shutil.copytree(ROOT / "benchmarks", folder / "benchmarks", ignore=shutil.ignore_patterns("__pycache__"))
+    if not own:
+        shutil.rmtree(folder / "benchmarks", ignore_errors=True)
+        shutil.copytree(ROOT / "benchmarks", folder / "benchmarks", ignore=shutil.ignore_patterns("__pycache__"))
+    make_messages(folder)
+
+
+def make_messages(folder: Path) -> None:
+    """Make the Python modules of a commit's messages and services, where ROS's generator is installed."""
+    if not GENERATOR.is_dir():
+        return
+    packages = sorted(path for path in (folder, *SHARE.iterdir()) if (path / "msg").is_dir())
+    found = [f"-I{PACKAGE if path == folder else path.name}:{path / 'msg'}" for path in packages]
+    for kind in ("msg", "srv"):
+        made = folder / "src" / PACKAGE / kind
+        files = sorted(map(str, (folder / kind).glob(f"*.{kind}")))
+        for options in (["-p", PACKAGE, "-o", str(made), *found, *files], ["--initpy", "-p", PACKAGE, "-o", str(made)]):
+            subprocess.run([sys.executable, GENERATOR / f"gen{kind}_py.py", *options], check=True)
 
 
 def run(benchmark: str, folder: Path, options: list[str]) -> dict[str, float]:
@@ -77,6 +96,7 @@ def main() -> None:
     parser.add_argument("first", help="a commit")
     parser.add_argument("second", nargs="?", default="", help="another commit [default: the working tree]")
     parser.add_argument("--rounds", type=int, default=3, help="runs of each [%(default)s]")
+    parser.add_argument("--own", action="store_true", help="each commit's own benchmarks, not those of this folder")
     parser.add_argument("--output", type=Path, metavar="FILE", help="[results/bench/turns_<benchmark>.json]")
     arguments, split = sys.argv[1:], len(sys.argv) - 1
     if "--" in arguments:
@@ -89,7 +109,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as first, tempfile.TemporaryDirectory() as second:
         folders = Path(first), Path(second)
         for commit, folder in zip(commits, folders):
-            put(commit, folder)
+            put(commit, folder, options.own)
         for number in range(options.rounds):
             for which in (0, 1) if number % 2 == 0 else (1, 0):
                 seen[which].append(run(options.benchmark, folders[which], arguments[split + 1 :]))

@@ -65,6 +65,7 @@ for _module in sorted((ROOT / "src/construction_twin/ros/nodes").glob("*.py")):
 #: What neither a configuration file nor a launch argument explains; `*` stands for every node.
 _EXPLAINED = {
     ("*", "realtime_priority"): "SCHED_FIFO priority of all threads where permitted; 0: none",
+    ("shared_bridge", "robots"): "namespaces of the robots, each with the parameters that its own bridge would have",
     ("gazebo", "realtime"): "SCHED_FIFO priority of Gazebo's simulating thread where permitted; 0: none",
     ("gazebo", "drives"): "YAML of the arm's drives: absolute path; empty: what the URDF says",
     ("virtual_robot", "drives"): "YAML of the arm's drives: absolute path; empty: what the URDF says",
@@ -216,8 +217,11 @@ def launch_values(node: str) -> dict[str, str]:
     """Return the private parameters that the launch files give a node: name to the argument, or to "" where it is no argument's."""
     values: dict[str, str] = {}
     for path in sorted((ROOT / "launch").glob("*.launch")):
-        for element in ElementTree.parse(path).getroot().iter("node"):
-            if element.get("name") != node or element.get("pkg") != "construction_twin":
+        for element in ElementTree.parse(path).getroot().iter():
+            is_node = element.get("name") == node and element.get("pkg") == "construction_twin"
+            # of a node that another process may take the place of
+            is_group = element.tag == "group" and element.get("ns") == node
+            if not is_node and not is_group:
                 continue
             for param in element.findall("param"):
                 text = param.get("value") or param.get("textfile") or ""

@@ -54,7 +54,7 @@ class Unplugged:
         patch(Subscriber, "bench", self, raising=False)
         self.node = shell.open(settings, robot)
 
-    def _diagnostics(self, _name: str, report: Callable):
+    def _diagnostics(self, _name: str, report: Callable, _kind: str = "state"):
         Unplugged.report = staticmethod(report)
         return SimpleNamespace(
             refuse=lambda *said: self.refused.append(said), count=lambda *said: self.counted.append(said)

@@ -38,9 +38,10 @@ class NodeDiagnostics:
     Args:
         hardware_id: Name of the robot.
         report: Returns the node's Report.
+        name: Of what is reported, behind the node's.
     """
 
-    def __init__(self, hardware_id: str, report: Callable[[], Report]):
+    def __init__(self, hardware_id: str, report: Callable[[], Report], name: str = "state"):
         self._lock = threading.Lock()
         self._refused: Counter[str] = Counter()
         #: The last sentence of each reason.
@@ -54,7 +55,7 @@ class NodeDiagnostics:
         # quiet at shutdown, as every publisher of ours
         self._updater.publisher = Publisher("/diagnostics", DiagnosticArray, queue_size=1)
         self._updater.setHardwareID(hardware_id)
-        self._updater.add("state", self._fill)
+        self._updater.add(name, self._fill)
         # `update` would ask the master for a period, and raise when the master is gone: a motion goes on without one
         self._timer = rospy.Timer(rospy.Duration(1.0), lambda _: self._updater.force_update())
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Generic
+from typing import Any, Generic
 
 import pydantic
 
@@ -74,13 +74,20 @@ class NodeShell(Generic[Settings]):
         run_node(self.name, self._start)
 
     def _start(self) -> object:
-        settings, robot = read_parameters(self.settings), robot_from_parameters()
-        self.check(settings, robot)
-        return self.open(settings, robot)
+        return self.start_in("", "~")
 
-    def open(self, settings: Settings, robot: RobotModel) -> object:
+    def start_in(self, namespace: str, private: str) -> Any:
+        """Return the node of the robot in a namespace, ``/kr120/``, with the parameters that stand at `private`.
+
+        In a process of several robots; "" and ``~`` are the process's own.
+        """
+        settings, robot = read_parameters(self.settings, private), robot_from_parameters(namespace)
+        self.check(settings, robot)
+        return self.open(settings, robot, namespace, private)
+
+    def open(self, settings: Settings, robot: RobotModel, namespace: str = "", private: str = "~") -> object:
         """Return the node, with all that it has to do with ROS."""
-        ports = Ports(self.interface, settings, robot)
+        ports = Ports(self.interface, settings, robot, namespace, private)
         node = self.start(settings, robot, ports)
         ports.connect(node)
         return node

@@ -15,6 +15,8 @@ import rospy
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
 
+#: Name of a robot's own bridge.
+OWN_BRIDGE = "mqtt_bridge"
 #: The node that publishes a stream, by its name in the robot's namespace. The parameter `publishers` there names others. A topic
 #: that is neither here nor in `FOR_ANYBODY` is heard from everybody.
 PUBLISHERS = {
@@ -23,12 +25,12 @@ PUBLISHERS = {
     "twin/joint_states": "virtual_robot",
     "twin/commanded": "virtual_robot",
     "gazebo/joint_states": "gazebo_arm",
-    "physical/torque": "mqtt_bridge",
-    "physical/current": "mqtt_bridge",
-    "physical/joint_states": "mqtt_bridge",
-    "physical/feedback": "mqtt_bridge",
-    "link": "mqtt_bridge",
-    "session_request": "mqtt_bridge",
+    "physical/torque": OWN_BRIDGE,
+    "physical/current": OWN_BRIDGE,
+    "physical/joint_states": OWN_BRIDGE,
+    "physical/feedback": OWN_BRIDGE,
+    "link": OWN_BRIDGE,
+    "session_request": OWN_BRIDGE,
     "sync": "pca_monitor",
     "hold": "pca_monitor",
     "plan": "planner",
@@ -39,7 +41,7 @@ PUBLISHERS = {
     "approval_obstacle": "executor",
     "engagement": "executor",
     "tool_command": "executor",
-    "tool": "mqtt_bridge",
+    "tool": OWN_BRIDGE,
     "review": "executor",
     "work/tasks": "work",
     "conflict": "neighbour",
@@ -51,6 +53,8 @@ PUBLISHERS = {
 }
 #: Requests that other programs may make: heard from everybody, unless `publishers` names one node.
 FOR_ANYBODY = ("joint_trajectory", "speed_limit")
+#: In a robot's namespace: the node that is its bridge, where it shares one with others; by default it has its own.
+BRIDGE = "bridge"
 #: Reason under which a message from another node than a stream's publisher is refused.
 PUBLISHER = "publisher"
 
@@ -77,6 +81,8 @@ def publisher_of(topic: str) -> str | None:
     name = named.get(stream, PUBLISHERS.get(stream))
     if name is None:
         return None
+    if name == OWN_BRIDGE:
+        name = rospy.get_param(f"{namespace}{BRIDGE}", OWN_BRIDGE)
     return rospy.resolve_name(name if name.startswith("/") else namespace + name)
 
 
