@@ -38,6 +38,10 @@ EXEMPT: dict[str, dict[str, str]] = {
         ),
         "injection: an exception that nobody foresaw is put into each part of a running gateway, and a part has no other handle",
     ),
+    "test/unit/gateway/test_slew_room.py": dict.fromkeys(
+        ("_playout", "_choose_delay", "_slew", "_slew_limit"),
+        "injection: playout time is moved by amounts and at paces that no network would bring about in a test",
+    ),
     "test/unit/gateway/test_gateway_program.py": {
         "_try_connect": "injection into the gateway's thread that connects to the broker",
     },
