@@ -16,6 +16,7 @@ import numpy as np
 import rospy
 import rostest
 from construction_twin.msg import Feedback, Link
+from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
@@ -74,6 +75,11 @@ class SharedBridgeTest(unittest.TestCase):
         rospy.init_node("shared_bridge_test")
         cls.swings = rospy.Publisher("/swings", Bool, queue_size=1, latch=True)
         cls.links = {}
+        #: Names of what was reported on /diagnostics.
+        cls.reports = set()
+        rospy.Subscriber(
+            "/diagnostics", DiagnosticArray, lambda told: cls.reports.update(one.name for one in told.status)
+        )
         #: Where the first axis of each arm was in the last second [rad].
         cls.turned = {name: deque(maxlen=250) for name in ROBOTS}
         for name in ROBOTS:
@@ -85,6 +91,8 @@ class SharedBridgeTest(unittest.TestCase):
 
     def test_killed_while_both_arms_move(self):
         self.wait_for_all("following", 25.0)
+        told = {f"{name}/mqtt_bridge: state" for name in ROBOTS}
+        wait(lambda: told <= self.reports, "each robot's bridge on /diagnostics, as if it had a process")
         self.assertEqual(len({self.links[name].session for name in ROBOTS}), 2)
         self.order("swing")
         wait(lambda: all(self.moved(name, 0.1) for name in ROBOTS), "both arms to move")

@@ -12,8 +12,8 @@ without (`planner.Planner`).
 from __future__ import annotations
 
 import dataclasses
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,17 +26,34 @@ from construction_twin.planning.path_shortening import shortened
 KEPT = 64
 #: Ways that are tried for a request, the shortest first: each costs about a hundredth of a search.
 TRIED = 16
-#: A way that is so many times longer than the straight line is not tried: a search finds shorter ones.
-DETOUR = 1.5
+#: A way is tried that is at most so many times as long as the straight line, or as the path that it comes of: instead of a longer
+#: one a search finds a shorter one.
+DETOUR, AS_LONG = 1.5, 1.1
 #: Most ways do not fit: they are checked with steps so many times as long, and the one that fits as asked.
 COARSER = 4.0
 
 
+@dataclass(frozen=True, eq=False)
+class Remembered:
+    """A path that came of an earlier one.
+
+    Attributes:
+        path: As `path_search.PathSearch.find` returns it.
+        kept: The points of the earlier one that it was made of, as its memory has them.
+        completed: A search found a part of it.
+    """
+
+    path: np.ndarray
+    kept: np.ndarray
+    completed: bool
+
+
 class PathMemory:
-    """The inner points of the last paths of one robot."""
+    """The inner points of the last paths of one robot, in both directions. Not for use from several threads at once."""
 
     def __init__(self) -> None:
-        self._inner: deque[np.ndarray] = deque(maxlen=2 * KEPT)
+        # with the length of the path; the oldest first, one that is found again is the newest
+        self._inner: dict[bytes, tuple[np.ndarray, float]] = {}
 
     def keep(self, path: np.ndarray) -> None:
         """Keep a path; a straight line has nothing to keep.
@@ -44,12 +61,29 @@ class PathMemory:
         Args:
             path: Shape (m, n). m >= 2
         """
-        if len(path) > 2:
-            self._inner.append(path[1:-1])
-            self._inner.append(path[-2:0:-1])
+        self._refresh(path[1:-1], _length(path))
 
-    def find(self, query: PathQuery, search: PathSearch, budget: float) -> np.ndarray | None:
-        """Return a path through points of an earlier one, as `path_search.PathSearch.find` would; None if none fits.
+    def served(self, found: Remembered) -> None:
+        """Note that what was found became a plan."""
+        if found.completed:
+            self.keep(found.path)
+        else:
+            self._refresh(found.kept, self._inner[found.kept.tobytes()][1])
+
+    def forget(self, found: Remembered) -> None:
+        """Forget a path of which no plan came, so that the next request does not try it first."""
+        for inner in (found.kept, found.kept[::-1]):
+            self._inner.pop(inner.tobytes(), None)
+
+    def _refresh(self, inner: np.ndarray, length: float) -> None:
+        for points in (inner, inner[::-1]) if len(inner) else ():
+            self._inner.pop(points.tobytes(), None)
+            self._inner[points.tobytes()] = points, length
+        while len(self._inner) > 2 * KEPT:
+            del self._inner[next(iter(self._inner))]
+
+    def find(self, query: PathQuery, search: PathSearch, budget: float) -> Remembered | None:
+        """Return a path through points of an earlier one; None if none fits.
 
         Where the straight edge to one of the ends is blocked, a way to there is sought: easier than one to the other end.
 
@@ -59,13 +93,13 @@ class PathMemory:
         """
         coarse = query.validator.coarser(COARSER)
         part: tuple[np.ndarray, bool] | None = None
-        for way in self._ways(query.start, query.goals):
+        for way in self._ways(query):
             # kept points are checked first, the ends are free
             begins, ends = coarse.free(way[0], way[1]), coarse.free(way[-1], way[-2])
             if begins and ends and self._inner_free(way, coarse):
                 path = _shortened(way, query)
                 if path is not None:
-                    return path
+                    return Remembered(path, way[1:-1], False)
             elif begins != ends and part is None and self._inner_free(way, coarse):
                 part = way, begins
         if part is None:
@@ -76,32 +110,30 @@ class PathMemory:
             found = search.find(dataclasses.replace(query, start=between[0], goals=[between[1]]), budget)
         except NoPathError:
             return None
-        return _shortened(np.vstack((way[:-2], found) if begins else (found, way[2:])), query)
+        path = _shortened(np.vstack((way[:-2], found) if begins else (found, way[2:])), query)
+        return None if path is None else Remembered(path, way[1:-1], True)
 
     def _inner_free(self, way: np.ndarray, coarse: MotionValidator) -> bool:
         """Return whether the points between the ends are free, and the edges between them: they were, once."""
         return coarse.world.is_free(way[1]) and all(coarse.free(*edge) for edge in zip(way[1:-2], way[2:-1]))
 
-    def _ways(self, start: np.ndarray, goals: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
-        """Yield paths from a start to one of the goals through kept points, the shortest first, at most `TRIED`.
-
-        Args:
-            start: Shape (n,).
-            goals: Each of shape (n,).
-        """
-        if not self._inner:
+    def _ways(self, query: PathQuery) -> Iterator[np.ndarray]:
+        """Yield paths from the start to one of the goals through kept points, the shortest first, at most `TRIED`."""
+        lower, upper = query.lower, query.upper
+        inside = [kept for kept in self._inner.values() if np.all(kept[0] >= lower) and np.all(kept[0] <= upper)]
+        if not inside:
             return
-        begins, ends = np.array([inner[0] for inner in self._inner]), np.array([inner[-1] for inner in self._inner])
-        between = np.array([float(np.linalg.norm(np.diff(inner, axis=0), axis=1).sum()) for inner in self._inner])
-        to_begin = np.linalg.norm(begins - start, axis=1) + between
-        targets = np.array(goals)
+        begins, ends = np.array([inner[0] for inner, _ in inside]), np.array([inner[-1] for inner, _ in inside])
+        to_begin = np.linalg.norm(begins - query.start, axis=1) + np.array([_length(inner) for inner, _ in inside])
+        targets = np.array(query.goals)
         lengths = to_begin + np.linalg.norm(targets[:, None] - ends, axis=2)
-        lengths[lengths > DETOUR * np.linalg.norm(targets - start, axis=1)[:, None]] = np.inf
+        straight = np.linalg.norm(targets - query.start, axis=1)[:, None]
+        lengths[lengths > np.maximum(DETOUR * straight, [AS_LONG * length for _, length in inside])] = np.inf
         for index in np.argsort(lengths, axis=None, kind="stable")[:TRIED].tolist():
-            goal, kept = divmod(index, len(self._inner))
+            goal, kept = divmod(index, len(inside))
             if lengths[goal, kept] == np.inf:
                 return
-            yield np.vstack((start, self._inner[kept], goals[goal]))
+            yield np.vstack((query.start, inside[kept][0], query.goals[goal]))
 
 
 def _shortened(way: np.ndarray, query: PathQuery) -> np.ndarray | None:
@@ -109,3 +141,7 @@ def _shortened(way: np.ndarray, query: PathQuery) -> np.ndarray | None:
     check = ShortcutCheck(query.validator)
     path = shortened(way, check.first_free)
     return path if all(check.free(*edge) for edge in zip(path, path[1:])) else None
+
+
+def _length(path: np.ndarray) -> float:
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())

@@ -15,7 +15,7 @@ import pydantic
 import yaml
 
 from construction_twin.core.clock import Clock
-from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
+from construction_twin.core.motion_errors import CollisionError, JointRangeError, NoPathError, PlanningError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
 from construction_twin.kinematics.chain import Pose
@@ -280,18 +280,19 @@ class Planner:
         goals = goals[: settings.goals]
         seed = settings.seed or int(self._rng.integers(1, 2**31))
         lower, upper = self._bounds(start, goals)
+        query = PathQuery(start, goals, validator, lower, upper, seed)
+        left = settings.planning_budget - (self._clock() - began)
+        timed = self._remembered(query, MEMORY_SHARE * left, request, world)
+        if timed is not None:
+            return _Found(self._search.name, timed)
         attempt = 0
         while (left := settings.planning_budget - (self._clock() - began)) > 0.0:
             query = PathQuery(start, goals, validator, lower, upper, seed + attempt)
-            path = None
-            if self._memory is not None and not attempt:
-                path = self._memory.find(query, self._search, MEMORY_SHARE * left)
-            if path is None:
-                try:
-                    path = self._search.find(query, left)
-                except NoPathError as error:
-                    raise NoPathError(self._search.name, self._clock() - began) from error
-                _demand_ends(path, start, goals, self._search.name)
+            try:
+                path = self._search.find(query, left)
+            except NoPathError as error:
+                raise NoPathError(self._search.name, self._clock() - began) from error
+            _demand_ends(path, query, self._search.name)
             timed = self._timed(path, request, world)
             if timed is not None:
                 if self._memory is not None:
@@ -301,6 +302,25 @@ class Planner:
             attempt += 1
             validator = self._validator(world, attempt)
         raise NoPathError(self._search.name, self._clock() - began)
+
+    def _remembered(
+        self, query: PathQuery, budget: float, request: PlanRequest, world: CollisionWorld
+    ) -> _Timed | None:
+        """Return a motion on a way that was found before; None if there is none that becomes one."""
+        found = self._memory.find(query, self._search, budget) if self._memory is not None else None
+        if self._memory is None or found is None:
+            return None
+        _demand_ends(found.path, query, self._search.name)
+        try:
+            timed = self._timed(found.path, request, world)
+        except (PlanningError, JointRangeError):
+            # it may be too long for the duration that was asked for: a search may find a shorter one, or say what is wrong
+            timed = None
+        if timed is None:
+            self._memory.forget(found)
+        else:
+            self._memory.served(found)
+        return timed
 
     def _validator(self, world: CollisionWorld, attempt: int) -> MotionValidator:
         """Return a check of motions with a step that is half as long at each further attempt."""
@@ -352,9 +372,10 @@ class Planner:
         return None
 
 
-def _demand_ends(path: np.ndarray, start: np.ndarray, goals: list[np.ndarray], search: str) -> None:
+def _demand_ends(path: np.ndarray, query: PathQuery, search: str) -> None:
     """Refuse a path that does not lead from the start to one of the goals: the re-check looks at what lies between."""
-    if len(path) < 2 or not np.array_equal(path[0], start) or not any(np.array_equal(path[-1], goal) for goal in goals):
+    leads = len(path) >= 2 and np.array_equal(path[0], query.start)
+    if not leads or not any(np.array_equal(path[-1], goal) for goal in query.goals):
         raise PlanningError(Sentence("motion.wrong_ends", search=search, count=len(path)))
 
 

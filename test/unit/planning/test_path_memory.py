@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from planning_cell import LEFT, REQUEST, RIGHT, WALL, planner, world
 
-from construction_twin.core.motion_errors import NoPathError
+from construction_twin.core.motion_errors import DurationError, NoPathError
 from construction_twin.planning.motion_validator import MotionValidator
 from construction_twin.planning.path_memory import DETOUR, KEPT, TRIED, PathMemory
 from construction_twin.planning.path_search import PathQuery
+from construction_twin.planning.path_searches import path_search
 
 LEVERS = np.ones(2)
 
@@ -45,7 +49,8 @@ class Search:
 
 
 def find(memory: PathMemory, wanted: PathQuery, search: Search | None = None) -> np.ndarray | None:
-    return memory.find(wanted, search or Search(), 0.5)
+    found = memory.find(wanted, search or Search(), 0.5)
+    return None if found is None else found.path
 
 
 def query(start, goals, world: Disc) -> PathQuery:
@@ -94,10 +99,15 @@ def test_long_ways_and_straight_ones_are_not_tried():
     world = Disc()
     assert find(PathMemory(), query((-2, 0), [(2, 0)], world)) is None
     assert find(kept([(-2.0, 2.0), (2.0, 2.0)]), query((-2, 0), [(2, 0)], world)) is None
+    # a short path high above: to farther ends it is a detour, whatever the way it came of was
     high = 2.0 * np.sqrt(DETOUR**2 - 1.0)
-    assert find(kept([(-2.0, 0.0), (0.0, high + 0.01), (2.0, 0.0)]), query((-2, 0), [(2, 0)], world)) is None
+    above = [[(-0.1, high + more), (0.0, high + more), (0.1, high + more)] for more in (0.01, -0.01)]
+    assert find(kept(above[0]), query((-2, 0), [(2, 0)], world)) is None
     assert world.asked == 0
-    assert find(kept([(-2.0, 0.0), (0.0, high - 0.01), (2.0, 0.0)]), query((-2, 0), [(2, 0)], world)) is not None
+    assert find(kept(above[1]), query((-2, 0), [(2, 0)], world)) is not None
+    # for ends like its own a path is no detour, however long it is
+    long_way = [(-2.0, 0.0), (0.0, 2.0 * high), (2.0, 0.0)]
+    assert find(kept(long_way), query((-2, 0.1), [(2, 0.1)], world)) is not None
 
 
 def test_a_request_tries_few_of_many_and_forgets_the_oldest():
@@ -108,6 +118,42 @@ def test_a_request_tries_few_of_many_and_forgets_the_oldest():
     assert 0 < world.asked <= 3 * TRIED
     assert find(kept(OVER, *blocked[: KEPT - 1]), query((-2, 0.1), [(2, 0)], Disc(0.0005))) is not None
     assert find(kept(OVER, *blocked), query((-2, 0.1), [(2, 0)], Disc())) is None
+
+
+def test_a_path_that_serves_again_and_again_pushes_no_other_out():
+    under = [(x, -y) for x, y in OVER]
+    memory, wanted = kept(under, OVER), query((-2.0, 0.1), [(2.0, 0.0)], Disc())
+    for _ in range(2 * KEPT):
+        found = memory.find(wanted, Search(), 0.5)
+        memory.served(found)
+    assert find(memory, query((-2.0, -0.1), [(2.0, 0.0)], Disc()))[1][1] < 0.0
+
+
+def test_what_became_no_plan_is_not_tried_again():
+    far = [(-2.0, 0.1), (-1.0, 1.6), (1.0, 1.6), (2.0, 0.0)]
+    memory, wanted = kept(far, OVER), query((-2.0, 0.1), [(2.0, 0.0)], Disc())
+    memory.forget(memory.find(wanted, Search(), 0.5))
+    found = memory.find(wanted, Search(), 0.5)
+    np.testing.assert_array_equal(found.kept, far[1:-1])
+    memory.forget(found)
+    assert memory.find(wanted, Search(), 0.5) is None
+    # the other direction is forgotten, too
+    assert memory.find(query((2.0, 0.0), [(-2.0, 0.1)], Disc()), Search(), 0.5) is None
+
+
+def test_a_path_that_a_search_completed_is_kept():
+    memory, wanted = kept(OVER), query((-2.0, 0.1), [(2.2, -0.5)], Hidden())
+    found = memory.find(wanted, Search((1.8, 1.0)), 0.5)
+    assert found.completed
+    memory.served(found)
+    again = memory.find(wanted, Search(), 0.5)
+    assert again is not None and not again.completed
+
+
+def test_kept_points_out_of_the_bounds_of_a_request_are_left_out():
+    world = Disc()
+    narrow = replace(query((-2.0, 0.1), [(2.0, 0.0)], world), upper=np.array([5.0, 1.2]))
+    assert find(kept(OVER), narrow) is None and world.asked == 0
 
 
 class Hidden(Disc):
@@ -148,3 +194,43 @@ def test_whatever_is_kept_what_comes_out_is_a_free_path(seed):
         assert path[0].tobytes() == wanted.start.tobytes()
         assert path[-1].tobytes() in [goal.tobytes() for goal in wanted.goals]
         assert all(wanted.validator.free(a, b) for a, b in zip(path, path[1:]))
+
+
+class Counted:
+    """OMPL's search; it counts."""
+
+    name = "RRTConnect"
+
+    def __init__(self):
+        self.asked = 0
+
+    def find(self, query: PathQuery, budget: float) -> np.ndarray:
+        self.asked += 1
+        return path_search("RRTConnect").find(query, budget)
+
+
+def test_a_planner_takes_a_way_that_it_found_before_unless_its_seed_is_fixed():
+    search, cell = Counted(), world(WALL)
+    remembers = planner(search=search, seed=0)
+    found = remembers.plan_to_joints(RIGHT, LEFT, REQUEST, cell)
+    assert search.asked == 1
+    beside = RIGHT + np.radians([2.0, 1.0, 0.0, 5.0, 0.0, -5.0])
+    again = remembers.plan_to_joints(LEFT, beside, REQUEST, cell)
+    assert search.asked == 1 and again.planner == "RRTConnect"
+    assert again.trajectory.positions[0].tobytes() == LEFT.tobytes()
+    assert again.trajectory.positions[-1].tobytes() == beside.tobytes()
+    assert cell.all_free(again.trajectory.positions) is None
+    # another wall stands in that way: nothing is taken for granted
+    higher = world(replace(WALL, size=(1.6, 0.1, 2.4), position=(1.6, 0.0, 1.2)))
+    other = remembers.plan_to_joints(RIGHT, LEFT, REQUEST, higher)
+    assert search.asked == 2 and higher.all_free(other.trajectory.positions) is None
+    # what is too long for the duration that is asked for is no answer: a search is asked
+    with pytest.raises(DurationError):
+        hurried = replace(REQUEST, duration=0.5 * found.trajectory.duration)
+        remembers.plan_to_joints(RIGHT, LEFT, hurried, cell)
+    assert search.asked >= 3
+
+    fixed, counted = Counted(), planner(search=Counted(), seed=1)
+    plans = [planner(search=fixed, seed=1).plan_to_joints(RIGHT, LEFT, REQUEST, cell).hash]
+    plans += [counted.plan_to_joints(RIGHT, LEFT, REQUEST, cell).hash for _ in range(2)]
+    assert fixed.asked == 1 and len(set(plans)) == 1

@@ -43,7 +43,10 @@ class SharedBridge:
 def start() -> SharedBridge:
     """Return the bridges with their parameters, topics and services, connecting to their brokers."""
     names = [rospy.resolve_name(f"/{name.strip('/')}") for name in read_parameters(Settings).robots]
-    return SharedBridge([mqtt_bridge.NODE.start_in(f"{name}/", f"{name}/{OWN_BRIDGE}/") for name in names])
+    places = [(f"{name}/", f"{name}/{OWN_BRIDGE}/") for name in names]
+    # all are read before the first one connects: what is wrong with one must not make the others come and go
+    read = [mqtt_bridge.NODE.read_in(*place) for place in places]
+    return SharedBridge([mqtt_bridge.NODE.open(*values, *place) for values, place in zip(read, places)])
 
 
 def main() -> None:

@@ -255,8 +255,7 @@ class Ports:
         }
         self._diagnostics = None
         if interface.report is not None:
-            state = f"{robot.name} state" if namespace else "state"
-            self._diagnostics = NodeDiagnostics(robot.name, self._report, state)
+            self._diagnostics = NodeDiagnostics(robot.name, self._report, private.rstrip("/") if namespace else "")
         opened = ((each.topic, self._placed(each).open(robot)) for each in interface.publishes if each.when(settings))
         self.publishers: dict[str, Sink] = {topic: publisher for topic, publisher in opened if publisher is not None}
         self.poses = {

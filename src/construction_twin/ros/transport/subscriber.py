@@ -66,7 +66,7 @@ def publisher_of(topic: str) -> str | None:
         topic: A stream in the node's own namespace (``sync``), or in another robot's (``/kr120_b/sync``).
 
     Raises:
-        ConfigurationError: When the parameter `publishers` is no mapping from these streams to names.
+        ConfigurationError: When the parameter `publishers` is no mapping from these streams to names, or `bridge` no name.
     """
     streams = (*PUBLISHERS, *FOR_ANYBODY)
     stream = next((name for name in streams if topic == name or topic.endswith(f"/{name}")), None)
@@ -83,6 +83,9 @@ def publisher_of(topic: str) -> str | None:
         return None
     if name == OWN_BRIDGE:
         name = rospy.get_param(f"{namespace}{BRIDGE}", OWN_BRIDGE)
+        if not isinstance(name, str) or not name:
+            where = rospy.resolve_name(f"{namespace}{BRIDGE}")
+            raise ConfigurationError(where, name, Sentence("expected.node_name"))
     return rospy.resolve_name(name if name.startswith("/") else namespace + name)
 
 
