@@ -29,6 +29,8 @@ TRIED = 16
 #: A way is tried that is at most so many times as long as the straight line, or as the path that it comes of: instead of a longer
 #: one a search finds a shorter one.
 DETOUR, AS_LONG = 1.5, 1.1
+#: Points that differ by no more than this in any joint are much the same [rad] or [m].
+SAME = 0.1
 #: Most ways do not fit: they are checked with steps so many times as long, and the one that fits as asked.
 COARSER = 4.0
 
@@ -40,12 +42,10 @@ class Remembered:
     Attributes:
         path: As `path_search.PathSearch.find` returns it.
         kept: The points of the earlier one that it was made of, as its memory has them.
-        completed: A search found a part of it.
     """
 
     path: np.ndarray
     kept: np.ndarray
-    completed: bool
 
 
 class PathMemory:
@@ -64,11 +64,11 @@ class PathMemory:
         self._refresh(path[1:-1], _length(path))
 
     def served(self, found: Remembered) -> None:
-        """Note that what was found became a plan."""
-        if found.completed:
+        """Note that what was found became a plan: it is kept, too, unless it is much the same as what it came of."""
+        inner, kept = found.path[1:-1], found.kept
+        self._refresh(kept, self._inner[kept.tobytes()][1])
+        if inner.shape != kept.shape or np.abs(inner - kept).max() > SAME:
             self.keep(found.path)
-        else:
-            self._refresh(found.kept, self._inner[found.kept.tobytes()][1])
 
     def forget(self, found: Remembered) -> None:
         """Forget a path of which no plan came, so that the next request does not try it first."""
@@ -99,7 +99,7 @@ class PathMemory:
             if begins and ends and self._inner_free(way, coarse):
                 path = _shortened(way, query)
                 if path is not None:
-                    return Remembered(path, way[1:-1], False)
+                    return Remembered(path, way[1:-1])
             elif begins != ends and part is None and self._inner_free(way, coarse):
                 part = way, begins
         if part is None:
@@ -111,7 +111,7 @@ class PathMemory:
         except NoPathError:
             return None
         path = _shortened(np.vstack((way[:-2], found) if begins else (found, way[2:])), query)
-        return None if path is None else Remembered(path, way[1:-1], True)
+        return None if path is None else Remembered(path, way[1:-1])
 
     def _inner_free(self, way: np.ndarray, coarse: MotionValidator) -> bool:
         """Return whether the points between the ends are free, and the edges between them: they were, once."""
