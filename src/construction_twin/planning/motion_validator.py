@@ -7,6 +7,7 @@ the final motion, between its samples too.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from functools import lru_cache
 
@@ -59,7 +60,7 @@ class MotionValidator:
         Args:
             displacement: Shape (n,). The motion's end minus its start.
         """
-        return max(1, int(np.ceil(np.abs(displacement) @ self._states_per_unit)))
+        return max(1, math.ceil(np.abs(displacement) @ self._states_per_unit))
 
 
 @lru_cache(maxsize=1024)

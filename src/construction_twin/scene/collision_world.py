@@ -309,8 +309,7 @@ class CollisionWorld:
         # poses far from each other come near most objects: all are checked
         if len(self._near) > MANY_BODIES and len(qs) > 1 and float(np.abs(np.diff(qs, axis=0)).max()) <= _CLOSE:
             world = self._beside(qs, 0.0)
-        is_free = world._checks.is_free
-        return next((row for row, q in enumerate(qs) if not is_free(q)), None)
+        return world._checks.first_blocked(qs)
 
     def clearance(self, q: JointValues, changing: bool = False) -> Clearance:
         """Return the smallest distance of a checked pair; the padding is not subtracted.
@@ -403,6 +402,7 @@ class _Checks:
         # for the usual order a slice suffices; an index list would cost as much as the check of a few pairs
         self._order = slice(None) if np.array_equal(robot.order, np.arange(robot.size)) else robot.order
         self._follow = robot.follow if robot.followers else None
+        self._as_given = isinstance(self._order, slice) and self._follow is None
         # one call per question: boxes around the bodies first, shapes only where the boxes overlap
         manager = _FEW if neighbour or len(bodies) <= MANY_BODIES else _MANY
         self._broad_phase = manager(self._model, self._geometry, self._geometry_data)
@@ -412,12 +412,23 @@ class _Checks:
         self._take(q)
         return not pinocchio.computeCollisions(self._model, self._data, self._broad_phase, self._q, True)
 
+    def first_blocked(self, qs: np.ndarray) -> int | None:
+        """Return the first row in which something touches, None when nothing does."""
+        rows = np.ascontiguousarray(qs, dtype=np.float64) if self._as_given else self._robot.rows(qs)
+        collides, checked = pinocchio.computeCollisions, (self._model, self._data, self._broad_phase)
+        for row, q in enumerate(rows):
+            if collides(*checked, q, True):
+                return row
+        return None
+
     def contact(self, q: JointValues) -> Contact | None:
         """Return a pair that touches, or None."""
-        for result in self._geometry_data.collisionResults:
-            result.clear()
         if self.is_free(q):
             return None
+        # once more, from results of which none is an earlier pose's
+        for result in self._geometry_data.collisionResults:
+            result.clear()
+        self.is_free(q)
         for names, result in zip(self._names, self._geometry_data.collisionResults):
             if result.isCollision():
                 return Contact(names)
