@@ -307,8 +307,10 @@ class Planner:
         self, query: PathQuery, budget: float, request: PlanRequest, world: CollisionWorld
     ) -> _Timed | None:
         """Return a motion on a way that was found before; None if there is none that becomes one."""
-        found = self._memory.find(query, self._search, budget) if self._memory is not None else None
-        if self._memory is None or found is None:
+        if self._memory is None:
+            return None
+        found = self._memory.find(query, self._search, budget)
+        if found is None:
             return None
         _demand_ends(found.path, query, self._search.name)
         try:
