@@ -29,7 +29,7 @@ ACCELERATION_FRACTION = 1.0 - 1e-9
 #: Lengths of a ramp that are tried [cycles], from 32 ms to 3 s.
 RAMP_CYCLES = (8, 10, 12, 15, 19, 24, 30, 37, 46, 58, 72, 90, 112, 140, 175, 220, 275, 340, 425, 530, 660, 750)
 #: Longest smooth ramp up and down [cycles]: a person who pauses a plan expects it to rest soon.
-LONGEST_RAMP, LONGEST_PAUSE = 750, 90
+LONGEST_RAMP, LONGEST_PAUSE = 750, 112
 #: Most by which the rate, and its slope, change from one cycle to the next where no smooth ramp exists.
 LARGEST_CHANGE = 0.05
 LARGEST_CURVATURE = 0.005

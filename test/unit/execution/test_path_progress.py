@@ -110,8 +110,7 @@ def test_a_planned_motion_stays_inside_the_acceleration_limits_whatever_the_rate
     assert outputs[-1] == tuple(motion.positions[-1])
 
 
-# at 0.3 of the speed 1 of the 48 pauses finds no smooth ramp (2.7); of the others the largest is 1.5
-@pytest.mark.parametrize("speed_scale, bound", [(0.3, 3.0), (0.6, 2.5), (1.0, 6.0)])
+@pytest.mark.parametrize("speed_scale, bound", [(0.3, 2.0), (0.6, 2.5), (1.0, 6.0)])
 def test_pauses_and_resumes_of_planned_motions_are_gentle(speed_scale, bound):
     """Shares of the jerk limits; braking hard, which jumps to the acceleration limit, takes more than ten times them."""
     soft, hard = [], []
