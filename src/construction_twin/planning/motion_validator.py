@@ -150,12 +150,14 @@ class CornerRounding:
     Args:
         pace: Shape (n,). As for `curves.rounded`.
         edges_free: The straight edges of its paths are known to be free, by the same check: they are not checked again.
+        between: What lies between the states is looked at, too. It costs more, and is worth it where something was missed.
     """
 
-    def __init__(self, validator: MotionValidator, pace: np.ndarray, edges_free: bool = False):
+    def __init__(self, validator: MotionValidator, pace: np.ndarray, edges_free: bool = False, between: bool = False):
         self._validator = validator
         self._pace = pace
         self._edges_free = edges_free
+        self._between = between
 
     def tightened(self, path: np.ndarray) -> np.ndarray | None:
         """Return the path with points added where needed; None if the path itself touches something.
@@ -174,16 +176,24 @@ class CornerRounding:
             spans = np.max(np.abs(np.diff(path, axis=0)) / self._pace, axis=1)
             knots = np.concatenate(([0.0], np.cumsum(spans)))
             samples = self._samples(path, knots)
-            row = self._validator.world.all_free(rounded(path, self._pace, 1.0)(samples))
-            if row is None:
+            place = self._contact(rounded(path, self._pace, 1.0)(samples))
+            if place is None:
                 return path
-            at = [np.interp(samples[row], knots, column) for column in path.T]
+            touching = np.interp(place, np.arange(len(samples)), samples)
+            at = [np.interp(touching, knots, column) for column in path.T]
             if not self._validator.world.is_free(np.array(at)):
                 return None
-            corner = 1 + int(np.argmin(np.abs(knots[1:-1] - samples[row])))
+            corner = 1 + int(np.argmin(np.abs(knots[1:-1] - touching)))
             middles = 0.5 * (path[corner] + path[[corner - 1, corner + 1]])
             path = np.insert(path, [corner, corner + 1], middles, axis=0)
         return None
+
+    def _contact(self, states: np.ndarray) -> float | None:
+        """Return where the curve touches something, in states and parts of them; None: nowhere."""
+        if not self._between:
+            return self._validator.world.all_free(states)
+        found = self._validator.world.first_contact(states)
+        return None if found is None else found[0]
 
     def _samples(self, path: np.ndarray, knots: np.ndarray) -> np.ndarray:
         """Return where on the curve it is checked."""

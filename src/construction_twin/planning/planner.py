@@ -346,7 +346,8 @@ class Planner:
         pace = np.array(self._robot.velocity)
         for attempt in range(TIMINGS_TRIED):
             if len(path) > 2:
-                rounding = CornerRounding(self._validator(world, attempt), pace, edges_free=not attempt)
+                first = attempt == 0
+                rounding = CornerRounding(self._validator(world, attempt), pace, edges_free=first, between=not first)
                 tightened = rounding.tightened(path)
                 if tightened is None:
                     return None

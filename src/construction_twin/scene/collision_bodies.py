@@ -174,19 +174,22 @@ class RobotBodies:
         rotations = np.empty((len(rows), self.model.njoints, 3, 3))
         positions = np.zeros((len(rows), self.model.njoints, 3))
         rotations[:, 0] = np.eye(3)
+        sines, bends = np.sin(rows)[..., None, None], 1.0 - np.cos(rows)[..., None, None]
         for joint, axis, linear in self.joint_axes:
             parent, placement = self.model.parents[joint], self.model.jointPlacements[joint]
-            q = rows[:, self.model.joints[joint].idx_q]
-            before = rotations[:, parent]
-            positions[:, joint] = positions[:, parent] + before @ placement.translation
-            before = before @ placement.rotation
+            place = self.model.joints[joint].idx_q
+            # the rows of all matrices under each other: one product each
+            flat = rotations[:, parent].reshape(-1, 3)
+            positions[:, joint] = positions[:, parent] + (flat @ placement.translation).reshape(-1, 3)
+            flat = flat @ placement.rotation
+            rotations[:, joint] = flat.reshape(-1, 3, 3)
             if linear:
-                positions[:, joint] += q[:, None] * (before @ axis)
-                rotations[:, joint] = before
+                positions[:, joint] += rows[:, [place]] * (flat @ axis).reshape(-1, 3)
             else:
                 cross = pinocchio.skew(axis)
-                turns = np.sin(q)[:, None, None] * cross + (1.0 - np.cos(q))[:, None, None] * (cross @ cross)
-                rotations[:, joint] = before + before @ turns
+                once = flat @ cross
+                rotations[:, joint] += sines[:, place] * once.reshape(-1, 3, 3)
+                rotations[:, joint] += bends[:, place] * (once @ cross).reshape(-1, 3, 3)
         return rotations, positions
 
     def link_pose(self, q: JointValues, link: str) -> Pose:

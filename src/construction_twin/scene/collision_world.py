@@ -338,16 +338,14 @@ class CollisionWorld:
             contact
         """
         world = self._beside(qs, 0.0)
-        found, apart = world._checks.first_contact(self._rows(qs))
-        if apart:
-            return None
-        # something is as near as its margin: what each row says by itself decides
-        row = self.all_free(qs if found is None else qs[: 1 + int(found[0])])
-        if row is None or (found is not None and found[0] <= row):
+        found, doubtful = world._checks.first_contact(self._rows(qs))
+        # something is as near as its margin there
+        row = self.all_free(qs[doubtful])
+        if row is None:
             return found
-        contact = world._checks.contact(qs[row])
+        contact = world._checks.contact(qs[doubtful[row]])
         assert contact is not None, "all_free and contact disagree"
-        return float(row), contact
+        return float(doubtful[row]), contact
 
     def clearance_of(self, qs: np.ndarray, changing: bool = False) -> tuple[Clearance, float]:
         """Return the smallest distance over a motion, also between its rows, and where it is.
@@ -454,14 +452,14 @@ class _Checks:
                 return self._clearance(pair)
         return Clearance(np.inf)
 
-    def first_contact(self, rows: np.ndarray) -> tuple[tuple[float, Contact] | None, bool]:
-        """Return where two bodies first touch on a motion, rows in Pinocchio's order, and which; also whether all is apart."""
+    def first_contact(self, rows: np.ndarray) -> tuple[tuple[float, Contact] | None, np.ndarray]:
+        """Return where two bodies first touch on a motion, rows in Pinocchio's order, and which; also what `Motion` leaves open."""
         if not self._pairs:
-            return None, True
-        found, apart = self._motion(rows).first_contact(
+            return None, np.empty(0, dtype=int)
+        found, doubtful = self._motion(rows).first_contact(
             self._margins, lambda place, pair: self._touches(rows, place, pair)
         )
-        return None if found is None else (found[0], Contact(self._names[found[1]])), apart
+        return None if found is None else (found[0], Contact(self._names[found[1]])), doubtful
 
     def clearance_of(self, rows: np.ndarray, changing: bool) -> tuple[Clearance, float]:
         """Return the smallest distance of a pair on a motion through rows in Pinocchio's order, and its place."""

@@ -120,7 +120,7 @@ class PairLevers:
             Shape (g, b). [m]
         """
         rotations, positions = self._robot.joint_places(rows)
-        centres = (rotations[:, self._joints] @ self._centres[:, :, None])[..., 0] + positions[:, self._joints]
+        centres = np.einsum("gbij,bj->gbi", rotations[:, self._joints], self._centres) + positions[:, self._joints]
         turns = (rotations[:, self._of_place] @ self._axes[:, :, None])[..., 0] * (steps * ~self._linear)[..., None]
         # a joint turns the body about an axis through the joint: it moves the origin by this
         shifts = _cross(positions[:, self._of_place], turns)
@@ -144,7 +144,7 @@ class PairBounds:
         self._turns = np.array([body.placement.rotation for body in bodies])
         self._radii = np.array([body.geometry.aabb_radius for body in bodies])
         boxes = [body.geometry.aabb_local for body in bodies]
-        self._halves = np.array([0.5 * (np.array(box.max_) - np.array(box.min_)) for box in boxes])
+        self._halves = np.array([0.5 * (np.array(box.max_) - np.array(box.min_)) for box in boxes]).T
         self._first, self._second = np.array([(pair[0], pair[1]) for pair in pairs], dtype=int).reshape(-1, 2).T
 
     def at(self, rows: np.ndarray) -> np.ndarray:
@@ -159,16 +159,18 @@ class PairBounds:
         rotations, positions = self._robot.joint_places(rows)
         turns = rotations[:, self._joints]
         centres = (turns @ self._centres[:, :, None])[..., 0] + positions[:, self._joints]
-        turns = turns @ self._turns
-        apart = centres[:, self._first] - centres[:, self._second]
+        # the coordinates come first: so numpy goes through all pairs at once, not through three numbers at a time
+        apart = np.ascontiguousarray(np.moveaxis(centres[:, self._first] - centres[:, self._second], -1, 0))
+        axes = np.ascontiguousarray(np.moveaxis(turns @ self._turns, (-2, -1), (0, 1)))
         return np.maximum(
-            self._gap(apart, turns, self._first, self._second), self._gap(apart, turns, self._second, self._first)
+            self._gap(apart, axes, self._first, self._second), self._gap(apart, axes, self._second, self._first)
         )
 
-    def _gap(self, apart: np.ndarray, turns: np.ndarray, balls: np.ndarray, boxes: np.ndarray) -> np.ndarray:
-        beyond = np.abs(np.einsum("mpi,mpij->mpj", apart, turns[:, boxes])) - self._halves[boxes]
-        inside = np.minimum(beyond.max(axis=-1), 0.0)
-        return _lengths(np.maximum(beyond, 0.0)) + inside - self._radii[balls] - _ROUNDING
+    def _gap(self, apart: np.ndarray, axes: np.ndarray, balls: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+        beyond = np.abs((apart[:, None] * axes[..., boxes]).sum(axis=0)) - self._halves[:, None, boxes]
+        inside = np.minimum(beyond.max(axis=0), 0.0)
+        outside = np.maximum(beyond, 0.0)
+        return np.sqrt((outside * outside).sum(axis=0)) + inside - self._radii[balls] - _ROUNDING
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +207,7 @@ def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def _lengths(vectors: np.ndarray) -> np.ndarray:
-    return np.sqrt((vectors**2).sum(axis=-1))
+    return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
 
 
 def body_levers(robot: RobotBodies, bodies: Sequence[Body], strokes: np.ndarray) -> tuple[np.ndarray, list[float]]:
@@ -299,7 +301,7 @@ class Motion:
 
     def first_contact(
         self, margins: np.ndarray, touches: Callable[[float, int], bool]
-    ) -> tuple[tuple[float, int] | None, bool]:
+    ) -> tuple[tuple[float, int] | None, np.ndarray]:
         """Find where two bodies first touch.
 
         Args:
@@ -310,19 +312,21 @@ class Motion:
             first: Place and pair; None: none do anywhere on the motion. No contact is earlier, except one during which no point
                 of a pair moves further than `RESOLUTION`: two bodies then come closer than the margin by no more than half of
                 that.
-            apart: Nothing touches, and the bounds leave no place for such an exception either.
+            doubtful: Shape (k,). The rows before it that such a contact leaves open, ascending: what each says by itself decides.
         """
         first: tuple[float, int] | None = None
-        asked, clear = 0, True
+        asked, beside = 0, []
         limits = margins + TOLERANCE
         while True:
             within = asked + np.flatnonzero(self._distances[asked:] <= limits[self._pairs[asked:]])
             asked = len(self._distances)
             for index in within[np.argsort(self._places[within], kind="stable")].tolist():
-                clear = False
                 place, pair = float(self._places[index]), int(self._pairs[index])
-                if (first is None or place < first[0]) and touches(place, pair):
-                    first = place, pair
+                if first is None or place < first[0]:
+                    if touches(place, pair):
+                        first = place, pair
+                    else:
+                        beside.append((place, place))
             gaps = self._gaps
             open_ = gaps.bounds < limits[gaps.pairs]
             if first is not None:
@@ -330,7 +334,9 @@ class Motion:
             chosen = np.flatnonzero(open_)
             chosen = chosen[gaps.divisible(chosen)]
             if not len(chosen):
-                return first, clear and not open_.any()
+                left = np.flatnonzero(open_)
+                beside += zip(gaps.lows[left].tolist(), gaps.highs[left].tolist())
+                return first, _rows_within(beside, math.inf if first is None else first[0])
             # earlier ones first: a contact that is found ends the search of all that comes later
             self._divide(_first_of(chosen, gaps.lows[chosen], _DIVIDED))
 
@@ -384,6 +390,11 @@ class _Gaps:
         return self._table[_LOW, : self._count]
 
     @property
+    def highs(self) -> np.ndarray:
+        """Shape (k,). Where each ends."""
+        return self._table[_HIGH, : self._count]
+
+    @property
     def bounds(self) -> np.ndarray:
         """Shape (k,). Nowhere on the stretch the distance is smaller [m]."""
         return self._table[_BOUND, : self._count]
@@ -416,6 +427,9 @@ class _Gaps:
         second = first.copy()
         first[_HIGH], first[_AT_HIGH], first[_KNOWN_HIGH], first[_MOVED_HIGH] = places, distances, 1.0, moved
         second[_LOW], second[_AT_LOW], second[_KNOWN_LOW], second[_MOVED_LOW] = places, distances, 1.0, moved
+        # measured at an end: the part without length has both its ends there, and nothing is left to measure in it
+        first[_KNOWN_LOW][places == first[_LOW]] = 1.0
+        second[_KNOWN_HIGH][places == second[_HIGH]] = 1.0
         # an end is no nearer than this, either
         np.maximum(first[_AT_LOW], distances - (moved - first[_MOVED_LOW]), out=first[_AT_LOW])
         np.maximum(second[_AT_HIGH], distances - (second[_MOVED_HIGH] - moved), out=second[_AT_HIGH])
@@ -432,6 +446,12 @@ class _Gaps:
 
 def _bounds(gap: np.ndarray) -> np.ndarray:
     return (gap[_AT_LOW] + gap[_AT_HIGH] - (gap[_MOVED_HIGH] - gap[_MOVED_LOW])) / 2
+
+
+def _rows_within(stretches: Sequence[tuple[float, float]], end: float) -> np.ndarray:
+    """Return the rows on some stretches, up to a place."""
+    rows = {row for low, high in stretches for row in range(math.ceil(low), math.floor(min(high, end)) + 1)}
+    return np.array(sorted(rows), dtype=int)
 
 
 def _first_of(chosen: np.ndarray, order: np.ndarray, count: int) -> np.ndarray:

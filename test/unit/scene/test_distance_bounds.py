@@ -10,9 +10,11 @@ from scene_samples import kr120, kr120_pairs, track7, track7_pairs
 
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld, checked_pairs
-from construction_twin.scene.distance_bounds import TOLERANCE, PairBounds, PairLevers
+from construction_twin.scene.distance_bounds import STRIDE, TOLERANCE, Motion, PairBounds, PairLevers, Travel
 from construction_twin.scene.objects import Scene, SceneObject
 
+#: Of all pairs [m].
+MARGIN = 0.01
 #: A long bar in the hand, walls, a ball and a post beside the arm.
 SCENE = Scene(
     (
@@ -87,3 +89,47 @@ def test_the_bounds_are_worth_something():
     assert 0.5 < ways.max() < 0.4 * 5.0
     near = cell.bounds.at(cell.rows_of(qs[:1]))[0]
     assert np.mean(near > 0.2) > 0.5
+
+
+@st.composite
+def distances_on_a_motion(draw):
+    """Draw the distances of some pairs in successive rows, often exactly at the margin, also in the rows estimated first."""
+    rows, pairs = draw(st.integers(1, 140)), draw(st.integers(1, 3))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    steps = MARGIN * rng.choice([0.0, 0.25, 1.0], pairs)
+    found = MARGIN * rng.integers(1, 8, pairs) + np.cumsum(steps * rng.integers(-1, 2, (rows, pairs)), axis=0)
+    standing = rng.random() < 0.3
+    return np.broadcast_to(found[0], found.shape).copy() if standing else np.abs(found)
+
+
+@given(found=distances_on_a_motion(), short=st.sampled_from([0.0, 1e-7, 1e-6]))
+def test_the_first_contact_is_found_or_left_to_the_rows(found, short):
+    rows, pairs = found.shape
+    measured = 0
+
+    def distance(place, pair):
+        return float(np.interp(place, np.arange(rows), found[:, pair]))
+
+    def touches(place, pair):
+        # Coal's check and Coal's measurement of a distance differ by their rounding
+        return distance(place, pair) <= MARGIN - short
+
+    def measure(places, wanted):
+        nonlocal measured
+        measured += len(places)
+        assert measured < 20_000, "it does not come to an end"
+        return np.array([distance(*asked) for asked in zip(places, wanted)])
+
+    fastest = np.abs(np.diff(found, axis=0)).max(initial=0.0)
+    groups = np.arange(-(-(rows - 1) // 8) + 1)[:, None]
+    travel = Travel(rows, np.hstack((8 * fastest * groups, 0.0 * groups)), np.array([[0] * pairs, [1] * pairs]))
+    some = np.append(np.arange(0, rows - 1, STRIDE), rows - 1)
+    motion = Motion(travel, some, found[some] - 0.3 * MARGIN, measure)
+    first, doubtful = motion.first_contact(np.full(pairs, MARGIN), touches)
+    in_contact = np.flatnonzero([any(touches(row, pair) for pair in range(pairs)) for row in range(rows)])
+    if first is not None:
+        assert touches(*first)
+        assert all(row <= first[0] for row in doubtful)
+    # whatever is in contact in a row is found there or before, or the row is named
+    for row in in_contact:
+        assert (first is not None and first[0] <= row) or row in doubtful
