@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -21,6 +21,8 @@ CORNERS_TIGHTENED = 24
 #: Where a path's edges are known to be free, the rounding of a corner is checked over this part of its width: further out it misses
 #: the polyline by less than a fifteenth of what it misses the corner.
 BESIDE = 0.6
+#: A point that is no further from an edge than this, in any joint, is on it [rad] or [m].
+ON_EDGE = 1e-9
 
 
 class MotionValidator:
@@ -36,6 +38,11 @@ class MotionValidator:
         self.world = world
         self._levers, self._step = levers, step
         self._states_per_unit = levers / step
+
+    @cached_property
+    def shortcuts(self) -> ShortcutCheck:
+        """The same check, for the edges that are tried while a path is shortened; it remembers what it was asked."""
+        return ShortcutCheck(self)
 
     def coarser(self, times: float) -> MotionValidator:
         """Return a check of motions in the same world whose step is so many times as long."""
@@ -85,14 +92,17 @@ def _middle_first(count: int) -> np.ndarray:
 class ShortcutCheck:
     """Whether straight edges between a few points are free, as `MotionValidator.free`, for many edges that resemble each other.
 
-    What was found of an edge and of its end is kept. What one edge touches, the next one probably touches too: the point of it that
-    is closest to the last contact is checked first, and the other states only if that one is free.
+    What was found of an edge and of its end is kept, and a part of an edge that is free is free. What one edge touches, the next one
+    probably touches too: the point of it that is closest to the last contact is checked first, and the other states only if that
+    one is free.
     """
 
     def __init__(self, validator: MotionValidator):
         self._validator = validator
         self._edges: dict[tuple[bytes, bytes], bool] = {}
         self._points: dict[bytes, bool] = {}
+        # start and end of each edge whose states were found free
+        self._free: list[tuple[np.ndarray, np.ndarray]] = []
         self._contact: np.ndarray | None = None
 
     def free(self, start: np.ndarray, end: np.ndarray) -> bool:
@@ -101,6 +111,8 @@ class ShortcutCheck:
         Args:
             start, end: Shape (n,). [rad] or [m]
         """
+        if any(_lies_on(start, *edge) and _lies_on(end, *edge) for edge in self._free):
+            return True
         return self.first_free(np.array([start]), np.array([end])) is not None
 
     def first_free(self, starts: np.ndarray, ends: np.ndarray) -> int | None:
@@ -109,7 +121,9 @@ class ShortcutCheck:
         Args:
             starts, ends: Shape (k, n). [rad] or [m]
         """
-        world, besides = self._validator.world, self._besides(starts, ends)
+        world, ways = self._validator.world, ends - starts
+        squares = np.maximum(np.einsum("kn,kn->k", ways, ways), 1e-300)
+        besides = self._besides(starts, ways, squares)
         for index in range(len(starts)):
             edge = starts[index].tobytes(), ends[index].tobytes()
             found = self._edges.get(edge)
@@ -122,7 +136,9 @@ class ShortcutCheck:
                     row = world.all_free(states)
                     if row is not None:
                         found, self._contact = False, states[row]
-                        besides = self._besides(starts, ends)
+                        besides = self._besides(starts, ways, squares)
+                    elif len(states):
+                        self._free.append((starts[index], ends[index]))
                 self._edges[edge] = found
             if found:
                 return index
@@ -134,14 +150,19 @@ class ShortcutCheck:
             found = self._points[point] = self._validator.world.is_free(end)
         return found
 
-    def _besides(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray | None:
+    def _besides(self, starts: np.ndarray, ways: np.ndarray, squares: np.ndarray) -> np.ndarray | None:
         """Return the point of each edge that is closest to the last contact, shape (k, n); None without one."""
         if self._contact is None:
             return None
-        ways = ends - starts
-        squares = np.maximum(np.einsum("kn,kn->k", ways, ways), 1e-300)
         parts = np.einsum("kn,kn->k", self._contact - starts, ways) / squares
-        return starts + np.clip(parts, 0.0, 1.0)[:, None] * ways
+        return starts + np.minimum(np.maximum(parts, 0.0), 1.0)[:, None] * ways
+
+
+def _lies_on(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> bool:
+    """Return whether a point is on a straight edge, but for rounding."""
+    way, beyond = end - start, point - start
+    part = min(max(float(beyond @ way) / float(way @ way), 0.0), 1.0)
+    return float(np.abs(beyond - part * way).max()) <= ON_EDGE
 
 
 class CornerRounding:

@@ -16,7 +16,7 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from construction_twin.core.motion_errors import NoPathError
-from construction_twin.planning.motion_validator import MotionValidator, ShortcutCheck
+from construction_twin.planning.motion_validator import MotionValidator
 from construction_twin.planning.path_search import PathQuery
 from construction_twin.planning.path_shortening import shortened
 
@@ -60,7 +60,7 @@ class OmplSearch:
     def find(self, query: PathQuery, budget: float) -> np.ndarray:
         """Find a path from the start to one of the goals; the budget is of OMPL's own clock, shortening comes on top."""
         # most edges of a search are in no path: they are checked coarsely first, and the path that comes of them as asked
-        check = ShortcutCheck(query.validator)
+        check = query.validator.shortcuts
         for times in (COARSER, 1.0):
             points = self._search(query, query.validator.coarser(times), budget)
             path = shortened(points, check.first_free)

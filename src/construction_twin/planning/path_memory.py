@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.core.motion_errors import NoPathError
-from construction_twin.planning.motion_validator import MotionValidator, ShortcutCheck
+from construction_twin.planning.motion_validator import MotionValidator
 from construction_twin.planning.path_search import PathQuery, PathSearch
 from construction_twin.planning.path_shortening import shortened
 
@@ -48,12 +48,26 @@ class Remembered:
     kept: np.ndarray
 
 
+class _Kept:
+    """The points of a path between its ends, and what is asked of them in every search.
+
+    Args:
+        points: Shape (m, n). m >= 1
+        length: Of the whole path.
+    """
+
+    def __init__(self, points: np.ndarray, length: float):
+        self.points, self.length = points, length
+        self.inner_length = _length(points)
+        self.lowest, self.highest = points.min(axis=0), points.max(axis=0)
+
+
 class PathMemory:
     """The inner points of the last paths of one robot, in both directions. Not for use from several threads at once."""
 
     def __init__(self) -> None:
-        # with the length of the path; the oldest first, one that is found again is the newest
-        self._inner: dict[bytes, tuple[np.ndarray, float]] = {}
+        # the oldest first, one that is found again is the newest
+        self._inner: dict[bytes, _Kept] = {}
 
     def keep(self, path: np.ndarray) -> None:
         """Keep a path; a straight line has nothing to keep.
@@ -66,7 +80,7 @@ class PathMemory:
     def served(self, found: Remembered) -> None:
         """Note that what was found became a plan: it is kept, too, unless it is much the same as what it came of."""
         inner, kept = found.path[1:-1], found.kept
-        self._refresh(kept, self._inner[kept.tobytes()][1])
+        self._refresh(kept, self._inner[kept.tobytes()].length)
         if inner.shape != kept.shape or np.abs(inner - kept).max() > SAME:
             self.keep(found.path)
 
@@ -78,7 +92,7 @@ class PathMemory:
     def _refresh(self, inner: np.ndarray, length: float) -> None:
         for points in (inner, inner[::-1]) if len(inner) else ():
             self._inner.pop(points.tobytes(), None)
-            self._inner[points.tobytes()] = points, length
+            self._inner[points.tobytes()] = _Kept(points, length)
         while len(self._inner) > 2 * KEPT:
             del self._inner[next(iter(self._inner))]
 
@@ -119,26 +133,30 @@ class PathMemory:
 
     def _ways(self, query: PathQuery) -> Iterator[np.ndarray]:
         """Yield paths from the start to one of the goals through kept points, the shortest first, at most `TRIED`."""
-        lower, upper = query.lower, query.upper
-        inside = [kept for kept in self._inner.values() if np.all(kept[0] >= lower) and np.all(kept[0] <= upper)]
+        if not self._inner:
+            return
+        kept = list(self._inner.values())
+        low, high = np.array([way.lowest for way in kept]), np.array([way.highest for way in kept])
+        inside = np.flatnonzero(np.all(low >= query.lower, axis=1) & np.all(high <= query.upper, axis=1)).tolist()
         if not inside:
             return
-        begins, ends = np.array([inner[0] for inner, _ in inside]), np.array([inner[-1] for inner, _ in inside])
-        to_begin = np.linalg.norm(begins - query.start, axis=1) + np.array([_length(inner) for inner, _ in inside])
+        kept = [kept[index] for index in inside]
+        begins, ends = np.array([way.points[0] for way in kept]), np.array([way.points[-1] for way in kept])
+        to_begin = np.linalg.norm(begins - query.start, axis=1) + np.array([way.inner_length for way in kept])
         targets = np.array(query.goals)
         lengths = to_begin + np.linalg.norm(targets[:, None] - ends, axis=2)
         straight = np.linalg.norm(targets - query.start, axis=1)[:, None]
-        lengths[lengths > np.maximum(DETOUR * straight, [AS_LONG * length for _, length in inside])] = np.inf
+        lengths[lengths > np.maximum(DETOUR * straight, [AS_LONG * way.length for way in kept])] = np.inf
         for index in np.argsort(lengths, axis=None, kind="stable")[:TRIED].tolist():
-            goal, kept = divmod(index, len(inside))
-            if lengths[goal, kept] == np.inf:
+            goal, way = divmod(index, len(kept))
+            if lengths[goal, way] == np.inf:
                 return
-            yield np.vstack((query.start, inside[kept][0], query.goals[goal]))
+            yield np.vstack((query.start, kept[way].points, query.goals[goal]))
 
 
 def _shortened(way: np.ndarray, query: PathQuery) -> np.ndarray | None:
     """Return a way whose edges were checked coarsely, shortened; None where the query's own check finds a contact."""
-    check = ShortcutCheck(query.validator)
+    check = query.validator.shortcuts
     path = shortened(way, check.first_free)
     return path if all(check.free(*edge) for edge in zip(path, path[1:])) else None
 
