@@ -92,9 +92,8 @@ def _middle_first(count: int) -> np.ndarray:
 class ShortcutCheck:
     """Whether straight edges between a few points are free, as `MotionValidator.free`, for many edges that resemble each other.
 
-    What was found of an edge and of its end is kept, and a part of an edge that is free is free. What one edge touches, the next one
-    probably touches too: the point of it that is closest to the last contact is checked first, and the other states only if that
-    one is free.
+    What was found of an edge and of its end is kept, and a part of a free edge is free. What one edge touches, the next one may
+    touch, too: the point of it that is closest to the last contact is checked first, and the other states only if that one is free.
     """
 
     def __init__(self, validator: MotionValidator):
@@ -112,7 +111,7 @@ class ShortcutCheck:
             start, end: Shape (n,). [rad] or [m]
         """
         if any(_lies_on(start, *edge) and _lies_on(end, *edge) for edge in self._free):
-            return True
+            return self._end_free(end.tobytes(), end)
         return self.first_free(np.array([start]), np.array([end])) is not None
 
     def first_free(self, starts: np.ndarray, ends: np.ndarray) -> int | None:

@@ -112,6 +112,27 @@ def test_a_corner_that_touches_is_tightened_and_others_are_not(edges_free):
     assert added and all(q[1] <= 0.5 for q in added)
 
 
+def test_what_the_states_miss_a_look_between_them_finds():
+    path = np.array([np.zeros(6), np.eye(6)[0], np.eye(6)[0] + np.eye(6)[1]])
+    curve = rounded(path, PACE, 1.0)
+    # a pin where the curve cuts the corner, half way between two states that are looked at
+    pin = curve(np.array([0.475 * curve.length]))[0]
+
+    class Pinned(Recorder):
+        def is_free(self, q) -> bool:
+            return np.linalg.norm(q - pin) > 0.002
+
+        def first_contact(self, qs):
+            finely = np.linspace(0.0, len(qs) - 1, 20 * len(qs))
+            row = self.all_free([[np.interp(place, range(len(qs)), column) for column in qs.T] for place in finely])
+            return None if row is None else (finely[row], ("arm", "pin"))
+
+    edges = MotionValidator(Pinned(), np.ones(6), 0.02)
+    np.testing.assert_array_equal(CornerRounding(edges, PACE).tightened(path), path)
+    tight = rounded(CornerRounding(edges, PACE, between=True).tightened(path), PACE, 1.0)
+    assert edges.world.all_free(tight(np.linspace(0.0, tight.length, 4000))) is None
+
+
 def test_a_path_that_touches_by_itself_is_given_up():
     edges = MotionValidator(Recorder(most=0.5), np.ones(6), 0.05)
     path = np.array([np.zeros(6), np.eye(6)[0], np.eye(6)[0] + np.eye(6)[1]])
@@ -161,6 +182,20 @@ def test_shortcuts_ask_nothing_twice_and_look_beside_the_last_contact_first():
     # what the last contact does not tell, the states of the edge do
     assert not check.free(np.array([0.42, 2.0, 0.0, 0.0, 0.0, 0.0]), np.array([0.42, -2.0, 0.0, 0.0, 0.0, 0.0]))
     assert check.free(np.eye(6)[1], end + np.eye(6)[1])
+
+
+def test_of_a_part_of_a_free_edge_only_the_end_is_asked():
+    recorder, end = Recorder(), np.array([1.0, 0.3, -0.7, 0.0, 0.2, 0.0])
+    check = MotionValidator(recorder, np.ones(6), 0.05).shortcuts
+    assert check.free(np.zeros(6), end)
+    asked = len(recorder.asked)
+    assert check.free(0.1 * end, end / 3.0) and check.free(0.9 * end, np.zeros(6))
+    # nothing but their ends, because the start of the free edge was not asked
+    assert len(recorder.asked) == asked + 2
+    for beside in (1.001 * end, -0.1 * end, 0.5 * end + 1e-6 * np.eye(6)[5]):
+        asked = len(recorder.asked)
+        assert check.free(0.2 * end, beside)
+        assert len(recorder.asked) > asked + 1
 
 
 def test_a_path_begins_at_the_start_and_ends_at_one_of_the_goals():

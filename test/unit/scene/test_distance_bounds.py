@@ -96,8 +96,12 @@ def distances_on_a_motion(draw):
     """Draw the distances of some pairs in successive rows, often exactly at the margin, also in the rows estimated first."""
     rows, pairs = draw(st.integers(1, 140)), draw(st.integers(1, 3))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    steps = MARGIN * rng.choice([0.0, 0.25, 1.0], pairs)
-    found = MARGIN * rng.integers(1, 8, pairs) + np.cumsum(steps * rng.integers(-1, 2, (rows, pairs)), axis=0)
+    steps = MARGIN * rng.choice([0.0, 1e-4, 0.25, 1.0], pairs)
+    found = (
+        MARGIN * rng.integers(1, 8, pairs)
+        + rng.choice([0.0, 3e-6])
+        + np.cumsum(steps * rng.integers(-1, 2, (rows, pairs)), axis=0)
+    )
     standing = rng.random() < 0.3
     return np.broadcast_to(found[0], found.shape).copy() if standing else np.abs(found)
 
