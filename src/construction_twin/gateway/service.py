@@ -125,7 +125,7 @@ class GatewayService:
         # a last will may come late, when another run, or this one over another connection, speaks already: it says whose it is
         self._number = 1
         client = make_client(broker, unique_id(topics.robot, "gateway"), topics.status, offline_word(run, self._number))
-        self._connection = ConnectionReport(broker, log.error)
+        self._connection = ConnectionReport(broker, self._say_connection)
         # guarded here, because paho would handle a message again whose callback raised
         client.on_connect = partial(self.guarded, self._on_connect)
         client.on_disconnect = partial(self.guarded, self._on_disconnect)
@@ -378,6 +378,10 @@ class GatewayService:
         self._status.hurry()
         if info is not None:
             self._connection.watch_publish(client, self._topics.status, info.mid)
+
+    def _say_connection(self, sentence: str) -> None:
+        # where all is ended together the broker may be gone first: nobody has to look after that
+        log.log(logging.ERROR if self._running else logging.INFO, "%s", sentence)
 
     def _on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
         self._connection.lost(reason_code)

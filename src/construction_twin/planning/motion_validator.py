@@ -1,8 +1,8 @@
 """Checks whether the arm touches anything between two points of a joint path, straight or with rounded corners.
 
 Joint vectors are in the order of `RobotModel.joint_names`, SI. States are checked at distances that bound how far any
-point of the arm, its tool and what it carries moves between two of them; the motion in between is not checked. `recheck` decides on
-the final motion, between its samples too.
+point of the arm, its tool and what it carries moves between two of them; the motion in between is not checked, except where
+`CornerRounding` is asked to. `recheck` decides on the final motion, between its samples too.
 """
 
 from __future__ import annotations
@@ -41,7 +41,10 @@ class MotionValidator:
 
     @cached_property
     def shortcuts(self) -> ShortcutCheck:
-        """The same check, for the edges that are tried while a path is shortened; it remembers what it was asked."""
+        """The same check, for the edges that are tried while a path is shortened.
+
+        It remembers what it was asked: where the same path must come of the same question, each question has a new validator.
+        """
         return ShortcutCheck(self)
 
     def coarser(self, times: float) -> MotionValidator:
@@ -90,7 +93,7 @@ def _middle_first(count: int) -> np.ndarray:
 
 
 class ShortcutCheck:
-    """Whether straight edges between a few points are free, as `MotionValidator.free`, for many edges that resemble each other.
+    """Whether straight edges between a few points are free, to the step of a `MotionValidator`, for many that resemble each other.
 
     What was found of an edge and of its end is kept, and a part of a free edge is free. What one edge touches, the next one may
     touch, too: the point of it that is closest to the last contact is checked first, and the other states only if that one is free.
@@ -110,6 +113,9 @@ class ShortcutCheck:
         Args:
             start, end: Shape (n,). [rad] or [m]
         """
+        known = self._edges.get((start.tobytes(), end.tobytes()))
+        if known is not None:
+            return known
         if any(_lies_on(start, *edge) and _lies_on(end, *edge) for edge in self._free):
             return self._end_free(end.tobytes(), end)
         return self.first_free(np.array([start]), np.array([end])) is not None
@@ -137,6 +143,7 @@ class ShortcutCheck:
                         found, self._contact = False, states[row]
                         besides = self._besides(starts, ways, squares)
                     elif len(states):
+                        # an edge of one state has no part that is worth it, one of no length has none
                         self._free.append((starts[index], ends[index]))
                 self._edges[edge] = found
             if found:
@@ -170,7 +177,8 @@ class CornerRounding:
     Args:
         pace: Shape (n,). As for `curves.rounded`.
         edges_free: The straight edges of its paths are known to be free, by the same check: they are not checked again.
-        between: What lies between the states is looked at, too. It costs more, and is worth it where something was missed.
+        between: What lies between the states is looked at, too; not with `edges_free`, which leaves states out. It costs more, and is
+            worth it where something was missed.
     """
 
     def __init__(self, validator: MotionValidator, pace: np.ndarray, edges_free: bool = False, between: bool = False):

@@ -49,7 +49,7 @@ class Remembered:
 
 
 class _Kept:
-    """The points of a path between its ends, and what is asked of them in every search.
+    """The points of a path between its ends, with their lengths and their extent, computed once.
 
     Args:
         points: Shape (m, n). m >= 1
@@ -135,12 +135,12 @@ class PathMemory:
         """Yield paths from the start to one of the goals through kept points, the shortest first, at most `TRIED`."""
         if not self._inner:
             return
-        kept = list(self._inner.values())
-        low, high = np.array([way.lowest for way in kept]), np.array([way.highest for way in kept])
+        ways = list(self._inner.values())
+        low, high = np.array([way.lowest for way in ways]), np.array([way.highest for way in ways])
         inside = np.flatnonzero(np.all(low >= query.lower, axis=1) & np.all(high <= query.upper, axis=1)).tolist()
         if not inside:
             return
-        kept = [kept[index] for index in inside]
+        kept = [ways[index] for index in inside]
         begins, ends = np.array([way.points[0] for way in kept]), np.array([way.points[-1] for way in kept])
         to_begin = np.linalg.norm(begins - query.start, axis=1) + np.array([way.inner_length for way in kept])
         targets = np.array(query.goals)

@@ -174,7 +174,7 @@ class RobotBodies:
         rotations = np.empty((len(rows), self.model.njoints, 3, 3))
         positions = np.zeros((len(rows), self.model.njoints, 3))
         rotations[:, 0] = np.eye(3)
-        sines, bends = np.sin(rows)[..., None, None], 1.0 - np.cos(rows)[..., None, None]
+        sines, versines = np.sin(rows)[..., None, None], 1.0 - np.cos(rows)[..., None, None]
         for joint, axis, linear in self.joint_axes:
             parent, placement = self.model.parents[joint], self.model.jointPlacements[joint]
             place = self.model.joints[joint].idx_q
@@ -187,9 +187,9 @@ class RobotBodies:
                 positions[:, joint] += rows[:, [place]] * (flat @ axis).reshape(-1, 3)
             else:
                 cross = pinocchio.skew(axis)
-                once = flat @ cross
-                rotations[:, joint] += sines[:, place] * once.reshape(-1, 3, 3)
-                rotations[:, joint] += bends[:, place] * (once @ cross).reshape(-1, 3, 3)
+                crossed = flat @ cross
+                rotations[:, joint] += sines[:, place] * crossed.reshape(-1, 3, 3)
+                rotations[:, joint] += versines[:, place] * (crossed @ cross).reshape(-1, 3, 3)
         return rotations, positions
 
     def link_pose(self, q: JointValues, link: str) -> Pose:

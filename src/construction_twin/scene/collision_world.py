@@ -339,13 +339,13 @@ class CollisionWorld:
         """
         world = self._beside(qs, 0.0)
         found, doubtful = world._checks.first_contact(self._rows(qs))
-        # something is as near as its margin there
-        row = self.all_free(qs[doubtful])
-        if row is None:
+        # what is not in `world` is far from all of the motion
+        index = world._checks.first_blocked(qs[doubtful])
+        if index is None:
             return found
-        contact = world._checks.contact(qs[doubtful[row]])
-        assert contact is not None, "all_free and contact disagree"
-        return float(doubtful[row]), contact
+        contact = world._checks.contact(qs[doubtful[index]])
+        assert contact is not None, "first_blocked and contact disagree"
+        return float(doubtful[index]), contact
 
     def clearance_of(self, qs: np.ndarray, changing: bool = False) -> tuple[Clearance, float]:
         """Return the smallest distance over a motion, also between its rows, and where it is.

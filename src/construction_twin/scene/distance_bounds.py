@@ -144,6 +144,7 @@ class PairBounds:
         self._turns = np.array([body.placement.rotation for body in bodies])
         self._radii = np.array([body.geometry.aabb_radius for body in bodies])
         boxes = [body.geometry.aabb_local for body in bodies]
+        # a coordinate in each row
         self._halves = np.array([0.5 * (np.array(box.max_) - np.array(box.min_)) for box in boxes]).T
         self._first, self._second = np.array([(pair[0], pair[1]) for pair in pairs], dtype=int).reshape(-1, 2).T
 
@@ -158,7 +159,7 @@ class PairBounds:
         """
         rotations, positions = self._robot.joint_places(rows)
         turns = rotations[:, self._joints]
-        centres = (turns @ self._centres[:, :, None])[..., 0] + positions[:, self._joints]
+        centres = np.einsum("mbij,bj->mbi", turns, self._centres) + positions[:, self._joints]
         # the coordinates come first: so numpy goes through all pairs at once, not through three numbers at a time
         apart = np.ascontiguousarray(np.moveaxis(centres[:, self._first] - centres[:, self._second], -1, 0))
         axes = np.ascontiguousarray(np.moveaxis(turns @ self._turns, (-2, -1), (0, 1)))
@@ -167,6 +168,13 @@ class PairBounds:
         )
 
     def _gap(self, apart: np.ndarray, axes: np.ndarray, balls: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+        """Return how far the balls around some bodies are from the boxes around others, shape (m, p) [m].
+
+        Args:
+            apart: Shape (3, m, p). From centre to centre.
+            axes: Shape (3, 3, m, b). The coordinates of the axes of each body's box.
+            balls, boxes: Shape (p,). Which bodies.
+        """
         beyond = np.abs((apart[:, None] * axes[..., boxes]).sum(axis=0)) - self._halves[:, None, boxes]
         inside = np.minimum(beyond.max(axis=0), 0.0)
         outside = np.maximum(beyond, 0.0)
@@ -312,7 +320,8 @@ class Motion:
             first: Place and pair; None: none do anywhere on the motion. No contact is earlier, except one during which no point
                 of a pair moves further than `RESOLUTION`: two bodies then come closer than the margin by no more than half of
                 that.
-            doubtful: Shape (k,). The rows before it that such a contact leaves open, ascending: what each says by itself decides.
+            doubtful: Shape (k,), ascending. The rows before `first`, or of the whole motion without one, in which a pair is at its
+                margin, and neither bound nor measurement decides: the caller asks each.
         """
         first: tuple[float, int] | None = None
         asked, beside = 0, []
@@ -449,9 +458,9 @@ def _bounds(gap: np.ndarray) -> np.ndarray:
 
 
 def _rows_within(stretches: Sequence[tuple[float, float]], end: float) -> np.ndarray:
-    """Return the rows on some stretches, up to a place."""
-    rows = {row for low, high in stretches for row in range(math.ceil(low), math.floor(min(high, end)) + 1)}
-    return np.array(sorted(rows), dtype=int)
+    """Return the rows on some stretches that are before a place."""
+    rows = {row for low, high in stretches for row in range(math.ceil(low), math.floor(high) + 1)}
+    return np.array(sorted(row for row in rows if row < end), dtype=int)
 
 
 def _first_of(chosen: np.ndarray, order: np.ndarray, count: int) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import logging
 import math
 
 import pytest
@@ -159,6 +160,17 @@ def test_when_the_broker_dies_the_arm_brakes_replies_go_on_and_the_gateway_comes
         client.wait_for_status(state="holding")
         assert controller.missed == 0
         assert client.control("reset")["ok"]
+
+
+def test_a_broker_that_ends_together_with_the_gateway_is_no_error(broker_process, topics, caplog):
+    caplog.set_level(logging.INFO, "rsi_gateway")
+    with cell(broker_process.port, topics) as (service, controller, client):
+        client.arm()
+        stream(client, controller, (motion(k) for k in range(100)))
+        # it brakes first, and finds meanwhile that the broker is gone
+        service.stop()
+        broker_process.kill()
+    assert [record.message for record in caplog.records if record.levelno >= logging.WARNING] == []
 
 
 def test_with_mqtt_3_1_1_the_string_alone_moves_the_arm(broker, topics):

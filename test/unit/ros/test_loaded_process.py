@@ -136,8 +136,14 @@ class Roslaunch:
     def load(self) -> int:
         """Have a loaded process left behind; return its number."""
         assert self.end_of(self.start("preflight")) == 0
-        (found,) = (pid for pid in numbers() if title(pid) == "construction_twin: loaded process" and self.has(pid))
+        # preflight may end before what it has left behind has its title
+        wait_until(self.loaded, what="a loaded process")
+        (found,) = self.loaded()
         return found
+
+    def loaded(self) -> list[int]:
+        """Return the numbers of the loaded processes."""
+        return [pid for pid in numbers() if title(pid) == "construction_twin: loaded process" and self.has(pid)]
 
     def has(self, pid: int) -> bool:
         """Return whether a process was started below this folder."""

@@ -1,6 +1,7 @@
 """Motions among many objects: those that are far from all of it are left out, and no answer changes."""
 
 import numpy as np
+import pinocchio
 import pytest
 from scene_samples import FLOOR, kr120, kr120_pairs, random_poses, track7, track7_pairs
 
@@ -88,3 +89,24 @@ def test_what_is_left_out_is_further_than_the_gap():
     world = CollisionWorld(robot, scene, kr120_pairs())
     for q in qs[::6]:
         assert min(world.distance(q, link, name) for link in links for name in left[::9]) > gap
+
+
+def test_a_motion_that_is_free_or_touches_prepares_only_what_is_near(monkeypatch):
+    pairs = []
+
+    class Counted(pinocchio.CollisionPair):
+        def __init__(self, *bodies):
+            super().__init__(*bodies)
+            pairs.append(bodies)
+
+    world = CollisionWorld(kr120(), many(), kr120_pairs())
+    everything = len(CollisionWorld(kr120(), many(), kr120_pairs()).distances(kr120().home))
+    monkeypatch.setattr(pinocchio, "CollisionPair", Counted)
+    found = []
+    for qs in motions(kr120(), 12):
+        pairs.clear()
+        found.append(world.first_contact(qs))
+        assert len(pairs) < everything / 2
+        row = world.all_free(qs)
+        assert row is None or found[-1][0] <= row
+    assert None in found and any(found)
