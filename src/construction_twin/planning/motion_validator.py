@@ -177,8 +177,8 @@ class CornerRounding:
     Args:
         pace: Shape (n,). As for `curves.rounded`.
         edges_free: The straight edges of its paths are known to be free, by the same check: they are not checked again.
-        between: What lies between the states is looked at, too; not with `edges_free`, which leaves states out. It costs more, and is
-            worth it where something was missed.
+        between: What lies between the states is looked at, too; not with `edges_free`, which leaves states out. It costs more, and
+            is worth it where something was missed.
     """
 
     def __init__(self, validator: MotionValidator, pace: np.ndarray, edges_free: bool = False, between: bool = False):
