@@ -26,8 +26,8 @@ class PathQuery:
             them.
         validator: Says whether a straight edge is free; its `world` whether a pose is.
         lower, upper: Shape (n,). Lowest and highest joint values that a path may have.
-        seed: Of everything that a search draws by chance, 1 to 2**32 - 1: the same query, with a new validator, gives the same path,
-            unless the search improves its path until the budget is over.
+        seed: Of everything that a search draws by chance, 1 to 2**32 - 1: the same query, with a new validator, gives the same
+            path, unless the search improves its path until the budget is over.
     """
 
     start: np.ndarray
