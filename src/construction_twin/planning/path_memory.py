@@ -48,18 +48,27 @@ class Remembered:
     kept: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
 class _Kept:
-    """The points of a path between its ends, with their lengths and their extent, computed once.
+    """The points of a path between its ends, with what every search asks of them.
 
-    Args:
+    Attributes:
         points: Shape (m, n). m >= 1
         length: Of the whole path.
+        inner_length: Of the path along the points.
+        lowest, highest: Shape (n,). Of the points.
     """
 
-    def __init__(self, points: np.ndarray, length: float):
-        self.points, self.length = points, length
-        self.inner_length = _length(points)
-        self.lowest, self.highest = points.min(axis=0), points.max(axis=0)
+    points: np.ndarray
+    length: float
+    inner_length: float
+    lowest: np.ndarray
+    highest: np.ndarray
+
+    @classmethod
+    def of(cls, points: np.ndarray, length: float) -> _Kept:
+        """Return what is kept of the inner points of a path that is so long."""
+        return cls(points, length, _length(points), points.min(axis=0), points.max(axis=0))
 
 
 class PathMemory:
@@ -92,7 +101,7 @@ class PathMemory:
     def _refresh(self, inner: np.ndarray, length: float) -> None:
         for points in (inner, inner[::-1]) if len(inner) else ():
             self._inner.pop(points.tobytes(), None)
-            self._inner[points.tobytes()] = _Kept(points, length)
+            self._inner[points.tobytes()] = _Kept.of(points, length)
         while len(self._inner) > 2 * KEPT:
             del self._inner[next(iter(self._inner))]
 
