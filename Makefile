@@ -16,7 +16,7 @@ help:
 	@echo "make properties       the property tests with new random examples; make test takes the same ones every time; ARGS=\"-k follower\""
 	@echo "make fuzz             a million hostile inputs per campaign: codecs and running gateway; ARGS=\"--count N --seed N\""
 	@echo "make scenarios        every fault scenario three times; writes the table of docs/scenarios.md"
-	@echo "make soak             the whole loop for an hour: memory and late replies per minute; then the console's page for half an hour; ARGS=faults two hours of faults, every promise checked after each"
+	@echo "make soak             the whole loop for an hour: memory and late replies per minute"
 	@echo "make screenshots      take the pictures of docs/images again; needs no display; ARGS=\"one marker track two_robots\", ARGS=console; ARGS=console_all photographs every state of the console at four sizes, in two themes and two languages"
 	@echo "make setup            only install and build"
 	@echo "make clean            remove the workspace and the venv (.ws), and what pip built here"
@@ -57,10 +57,8 @@ fuzz: setup
 scenarios: setup
 	@bash -c 'source .ws/env.bash && python scripts/scenarios.py $(ARGS)'
 
-# the first word may be `console` or `faults`: that part alone; without a word the loop and the console
-soak:
-	@bash setup/setup.sh $$(case "$(ARGS)" in ""|console*) echo tests;; esac)
-	@bash -c 'source .ws/env.bash; case "$$1" in faults) exec python scripts/soak_faults.py "$${@:2}";; console) ;; *) python scripts/soak.py "$$@" || exit;; esac; case "$$1" in ""|console) exec .ws/browser/bin/python scripts/soak_console.py "$${@:2}";; esac' soak $(ARGS)
+soak: setup
+	@bash -c 'source .ws/env.bash && python scripts/soak.py $(ARGS)'
 
 screenshots:
 	@bash setup/setup.sh $$(case "$(ARGS)" in ""|console*) echo tests;; esac)

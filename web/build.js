@@ -7,7 +7,7 @@ import {cp, mkdir, readFile, rename, rm, writeFile} from "node:fs/promises";
 import path from "node:path";
 import {fileURLToPath} from "node:url";
 import {build} from "esbuild";
-import {translatedPages, writePages} from "./docs_pages.js";
+import {writePages} from "./docs_pages.js";
 import {tableOf} from "./src/sentences.js";
 
 const here = path.dirname(fileURLToPath(import.meta.url));
@@ -27,7 +27,7 @@ const docs = path.join(here, "..", "docs");
 const result = await build({
   entryPoints: [path.join(here, "src", "main.js"), path.join(here, "src", "style.css")],
   bundle: true,
-  define: {SENTENCES: JSON.stringify(files), PAGES: JSON.stringify(await translatedPages(docs))},
+  define: {SENTENCES: JSON.stringify(files)},
   minify: true,
   format: "esm",
   target: ["es2022", "chrome110", "firefox110", "safari16"],

@@ -2,8 +2,7 @@
  * The pages of docs/ as HTML, for the links of the status line: a tablet on a site has no other way to read them.
  *
  * Reads the Markdown that docs/ is written in: headings, paragraphs, lists, tables, code, links. Everything is escaped; a link leads to
- * another of these pages or stays text. No script and no style stands in a page. A folder of two letters, docs/de/, holds pages in
- * that language, at the same path and with the same anchors as the English ones: `<a id="3-look"></a>` on the line above a heading.
+ * another of these pages or stays text. No script and no style stands in a page.
  */
 import {mkdir, readFile, readdir, writeFile} from "node:fs/promises";
 import path from "node:path";
@@ -14,9 +13,6 @@ const escaped = (text) => text.replace(/[&<>"]/g, (letter) => ({"&": "&amp;", "<
 export function anchorOf(heading) {
   return heading.replace(/\[([^\]]*)\]\([^)]*\)/g, "$1").toLowerCase().replace(/[^\p{L}\p{N}_\- ]/gu, "").replaceAll(" ", "-");
 }
-
-/** The line above a heading that has another anchor than its words make; GitHub takes it as well. */
-const ANCHOR = /^<a id="([\w-]+)"><\/a>\s*$/;
 
 function linked(text, target, isThere) {
   const [, file, anchor] = /^([^#]*)(#[\w%-]*)?$/.exec(target) ?? [];
@@ -44,11 +40,9 @@ export function bodyOf(markdown, isThere = () => true) {
   const lines = markdown.replace(/<!--[^]*?-->/g, "").split("\n");
   const out = [];
   let k = 0;
-  let anchor = null;
   const until = (ends) => {
     const words = [];
-    const isEnd = (line) => ends.test(line) || ANCHOR.test(line);
-    while (k < lines.length && lines[k].trim() !== "" && (words.length === 0 || !isEnd(lines[k]))) words.push(lines[k++].trim());
+    while (k < lines.length && lines[k].trim() !== "" && (words.length === 0 || !ends.test(lines[k]))) words.push(lines[k++].trim());
     return words.join(" ");
   };
   while (k < lines.length) {
@@ -60,13 +54,9 @@ export function bodyOf(markdown, isThere = () => true) {
       for (k += 1; k < lines.length && !/^\s*```/.test(lines[k]); k += 1) code.push(lines[k]);
       k += 1;
       out.push(`<pre tabindex="0">${escaped(code.join("\n"))}</pre>`);
-    } else if (ANCHOR.test(line)) {
-      [, anchor] = ANCHOR.exec(line);
-      k += 1;
     } else if (heading) {
       const [, {length: level}, words] = heading;
-      out.push(`<h${level} id="${escaped(anchor ?? anchorOf(words))}">${inline(words, isThere)}</h${level}>`);
-      anchor = null;
+      out.push(`<h${level} id="${escaped(anchorOf(words))}">${inline(words, isThere)}</h${level}>`);
       k += 1;
     } else if (isTable(line)) {
       const rows = [];
@@ -91,19 +81,8 @@ export function bodyOf(markdown, isThere = () => true) {
   return out.join("\n");
 }
 
-const LANGUAGE = /^([a-z]{2})\//;
 const namesIn = async (folder) => (await readdir(folder, {recursive: true})).filter((name) => name.endsWith(".md"))
   .map((name) => name.replaceAll(path.sep, "/")).sort();
-
-/** Return the pages that there are in another language than English, by language: `{de: ["planning.md", ...]}`. */
-export async function translatedPages(folder) {
-  const found = {};
-  for (const name of await namesIn(folder)) {
-    const [, language] = LANGUAGE.exec(name) ?? [];
-    if (language) (found[language] ??= []).push(name.replace(LANGUAGE, ""));
-  }
-  return found;
-}
 
 /** Write every page of a folder of Markdown below another folder; `style` is the style sheet's name in the page's own folder. */
 export async function writePages(from, to, style) {
@@ -115,7 +94,7 @@ export async function writePages(from, to, style) {
     const file = path.join(to, name.replace(/\.md$/, ".html"));
     await mkdir(path.dirname(file), {recursive: true});
     await writeFile(file, `<!doctype html>
-<html lang="${LANGUAGE.exec(name)?.[1] ?? "en"}">
+<html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">

@@ -4,8 +4,7 @@ import os from "node:os";
 import path from "node:path";
 import {test} from "node:test";
 import {fileURLToPath} from "node:url";
-import {anchorOf, bodyOf, translatedPages, writePages} from "../docs_pages.js";
-import {addressOf} from "../src/panels/status.js";
+import {anchorOf, bodyOf, writePages} from "../docs_pages.js";
 
 const docs = path.join(path.dirname(fileURLToPath(import.meta.url)), "..", "..", "docs");
 
@@ -32,8 +31,8 @@ test("every page of the docs is written, and every anchor that one names is ther
     for (const name of names) pages.set(name, await readFile(path.join(folder, name), "utf8"));
     let links = 0;
     for (const [name, text] of pages) {
-      assert.doesNotMatch(text, /<script|<style|\son\w+=|style=|&lt;a id|<!--/, name);
-      assert.match(text, name.startsWith(`de${path.sep}`) ? /^<html lang="de">$/m : /^<html lang="en">$/m, name);
+      assert.doesNotMatch(text, /<script|<style|\son\w+=|style=|<!--/, name);
+      assert.match(text, /^<html lang="en">$/m, name);
       assert.ok(text.includes(`href="${"../".repeat(name.split(path.sep).length)}style.css"`), name);
       for (const [, target, anchor] of text.matchAll(/<a href="([^"#]*)(?:#([^"]*))?">/g)) {
         const file = target === "" ? name : path.join(path.dirname(name), target);
@@ -45,24 +44,6 @@ test("every page of the docs is written, and every anchor that one names is ther
     assert.ok(links > 50, `${links}`);
   } finally {
     await rm(folder, {recursive: true});
-  }
-});
-
-test("a heading has the anchor that stands above it, which is no text of the page", () => {
-  assert.equal(bodyOf('<a id="3-look"></a> <!-- en 1a2b3c4d -->\n## 3. Hinsehen\nText\n<a id="x"></a>\n# Y\n# Z'),
-    '<h2 id="3-look">3. Hinsehen</h2>\n<p>Text</p>\n<h1 id="x">Y</h1>\n<h1 id="z">Z</h1>');
-  assert.equal(bodyOf('- one\n<a id="x"></a>\n## Y'), '<ul><li>one</li></ul>\n<h2 id="x">Y</h2>');
-  assert.equal(bodyOf('<a id="x" onclick="y"></a>\n# Z'), '<p>&lt;a id=&quot;x&quot; onclick=&quot;y&quot;&gt;&lt;/a&gt;</p>\n<h1 id="z">Z</h1>');
-});
-
-test("pages in another language are those of its folder, and each has its English page", async () => {
-  const {de, ...others} = await translatedPages(docs);
-  assert.deepEqual(others, {});
-  assert.ok(de.includes("troubleshooting.md") && de.includes("tutorials/stalled_joint.md"));
-  const there = (await readdir(docs, {recursive: true})).map((name) => name.replaceAll(path.sep, "/"));
-  for (const name of de) {
-    assert.ok(there.includes(name), name);
-    assert.ok(there.includes(addressOf(name, "de", {de}).replace(/^docs\/(.*)\.html$/, "$1.md")), name);
   }
 });
 

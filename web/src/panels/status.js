@@ -15,17 +15,9 @@ const SIZES = ["1.25rem", "1.1rem", "1rem", "0.9rem", "0.8rem", "0.72rem"];
 /** Topics whose line, where a person is waited for, tells of a fault. */
 const FAULTS = ["cause", "link", "sync"];
 
-/** Pages of the docs that there are in another language, by language: build.js lists them. */
-const TRANSLATED = typeof PAGES === "undefined" ? {} : PAGES;
-
-/**
- * Return the address of a page of the docs as the build writes it (web/docs_pages.js), or "" for what is none: in the language where
- * it is there, else in English. Anchors are the same in each.
- */
-export function addressOf(page, language, translated = TRANSLATED) {
-  if (!PAGE.test(page)) return "";
-  const folder = translated[language]?.includes(page.split("#")[0]) ? `docs/${language}` : "docs";
-  return `${folder}/${page.replace(/\.md(?=#|$)/, ".html")}`;
+/** Return the address of a page of the docs as the build writes it (web/docs_pages.js), or "" for what is none. */
+export function addressOf(page) {
+  return PAGE.test(page) ? `docs/${page.replace(/\.md(?=#|$)/, ".html")}` : "";
 }
 
 /** Return the page's own line, if it has one: it comes before all others. Words of `texts`, and values. */
@@ -122,7 +114,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
       add(words, "p", {text: texts(who ? "status.waits_by" : "status.waits", {what: said.waits, who})});
     }
     if (said.todo) add(words, "p", {className: "status-todo", text: texts("status.todo", {what: said.todo})});
-    const address = addressOf(line.page, texts.language);
+    const address = addressOf(line.page);
     if (address) {
       add(into, "a", {text: texts("status.page"), href: address, target: "_blank", rel: "noopener",
         "aria-label": texts("status.page_of", {topic: known ? texts(`status.topic.${line.topic}`) : line.topic})});
