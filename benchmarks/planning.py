@@ -76,8 +76,7 @@ class Bench:
         """Return a planner as shipped, but at the full limits; its own seeds follow from this one."""
         settings = {key: value for key, value in self._shipped.items() if key in PlannerSettings.model_fields}
         settings |= {"planner": self._planner, "planning_budget": budget, "speed_scale": 1.0}
-        rng = np.random.default_rng(seed)
-        return Planner(self.robot, self._solver, PlannerSettings(**settings), time.perf_counter, rng)
+        return Planner(self.robot, self._solver, PlannerSettings(**settings | {"seed": seed}), time.perf_counter)
 
     def measure(self, name: str, count: int, runs: int) -> dict:
         """Return the figures of a scene."""

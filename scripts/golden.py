@@ -67,7 +67,18 @@ def record(tree: Path, name: str, words: list[str]) -> None:
     first = [ROOT / "scripts", *([] if tree == ROOT else [tree / "src"])]
     path = os.pathsep.join([*map(str, first), os.environ.get("PYTHONPATH", "")])
     environment = os.environ | {"GOLDEN": str(folder), "PYTHONPATH": path}
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "golden", "-p", "no:cacheprovider", "test/unit/chain", *words]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "golden",
+        "-p",
+        "no:cacheprovider",
+        "test/unit/chain",
+        *words,
+    ]
     print(f"[golden] recording {name} into {folder}", flush=True)
     code = subprocess.run(command, cwd=tree, env=environment).returncode
     if code:
@@ -92,7 +103,9 @@ def differences(old: Path, new: Path) -> Iterator[str]:
 def main() -> int:
     """Record what is missing, compare, and return 1 where something differs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--against", metavar="COMMIT", default=REFERENCE, help="what the working tree is compared with [%(default)s]")
+    parser.add_argument(
+        "--against", metavar="COMMIT", default=REFERENCE, help="what the working tree is compared with [%(default)s]"
+    )
     arguments, words = parser.parse_known_args()
     if words or not (RESULTS / arguments.against).is_dir():
         sys.path.insert(0, str(ROOT / "benchmarks"))

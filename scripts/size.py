@@ -1,9 +1,9 @@
 """Counts what the tree weighs and prints it beside its limits: `python3 scripts/size.py [--check | --lower]`.
 
-Standard library only. `scripts/size.toml` holds a limit and a budget per figure. `--check` (part of `make lint`) ends with 1 where a
-figure is above its limit; `--lower` writes the figures of this tree as the new limits where they are smaller. A limit rises only by
-hand, with a sentence in the commit that says for whom. A line of the page longer than 120 columns counts as several: nothing formats
-its sources.
+Standard library only. `scripts/size.toml` holds a limit and a budget per figure. `--check` (part of `make lint`) ends with 1 where
+a figure is above its limit; `--lower` writes the figures of this tree as the new limits where they are smaller. A limit rises only
+by hand, with a sentence in the commit that says for whom. A line of the page longer than 120 columns counts as several, because
+nothing formats its sources.
 """
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ import ast
 import math
 import re
 import sys
-import tomllib
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
+
+import tomllib
 
 ROOT = Path(__file__).resolve().parent.parent
 LIMITS = ROOT / "scripts" / "size.toml"
@@ -83,21 +84,35 @@ def first_texts(calls: str, source: list[Path]) -> set[str]:
 def settings(source: list[Path]) -> int:
     """Count the fields of the settings of nodes and commands: pydantic's models whose name ends with Settings."""
     classes = [node for path in source for node in nodes_of(path) if isinstance(node, ast.ClassDef)]
-    models = [kind for kind in classes if re.search("BaseModel|Settings|Behaviour", " ".join(map(ast.unparse, kind.bases)))]
-    return sum(isinstance(field, ast.AnnAssign) for kind in models if kind.name.endswith(("Settings", "Behaviour")) for field in kind.body)
+    models = [
+        kind for kind in classes if re.search("BaseModel|Settings|Behaviour", " ".join(map(ast.unparse, kind.bases)))
+    ]
+    return sum(
+        isinstance(field, ast.AnnAssign)
+        for kind in models
+        if kind.name.endswith(("Settings", "Behaviour"))
+        for field in kind.body
+    )
 
 
 def launch_arguments(paths: Iterable[Path]) -> set[str]:
     """Return the names of the arguments that a user may give: those without a fixed value."""
     return {
-        arg.get("name", "") for path in paths for arg in ElementTree.parse(path).iter("arg") if arg.get("doc") and "value" not in arg.attrib
+        arg.get("name", "")
+        for path in paths
+        for arg in ElementTree.parse(path).iter("arg")
+        if arg.get("doc") and "value" not in arg.attrib
     }
 
 
 def substituted(text: str, given: dict[str, str]) -> str:
     """Return an attribute of a launch file with its arguments filled in, as roslaunch does."""
     if text.startswith("$(eval "):
-        functions = {"arg": lambda name: literal(given[name]), "find": lambda name: str(ROOT), "optenv": lambda name, other="": other}
+        functions = {
+            "arg": lambda name: literal(given[name]),
+            "find": lambda name: str(ROOT),
+            "optenv": lambda name, other="": other,
+        }
         names = {name: literal(value) for name, value in given.items()}
         return str(eval(text[len("$(eval ") : -1], {"__builtins__": {"str": str, "int": int}}, names | functions))
     text = re.sub(r"\$\(arg (\w+)\)", lambda match: given[match[1]], text)
@@ -124,7 +139,9 @@ def nodes_started(path: Path, given: dict[str, str]) -> int:
                 values[child.attrib["name"]] = text if text is None else substituted(text, values)
             elif child.tag == "include":
                 handed_on = dict(values) if child.get("pass_all_args") == "true" else {}
-                handed_on |= {arg.attrib["name"]: substituted(arg.get("value", ""), values) for arg in child.findall("arg")}
+                handed_on |= {
+                    arg.attrib["name"]: substituted(arg.get("value", ""), values) for arg in child.findall("arg")
+                }
                 total += nodes_started(ROOT / "launch" / Path(child.attrib["file"]).name, handed_on)
             elif child.tag == "group":
                 total += count(child, dict(values))
@@ -139,10 +156,16 @@ def measured() -> dict[str, int]:
     """Return every figure of this tree by its name."""
     source = files("src", ".py")
     nodes = [path for path in (ROOT / "nodes").iterdir() if path.is_file()]
-    tests, tools = files("test", ".py"), [*files("scripts", ".py", ".sh"), *files("tools", ".py"), *files("benchmarks", ".py")]
+    tests, tools = (
+        files("test", ".py"),
+        [*files("scripts", ".py", ".sh"), *files("tools", ".py"), *files("benchmarks", ".py")],
+    )
     page, page_tests = files("web/src", ".js", ".css"), files("web/test", ".js", ".mjs")
     docs = [*files("docs", ".md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
-    extension = {name: [*files(str(PACKAGE / name), ".py"), *files(str(PACKAGE / "extensions" / name), ".py")] for name in EXTENSIONS}
+    extension = {
+        name: [*files(str(PACKAGE / name), ".py"), *files(str(PACKAGE / "extensions" / name), ".py")]
+        for name in EXTENSIONS
+    }
     core = sorted(set(source) - {path for paths in extension.values() for path in paths})
     bringup = launch_arguments([ROOT / "launch" / "bringup.launch"])
     result = {
@@ -153,7 +176,9 @@ def measured() -> dict[str, int]:
         "core: statements": statements(core),
     }
     for name, folders in CORE.items():
-        result[f"core, {name}: lines"] = lines(path for folder in folders for path in files(str(PACKAGE / folder), ".py"))
+        result[f"core, {name}: lines"] = lines(
+            path for folder in folders for path in files(str(PACKAGE / folder), ".py")
+        )
     for name, paths in extension.items():
         result[f"extension {name}: lines"] = lines(paths)
         result[f"extension {name}: statements"] = statements(paths)
@@ -176,7 +201,9 @@ def measured() -> dict[str, int]:
         "programs": len(nodes),
         "processes of a bringup": nodes_started(ROOT / "launch" / "bringup.launch", {}),
         "formatter: line length": tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["ruff"]["line-length"],
-        "formatter: switched off": sum(path.read_text().count("fmt: off") + path.read_text().count("fmt: skip") for path in [*source, *tests]),
+        "formatter: switched off": sum(
+            path.read_text().count("fmt: off") + path.read_text().count("fmt: skip") for path in [*source, *tests]
+        ),
     }
 
 
@@ -184,7 +211,9 @@ def main() -> int:
     """Print the table; return 1 with --check where a figure is above its limit."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     choice = parser.add_mutually_exclusive_group()
-    choice.add_argument("--check", action="store_true", help="say which figures are above their limits, and nothing else")
+    choice.add_argument(
+        "--check", action="store_true", help="say which figures are above their limits, and nothing else"
+    )
     choice.add_argument("--lower", action="store_true", help="make today's figures the limits where they are smaller")
     arguments = parser.parse_args()
     figures, table = measured(), tomllib.loads(LIMITS.read_text())
@@ -193,12 +222,15 @@ def main() -> int:
         print(f"{'':40}{'now':>9}{'limit':>9}{'budget':>9}")
         for name, figure in figures.items():
             row = table.get(name, {})
-            print(f"{name:40}{figure:9,}{row.get('limit', 0):9,}{row.get('budget', ''):>9}{' above' if name in above else ''}")
+            print(
+                f"{name:40}{figure:9,}{row.get('limit', 0):9,}{row.get('budget', ''):>9}{' above' if name in above else ''}"
+            )
     if arguments.lower:
         LIMITS.write_text(lowered(LIMITS.read_text(), figures))
         return 0
     for name in above:
-        print(f"size: {name} is {figures[name]}, above its limit {table.get(name, {}).get('limit')} in scripts/size.toml; make it smaller")
+        limit = table.get(name, {}).get("limit")
+        print(f"size: {name} is {figures[name]}, above its limit {limit} in scripts/size.toml; make it smaller")
     return 1 if above and arguments.check else 0
 
 

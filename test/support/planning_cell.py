@@ -53,9 +53,9 @@ def solver():
     return inverse_kinematics(CHAIN, IkSettings(), np.random.default_rng(0), Clock())
 
 
-def planner(rng_seed: int = 0, clock=None, search=None, **changes) -> Planner:
+def planner(clock=None, search=None, **changes) -> Planner:
     settings = PlannerSettings(**(QUICK | changes))
-    return Planner(ROBOT, solver(), settings, clock or Clock(), np.random.default_rng(rng_seed), search)
+    return Planner(ROBOT, solver(), settings, clock or Clock(), search)
 
 
 def world(*objects: SceneObject, padding: float = 0.01) -> CollisionWorld:

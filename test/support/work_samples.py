@@ -140,7 +140,7 @@ def planner(
     settings = PlannerSettings(**{name: values[name] for name in PlannerSettings.model_fields} | {"seed": 1})
     return TaskPlanner(
         of or robot(), solver(of), settings, pairs(), with_tool or tool(), with_recipes or recipes(), time.process_time,
-        np.random.default_rng(0), limits,
+        limits,
     )  # fmt: skip
 
 

@@ -47,7 +47,6 @@ class PlanningPipeline:
         settings: Default: the shipped ones.
         self_collision: Default: found anew by `sample_self_collision`, which takes some seconds; a program keeps it in a file.
         clock: Returns seconds from any fixed origin; measures planning time.
-        rng: Default: one with a fixed seed.
         source: Name of the source of scenes, for the message when there is no scene.
         neighbour: Returns the space that another arm occupies now, padding included. Called for every plan; raises when it is not
             known.
@@ -60,17 +59,15 @@ class PlanningPipeline:
         settings: PlannerSettings | None = None,
         self_collision: SelfCollision | None = None,
         clock: Clock = MONOTONIC,
-        rng: np.random.Generator | None = None,
         source: str = "scene",
         neighbour: Callable[[], Iterable[Obstacle]] | None = None,
     ):
-        rng = rng or np.random.default_rng(0)
         self._robot = robot
-        self._solver = solver or inverse_kinematics(Chain(robot), rng=rng, clock=clock)
+        self._solver = solver or inverse_kinematics(Chain(robot), rng=np.random.default_rng(0), clock=clock)
         self._settings = settings or PlannerSettings.shipped()
         self._self_collision = self_collision or sample_self_collision(robot)
         self._clock = clock
-        self._planner = Planner(robot, self._solver, self._settings, clock, rng)
+        self._planner = Planner(robot, self._solver, self._settings, clock)
         self._source = source
         self._neighbour = neighbour
         # kinematics, collision worlds and OMPL are not thread-safe

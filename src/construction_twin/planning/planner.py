@@ -15,13 +15,12 @@ import pydantic
 import yaml
 
 from construction_twin.core.clock import Clock
-from construction_twin.core.motion_errors import CollisionError, JointRangeError, NoPathError, PlanningError
+from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
-from construction_twin.planning.path_memory import PathMemory
 from construction_twin.planning.path_search import PathQuery, PathSearch
 from construction_twin.planning.path_searches import path_search, path_searches
 from construction_twin.planning.recheck import recheck
@@ -40,8 +39,6 @@ TIMINGS_TRIED = 3
 FINEST_HALVING = 2
 #: A joint with a larger range is searched only half of this to either side of the motion's ends [rad].
 TURN = 2.0 * np.pi
-#: Part of the time for a search that may be spent on a way to one that was found before.
-MEMORY_SHARE = 0.2
 #: Name of the planner in a plan that is a straight line between two joint vectors.
 DIRECT = "direct"
 
@@ -57,7 +54,7 @@ class PlannerSettings(pydantic.BaseModel):
         speed_scale: Used by requests that give neither this nor a duration, in (0, 1].
         max_waypoints: A plan with more is refused.
         max_duration: A longer plan is refused [s].
-        seed: 0: different every time, and ways that were found before are tried first (`path_memory`).
+        seed: Of what a search draws by chance.
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
@@ -69,7 +66,7 @@ class PlannerSettings(pydantic.BaseModel):
     speed_scale: Annotated[float, pydantic.Field(gt=0.0, le=1.0)]
     max_waypoints: Annotated[int, pydantic.Field(ge=2)]
     max_duration: Annotated[float, pydantic.Field(gt=0.0, le=86400.0)]
-    seed: Annotated[int, pydantic.Field(ge=0, lt=2**31)]
+    seed: Annotated[int, pydantic.Field(ge=1, lt=2**31)]
 
     @pydantic.field_validator("planner")
     @classmethod
@@ -167,8 +164,8 @@ class Planner:
     Args:
         solver: For goals given as poses.
         clock: Returns seconds from any fixed origin; measures planning time. OMPL's searches run on OMPL's own clock.
-        rng: Source of seeds if the settings give none. With a seed in the settings the same request in the same world gives the
-            same plan; see `search` for the planners to which this applies.
+        search: Default: the one that the settings name. With one that ends with the first path found, the same request in the same
+            world gives the same plan.
     """
 
     def __init__(
@@ -177,17 +174,13 @@ class Planner:
         solver: InverseKinematics,
         settings: PlannerSettings,
         clock: Clock,
-        rng: np.random.Generator,
         search: PathSearch | None = None,
     ):
         self._robot = robot
         self._solver = solver
         self._settings = settings
         self._clock = clock
-        self._rng = rng
         self._search = search or path_search(settings.planner)
-        # with it, a plan depends on those before it
-        self._memory = None if settings.seed else PathMemory()
 
     def plan_to_joints(
         self, start: JointValues, goal: JointValues, request: PlanRequest, world: CollisionWorld
@@ -278,16 +271,10 @@ class Planner:
                 if timed is not None:
                     return _Found(DIRECT, timed)
         goals = goals[: settings.goals]
-        seed = settings.seed or int(self._rng.integers(1, 2**31))
         lower, upper = self._bounds(start, goals)
-        query = PathQuery(start, goals, validator, lower, upper, seed)
-        left = settings.planning_budget - (self._clock() - began)
-        timed = self._remembered(query, MEMORY_SHARE * left, request, world)
-        if timed is not None:
-            return _Found(self._search.name, timed)
         attempt = 0
         while (left := settings.planning_budget - (self._clock() - began)) > 0.0:
-            query = PathQuery(start, goals, validator, lower, upper, seed + attempt)
+            query = PathQuery(start, goals, validator, lower, upper, settings.seed + attempt)
             try:
                 path = self._search.find(query, left)
             except NoPathError as error:
@@ -295,34 +282,11 @@ class Planner:
             _demand_ends(path, query, self._search.name)
             timed = self._timed(path, request, world)
             if timed is not None:
-                if self._memory is not None:
-                    self._memory.keep(path)
                 return _Found(self._search.name, timed)
             # the path passed through something thinner than the step of its check: check with smaller steps
             attempt += 1
             validator = self._validator(world, attempt)
         raise NoPathError(self._search.name, self._clock() - began)
-
-    def _remembered(
-        self, query: PathQuery, budget: float, request: PlanRequest, world: CollisionWorld
-    ) -> _Timed | None:
-        """Return a motion on a way that was found before; None if there is none that becomes one."""
-        if self._memory is None:
-            return None
-        found = self._memory.find(query, self._search, budget)
-        if found is None:
-            return None
-        _demand_ends(found.path, query, self._search.name)
-        try:
-            timed = self._timed(found.path, request, world)
-        except (PlanningError, JointRangeError):
-            # it may be too long for the duration that was asked for: a search may find a shorter one, or say what is wrong
-            timed = None
-        if timed is None:
-            self._memory.forget(found)
-        else:
-            self._memory.served(found)
-        return timed
 
     def _validator(self, world: CollisionWorld, attempt: int) -> MotionValidator:
         """Return a check of motions with a step that is half as long at each further attempt."""

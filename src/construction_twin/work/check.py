@@ -115,7 +115,7 @@ class Checker:
         self._tool0_T_tcp = pose_of(site.tool.tool.tool0_T_tcp)
 
         def planner(arm: RobotModel, of_arm: InverseKinematics, within: TaskLimits) -> TaskPlanner:
-            return TaskPlanner(arm, of_arm, settings, self_collision, site.tool, site.recipes, clock, rng, within)
+            return TaskPlanner(arm, of_arm, settings, self_collision, site.tool, site.recipes, clock, within)
 
         self._planner = planner(robot, solver, limits)
         self._trial = planner(robot, solver, _TRIAL)

@@ -31,12 +31,11 @@ from construction_twin.work.recipes import Recipes
 class TaskPlanner:
     """Plans tasks of one robot with one tool.
 
-    With a seed in the settings, the same job from the same pose in the same scene gives the same plan, unless a budget runs out.
+    The same job from the same pose in the same scene gives the same plan, unless a budget runs out.
 
     Args:
         settings: Of the free ways.
         clock: Returns seconds from any fixed origin.
-        rng: Source of seeds if the settings give none.
     """
 
     def __init__(
@@ -48,22 +47,20 @@ class TaskPlanner:
         tool: ToolFile,
         recipes: Recipes,
         clock: Clock,
-        rng: np.random.Generator,
         limits: TaskLimits = TaskLimits(),
     ):
         self._robot, self._solver, self._tool, self._recipes = robot, solver, tool, recipes
         self._self_collision, self._clock, self._limits = self_collision, clock, limits
-        self._settings, self._rng = settings, rng
+        self._settings = settings
         budget = min(settings.planning_budget, limits.free_budget)
-        self._planner = Planner(robot, solver, settings.model_copy(update={"planning_budget": budget}), clock, rng)
+        self._planner = Planner(robot, solver, settings.model_copy(update={"planning_budget": budget}), clock)
         self._shapes = Shapes()
         self._world: CollisionWorld | None = None
 
     def with_recipes(self, recipes: Recipes) -> TaskPlanner:
         """Return a planner of the same robot and tool with other recipes."""
         other = TaskPlanner(
-            self._robot, self._solver, self._settings, self._self_collision, self._tool, recipes, self._clock, self._rng,
-            self._limits,
+            self._robot, self._solver, self._settings, self._self_collision, self._tool, recipes, self._clock, self._limits,
         )  # fmt: skip
         other._world = self._world
         return other

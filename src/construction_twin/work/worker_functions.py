@@ -110,11 +110,11 @@ def prepare(
         if shape.excess > _TOLD
     ]
     known = {name: value for name, value in planner.items() if name in PlannerSettings.model_fields}
-    rng = np.random.default_rng(known.get("seed") or None)
+    rng = np.random.default_rng(known["seed"])
     solver = inverse_kinematics(chain, IkSettings(budget_s=planner.get("ik_budget", 0.5)), rng, time.monotonic)
     links = read_self_collision(self_collision, robot)
     tasks = TaskPlanner(
-        robot, solver, PlannerSettings.model_validate(known), links, site.tool, site.recipes, time.monotonic, rng
+        robot, solver, PlannerSettings.model_validate(known), links, site.tool, site.recipes, time.monotonic
     )
     _SESSIONS[:] = [_Session(layout, tasks, robot)]
     return Prepared(

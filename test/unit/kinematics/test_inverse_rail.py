@@ -176,7 +176,7 @@ def planner_of_track() -> Planner:
         max_duration=600.0,
         seed=1,
     )
-    return Planner(TRACK, RAIL, budget, time.monotonic, np.random.default_rng(0))
+    return Planner(TRACK, RAIL, budget, time.monotonic)
 
 
 def test_a_plan_goes_to_another_position_where_the_nearest_is_blocked():

@@ -286,7 +286,7 @@ def test_other_arms_are_planned_for_by_the_same_code(files):
     goal = np.clip(home + 0.6, robot.lower, robot.upper)
     tool = 0.5 * (chain.forward(home).position + chain.forward(goal).position)
     settings = PlannerSettings(**QUICK)
-    planner = Planner(robot, inverse, settings, time.monotonic, np.random.default_rng(0))
+    planner = Planner(robot, inverse, settings, time.monotonic)
     found = sample_self_collision(robot, samples=1000)
     empty = CollisionWorld(robot, Scene(), found)
     posted = empty.with_scene(Scene((SceneObject("post", "sphere", (0.02,), tuple(tool)),), 0.005))

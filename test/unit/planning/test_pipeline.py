@@ -46,9 +46,8 @@ EMPTY, WALLED = Scene(padding=0.01), Scene((WALL,), 0.01)
 
 
 def pipeline(scene: Scene | None = EMPTY, clock=None, **changes) -> PlanningPipeline:
-    rng = np.random.default_rng(0)
     settings = PlannerSettings(**(QUICK | changes))
-    made = PlanningPipeline(ROBOT, solver(), settings, SELF_COLLISION, clock or Clock(), rng, "/kr120/scene")
+    made = PlanningPipeline(ROBOT, solver(), settings, SELF_COLLISION, clock or Clock(), "/kr120/scene")
     if scene is not None:
         made.set_scene(scene)
     return made

@@ -145,7 +145,7 @@ def test_an_unknown_configuration_passes_through():
         dict(planner="Magic"),
         dict(planning_budget=0.0),
         dict(speed_scale=1.5),
-        dict(seed=-1),
+        dict(seed=0),
         dict(speed=1.0),
         dict(goals=0),
     ],

@@ -30,7 +30,7 @@ def test_where_the_nearest_posture_touches_something_another_one_of_the_same_pos
     pairs = sample_self_collision(PANDA_LIKE, samples=1000)
     world = CollisionWorld(PANDA_LIKE, Scene((SceneObject("ball", "sphere", (0.03,), tuple(elbow)),), 0.005), pairs)
     assert not world.is_free(nearest)
-    planner = Planner(PANDA_LIKE, inverse, SETTINGS, time.monotonic, np.random.default_rng(0))
+    planner = Planner(PANDA_LIKE, inverse, SETTINGS, time.monotonic)
     plan = planner.plan_to_pose(HOME, pose, PlanRequest("plan", 0), world)
     end = plan.trajectory.positions[-1]
     assert world.is_free(end)

@@ -37,7 +37,6 @@ def pipeline(**changes) -> PlanningPipeline:
         PlannerSettings(**(QUICK | changes)),
         SELF_COLLISION,
         Clock(),
-        np.random.default_rng(0),
         "/scene",
     )
     made.set_scene(EMPTY)

@@ -118,8 +118,7 @@ def test_a_path_of_another_robot_is_refused():
 
 
 def pipeline(scene: Scene) -> PlanningPipeline:
-    rng = np.random.default_rng(0)
-    made = PlanningPipeline(ROBOT, solver(), PlannerSettings(**QUICK), SELF_COLLISION, Clock(), rng)
+    made = PlanningPipeline(ROBOT, solver(), PlannerSettings(**QUICK), SELF_COLLISION, Clock())
     made.set_scene(scene)
     return made
 

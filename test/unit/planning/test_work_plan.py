@@ -394,9 +394,7 @@ def test_the_scene_that_changed_meanwhile_drops_the_plan():
                 made.set_scene(Scene((), 0.01))
             return now
 
-    made = PlanningPipeline(
-        ROBOT, solver(), PlannerSettings(**QUICK), SELF_COLLISION, Editing(), np.random.default_rng(0)
-    )
+    made = PlanningPipeline(ROBOT, solver(), PlannerSettings(**QUICK), SELF_COLLISION, Editing())
     made.set_scene(Scene((BLOCK,), 0.01))
     with pytest.raises(SceneChangedError, check=says("motion.scene_changed")):
         made.work(HOME, "task-1", task_of(), REQUEST)

@@ -126,7 +126,7 @@ class PlannerNode:
 
     def _make_pipeline(self) -> PlanningPipeline:
         settings = self._settings
-        rng = np.random.default_rng(settings.seed or None)
+        rng = np.random.default_rng(settings.seed)
         ik = IkSettings(budget_s=settings.ik_budget)
         return PlanningPipeline(
             self._robot,
@@ -134,7 +134,6 @@ class PlannerNode:
             settings,
             read_self_collision(settings.self_collision, self._robot),
             time.monotonic,
-            rng,
             rospy.resolve_name("scene"),
             self._occupied if self._beside is not None else None,
         )
