@@ -124,13 +124,9 @@ class Gates:
 
 
 class Fleet:
-    """A number of robots, and the observer on their broker.
+    """A number of robots, and the observer on their broker."""
 
-    Args:
-        shared_bridge: All robots have one bridge process.
-    """
-
-    def __init__(self, world: World, count: int, realtime: int, shared_bridge: bool = False):
+    def __init__(self, world: World, count: int, realtime: int):
         self._world = world
         model = read_robot_files(XACRO, ROBOT_YAML)
         self.names = [f"robot{k}" for k in range(1, count + 1)]
@@ -148,17 +144,11 @@ class Fleet:
             parameters = shared | {"robot": shared["robot"] | {"name": name}}
             rospy.set_param(f"/{name}", parameters)
             config = gateway_config(dataclasses.replace(model, name=name), parameters["gateway"])
-            if shared_bridge:
-                rospy.set_param(f"/{name}/bridge", "/shared_bridge")
-            else:
-                bridge = [sys.executable, ROOT / "nodes/mqtt_bridge", "__name:=mqtt_bridge"]
-                self.pids["bridge"].append(world.start(f"{name}-bridge", bridge, ROS_NAMESPACE=name).pid)
+            bridge = [sys.executable, ROOT / "nodes/mqtt_bridge", "__name:=mqtt_bridge"]
+            self.pids["bridge"].append(world.start(f"{name}-bridge", bridge, ROS_NAMESPACE=name).pid)
             cell = Cell(world, config, realtime, PREFIX)
             self.pids["gateway"].append(cell.gateway.pid)
             self.pids["mock"].append(cell.mock.pid)
-        if shared_bridge:
-            rospy.set_param("/shared_bridge", {"robots": self.names, "realtime_priority": realtime})
-            self.pids["bridge"].append(world.start("shared-bridge", [sys.executable, ROOT / "nodes/shared_bridge"]).pid)
         request_realtime(realtime)
         self.gates = Gates(self.names, model.joint_names, tuple(model.home))
 
@@ -260,13 +250,12 @@ def main() -> None:
     parser.add_argument("--robots", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=10.0, help="[%(default)s]")
     parser.add_argument("--timeout", type=float, default=60.0, help="to start and arm all [s] [%(default)s]")
-    parser.add_argument("--shared-bridge", action="store_true", help="one bridge process for all robots")
     parser.add_argument("--realtime", type=int, default=REALTIME, help="SCHED_FIFO priority; 0: none [%(default)s]")
     parser.add_argument("--output", type=Path, required=True, help="JSON")
     options = parser.parse_args()
     end_in_order()
     with tempfile.TemporaryDirectory() as folder, World(Path(folder)) as world:
-        fleet = Fleet(world, options.robots, options.realtime, options.shared_bridge)
+        fleet = Fleet(world, options.robots, options.realtime)
         armed = fleet.start(options.timeout)
         result = fleet.measure(options.seconds) | {"armed_in_time": armed}
         options.output.write_text(json.dumps(result))

@@ -65,7 +65,6 @@ for _module in sorted((ROOT / "src/construction_twin/ros/nodes").glob("*.py")):
 #: What neither a configuration file nor a launch argument explains; `*` stands for every node.
 _EXPLAINED = {
     ("*", "realtime_priority"): "SCHED_FIFO priority of all threads where permitted; 0: none",
-    ("shared_bridge", "robots"): "namespaces of the robots, each with the parameters that its own bridge would have",
     ("gazebo", "realtime"): "SCHED_FIFO priority of Gazebo's simulating thread where permitted; 0: none",
     ("gazebo", "drives"): "YAML of the arm's drives: absolute path; empty: what the URDF says",
     ("virtual_robot", "drives"): "YAML of the arm's drives: absolute path; empty: what the URDF says",

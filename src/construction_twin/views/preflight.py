@@ -26,7 +26,6 @@ SWITCHES = (
     "anonymous_broker_is_meant",
     "broker",
     "gateway",
-    "shared_bridge",
     "commissioning",
     "torque_watch",
     "tool_marker",

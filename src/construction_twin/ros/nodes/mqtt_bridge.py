@@ -7,7 +7,7 @@ import threading
 import time
 import uuid
 import xmlrpc.client
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Literal
@@ -226,7 +226,16 @@ class MqttBridge:
 
     def run(self) -> None:
         """Poll the link until shutdown."""
-        run_bridges([self])
+        threading.Thread(target=self._write_logs, name="log", daemon=True).start()
+        while not rospy.is_shutdown():
+            self.poll()
+            time.sleep(POLL)
+        self.end()
+
+    def _write_logs(self) -> None:
+        while not rospy.is_shutdown():
+            self.write_log()
+            time.sleep(LOG_PERIOD)
 
     def end(self) -> None:
         """Say that the bridge ends, and leave the broker."""
@@ -758,27 +767,9 @@ class MqttBridge:
         return Report(level, f"{state.name}: {reason}", values)
 
 
-def run_bridges(bridges: Sequence[MqttBridge]) -> None:
-    """Poll the links of a process until shutdown."""
-    threading.Thread(target=_write_logs, args=(bridges,), name="log", daemon=True).start()
-    while not rospy.is_shutdown():
-        for bridge in bridges:
-            bridge.poll()
-        time.sleep(POLL)
-    for bridge in bridges:
-        bridge.end()
-
-
-def _write_logs(bridges: Sequence[MqttBridge]) -> None:
-    while not rospy.is_shutdown():
-        for bridge in bridges:
-            bridge.write_log()
-        time.sleep(LOG_PERIOD)
-
-
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
     """Return the bridge with its parameters, topics and services, connecting to the broker."""
-    config = config_from_parameters(ports.namespace, settings.gateway_kind != PLC)
+    config = config_from_parameters(needs_file=settings.gateway_kind != PLC)
     broker = broker_of(settings)
     topics = Topics(settings.prefix, robot.name)
     bridge = MqttBridge(

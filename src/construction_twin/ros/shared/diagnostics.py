@@ -30,23 +30,6 @@ class Report:
     values: Mapping[str, object] = field(default_factory=dict)
 
 
-class _Named:
-    """Publishes diagnostics under the name of another node than this process's.
-
-    Args:
-        node: As `rospy.get_name` returns one.
-    """
-
-    def __init__(self, publisher: Publisher, node: str):
-        self._publisher, self._node = publisher, node.lstrip("/")
-
-    def publish(self, message: DiagnosticArray) -> None:
-        """Publish, each status with the node's name before the colon."""
-        for status in message.status:
-            status.name = f"{self._node}:{status.name.partition(':')[2]}"
-        self._publisher.publish(message)
-
-
 class NodeDiagnostics:
     """Counts refusals and reports them with a node's state; for use from several threads.
 
@@ -55,11 +38,9 @@ class NodeDiagnostics:
     Args:
         hardware_id: Name of the robot.
         report: Returns the node's Report.
-        node: Name under which the state is reported, of a node that another process has taken the place of. Default: the process's
-            own.
     """
 
-    def __init__(self, hardware_id: str, report: Callable[[], Report], node: str = ""):
+    def __init__(self, hardware_id: str, report: Callable[[], Report]):
         self._lock = threading.Lock()
         self._refused: Counter[str] = Counter()
         #: The last sentence of each reason.
@@ -71,9 +52,7 @@ class NodeDiagnostics:
         self._report = report
         self._updater = diagnostic_updater.Updater()
         # quiet at shutdown, as every publisher of ours
-        self._node = node or rospy.get_name()
-        publisher = Publisher("/diagnostics", DiagnosticArray, queue_size=1)
-        self._updater.publisher = _Named(publisher, node) if node else publisher
+        self._updater.publisher = Publisher("/diagnostics", DiagnosticArray, queue_size=1)
         self._updater.setHardwareID(hardware_id)
         self._updater.add("state", self._fill)
         # `update` would ask the master for a period, and raise when the master is gone: a motion goes on without one
@@ -92,7 +71,7 @@ class NodeDiagnostics:
         """
         self.count(reason, sentence)
         if (more := self._log.note(reason, sentence)) is not None:
-            self._said.add(rospy.logwarn, "%s refused (%s): %s%s", self._node, reason, sentence, more)
+            self._said.add(rospy.logwarn, "%s refused (%s): %s%s", rospy.get_name(), reason, sentence, more)
             self._news.set()
 
     def _write(self) -> None:

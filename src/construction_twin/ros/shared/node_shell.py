@@ -74,20 +74,13 @@ class NodeShell(Generic[Settings]):
         run_node(self.name, self._start)
 
     def _start(self) -> object:
-        return self.open(*self.read_in("", "~"))
-
-    def read_in(self, namespace: str, private: str) -> tuple[Settings, RobotModel]:
-        """Return the node's parameters, which stand at `private`, and the robot in a namespace, ``/kr120/``; checked.
-
-        In a process of several robots; "" and ``~`` are the process's own.
-        """
-        settings, robot = read_parameters(self.settings, private), robot_from_parameters(namespace)
+        settings, robot = read_parameters(self.settings), robot_from_parameters()
         self.check(settings, robot)
-        return settings, robot
+        return self.open(settings, robot)
 
-    def open(self, settings: Settings, robot: RobotModel, namespace: str = "", private: str = "~") -> Any:
-        """Return the node, with all that it has to do with ROS; in a process of several robots of the one in a namespace."""
-        ports = Ports(self.interface, settings, robot, namespace, private)
+    def open(self, settings: Settings, robot: RobotModel) -> Any:
+        """Return the node, with all that it has to do with ROS."""
+        ports = Ports(self.interface, settings, robot)
         node = self.start(settings, robot, ports)
         ports.connect(node)
         return node

@@ -38,8 +38,8 @@ def settings_of(model: type[Settings], values: Mapping[str, object], where: str 
         raise configuration_error(error, model, where) from error
 
 
-def read_parameters(model: type[Settings], private: str = "~") -> Settings:
-    """Read the node's private parameters into `model`, or those that stand at `private`, ``/kr120/mqtt_bridge/``.
+def read_parameters(model: type[Settings]) -> Settings:
+    """Read the node's private parameters into `model`.
 
     Roslaunch leaves its own bookkeeping and other nodes' keys elsewhere, so everything under ``~`` must be known to the
     model: a misspelt key is an error, not a silent default.
@@ -50,8 +50,7 @@ def read_parameters(model: type[Settings], private: str = "~") -> Settings:
     Raises:
         ConfigurationError: With the resolved parameter name, its value and what was expected.
     """
-    where = rospy.get_name() if private == "~" else private.rstrip("/")
-    return settings_of(model, rospy.get_param("~" if private == "~" else where, {}), where)
+    return settings_of(model, rospy.get_param("~", {}), rospy.get_name())
 
 
 def robot_from_parameters(namespace: str = "") -> RobotModel:

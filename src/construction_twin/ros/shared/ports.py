@@ -8,7 +8,7 @@ in afterwards goes directly to the method.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from types import MethodType
@@ -242,24 +242,21 @@ class Ports:
     Attributes:
         parameters: Values of the shared ones, by name.
         publishers, poses: By topic; without what is not there with these parameters.
-        namespace: Of the robot, ``/kr120/``, in a process of several; "": the node's own.
-        private: What ``~`` stands for there.
     """
 
-    def __init__(self, interface: Interface, settings: Any, robot: RobotModel, namespace: str = "", private: str = "~"):
+    def __init__(self, interface: Interface, settings: Any, robot: RobotModel):
         self._interface, self._settings, self._robot = interface, settings, robot
-        self.namespace, self._private = namespace, private
         self._node: object = None
         self.parameters: dict[str, Any] = {
-            each.name: rospy.get_param(self.named(each.name), each.default) for each in interface.parameters
+            each.name: rospy.get_param(each.name, each.default) for each in interface.parameters
         }
         self._diagnostics = None
         if interface.report is not None:
-            self._diagnostics = NodeDiagnostics(robot.name, self._report, private.rstrip("/") if namespace else "")
-        opened = ((each.topic, self._placed(each).open(robot)) for each in interface.publishes if each.when(settings))
+            self._diagnostics = NodeDiagnostics(robot.name, self._report)
+        opened = ((each.topic, each.open(robot)) for each in interface.publishes if each.when(settings))
         self.publishers: dict[str, Sink] = {topic: publisher for topic, publisher in opened if publisher is not None}
         self.poses = {
-            each.topic: LatestPose(self.named(each.topic), robot.joint_names, self.diagnostics.refuse)
+            each.topic: LatestPose(each.topic, robot.joint_names, self.diagnostics.refuse)
             for each in interface.reads
             if each.when(settings)
         }
@@ -274,27 +271,18 @@ class Ports:
     def keeper(self, name: str) -> Callable[[Any], None]:
         """Return what writes a shared parameter that is `kept`; it may take as long as the master does."""
         assert any(each.kept for each in self._interface.parameters if each.name == name), name
-        return partial(rospy.set_param, self.named(name))
-
-    def named(self, name: str) -> str:
-        """Return a topic's, service's or parameter's name as rospy takes it here."""
-        if name.startswith("~"):
-            return self._private + name[1:]
-        return name if name.startswith("/") else self.namespace + name
-
-    def _placed(self, declared: _Topic) -> _Topic:
-        return replace(declared, topic=self.named(declared.topic)) if self.namespace else declared
+        return partial(rospy.set_param, name)
 
     def connect(self, node: object) -> None:
         """Open what the node hears, what it serves, and what it does again and again."""
         self._node = node
         for each in self._interface.hears:
             if each.when(self._settings):
-                opened = self._placed(each).open(MethodType(each.handler, node), self._robot, self.diagnostics.refuse)
+                opened = each.open(MethodType(each.handler, node), self._robot, self.diagnostics.refuse)
                 if isinstance(opened, Subscriber):
                     self._subscribers[each.topic] = opened
         for served in self._interface.serves:
-            Service(self.named(served.name), served.kind, partial(served.answer, node, self.diagnostics.refuse))
+            Service(served.name, served.kind, partial(served.answer, node, self.diagnostics.refuse))
         for timer in self._interface.every:
             rospy.Timer(rospy.Duration(timer.period(self._settings)), self._doing(timer.act))
 

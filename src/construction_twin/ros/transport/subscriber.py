@@ -15,8 +15,6 @@ import rospy
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
 
-#: Name of a robot's own bridge.
-OWN_BRIDGE = "mqtt_bridge"
 #: The node that publishes a stream, by its name in the robot's namespace. The parameter `publishers` there names others. A topic
 #: that is neither here nor in `FOR_ANYBODY` is heard from everybody.
 PUBLISHERS = {
@@ -25,12 +23,12 @@ PUBLISHERS = {
     "twin/joint_states": "virtual_robot",
     "twin/commanded": "virtual_robot",
     "gazebo/joint_states": "gazebo_arm",
-    "physical/torque": OWN_BRIDGE,
-    "physical/current": OWN_BRIDGE,
-    "physical/joint_states": OWN_BRIDGE,
-    "physical/feedback": OWN_BRIDGE,
-    "link": OWN_BRIDGE,
-    "session_request": OWN_BRIDGE,
+    "physical/torque": "mqtt_bridge",
+    "physical/current": "mqtt_bridge",
+    "physical/joint_states": "mqtt_bridge",
+    "physical/feedback": "mqtt_bridge",
+    "link": "mqtt_bridge",
+    "session_request": "mqtt_bridge",
     "sync": "pca_monitor",
     "hold": "pca_monitor",
     "plan": "planner",
@@ -41,7 +39,7 @@ PUBLISHERS = {
     "approval_obstacle": "executor",
     "engagement": "executor",
     "tool_command": "executor",
-    "tool": OWN_BRIDGE,
+    "tool": "mqtt_bridge",
     "review": "executor",
     "work/tasks": "work",
     "conflict": "neighbour",
@@ -53,8 +51,6 @@ PUBLISHERS = {
 }
 #: Requests that other programs may make: heard from everybody, unless `publishers` names one node.
 FOR_ANYBODY = ("joint_trajectory", "speed_limit")
-#: In a robot's namespace: the node that is its bridge, where it shares one with others; by default it has its own.
-BRIDGE = "bridge"
 #: Reason under which a message from another node than a stream's publisher is refused.
 PUBLISHER = "publisher"
 
@@ -66,7 +62,7 @@ def publisher_of(topic: str) -> str | None:
         topic: A stream in the node's own namespace (``sync``), or in another robot's (``/kr120_b/sync``).
 
     Raises:
-        ConfigurationError: When the parameter `publishers` is no mapping from these streams to names, or `bridge` no name.
+        ConfigurationError: When the parameter `publishers` is no mapping from these streams to names.
     """
     streams = (*PUBLISHERS, *FOR_ANYBODY)
     stream = next((name for name in streams if topic == name or topic.endswith(f"/{name}")), None)
@@ -81,11 +77,6 @@ def publisher_of(topic: str) -> str | None:
     name = named.get(stream, PUBLISHERS.get(stream))
     if name is None:
         return None
-    if name == OWN_BRIDGE:
-        name = rospy.get_param(f"{namespace}{BRIDGE}", OWN_BRIDGE)
-        if not isinstance(name, str) or not name:
-            where = rospy.resolve_name(f"{namespace}{BRIDGE}")
-            raise ConfigurationError(where, name, Sentence("expected.node_name"))
     return rospy.resolve_name(name if name.startswith("/") else namespace + name)
 
 
