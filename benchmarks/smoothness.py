@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import random
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -265,42 +264,6 @@ def measure(decimals: int = 6, **changes) -> dict:
     }
 
 
-def measure_ripple() -> list[dict]:
-    """Return what rounding and its smoothing do on the ideal link, per number of decimals and smoothing.
-
-    Returns:
-        ``decimals``, ``smoothing_cycles``, ``delay_ms`` of the smoothing, ``ripple_deg_s2``: RMS over all joints and cycles of the
-        motion of what is added to the planned acceleration, ``acc_ratio``, ``jerk_ratio``.
-    """
-    robot = read_robot()
-    motion = planned_motion(robot)
-    planned = np.diff(motion, 2, axis=0) / CYCLE**2
-    moving = np.flatnonzero(np.abs(planned).max(axis=1) > 0)
-    rows = []
-    for decimals in (3, 4, 6):
-        for cycles in (0, 2, 3, 4):
-            played = play(motion, make_config(robot, decimals=decimals, smoothing_cycles=cycles), PROFILES["ideal"])
-            acceleration = np.diff(played.positions, 2, axis=0) / CYCLE**2
-            lag = _lag(played.positions, motion)
-            ripple = acceleration[moving[0] + lag : moving[-1] + lag] - planned[moving[0] : moving[-1]]
-            rows.append(
-                {
-                    "decimals": decimals,
-                    "smoothing_cycles": cycles,
-                    "delay_ms": 4 * cycles,
-                    "ripple_deg_s2": math.degrees(float(np.sqrt(np.mean(ripple**2)))),
-                }
-                | ratios(played, motion, robot)
-            )
-    return rows
-
-
-def _lag(positions: np.ndarray, motion: np.ndarray) -> int:
-    """Return by how many cycles what was played is behind what was planned."""
-    ends = len(motion) - 250
-    return min(range(60), key=lambda lag: float(np.abs(positions[lag : ends + lag] - motion[:ends]).sum()))
-
-
 def print_ratios(results: dict) -> None:
     """Print the table of `measure`."""
     print(f"{'profile':16s}{'ours: acc':>12s}{'jerk':>10s}{'naive: acc':>14s}{'jerk':>10s}   (RMS over the plan's)")
@@ -317,17 +280,11 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print JSON in place of tables")
     parser.add_argument("--decimals", type=int, default=6, help="decimals of the joint string [%(default)s]")
     arguments = parser.parse_args()
-    results, ripple = measure(arguments.decimals), measure_ripple()
+    results = measure(arguments.decimals)
     if arguments.json:
-        print(json.dumps({"smoothness": results, "ripple": ripple}, indent=2))
+        print(json.dumps({"smoothness": results}, indent=2))
         return
     print_ratios(results)
-    print(f"\n{'decimals':>8s}{'smoothing':>11s}{'delay':>8s}{'ripple':>14s}{'acc':>9s}{'jerk':>9s}")
-    for row in ripple:
-        print(
-            f"{row['decimals']:8d}{row['smoothing_cycles']:11d}{row['delay_ms']:5d} ms{row['ripple_deg_s2']:8.2f} deg/s2"
-            f"{row['acc_ratio']:9.3f}{row['jerk_ratio']:9.2f}"
-        )
 
 
 if __name__ == "__main__":

@@ -43,7 +43,6 @@ class GatewayConfig:
         start_tolerance_linear: The same for linear axes [m].
         playout_delay: Distance of the playout to the newest command when a stream begins [s].
         playout_delay_min, playout_delay_max: Bounds of that distance, which follows the jitter of the commands [s].
-        smoothing_cycles: Delay of the smoothing of played targets, in controller cycles; 0 for none.
         silence: The stream may be overdue this long before the gateway brakes and holds [s].
         max_age: A command may have travelled this much longer than the quickest one [s].
         reference: What the corrections are relative to, in the make's word (`Make.references`); "": its usual one.
@@ -75,7 +74,6 @@ class GatewayConfig:
     playout_delay: float = 0.02
     playout_delay_min: float = 0.02
     playout_delay_max: float = 0.25
-    smoothing_cycles: int = 0
     silence: float = 0.1
     max_age: float = 0.5
     reference: str = ""
@@ -118,8 +116,6 @@ class GatewayConfig:
             raise ConfigurationError("decimals", self.decimals, Sentence("expected.range", lowest=1, largest=6))
         if not isinstance(self.properties, bool):
             raise ConfigurationError("properties", self.properties, Sentence("expected.true_or_false"))
-        if type(self.smoothing_cycles) is not int or self.smoothing_cycles not in (0, *range(2, 11)):
-            raise ConfigurationError("smoothing_cycles", self.smoothing_cycles, Sentence("expected.smoothing"))
         for name in (
             "start_tolerance",
             "start_tolerance_linear",

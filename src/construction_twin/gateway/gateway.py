@@ -449,7 +449,7 @@ class Gateway:
             follower.rest()
         pause = max(0, elapsed - self._cycle)
         if self._machine.state is State.FOLLOWING:
-            self._player.stand(follower, pause, lost)
+            self._player.stand(pause, lost)
             self.counters["standstills"] += 1
         return follower, elapsed - pause
 

@@ -1,4 +1,4 @@
-"""From buffered commands to positions: playout, smoothing and follower of one gateway. Standard library only; rad and ns."""
+"""From buffered commands to positions: playout and follower of one gateway. Standard library only; rad and ns."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from construction_twin.core.pace import keeps_pace
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.playout import Playout, PlayoutBounds
-from construction_twin.gateway.smoothing import Smoother
 from construction_twin.gateway.speed_governor import Governor
 from construction_twin.gateway.stop_report import Braking
 
@@ -35,12 +34,9 @@ class Player:
         self._config = config
         self._counters = counters
         governor = Governor(config.limits, config.decimals, config.cycle_ns)
-        self._smoother = Smoother(config.smoothing_cycles, config.cycle_ns) if config.smoothing_cycles else None
-        behind = self._smoother.delay if self._smoother is not None else 0
-        self._playout = Playout(PlayoutBounds.of(config), governor, config.cycle_ns, behind)
+        self._playout = Playout(PlayoutBounds.of(config), governor, config.cycle_ns)
         self._longest_hole = round(config.silence * NANOSECONDS)
         self._stalled: _Stall | None = None
-        self._smoothing_ms = config.smoothing_cycles * config.cycle_ns / 1e6
         #: Fraction of the velocity limits at which the arm may move.
         self.fraction = 1.0
         #: Stands at the position last sent; None without an origin.
@@ -86,8 +82,6 @@ class Player:
         self._playout.clear()
         self.stamp = self._stamp_before = self.stood = 0
         self.braking = None
-        if self._smoother is not None:
-            self._smoother.clear()
 
     def lead(self, stamp: int) -> float:
         """Return how far `stamp` [ns] lies ahead of playout time [s]."""
@@ -118,8 +112,6 @@ class Player:
             self._counters["cycles_without_command"] += 1
             return self._brake(follower, elapsed, measured)
         self.braking = None
-        if self._smoother is not None:
-            target = self._smoother.smooth(target, self.stamp)
         position = follower.follow(target)
         if follower.settling:
             self._counters["settling"] += 1
@@ -129,25 +121,17 @@ class Player:
         """Return whether the last step through the stream was as long as its time, `elapsed` [ns], but for what a clock drifts."""
         return bool(self._stamp_before) and keeps_pace(self.stamp - self._stamp_before, elapsed)
 
-    def stand(self, follower: Follower, pause: int, taken_back: bool) -> None:
+    def stand(self, pause: int, taken_back: bool) -> None:
         """Go on from where HOLDON keeps the arm, while a stream is followed.
 
         Args:
-            follower: At rest there.
             pause: Controller time without a reply that could have been given [ns].
             taken_back: True: the last position did not arrive either.
         """
-        stands_at = None
-        if self._smoother is not None and self.stamp and self.braking is None:
-            # where the arm is, which an average of targets has led
-            stands_at = self._smoother.stamp(taken_back)
-        self._playout.stand(pause, taken_back, stands_at)
+        self._playout.stand(pause, taken_back)
         if taken_back:
             self.stamp = self._stamp_before
         self.stood = self.stood + 1 if self._playout.backlog else 0
-        if self._smoother is not None:
-            self._smoother.clear()
-            self._smoother.smooth(follower.position, self._playout.now)
 
     def _brake(self, follower: Follower, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
         if self.braking is None:
@@ -177,4 +161,4 @@ class Player:
 
     def report(self) -> dict:
         """Return what `status` says about the playout."""
-        return self._playout.report() | {"smoothing_ms": self._smoothing_ms}
+        return self._playout.report()

@@ -61,19 +61,16 @@ class Playout:
         governor: Slows playout time while a speed limit asks for it; None: nothing can.
         cycle_ns: The controller's cycle [ns]. Commands come every 4 ms whatever it is, and what depends on them counts in 4 ms: the
             margin, and the delay's grid.
-        behind: How far the arm trails the targets that it is led by [ns]: so far `stand` can go back.
     """
 
-    def __init__(
-        self, bounds: PlayoutBounds, governor: Governor | None = None, cycle_ns: int = CYCLE_NS, behind: int = 0
-    ):
+    def __init__(self, bounds: PlayoutBounds, governor: Governor | None = None, cycle_ns: int = CYCLE_NS):
         self.bounds = bounds
         self._governor = governor
         self._governed = False
         # stamp and pose; plain tuples, and no records: they are made and unpacked in every cycle of 4 ms
         self._commands: deque[tuple[int, Pose]] = deque()
-        # those that were played, the newest last; a rate above 1 needs a few more than the time says
-        self._past: deque[tuple[int, Pose]] = deque(maxlen=1 + (2 * behind // CYCLE_NS))
+        # the last one that was played
+        self._before: tuple[int, Pose] | None = None
         self._arrivals = Arrivals(max(0, bounds.start - MARGIN))
         self._cycle_ns = cycle_ns
         self._slew = Slew(cycle_ns)
@@ -87,7 +84,7 @@ class Playout:
         self._slew.clear()
         self._slew_limit = self._calm
         self._commands.clear()
-        self._past.clear()
+        self._before = None
         self._newest = 0
         self._now = 0
         # playout time before the last advance: that one is taken back when the reply it was for does not arrive
@@ -205,7 +202,7 @@ class Playout:
         """
         commands = self._commands
         while len(commands) > 1 and commands[1][0] <= self._now:
-            self._past.append(commands.popleft())
+            self._before = commands.popleft()
         if self._put_off:
             self._skip_rest()
         before = self._advanced_from = self._now
@@ -296,7 +293,7 @@ class Playout:
                 self._slew_limit = self._catch_up
         self._governed = governor.active
 
-    def stand(self, pause: int, taken_back: bool, stands_at: int | None = None) -> None:
+    def stand(self, pause: int, taken_back: bool) -> None:
         """Begin anew from a standstill: the arm was not told to move on.
 
         What is not played now is put off, and the motion starts again on its path, with a rate that rises from 0.
@@ -304,14 +301,11 @@ class Playout:
         Args:
             pause: Controller time that the arm has stood for [ns].
             taken_back: True: the last target was not reached either, because it did not arrive.
-            stands_at: Stamp of the target at which the arm stands, where it trails the one that was played last [ns].
         """
         put_off = pause
         if taken_back:
             put_off += self._now - self._advanced_from
             self._now = self._advanced_from
-        if stands_at is not None and stands_at < self._now:
-            put_off += self._go_back(stands_at)
         self._clock += pause
         self._slew.remaining += put_off
         self._put_off += put_off
@@ -320,22 +314,13 @@ class Playout:
             self._governor.stand()
             self._governed = True
 
-    def _go_back(self, stamp: int) -> int:
-        """Set playout time back to a stamp [ns], as far as commands are remembered; return by how much [ns]."""
-        commands, past = self._commands, self._past
-        while past and commands[0][0] > stamp:
-            commands.appendleft(past.pop())
-        before = self._now
-        self._now = min(before, max(stamp, commands[0][0]))
-        return before - self._now
-
     def _target(self, stamp: int) -> Pose:
         """Return the pose at a stamp [ns] not far ahead of playout time, without moving on."""
         return self._at(stamp)[1]
 
     def _at(self, stamp: int) -> tuple[int, Pose]:
         """Return stamp and pose at a stamp [ns] not far ahead of the oldest command, between the oldest and the newest one."""
-        commands, before = self._commands, self._past[-1] if self._past else None
+        commands, before = self._commands, self._before
         index = 0
         while index + 1 < len(commands) and commands[index + 1][0] <= stamp:
             before = commands[index]
@@ -348,9 +333,9 @@ class Playout:
 
     def _skip_rest(self) -> None:
         """Skip a rest that has been put off: while every stamp has the same pose, playout time can be set without a motion."""
-        commands, past = self._commands, self._past
-        while self._put_off and len(commands) > 2 and past and self._now >= commands[0][0]:
-            if not past[-1][1] == commands[0][1] == commands[1][1] == commands[2][1]:
+        commands = self._commands
+        while self._put_off and len(commands) > 2 and self._before is not None and self._now >= commands[0][0]:
+            if not self._before[1] == commands[0][1] == commands[1][1] == commands[2][1]:
                 return
             hop = min(self._put_off, commands[1][0] - self._now)
             self._now += hop
@@ -358,4 +343,4 @@ class Playout:
             self._slew.remaining -= hop
             if self._now < commands[1][0]:
                 return
-            past.append(commands.popleft())
+            self._before = commands.popleft()

@@ -140,34 +140,6 @@ def test_jitter_of_20_ms_is_absorbed_by_a_longer_delay():
     assert_corrections_inside_limits(chain)
 
 
-@pytest.mark.parametrize("cycles", [2, 3, 6])
-@pytest.mark.parametrize("timing", [{"duration": 10.0, "waypoints": 200}, {}], ids=["slow", "full_speed"])
-@pytest.mark.parametrize("phase", [0.0, 0.00137])
-def test_smoothing_errs_by_the_rounding_of_the_twin_and_the_state_together(cycles, timing, phase):
-    chain = make_chain(3, playout_delay=0.02 + phase, smoothing_cycles=cycles)
-    chain.run_for(0.5)
-    play_to_the_end(chain, make_plan(chain, REACH, **timing))
-    assert worst_error(chain) <= 2.0e-5
-    # its own delay is removed with the lag: the two cycles of the servo, and its own; as well as rounded poses can tell
-    tolerance = max(LAG_TOLERANCE_NS, 8 * lag_uncertainty(chain))
-    assert tolerance < 5000
-    assert table(chain)[1] == pytest.approx((2 + cycles) * 4_000_000, abs=tolerance)
-    # at rest it is exact
-    assert np.abs(np.array(chain.controller.measured) - chain.twin.pose).max() < 1e-14
-    assert chain.gateway.counters["settling"] == 0
-    assert_corrections_inside_limits(chain)
-
-
-@pytest.mark.parametrize("cycles", [2, 6])
-def test_smoothing_delays_by_its_whole_cycles(cycles):
-    # a thousandth of the rounding, and so a thousandth of the doubt about the lag
-    chain = make_chain(6, playout_delay=0.02137, smoothing_cycles=cycles)
-    chain.run_for(0.5)
-    play_to_the_end(chain, make_plan(chain, REACH, duration=10.0, waypoints=200))
-    assert table(chain)[1] == pytest.approx((2 + cycles) * 4_000_000, abs=5.0)
-    assert worst_error(chain) <= 2.0e-8
-
-
 def test_another_servo_changes_the_table():
     chain = make_chain(6, servo="realistic")
     play_to_the_end(chain, make_plan(chain, REACH, duration=10.0, waypoints=200))

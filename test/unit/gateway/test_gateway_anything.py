@@ -286,19 +286,15 @@ _EVENT = st.tuples(
     st.lists(_EVENT, min_size=1, max_size=14),
     st.sampled_from((2, 3, 6)),
     st.booleans(),
-    st.sampled_from((0, 0, 2, 4)),
     st.sampled_from((0.02, 0.0213, 0.1)),
     st.sampled_from((4, 12)),
 )
 # one telegram is lost at speed: the arm stands for a cycle
-@example([("drive", -1.0, 16), ("skip", -1.0, 1)], 2, False, 0, 0.02, 4)
-def test_corrections_stay_inside_the_limits_whatever_arrives(
-    events, decimals, properties, smoothing_cycles, delay, cycle
-):
+@example([("drive", -1.0, 16), ("skip", -1.0, 1)], 2, False, 0.02, 4)
+def test_corrections_stay_inside_the_limits_whatever_arrives(events, decimals, properties, delay, cycle):
     cell = Cell(
         decimals=decimals,
         properties=properties,
-        smoothing_cycles=smoothing_cycles,
         playout_delay=delay,
         silence=0.06,
         cycle=cycle,

@@ -1,4 +1,4 @@
-"""The gateway as a pure object: stalls, holes, learned delays, smoothing."""
+"""The gateway as a pure object: stalls, holes, learned delays."""
 
 from __future__ import annotations
 
@@ -173,23 +173,4 @@ def test_status_shows_the_playout():
         "put_off_ms": 0.0,
         "rate_percent": 0.0,
         "drift_ppm": None,
-        "smoothing_ms": 0.0,
     }
-
-
-@pytest.mark.parametrize("cycles", [2, 4])
-def test_smoothing_delays_by_its_cycles_calms_the_ripple_and_is_exact_at_rest(cycles):
-    def ripple(cell):
-        moved = [reply[0] for reply in cell.replies[20:]]
-        seconds = [c - 2 * b + a for a, b, c in zip(moved, moved[1:], moved[2:])]
-        return max(map(abs, seconds))
-
-    rough, calm = following(600), following(600, smoothing_cycles=cycles)
-    assert calm.gateway.status()["playout"]["smoothing_ms"] == 4.0 * cycles
-    assert calm.measured[0] == pytest.approx(slow(600 - DELAY_CYCLES - cycles)[0], abs=math.radians(0.001))
-    natural = 0.1 * 2.0**2 * CYCLE**2
-    assert ripple(calm) - natural < 0.5 * (ripple(rough) - natural)
-    assert calm.count("settling") == 0
-    rest = calm.codec.quantise(slow(599))
-    calm.stream([rest] * 200)
-    assert calm.measured == tuple(start + (q - start) for q, start in zip(rest, START))

@@ -107,20 +107,6 @@ def test_lost_telegrams_are_the_same(lost, cycle):
     assert (cell.state, cell.count("settling")) == (State.FOLLOWING, 0)
 
 
-@pytest.mark.parametrize("cycle", CYCLES)
-@pytest.mark.parametrize("smoothing", [2, 4, 10])
-@pytest.mark.parametrize("losses", ["r", "rrrrr", "t", "rnnnrnt"])
-def test_with_smoothing_the_motion_goes_on_from_where_the_average_has_led_the_arm(losses, smoothing, cycle):
-    """Not from the targets ahead of it: the joints would go there each as fast as it can, beside the path."""
-    cell = moving(cycle=cycle, smoothing_cycles=smoothing)
-    cell.lose(losses)
-    go_on(cell, 600)
-    assert (cell.state, cell.count("settling")) == (State.FOLLOWING, 0)
-    assert_arrived_within_limits(cell)
-    assert_on_path(cell)
-    assert_trace_agrees(cell)
-
-
 def test_the_motion_that_was_held_up_ends_where_it_should():
     rate = 2 * math.pi / (600 * CYCLE)
     cell = moving(rate=rate)
@@ -170,17 +156,14 @@ def test_the_stamp_of_a_pose_is_that_of_the_target_that_arrived(cumulative):
     cycle=st.sampled_from(CYCLES),
     decimals=st.sampled_from([3, 6]),
     rate=st.floats(0.05, 3.3),
-    smoothing=st.sampled_from([0, 2, 4]),
     cumulative=st.booleans(),
     limit=st.sampled_from([None, 0.0, 0.1, 0.3]),
     tail=st.sampled_from(["stream", "silence", "stop"]),
 )
 def test_whatever_is_lost_every_correction_that_arrives_is_inside_the_limits(
-    losses, cycle, decimals, rate, smoothing, cumulative, limit, tail
+    losses, cycle, decimals, rate, cumulative, limit, tail
 ):
-    cell = moving(
-        1, cycle=cycle, decimals=decimals, smoothing_cycles=smoothing, cumulative=cumulative, speed_limit_backlog=60.0
-    )
+    cell = moving(1, cycle=cycle, decimals=decimals, cumulative=cumulative, speed_limit_backlog=60.0)
     if limit is not None:
         assert cell.control("speed_limit", value=limit)[0]
     go_on(cell, 200, rate)
