@@ -22,7 +22,7 @@ def test_in_a_checkout_they_are_the_repository_s():
 def lay_out(modules: Path) -> None:
     """Copy what is needed to ask, as an installation has it."""
     (modules / "construction_twin/core").mkdir(parents=True)
-    for name in ("__init__.py", "core/__init__.py", "core/exports.py", "core/share.py"):
+    for name in ("__init__.py", "core/__init__.py", "core/share.py"):
         shutil.copy(ROOT / "src/construction_twin" / name, modules / "construction_twin" / name)
 
 

@@ -3,13 +3,3 @@
 In: a job, its recipe, the scene. Out: the segments of a work plan, or why there are none. `processes` finds it by its name; nothing
 outside of this folder imports it. May import what `work` imports, and the modules of ``work`` itself.
 """
-
-from typing import TYPE_CHECKING
-
-from construction_twin.core.exports import lazy_exports
-
-if TYPE_CHECKING:
-    from construction_twin.work.place.process import PROCESS as PROCESS
-    from construction_twin.work.place.recipe import PlaceRecipe as PlaceRecipe
-else:
-    __getattr__, __dir__, __all__ = lazy_exports(__name__)
