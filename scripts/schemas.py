@@ -1,8 +1,7 @@
-"""JSON Schemas of what travels, made from the records: docs/reference/view.schema.json; web/src/schemas.js for the page's checks.
+"""JSON Schemas of what travels, made from the records: prints that of `view`, or writes those of the page: `schemas.py [FILE]`.
 
 Types are the annotations, meanings the docstrings, and what stands in `Annotated` beside a type is taken over as it is: `minimum`,
-`pattern`, ...; `since` is the version of the message that has added a key. A field with a default may be missing. Writes no file:
-make_reference.py does.
+`pattern`, ...; `since` is the version of the message that has added a key. A field with a default may be missing.
 """
 
 from __future__ import annotations
@@ -10,8 +9,10 @@ from __future__ import annotations
 import inspect
 import json
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -131,7 +132,7 @@ def _line(text: str) -> str:
 
 
 def view_schema() -> str:
-    """Return the text of view.schema.json."""
+    """Return the JSON Schema of `view` as text."""
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"view, version {VERSION}"}
     return f"{_text(head | schema(View))}\n"
 
@@ -146,7 +147,7 @@ def page_schemas() -> str:
         f"/** Beginnings of the keys of reasons and answers, as core/sentences.py has them. */\n"
         f"export const REASONS = {_text(list(REASONS))};\n"
     )
-    head = "// Made from the records by scripts/make_reference.py; check.js and sentences.js read it.\n"
+    head = "// Made from the records by scripts/schemas.py; check.js and sentences.js read it.\n"
     return "\n".join([head, *constants, reasons])
 
 
@@ -181,3 +182,10 @@ def _filled(items: Sequence[str], indent: str) -> str:
             lines.append(indent)
         lines[-1] += piece if lines[-1] == indent else f" {piece}"
     return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:]:
+        Path(sys.argv[1]).write_text(page_schemas(), encoding="utf-8")
+    else:
+        print(view_schema(), end="")

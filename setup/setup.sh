@@ -113,7 +113,7 @@ page_inputs() {
   (
     cd "$root/web"
     cat package.json package-lock.json ./*.js
-    find src ../docs ../src/construction_twin/core/sentences.json -type f -not -path '*/images/*' -print0 | sort -z | xargs -0 sha256sum
+    find src ../docs ../scripts/schemas.py ../src/construction_twin/{core,link,views,physics,mqtt} -type f -not -path '*/images/*' -not -name schemas.js -not -name '*.pyc' -print0 | sort -z | xargs -0 sha256sum
     declare -f build_page
   ) | sha256sum
 }
@@ -128,6 +128,7 @@ build_page() {
   lock=$(sha256sum <"$root/web/package-lock.json")
   {
     find_node &&
+      PYTHONPATH="$root/src" "$venv/bin/python" "$root/scripts/schemas.py" "$root/web/src/schemas.js" &&
       { { [ -f "$modules" ] && [ "$(cat "$modules")" = "$lock" ]; } ||
         { (cd "$root/web" && "${npm[@]}" ci --ignore-scripts --no-fund --no-audit) && printf '%s\n' "$lock" >"$modules"; }; } &&
       "$node" "$root/web/build.js" "$page" &&

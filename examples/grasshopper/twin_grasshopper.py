@@ -222,7 +222,7 @@ def disconnect(host: str, port: int, robot: str, prefix: str = "twin", account: 
 
 
 class View:
-    """A message on `view`; its schema is docs/reference/view.schema.json."""
+    """A message on `view`; its schema is what scripts/schemas.py prints."""
 
     def __init__(self, document: dict):
         self.document = document

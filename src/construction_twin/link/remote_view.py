@@ -1,6 +1,6 @@
 """`view` on MQTT: the state of twin, arm, gate, link and execution in one message of plain JSON. Pure; standard library only.
 
-Fixed by docs/reference/view.schema.json, which is made from `View`; a change that a reader could notice raises `VERSION`.
+Fixed by `View`, of which scripts/schemas.py makes the JSON Schema; a change that a reader could notice raises `VERSION`.
 Versions that only add keys keep `COMPATIBLE`: a reader of that version goes on reading, if it leaves alone what it does not know.
 SI: m, rad, s; times are numbers of seconds, because stamps in ns are larger than the whole numbers that JavaScript keeps exactly.
 """

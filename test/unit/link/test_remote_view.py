@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
+import schemas
 
 from construction_twin.core.freshness import Moment
 from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
@@ -24,7 +24,7 @@ from construction_twin.link.remote_view import (
     ViewWriter,
 )
 
-SCHEMA = json.loads((Path(__file__).parents[3] / "docs/reference/view.schema.json").read_text())
+SCHEMA = json.loads(schemas.view_schema())
 JOINTS = Joints(("track", "joint_a1"), (True, False))
 NOW = 1_795_369_597_396_012_345
 MOMENT = Moment("c0ffee00", 81_234_567_890)

@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rospy
+import schemas
 from bridge_bench import Refusals
 from construction_twin.msg import Execution, Link, Sync
 from construction_twin.srv import PlanTrajectoryRequest, PlanTrajectoryResponse
@@ -43,7 +44,6 @@ REQUIREMENTS = ROOT / "setup/requirements-grasshopper.txt"
 VENV = ROOT / ".ws/grasshopper"
 COMPONENTS = sorted((ROOT / "examples/grasshopper").glob("*.py"))
 SESSION = ROOT / "test/support/grasshopper_session.py"
-SCHEMA = ROOT / "docs/reference/view.schema.json"
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +172,9 @@ def session(request, cell, python, tmp_path_factory):
     cell.planner.sources.clear()
     account = cell.site.folder / f"accounts/kr120-planner-ada/{request.param}.json"
     port = cell.site.site.port + (request.param == "certificate")
-    return run(python, "designer", port, account, urdf, SCHEMA)
+    schema = urdf.with_name("view.schema.json")
+    schema.write_text(schemas.view_schema())
+    return run(python, "designer", port, account, urdf, schema)
 
 
 def test_the_designer_sees_twin_and_arm(session):
