@@ -50,6 +50,7 @@ from construction_twin.mqtt.messages import (
     ControlAnswer,
     Topics,
     account_of,
+    identity_of,
     parse_control,
     read_command_properties,
 )
@@ -431,30 +432,32 @@ class GatewayService:
         level = logging.INFO if ok else logging.WARNING
         side_effects.run("the log", self._log, level, kind, f"session {control.session}: {reason}")
 
+    def _answer_stop(self, payload: bytes, known: dict[str, object]) -> None:
+        self._publish_answer(self._topics.stop_ack, requests.STOP.payload(**identity_of(payload), **known))
+
     def _publish_answer(self, topic: str, answer: bytes) -> None:
         self._mqtt.client.publish(topic, answer, qos=1)
 
     def _on_stop(self, client, userdata, message: paho.MQTTMessage) -> None:
-        now, account, id_ = time.monotonic_ns(), "", ""
+        now, account, payload = time.monotonic_ns(), "", bytes(message.payload)
         side_effects = self.gateway.side_effects
         try:
             account = account_of(message.topic)
             if not account:
                 # an answer: this gateway's, or the executor's
                 return
-            stop = parse_intervention(STOP, account, bytes(message.payload), message.retain)
+            stop = parse_intervention(STOP, account, payload, message.retain)
         except PayloadError as error:
             done = self.gateway.refuse_stop(account, error, now)
             line = logging.WARNING, f"refused on {error.reason}", str(error)
         else:
-            done, id_ = self.gateway.on_stop(stop, now), stop.id
+            done = self.gateway.on_stop(stop, now)
             line = logging.INFO, "stop by a person", f"account {account}: {done.reason or 'again'}"
         if done.reason:
             # the status first: a reader of the answer must not act on an older status
             side_effects.run("the status", self._publish_status_of_stop)
-            known = {"id": id_, "account": account, "ok": done.ok, "reason": done.reason, "by": requests.GATEWAY}
-            answer = requests.STOP.payload(**known)
-            side_effects.run("the answer", self._publish_answer, self._topics.stop_ack, answer)
+            known = {"account": account, "ok": done.ok, "reason": done.reason, "by": requests.GATEWAY}
+            side_effects.run("the answer", self._answer_stop, payload, known)
         side_effects.run("the log", self._log, *line)
 
     def _publish_state(self) -> None:

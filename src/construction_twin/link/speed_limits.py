@@ -138,7 +138,7 @@ class SpeedLimits:
         """
         # written so that a nan does not pass
         if not LEAST <= limit <= 1.0:
-            raise PayloadError("values", Sentence("link.payload.speed", found=limit, least=LEAST))
+            raise PayloadError("values", Sentence("link.payload.speed_limit", found=limit, least=LEAST))
         if not person.strip():
             raise PayloadError("person", Sentence("link.speed.nameless"))
         before = self._people

@@ -210,11 +210,11 @@ def test_what_the_planner_refuses_and_a_planner_that_is_gone_are_sentences(bench
 @pytest.mark.parametrize(
     "account, document, retained, reason, name",
     [
-        (ADA, {"kind": "way_back"}, True, "retained", ""),
+        (ADA, {"kind": "way_back"}, True, "retained", "7"),
         (ADA, {"kind": "dance"}, False, "format", "7"),
         (ADA, {"kind": "joints", "joints": {}}, False, "joints", "7"),
         (ADA, {"kind": "line", "speed": -1, **POSE}, False, "values", "7"),
-        ("no account", {"kind": "way_back"}, False, "sender", ""),
+        ("no account", {"kind": "way_back"}, False, "sender", "7"),
         (ADA, {"kind": "way_back", "moment": ""}, False, "moment", "7"),
         (ADA, {"kind": "way_back", "moment": "deadbeef-1000000"}, False, "too_old", "7"),
     ],

@@ -178,6 +178,33 @@ def test_a_verdict_that_cannot_be_read_is_answered_to_the_account(bench, account
     }  # fmt: skip
 
 
+#: What is refused, and what its answer repeats all the same.
+NAMED = {"plan_id": "p1", "plan_hash": "cafe", "verdict": "approved"}
+REFUSED = [
+    ("resume/bob", "pause/ack", {"id": "7"}, {"id": "7"}),
+    ("reset/bob", "reset/ack", {"id": "7"}, {"id": "7"}),
+    ("arm/bob", "arm/ack", {"id": "7", "moment": "now"}, {"id": "7"}),
+    ("stop/bob", "stop/ack", {"id": "7", "more": 1}, {"id": "7"}),
+    ("review/bob", "review/ack", NAMED, NAMED),
+    ("review", "review/ack", NAMED | {"reviewer": "Ann"}, NAMED | {"reviewer": "Ann"}),
+    ("review/bob", "review/ack", {"plan_id": "p1"}, {"plan_id": "p1", "plan_hash": ""}),
+    ("review/bob", "review/ack", NAMED | {"plan_id": 5}, {"plan_id": "", "plan_hash": "cafe"}),
+    ("override_rehearsal/bob", "override_rehearsal/ack", NAMED | {"moment": MOMENT}, NAMED),
+    ("answer/bob", "answer/ack", {"id": "7", "task": "t"}, {"id": "7", "task": "t"}),
+    ("speed/bob", "speed/ack", {"id": "7", "limit": 0}, {"id": "7"}),
+    ("resume/bob", "pause/ack", {"id": "x" * 65}, {"id": ""}),
+    ("resume/bob", "pause/ack", ["7"], {"id": ""}),
+]
+
+
+@pytest.mark.parametrize("topic, ack, content, repeated", REFUSED)
+@pytest.mark.parametrize("retain", [False, True])
+def test_what_is_refused_is_answered_with_whatever_can_be_read_of_it(bench, topic, ack, content, repeated, retain):
+    bench.deliver(topic, json.dumps(content).encode(), retain)
+    (answer,) = acks(bench, ack.removesuffix("/ack"))
+    assert not answer["ok"] and {name: answer[name] for name in repeated} == repeated
+
+
 @pytest.mark.parametrize("account, reviewer", [("", "Ann"), ("kr120-reviewer-ada", "kr120-reviewer-ada")])
 def test_the_answer_names_what_it_answers(bench, account, reviewer):
     verdict = {"plan_id": "p1", "plan_hash": "cafe", "verdict": "approved", "reviewer": "Ann"}

@@ -377,16 +377,11 @@ def _run_queue(queue: RequestQueue) -> None:
 
 
 def _read_override(incoming: Incoming) -> ReviewRequest:
-    return _echoed(incoming, parse_override(incoming.payload, incoming.retained, incoming.account))
+    return parse_override(incoming.payload, incoming.retained, incoming.account)
 
 
 def _read_verdict(incoming: Incoming) -> ReviewRequest:
-    return _echoed(incoming, parse_review(incoming.payload, incoming.retained, incoming.account))
-
-
-def _echoed(incoming: Incoming, review: ReviewRequest) -> ReviewRequest:
-    incoming.echo |= {name: getattr(review, name) for name in ("plan_id", "plan_hash", "verdict", "reviewer")}
-    return review
+    return parse_review(incoming.payload, incoming.retained, incoming.account)
 
 
 def _refuse_nameless(review: ReviewRequest) -> Outcome:
@@ -394,9 +389,7 @@ def _refuse_nameless(review: ReviewRequest) -> Outcome:
 
 
 def _read_answer(incoming: Incoming) -> tuple[AnswerRequest, str]:
-    answer = parse_answer(incoming.read_document("answer", MAX_BYTES))
-    incoming.echo["task"] = answer.task
-    return answer, incoming.account
+    return parse_answer(incoming.read_document("answer", MAX_BYTES)), incoming.account
 
 
 def _read_speed(incoming: Incoming) -> tuple[SpeedRequest, str]:

@@ -124,7 +124,6 @@ class ConsoleRequests:
 
     def _read_plan_request(self, incoming: Incoming) -> _PlanAsked:
         asked = parse_plan_request(incoming.read_document("plan_request", MAX_BYTES), self._joints)
-        incoming.echo["kind"] = asked.kind
         self._demand_fresh(asked)
         return _PlanAsked(asked, incoming.account, now_ns())
 

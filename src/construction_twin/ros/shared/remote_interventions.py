@@ -79,9 +79,7 @@ def remote_interventions(
 
 
 def _read(verb: str, incoming: Incoming) -> Intervention:
-    wanted = parse_intervention(verb, incoming.account, incoming.payload, incoming.retained)
-    incoming.echo["id"] = wanted.id
-    return wanted
+    return parse_intervention(verb, incoming.account, incoming.payload, incoming.retained)
 
 
 def _describe(wanted: Intervention) -> str:
