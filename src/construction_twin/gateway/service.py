@@ -33,6 +33,7 @@ from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
 from construction_twin.gateway.states import State
 from construction_twin.gateway.status import StatusClock
+from construction_twin.gateway.stop_file import StopFile
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import (
     Broker,
@@ -92,6 +93,7 @@ class GatewayService:
         controller: Only datagrams from this IPv4 address are read, see `address_of`; None reads any.
         commissioning: Send every correction as zero.
         measures: See `Gateway`: False for a controller that is no match for real time.
+        stops: Keeps a stop beyond this run; None: it is forgotten.
     """
 
     def __init__(
@@ -104,8 +106,12 @@ class GatewayService:
         controller: str | None = None,
         commissioning: bool = False,
         measures: bool = True,
+        stops: StopFile | None = None,
     ):
         self.gateway = Gateway(config, run, commissioning, measures)
+        self._stops = stops
+        if stops is not None and stops.found:
+            self.gateway.recall(stops.found)
         self.reply_time = Histogram.of_microseconds()
         #: What failed, in one sentence; "" while nothing has.
         self.failure = ""
@@ -163,6 +169,8 @@ class GatewayService:
             self.guarded(self._tell_failure)
             self.guarded(self._publish_status, True)
             self.guarded(self._mqtt.close)
+            if self._stops is not None:
+                self.guarded(self._stops.close)
             self._sock.close()
 
     def stop(self) -> None:
@@ -481,6 +489,8 @@ class GatewayService:
 
     def _send_status(self, document: Callable[[], dict], final: bool = False) -> paho.MQTTMessageInfo | None:
         self._status.sent(time.monotonic())
+        if self._stops is not None:
+            self._stops.keep(self.gateway.stopped or self.failure)
         if not self._mqtt.connected:
             return None
         status = document() | {"connection": self._number}

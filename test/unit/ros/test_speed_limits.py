@@ -177,7 +177,7 @@ def test_a_raise_that_is_too_old_is_refused_counted_and_said(bench):
 
 
 def test_lowering_is_in_force_before_a_disk_is_asked(bench, monkeypatch):
-    monkeypatch.setattr(os, "pwrite", lambda *_: pytest.fail("the answer waited for a disk"))
+    monkeypatch.setattr(os, "write", lambda *_: pytest.fail("the answer waited for a disk"))
     assert bench.sets(0.3).success and bench.limit == 0.3
 
 
@@ -190,8 +190,8 @@ def test_the_answer_to_a_lower_limit_waits_for_a_disk_that_is_quick_and_not_for_
     bench.sets(0.3)
     assert json.loads(bench.file.read_text())["limit"] == 0.3
     hangs = threading.Event()
-    write = os.pwrite
-    monkeypatch.setattr(os, "pwrite", lambda *given: hangs.wait(30.0) and write(*given))
+    write = os.write
+    monkeypatch.setattr(os, "write", lambda *given: hangs.wait(30.0) and write(*given))
     monkeypatch.setattr(module, "PATIENCE", 0.05)
     assert bench.sets(0.2).success and bench.sets(0.1).success and bench.limit == 0.1
     hangs.set()
@@ -218,9 +218,9 @@ def test_a_raise_is_on_the_disk_before_it_is_in_force(bench, monkeypatch):
     bench.sets(0.3)
     bench.node.write()
     bench.later(1.0)
-    write = os.pwrite
+    write = os.write
     with monkeypatch.context() as watched:
-        watched.setattr(os, "pwrite", lambda *given: bench.limit == 0.3 and write(*given))
+        watched.setattr(os, "write", lambda *given: bench.limit == 0.3 and write(*given))
         assert bench.sets(0.8, moment=bench.shown()).success and bench.limit == 0.8
     bench.restart()
     bench.later(0.05)
@@ -230,20 +230,20 @@ def test_a_raise_is_on_the_disk_before_it_is_in_force(bench, monkeypatch):
 def full(monkeypatch, path):
     """Let the disk be full: what has its room can be written in place, anything else has none."""
     has = os.stat(path).st_size if path.exists() else -1
-    opens, writes = os.open, os.pwrite
+    opens, writes = os.open, os.write
 
     def open_(name, flags, *more, **named):
         if flags & os.O_CREAT and not os.path.exists(name):
             raise OSError(28, "No space left on device")
         return opens(name, flags, *more, **named)
 
-    def pwrite(file, data, at):
-        if at + len(data) > has:
+    def write(file, data):
+        if len(data) > has:
             raise OSError(28, "No space left on device")
-        return writes(file, data, at)
+        return writes(file, data)
 
     monkeypatch.setattr(os, "open", open_)
-    monkeypatch.setattr(os, "pwrite", pwrite)
+    monkeypatch.setattr(os, "write", write)
 
 
 def test_on_a_full_disk_a_restart_raises_nothing(bench, monkeypatch):
@@ -271,7 +271,7 @@ def test_a_first_limit_on_a_disk_that_was_full_from_the_start_is_the_least(monke
         assert bench.limit == LEAST
 
 
-@pytest.mark.parametrize("call", ["open", "pwrite", "fsync"])
+@pytest.mark.parametrize("call", ["open", "write", "fsync"])
 def test_what_cannot_be_written_at_all_is_obeyed_only_falls_and_is_not_known_after_a_restart(bench, monkeypatch, call):
     def fail(*_):
         raise OSError(5, "Input/output error")
@@ -298,14 +298,14 @@ def test_a_raise_that_is_overtaken_while_it_is_written_is_void_also_on_the_disk(
     bench.sets(0.3)
     bench.node.write()
     bench.later(1.0)
-    write, seen = os.pwrite, bench.shown()
+    write, seen = os.write, bench.shown()
 
     def overtaken(*given):
-        monkeypatch.setattr(os, "pwrite", write)
+        monkeypatch.setattr(os, "write", write)
         bench.sets(0.1, "bob")
         return write(*given)
 
-    monkeypatch.setattr(os, "pwrite", overtaken)
+    monkeypatch.setattr(os, "write", overtaken)
     answer = bench.sets(0.8, moment=seen)
     assert (answer.success, answer.expired, bench.limit) == (False, True, 0.1)
     bench.node.write()
@@ -340,7 +340,7 @@ def test_a_file_that_cannot_be_written_is_said_and_tried_again(bench, monkeypatc
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as broken:
-        broken.setattr(os, "pwrite", fail)
+        broken.setattr(os, "write", fail)
         bench.sets(0.3)
         bench.node.write()
         report = bench.node.report()

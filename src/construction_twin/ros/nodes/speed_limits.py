@@ -7,8 +7,6 @@ in a file, so that a restart raises nothing: a raise is in force once it is on t
 from __future__ import annotations
 
 import contextlib
-import errno
-import os
 import threading
 import time
 from collections.abc import Mapping
@@ -20,7 +18,7 @@ import pydantic
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
-from construction_twin.core.files import read_file
+from construction_twin.core.files import read_file, write_in_place
 from construction_twin.core.reports import SpeedChange, SpeedReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
@@ -105,7 +103,7 @@ class LimitFile:
             is_first = not mark.exists() and not self._path.exists()
             mark.touch()
             people = PeopleLimit() if is_first else kept(str(self._path), read_file(self._path, MOST).decode("utf-8"))
-            self._put(self._path, people)
+            write_in_place(self._path, people.to_text(), ROOM)
         except (OSError, UnicodeDecodeError, ConfigurationError) as error:
             return unreadable(str(error))
         return people
@@ -115,24 +113,13 @@ class LimitFile:
         if self._path is None:
             return ""
         try:
-            self._put(self._path, people)
+            write_in_place(self._path, people.to_text(), ROOM)
         except OSError as error:
             with contextlib.suppress(OSError):
                 self._path.unlink()
             path, problem = str(self._path), error.strerror or str(error)
             return Sentence("link.speed.not_written", path=path, problem=problem)
         return ""
-
-    def _put(self, path: Path, people: PeopleLimit) -> None:
-        text = people.to_text().ljust(ROOM).encode()
-        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        try:
-            if os.pwrite(file, text, 0) < len(text):
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            os.ftruncate(file, len(text))
-            os.fsync(file)
-        finally:
-            os.close(file)
 
 
 class SpeedLimitsNode:
