@@ -1,7 +1,7 @@
 """The executor: one setpoint per cycle, from an approved plan or, idle, the twin's pose.
 
 Pure: `step` is called once per 4 ms with the cycle's nominal stamp [ns]. Angles in rad. `now` is on the monotonic clock, but
-for `stop`, `pause` and `restart`: these are compared with when a plan was made, on the clock of the stamps.
+for `stop`, `pause` and `restart`: these are compared with when a plan was asked for, on the robot's clock (`core.freshness`).
 """
 
 from __future__ import annotations

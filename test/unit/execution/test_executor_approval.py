@@ -196,7 +196,7 @@ class TestRecordFirst:
         bench.executor.offer(plans["q"])
         approval.review("q", plans["q"].hash, True, "Ada")
         bench.run_until_idle()
-        bench.executor.offer(make_plan("r", reach(start=bench.twin, goal=ROBOT.home), created_ns=bench.stamp))
+        bench.executor.offer(make_plan("r", reach(start=bench.twin, goal=ROBOT.home), asked_ns=bench.stamp))
         assert approval.approve_by_itself(bench.stamp)
         assert written == [("refused", 0), ("approved", 0), ("approved", 0)]
 
