@@ -8,7 +8,6 @@ from construction_twin.core.freshness import Moment
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.trajectory import Trajectory
 
-
 #: Which clock the moments of tests are of.
 ROBOT_CLOCK = "c0ffee00"
 

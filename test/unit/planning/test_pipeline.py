@@ -6,7 +6,6 @@ import threading
 
 import numpy as np
 import pytest
-import rospy
 import yaml
 from construction_twin.msg import CartesianWaypoint
 from construction_twin.srv import PlanFromCsvRequest, PlanToJointsRequest
@@ -213,7 +212,10 @@ def test_a_request_may_say_how_old_it_is_but_not_that_it_comes_from_the_future()
 
 def test_a_request_for_a_file_is_from_the_file_unless_it_says_otherwise():
     assert plan_request(PlanFromCsvRequest(path="/a.csv"), "p", Moment("c0ffee00", 0), "/a.csv").source == "/a.csv"
-    assert plan_request(PlanFromCsvRequest(path="/a.csv", source="me"), "p", Moment("c0ffee00", 0), "/a.csv").source == "me"
+    assert (
+        plan_request(PlanFromCsvRequest(path="/a.csv", source="me"), "p", Moment("c0ffee00", 0), "/a.csv").source
+        == "me"
+    )
 
 
 def test_a_tool_path_comes_in_its_frame():

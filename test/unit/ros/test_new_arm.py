@@ -14,8 +14,8 @@ from mesh_arm import write_mesh_arm
 from new_arms import ARMS, write_arm
 from roslaunch.substitution_args import resolve_args
 
-from construction_twin.core.freshness import Moment
 from construction_twin.controller import makes
+from construction_twin.core.freshness import Moment
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.pipeline import PlanningPipeline
