@@ -94,8 +94,8 @@ def plan_of(trajectory: Trajectory, scene: Scene, segments: tuple[Segment, ...] 
     report = PlanReport(Clearance(np.inf), LimitUsage(zeros, zeros, zeros), 0.0)
     task = "task" if segments else ""
     return Plan(
-        "p", content_hash(trajectory, task, segments), "test", "none", scene.hash, Moment("c0ffee00", 0), 0.0, trajectory, report, task=task,
-        segments=segments,
+        "p", content_hash(trajectory, task, segments), "test", "none", scene.hash, Moment("c0ffee00", 0), 0.0, trajectory, report,
+        task=task, segments=segments,
     )  # fmt: skip
 
 
