@@ -234,7 +234,11 @@ class LinkSupervisor:
             request: `requests` after it was asked for; nothing happens when a person has asked again since.
             reason: One sentence.
         """
-        if request == self.requests and self._halted is None:
+        if request != self.requests:
+            return
+        self._reset_wanted = self._asked_for = False
+        # what it waits for a person for already is the better reason
+        if self._halted is None:
             if not reason.endswith(_CALL_RESET):
                 reason = Sentence("link.call_reset", reason=reason)
             self.take(LinkEvent.WITHDRAWN, 0, reason)
@@ -398,7 +402,6 @@ class LinkSupervisor:
         self._owes_stop = self._unanswered or not self.inputs.fault
         self._withdrawn_session = self.session
         self._halted, self._pending = at.reason, None
-        self._reset_wanted = self._asked_for = False
         return at.reason
 
     def _note_withdrawal_in_mirror(self, row: Row, at: Occasion) -> str:

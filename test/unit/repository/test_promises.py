@@ -15,7 +15,6 @@ from construction_twin.controller.last_resort import LONGEST_GAP_MS
 from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.boundary import FIRE_TIMEOUT, LEAD, SCENE_TIMEOUT
-from construction_twin.execution.newest_reading import REMEMBERED
 from construction_twin.execution.segment_run import RECORD_TIMEOUT
 from construction_twin.link.observations import STATUS_TIMEOUT
 from construction_twin.review.record import KEPT
@@ -108,7 +107,6 @@ def test_every_law_of_the_architecture_is_on_the_page():
         ("architecture", "| 30 s: whoever changes it", SCENE_TIMEOUT, 30 * NANOSECONDS),
         ("architecture", "that file is gone | 10 s |", RECORD_TIMEOUT, 10 * NANOSECONDS),
         ("architecture", "within 2e-4 rad or m", WAY_BACK_TOLERANCE, 2e-4),
-        ("architecture", "within 30 s of a clock that was set back", REMEMBERED, 30 * NANOSECONDS),
         ("planning", "at most 1000 other records", KEPT, 1000),
         ("reference/states", "Statuses of more than one run within 3 s", STATUS_TIMEOUT, 3 * NANOSECONDS),
     ],

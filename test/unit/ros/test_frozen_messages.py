@@ -151,7 +151,7 @@ class Wide:
             for k in range(self.random.choice((2, 3, 6)))
         ]  # fmt: skip
         message = Plan(
-            id=self.text(), source=self.text(), planner=self.text(), scene=self.text(), duration=self.number(),
+            asked="c0ffee00-7", id=self.text(), source=self.text(), planner=self.text(), scene=self.text(), duration=self.number(),
             planning_time=self.number(), trajectory=JointTrajectory(joint_names=names, points=points),
             tool_path=[Point(self.number(False) % 9.0, k * k / 7.0, self.number(False) % 3.0) for k in range(len(points))],
             clearance=self.number(), clearance_time=self.number(False), clearance_between=self.texts(2),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 import threading
 from types import SimpleNamespace
 
@@ -424,6 +425,30 @@ def test_a_resume_that_came_before_starts_nothing_again(pressing):
         answers += moment == MOMENT
         wait_until(lambda: len(acks(pressing, "pause")) == answers, what="its answer")
     assert pressing.pressed == ["resume", "pause", "resume"] and pressing.made.refused == {"repeated": 1}
+
+
+@pytest.fixture
+def hurried():
+    """Threads that give way to each other at almost every step."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
+def test_what_starts_something_is_pressed_by_several_people_at_once(pressing, hurried):
+    def go_on(verb):
+        for number in range(150):
+            press(pressing, verb, str(number), account=f"kr120-{verb}-bob")
+            wait_until(lambda: pressing.pressed.count(verb) > number, what=f"{verb} {number}")
+
+    people = [threading.Thread(target=go_on, args=(verb,)) for verb in STARTING]
+    for person in people:
+        person.start()
+    for person in people:
+        person.join()
+    assert {verb: pressing.pressed.count(verb) for verb in STARTING} == dict.fromkeys(STARTING, 150)
+    assert not pressing.made.refused
 
 
 def test_a_resume_that_was_too_old_is_told(pressing):

@@ -16,9 +16,8 @@ import pydantic
 import rospy
 from std_srvs.srv import Trigger
 
-from construction_twin.core.errors import PayloadError
+from construction_twin.core.errors import ConstructionTwinError, PayloadError
 from construction_twin.core.freshness import staleness
-from construction_twin.core.motion_errors import PlanningError
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
@@ -229,7 +228,7 @@ class MqttReview:
         """Show a plan; a work plan whose hash is not that of what would be shown is refused."""
         try:
             view = plan_view(message, self._tool)
-        except PlanningError as error:
+        except ConstructionTwinError as error:
             self._diagnostics.refuse("plan", str(error))
             return
         with self._lock:
