@@ -158,7 +158,8 @@ build_inputs() {
   (
     cd "$root"
     cat CMakeLists.txt package.xml setup.py msg/*.msg srv/*.srv setup/control_msgs/*.* setup/control_msgs/*/*
-    printf '%s\n' "$root" "$workspace"/src/* msg/*.msg srv/*.srv nodes/* examples/*/* test/integration/*.test
+    # of the workspace its packages, not the file that catkin_make adds
+    printf '%s\n' "$root" "$workspace"/src/*/ msg/*.msg srv/*.srv nodes/* test/integration/*.test
     declare -f build_workspace
   ) | sha256sum
 }
