@@ -139,7 +139,8 @@ def test_what_is_imported_is_pinned_or_a_dependency_of_the_package():
     """By the name of its ROS package, or by that of Debian's package, which is its rosdep key."""
     keys = {each.text for each in ElementTree.parse(ROOT / "package.xml").getroot() if each.tag.endswith("depend")}
     distributions, versions = packages_distributions() | BROUGHT_BY, pinned()
-    for name in sorted(imported("") | DEBIAN):
+    examples = {file.stem for file in (ROOT / "examples").rglob("*.py")}
+    for name in sorted((imported("") | DEBIAN) - examples):
         is_pinned = any(canonicalize_name(each) in versions for each in distributions.get(name, [name]))
         assert is_pinned or not keys.isdisjoint({name, f"python3-{name.lower()}"}), name
 
