@@ -165,8 +165,6 @@ def test_a_workspace_of_one_s_own_gets_what_its_nodes_import(tmp_path):
     (workspace / "src/construction_twin").symlink_to(package)
     built = "catkin_make && source devel/setup.bash && rosrun construction_twin one"
     plain = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}
-    run = subprocess.run(
-        ["bash", "-c", built], cwd=workspace, env=plain, capture_output=True, text=True, timeout=240
-    )
+    run = subprocess.run(["bash", "-c", built], cwd=workspace, env=plain, capture_output=True, text=True, timeout=240)
     assert run.returncode == 0, run.stderr
     assert run.stdout.splitlines()[-1] == str(package / ".ws/venv")
