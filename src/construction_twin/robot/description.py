@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -83,7 +83,7 @@ class RobotModel:
     """
 
     name: str
-    urdf: str
+    urdf: str = field(repr=False)
     base_link: str
     tip_link: str
     joint_names: tuple[str, ...]
