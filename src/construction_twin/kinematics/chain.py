@@ -34,8 +34,9 @@ class Pose:
     rotation: np.ndarray
 
     def __post_init__(self):
-        for name in ("position", "rotation"):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
+        if not (isinstance(self.position, np.ndarray) and isinstance(self.rotation, np.ndarray)):
+            object.__setattr__(self, "position", np.asarray(self.position, dtype=float))
+            object.__setattr__(self, "rotation", np.asarray(self.rotation, dtype=float))
         if self.position.shape != (3,) or self.rotation.shape != (3, 3):
             raise ValueError(
                 f"a pose is a position of shape (3,) and a rotation of shape (3, 3), found {self.position.shape} and "

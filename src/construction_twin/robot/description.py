@@ -267,7 +267,7 @@ def _validate(model: type[_Model], values: Mapping, where: str) -> _Model:
 
 
 def _check_joint(joint: Joint) -> None:
-    where = f"robot_description joint {joint.name}"
+    where = f"URDF joint {joint.name}"
     if joint.joint_type not in ("revolute", "continuous", "prismatic") or joint.mimic is not None:
         found = "a mimic joint" if joint.mimic is not None else joint.joint_type
         raise ConfigurationError(where, found, Sentence("expected.robot.movable"))
