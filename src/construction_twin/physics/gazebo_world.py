@@ -68,9 +68,7 @@ def check_serial(bodies: RobotBodies) -> None:
     """Raise a ConfigurationError for an arm with a joint that follows another: the plugin knows one serial chain."""
     names = [name for index, name in enumerate(bodies.model.names) if index and name not in bodies.robot.joint_names]
     if names:
-        raise ConfigurationError(
-            "URDF", ", ".join(names), Sentence("expected.physics.serial", names=", ".join(names))
-        )
+        raise ConfigurationError("URDF", ", ".join(names), Sentence("expected.physics.serial", names=", ".join(names)))
 
 
 class _Builder:

@@ -417,9 +417,7 @@ def shape_contents(geometry: coal.CollisionGeometry) -> list:
     elif isinstance(geometry, coal.ConvexBase):
         numbers = geometry.points().ravel()
     else:
-        raise ConfigurationError(
-            "URDF collision shape", type(geometry).__name__, Sentence("expected.scene.shapes")
-        )
+        raise ConfigurationError("URDF collision shape", type(geometry).__name__, Sentence("expected.scene.shapes"))
     return [type(geometry).__name__, *(np.round(np.asarray(numbers, dtype=float), 9) + 0.0).tolist()]
 
 

@@ -121,7 +121,9 @@ def test_an_example_has_at_most_ten_lines_and_imports_what_folders_offer(heading
 
 def test_what_a_notebook_shows_of_an_object_is_short():
     robot = read_robot_files(share_file("urdf/kr120r2500.urdf.xacro"), share_file("config/kr120.yaml"))
-    pipeline = PlanningPipeline(robot, self_collision=read_self_collision(share_file("config/kr120_self_collision.yaml"), robot))
+    pipeline = PlanningPipeline(
+        robot, self_collision=read_self_collision(share_file("config/kr120_self_collision.yaml"), robot)
+    )
     pipeline.set_scene(Scene())
     plan = pipeline.to_joints(robot.home, [0.5, *robot.home[1:]])
     building = read_building(share_file("models/timber_panel.ifc"))
