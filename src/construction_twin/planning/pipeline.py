@@ -48,7 +48,7 @@ class PlanningPipeline:
         self_collision: Default: found anew by `sample_self_collision`, which takes some seconds; a program keeps it in a file.
         clock: Returns seconds from any fixed origin; measures planning time.
         rng: Default: one with a fixed seed.
-        source: Name of the source of scenes, for the message when there is no scene.
+        source: Topic of the scenes, for the message when there is none; empty: they are given by calls.
         neighbour: Returns the space that another arm occupies now, padding included. Called for every plan; raises when it is not
             known.
     """
@@ -61,7 +61,7 @@ class PlanningPipeline:
         self_collision: SelfCollision | None = None,
         clock: Clock = MONOTONIC,
         rng: np.random.Generator | None = None,
-        source: str = "scene",
+        source: str = "",
         neighbour: Callable[[], Iterable[Obstacle]] | None = None,
     ):
         rng = rng or np.random.default_rng(0)

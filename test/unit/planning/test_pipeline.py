@@ -73,6 +73,11 @@ def test_without_a_scene_nothing_is_planned():
         pipeline(None).wait_for_scene(0.0)
 
 
+def test_without_ros_a_missing_scene_is_no_matter_of_nodes():
+    with pytest.raises(NoSceneError, check=says("motion.scene_not_set")):
+        PlanningPipeline(ROBOT, self_collision=SELF_COLLISION).to_joints(HOME, LEFT)
+
+
 def test_a_scene_that_comes_later_is_waited_for():
     made = pipeline(None)
     timer = threading.Timer(0.02, made.set_scene, [EMPTY])

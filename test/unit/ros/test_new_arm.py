@@ -240,9 +240,9 @@ def test_a_mesh_arm_comes_with_its_hulls(tmp_path, capsys):
         (
             ["--tip", "hand"],
             ("", ""),
-            "--tip: found 'hand', expected a link of the URDF; links at an end of its tree: tool0",
+            "tip link: found 'hand', expected a link of the URDF; links at an end of its tree: tool0",
         ),
-        (["--base", "foot"], ("", ""), "--base: found 'foot', expected one of the URDF's links"),
+        (["--base", "foot"], ("", ""), "base link: found 'foot', expected one of the URDF's links"),
         (["--base", "tool0", "--tip", "base_link"], ("", ""), "expected a descendant of tool0"),
         (["--tip", "base_link"], ("", ""), "expected a link that 1 to 12 joints move; 0 do"),
         ([], ('type="revolute"', 'type="floating"'), "an independent revolute, continuous or prismatic joint"),

@@ -329,7 +329,7 @@ class PcaMonitorNode:
             self._on_replan_failed(Sentence("reason.gate.planner_silent", problem=str(error)), violation)
             return
         if answer.success:
-            rospy.logwarn("re-planned from the held pose: %s; it waits for review", answer.message)
+            rospy.logwarn("re-planned from the held pose: %s", answer.message)
         else:
             self._on_replan_failed(answer.message, violation)
 
