@@ -118,6 +118,7 @@ class Doubts:
         self._file = file
         self.everything = ""
         self.of: dict[int, Doubt] = {}
+        self._named: dict[str, set[int]] = {}
 
     def take_parser(self, said: Collection[Said], contents: bytes) -> None:
         """Take what the parser said of the contents that it read."""
@@ -135,13 +136,11 @@ class Doubts:
 
     def take_kernel(self, entry: Said) -> None:
         """Take what the kernel said."""
-        numbers = set(entry.numbers)
-        if entry.about:
-            try:
-                numbers.add(self._file.by_guid(entry.about).id())
-            except RuntimeError:
-                pass
-        self.add(numbers, entry.text)
+        if not self._named:
+            for product in self._file.by_type("IfcProduct"):
+                self._named.setdefault(product.GlobalId or "", set()).add(product.id())
+        # a GlobalId can be that of several
+        self.add(entry.numbers | self._named.get(entry.about, set()), entry.text)
 
     def drop_broken_relations(self, said: Iterable[Said]) -> None:
         """Remove relations of which a part is missing, that nothing is read from them."""

@@ -51,6 +51,8 @@ _SAME_VOLUME = 1e-5
 _CURVED_VOLUME = 0.06
 #: By how much an opening is larger than it is given [m], so that no skin is left where a face of it lies in one of the element's.
 _GROWN = 1e-7
+#: By what part of it openings take volume away at least.
+_SHRUNK = 1e-12
 #: By how much bodies may have more volume than the hull around them, as a part of it.
 _OVERLAP = 1e-3
 #: By how much volumes may differ that are the same, as a part of one.
@@ -237,9 +239,11 @@ def _cut(
     own: list[manifold3d.Manifold] = []
     others: list[manifold3d.Manifold] = []
     for opening, mine in openings:
-        if opening.id() not in holes:
-            # without a body: told
+        if body_of(opening) is None:
+            # told
             continue
+        if opening.id() not in holes:
+            return None
         hole = holes[opening.id()]
         shape_T_hole = shape_T_model @ hole.matrix
         for owner in np.unique(hole.owners):
@@ -256,7 +260,7 @@ def _cut(
         return None
     before = sum(one.volume() for one in solids)
     less = [one - union(own) for one in solids] if own else solids
-    if own and sum(one.volume() for one in less) > before * (1.0 - _ROUNDING * _ROUNDING):
+    if own and sum(one.volume() for one in less) > before * (1.0 - _SHRUNK):
         return None
     less = [one - union(others) for one in less] if others else less
     made_of = [mesh_of(one) for one in less if one.volume() > _CRUMB]
