@@ -146,6 +146,22 @@ def test_a_body_without_a_triangle_refuses_no_other(read):
     assert holds(found["nothing"], (-0.05, -0.05, 0.0), (0.05, 0.05, 1.0))
 
 
+def test_one_that_the_kernel_cannot_place_takes_no_body_from_another(read):
+    model = IfcModel()
+    lost, _ = (model.box(name, (0.1, 0.1, 1.0), at=(3.0 * k, 0.0, 0.0)) for k, name in enumerate(("lost", "stud")))
+    lines = [
+        model.make("IfcPolyline", [model.make("IfcCartesianPoint", [0.0, 0.0]), model.make("IfcCartesianPoint", end)])
+        for end in ([1.0, 0.0], [1.0, 0.0])
+    ]
+    axes = [model.make("IfcGridAxis", str(k), line, True) for k, line in enumerate(lines)]
+    model.root("IfcGrid", UAxes=axes[:1], VAxes=axes[1:])
+    crossing = model.make("IfcVirtualGridIntersection", axes, [0.0, 0.0])
+    lost.ObjectPlacement = model.make("IfcGridPlacement", crossing)
+    found = read(model)
+    # where one stands is not known, so that none is placed; the other has its body
+    assert list(found) == ["stud"] and found["stud"].doubt and whole(found["stud"]) == pytest.approx(0.01)
+
+
 def test_what_is_cut_away_whole_is_a_box_and_doubted(read):
     model = IfcModel()
     eaten, ok = (model.box(name, (0.2, 0.2, 1.0), at=(k, 0, 0)) for k, name in enumerate(("eaten", "ok")))

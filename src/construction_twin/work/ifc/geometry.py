@@ -177,6 +177,10 @@ def _made(file: ifcopenshell.file, name: str, bodies: Mapping[int, ifcopenshell.
                 matrix = np.array(shape.transformation.matrix, dtype=float).reshape(4, 4, order="F")
                 yield _Made(shape.id, vertices.copy(), triangles.copy(), owners.copy(), matrix)
         more = bool(iterator.next())
+    # one that it cannot place keeps it from all others
+    left = {one: body for one, body in bodies.items() if one not in done} if len(bodies) > 1 else {}
+    for one, body in left.items():
+        yield from _made(file, name, {one: body})
 
 
 def _shape(

@@ -304,7 +304,7 @@ def _element(
         if shape is None or shape.model_T_shape is None:
             found.notes.add(Sentence("ifc.note.grid_without_body"), element_id)
             if shape is not None:
-                found.doubts.everything = shape.doubt
+                found.doubts.everything = Sentence("ifc.doubt.file", problem=Sentence("ifc.note.grid_without_body"))
             return None
         matrix = shape.model_T_shape
         check_rigid(found.name, product, matrix)
