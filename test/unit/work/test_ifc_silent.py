@@ -341,6 +341,16 @@ def test_a_schedule_of_an_unknown_kind_makes_its_tasks_elements_doubtful(read):
     assert [bool(element.doubt) for element in found.elements.values()] == [True, False]
 
 
+def test_parts_of_what_a_task_makes_whose_order_was_lost_are_doubted(read):
+    model = IfcModel()
+    panel = model.element("IfcElementAssembly", "panel")
+    stud = model.box("stud", STUD, within=panel)
+    model.aggregate(panel, [stud])
+    model.sequence(model.task("first", [model.box("other", STUD, at=(1, 0, 0))]), model.task("panel", [panel]))
+    found = read(renamed(model, model.file.by_type("IfcRelSequence")[0]))
+    assert all(element.doubt for element in found.elements.values())
+
+
 def test_a_value_of_an_unknown_kind_is_doubted_at_its_element(read):
     model, (stud, other), _ = two_studs()
     model.properties(stud, "Pset_MemberCommon", Reference="r")

@@ -53,19 +53,6 @@ class Said:
     offset: int | None
 
 
-@dataclass(frozen=True)
-class Doubt:
-    """Why something of the file is not known.
-
-    Attributes:
-        why: A sentence.
-        shape: What is not known is what shape the element has, or may be; else what it has to do with others.
-    """
-
-    why: str
-    shape: bool
-
-
 def entries(log: str) -> Iterator[Said]:
     """Give the errors and warnings of a log, those left out that say nothing of elements."""
     lines = log.splitlines()
@@ -111,14 +98,16 @@ class Doubts:
 
     Attributes:
         everything: Why nothing of it is sure; empty: it is.
-        of: By the number of an element's instance.
+        shapes: Why by the number of the product of which nobody knows what shape it has.
+        related: The same of products of which nobody knows what they have to do with others.
     """
 
     def __init__(self, file: ifcopenshell.file):
         self._file = file
-        self.everything = ""
-        self.of: dict[int, Doubt] = {}
         self._named: dict[str, set[int]] = {}
+        self.everything = ""
+        self.shapes: dict[int, str] = {}
+        self.related: dict[int, str] = {}
 
     def take_parser(self, said: Collection[Said], contents: bytes) -> None:
         """Take what the parser said of the contents that it read."""
@@ -151,13 +140,32 @@ class Doubts:
                     self._file.remove(self._file.by_id(number))
 
     def add(self, numbers: Collection[int], why: str) -> None:
-        """Doubt every element that reaches an instance, or everything if none does."""
-        shapes, related, aside, place = self._reaching(numbers)
-        for found, shape in ((shapes, True), (related, False)):
-            for number in found:
-                if number not in self.of or (shape and not self.of[number].shape):
-                    self.of[number] = Doubt(Sentence("ifc.doubt.said", problem=why), shape)
-        if place or not (shapes or related or aside):
+        """Doubt every element that reaches an instance, or everything if none does, or if it says where something is."""
+        said = Sentence("ifc.doubt.said", problem=why)
+        found = False
+        left, seen = list(numbers), set(numbers)
+        while left:
+            number = left.pop()
+            if not self._has(number):
+                continue
+            one = self._file.by_id(number)
+            if one.is_a("IfcProject") or one.is_a("IfcObjectPlacement"):
+                found = False
+                break
+            if one.is_a("IfcProduct"):
+                self.shapes.setdefault(_host(one), said)
+            elif one.is_a("IfcProcess") or one.is_a("IfcRelationship"):
+                products = self._products(one)
+                self.related |= {each: said for each in products if each not in self.related}
+                found = found or bool(products)
+                continue
+            elif not any(one.is_a(kind) for kind in _ASIDE_KINDS):
+                more = {each.id() for each in self._file.get_inverse(one)} - seen
+                seen |= more
+                left += more
+                continue
+            found = True
+        if not found:
             self.everything = self.everything or Sentence("ifc.doubt.file", problem=why)
 
     def _has(self, number: int) -> bool:
@@ -166,53 +174,17 @@ class Doubts:
         except RuntimeError:
             return False
 
-    def _reaching(self, numbers: Collection[int]) -> tuple[set[int], set[int], bool, bool]:
-        """Return the products that reach instances, those that are related with them, and whether more is found.
-
-        Returns:
-            shapes, related: Numbers of products.
-            aside: Something is found that no element needs.
-            place: Where something is, or in which unit, depends on them.
-        """
-        shapes: set[int] = set()
-        related: set[int] = set()
-        aside = place = False
-        left, seen = list(numbers), set(numbers)
-        while left:
-            number = left.pop()
-            if not self._has(number):
-                continue
-            one = self._file.by_id(number)
-            if any(one.is_a(kind) for kind in _ASIDE_KINDS):
-                aside = True
-            elif one.is_a("IfcProduct"):
-                shapes.add(_host(one))
-                aside = True
-            elif one.is_a("IfcProcess"):
-                related |= self._made(one)
-            elif one.is_a("IfcProject") or one.is_a("IfcObjectPlacement"):
-                place = True
-            elif one.is_a("IfcRelationship"):
-                for other in self._file.traverse(one, max_levels=1)[1:]:
-                    if other.is_a("IfcProduct"):
-                        related.add(_host(other))
-                    elif other.is_a("IfcProcess"):
-                        related |= self._made(other)
-            else:
-                more = {each.id() for each in self._file.get_inverse(one)} - seen
-                seen |= more
-                left += more
-        return shapes, related, aside, place
-
-    def _made(self, process: ifcopenshell.entity_instance) -> set[int]:
-        """Return the products that a task makes or works on."""
-        relations = [each for each in self._file.get_inverse(process) if each.is_a("IfcRelAssigns")]
-        return {
-            each.id()
-            for relation in relations
-            for each in self._file.traverse(relation, max_levels=1)[1:]
-            if each.is_a("IfcProduct")
-        }
+    def _products(self, one: ifcopenshell.entity_instance) -> set[int]:
+        """Return the products that a relation names, itself or by a task, or that a task makes or works on."""
+        if one.is_a("IfcProcess"):
+            near = [each for each in self._file.get_inverse(one) if each.is_a("IfcRelAssigns")]
+        else:
+            near = [one]
+        others = [each for relation in near for each in self._file.traverse(relation, max_levels=1)[1:]]
+        found = {_host(each) for each in others if each.is_a("IfcProduct")}
+        if one.is_a("IfcRelationship"):
+            found.update(*(self._products(each) for each in others if each.is_a("IfcProcess")))
+        return found
 
 
 def _host(product: ifcopenshell.entity_instance) -> int:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import coal
 import ifcopenshell
 import ifcopenshell.geom
 import manifold3d
@@ -20,8 +19,7 @@ from scipy.sparse.csgraph import connected_components
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
-from construction_twin.scene.solids import mesh_of, solid, union
-from construction_twin.scene.triangle_mesh import surface
+from construction_twin.scene.solids import mesh_of, solid
 from construction_twin.work.building import Body, Extrusion
 from construction_twin.work.ifc.notes import Misread, Notes, Where
 from construction_twin.work.ifc.profiles import is_curved
@@ -128,7 +126,8 @@ def shapes(
     progress(0, len(bodies))
     missing = dict(bodies)
     for made in _made(file, name, bodies):
-        representation, given = bodies[made.id], openings.get(made.id, ())
+        representation = bodies[made.id]
+        given = [(each.id(), own) for each, own in openings.get(made.id, ()) if each.id() in cuts]
         try:
             with Where(name, file.by_id(made.id)):
                 resolved = items.resolved(representation)
@@ -184,8 +183,8 @@ def _made(file: ifcopenshell.file, name: str, bodies: Mapping[int, ifcopenshell.
 
 
 def _shape(
-    made: _Made, items: list[Item], openings: Sequence[tuple[ifcopenshell.entity_instance, bool]],
-    holes: Mapping[int, _Made], unit: float, about: str, notes: Notes,
+    made: _Made, items: list[Item], openings: Sequence[tuple[int, bool]], holes: Mapping[int, _Made],
+    unit: float, about: str, notes: Notes,
 ) -> Shape:  # fmt: skip
     bodies = tuple(_bodies(made, [] if openings else items, unit, about, notes))
     shape = Shape(made.id, bodies, made.matrix)
@@ -233,75 +232,38 @@ def _is_simple(body: Body) -> bool:
     return abs((whole - cavities).volume() - enclosed) <= _ROUNDING * enclosed
 
 
-def _cut(
-    shape: Shape, openings: Sequence[tuple[ifcopenshell.entity_instance, bool]], holes: Mapping[int, _Made]
-) -> tuple[Body, ...] | None:
-    """Return the bodies less openings; None: one cannot be made, or those of its own take nothing away, or all."""
+def _cut(shape: Shape, openings: Sequence[tuple[int, bool]], holes: Mapping[int, _Made]) -> tuple[Body, ...] | None:
+    """Return the bodies less openings; None: one cannot be cut out, or is the element's own and takes nothing away, or all."""
     solids = [one for body in shape.bodies if (one := solid(body.vertices, body.triangles)) is not None]
-    assert shape.model_T_shape is not None
-    shape_T_model = np.linalg.inv(shape.model_T_shape)
-    own: list[manifold3d.Manifold] = []
-    others: list[manifold3d.Manifold] = []
-    for opening, mine in openings:
-        if body_of(opening) is None:
-            # told
-            continue
-        if opening.id() not in holes:
+    if len(solids) < len(shape.bodies) or shape.model_T_shape is None:
+        return None
+    less = solids
+    for number, own in openings:
+        if number not in holes:
             return None
-        hole = holes[opening.id()]
-        shape_T_hole = shape_T_model @ hole.matrix
+        hole, before = holes[number], sum(one.volume() for one in less)
+        shape_T_hole = np.linalg.inv(shape.model_T_shape) @ hole.matrix
+        points = hole.vertices @ shape_T_hole[:3, :3].T + shape_T_hole[:3, 3]
+        middle, size = 0.5 * (points.max(axis=0) + points.min(axis=0)), np.ptp(points, axis=0).max()
+        points = middle + (points - middle) * (1.0 + 2 * _GROWN / size)
         for owner in np.unique(hole.owners):
-            used, corners = np.unique(hole.triangles[hole.owners == owner], return_inverse=True)
-            points = hole.vertices[used] @ shape_T_hole[:3, :3].T + shape_T_hole[:3, 3]
-            middle, size = 0.5 * (points.max(axis=0) + points.min(axis=0)), np.ptp(points, axis=0).max()
-            made = solid(middle + (points - middle) * (1.0 + 2 * _GROWN / size), corners.reshape(-1, 3))
-            if made is None:
+            tool = solid(points, hole.triangles[hole.owners == owner])
+            if tool is None:
                 return None
-            (own if mine else others).append(made)
-    if not own and not others:
-        return shape.bodies
-    if len(solids) < len(shape.bodies):
-        return None
-    before = sum(one.volume() for one in solids)
-    less = [one - union(own) for one in solids] if own else solids
-    if own and sum(one.volume() for one in less) > before * (1.0 - _SHRUNK):
-        return None
-    less = [one - union(others) for one in less] if others else less
+            less = [one - tool for one in less]
+        if own and sum(one.volume() for one in less) > before * (1.0 - _SHRUNK):
+            return None
     made_of = [mesh_of(one) for one in less if one.volume() > _CRUMB]
     return tuple(Body(vertices, triangles.astype(np.int32)) for vertices, triangles in made_of) or None
 
 
 def pieces_of(bodies: Sequence[Body]) -> int:
-    """Return into how many pieces that do not touch each other the closed ones of these bodies fall.
-
-    Args:
-        bodies: Normals outwards.
-    """
-    pieces = [
-        (body.vertices[used], corners.reshape(-1, 3))
-        for body in bodies
-        if is_closed(body.triangles)
-        for used, corners in (np.unique(part, return_inverse=True) for part in _split(body.triangles))
-    ]
+    """Return into how many pieces that do not touch each other the closed ones of these bodies fall."""
+    solids = [one for body in bodies if (one := solid(body.vertices, body.triangles)) is not None]
     # the wall of a cavity is turned inwards
-    pieces = [piece for piece in pieces if volume(*piece) > _CRUMB]
-    if len(pieces) < 2:
-        return len(pieces)
-    low = np.array([vertices.min(axis=0) for vertices, _ in pieces]) - _TOUCH
-    high = np.array([vertices.max(axis=0) for vertices, _ in pieces])
-    meshes = [surface(*piece) for piece in pieces]
-    groups = list(range(len(pieces)))
-    for one in range(len(pieces)):
-        near = (low[one] <= high[one + 1 :]).all(axis=1) & (low[one + 1 :] <= high[one]).all(axis=1)
-        for other in (one + 1 + np.flatnonzero(near)).tolist():
-            if groups[one] != groups[other] and _touch(meshes[one], meshes[other]):
-                groups = [groups[one] if group == groups[other] else group for group in groups]
-    return len(set(groups))
-
-
-def _touch(one: coal.BVHModelOBBRSS, other: coal.BVHModelOBBRSS) -> bool:
-    identity = coal.Transform3s.Identity()
-    return bool(coal.distance(one, identity, other, identity, coal.DistanceRequest(), coal.DistanceResult()) <= _TOUCH)
+    pieces = [piece for one in solids for piece in one.decompose() if piece.volume() > _CRUMB]
+    touching = np.array([[one.min_gap(other, 2 * _TOUCH) <= _TOUCH for other in pieces] for one in pieces], dtype=bool)
+    return int(connected_components(touching, directed=False)[0]) if pieces else 0
 
 
 def _less(items: list[Item], owners: np.ndarray) -> str:

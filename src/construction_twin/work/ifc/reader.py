@@ -206,12 +206,10 @@ def _elements(file: ifcopenshell.file, found: _Found, progress: Progress) -> tup
         )
     }  # fmt: skip
     _take_kernel_log(found)
-    for number, doubt in found.doubts.of.items():
-        if number in made and not made[number].doubt:
+    for number, shape in made.items():
+        if not shape.doubt and number in found.doubts.shapes:
             within = reach(bodies[number]) * found.units.length
-            made[number] = (
-                made[number].doubted(doubt.why, within) if doubt.shape else replace(made[number], doubt=doubt.why)
-            )
+            made[number] = shape.doubted(found.doubts.shapes[number], within)
     elements = {}
     for count, product in enumerate(products):
         if count % 100 == 0:
@@ -320,9 +318,11 @@ def _element(
     if np.abs(matrix[:3, 3]).max() > _FAR:
         found.notes.add(Sentence("ifc.note.far"), element_id)
     doubt = "" if shape is None else shape.doubt
-    if not doubt and product.id() in found.doubts.of:
+    if not doubt and (unknown := found.doubts.shapes.get(product.id())):
         # it can have a body that nobody knows
-        doubt = found.doubts.everything = found.doubts.of[product.id()].why
+        doubt = found.doubts.everything = unknown
+    wholes = (product, *found.relations.wholes(product))
+    doubt = doubt or next((said for each in wholes if (said := found.doubts.related.get(each.id()))), "")
     properties = read_properties(product, element_id, found.units, found.notes)
     material = read_material(product, element_id, found.notes)
     kind = ifcopenshell.util.element.get_type(product)
