@@ -480,7 +480,7 @@ def test_a_file_with_comments_is_read(read):
     commented = (
         text_of_two().replace("DATA;", "DATA;\n/* it's a 'stud' */ /**/ /* ** / */").replace("#12=", "/* #1 */#12=")
     )
-    found = read(commented)
+    found = read("/* a */ /* b */\n" + commented)
     assert doubts(found) == ["", ""] and found.notes == () and len(found.sequences) == 1
 
 

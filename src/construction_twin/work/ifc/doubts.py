@@ -20,9 +20,9 @@ _OFFSET = re.compile(r"at offset (\d+)")
 _MISSING = re.compile(r"Instance reference #(\d+) used by instance #(\d+)")
 _SHOWN = 200
 #: Codes of what says nothing of shapes: no style for a colour, a precision of the whole file, a style that is missing, no unit of
-#: angles (told), the hole of a hollow profile turned round (its volume is compared), a triangle
+#: angles (told), the hole of a hollow profile turned round (its volume is compared), a point given twice, a triangle
 #: without area; and texts of what says nothing of instances, or is told by `tasks.unique_id`.
-_ASIDE = ("GEO031", "SYS033", "GEO301", "GEO313", "GEO164", "GEO185")
+_ASIDE = ("GEO031", "SYS033", "GEO301", "GEO313", "GEO164", "GEO185", "GEO276")
 _ASIDE_TEXTS = ("header entity", "non-unique GlobalId")
 #: Who made it and how it looks: what is lost there says nothing of elements.
 _ASIDE_KINDS = (

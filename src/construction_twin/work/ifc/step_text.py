@@ -35,7 +35,7 @@ def check_form(contents: bytes, name: str) -> None:
 
     Raises BuildingError.
     """
-    begun = contents.removeprefix(_MARK).lstrip()
+    begun = _from_start(contents)
     if not begun.startswith(_MAGIC):
         shown = Sentence("ifc.found.begins", contents=repr(contents[:20])) if contents else Sentence("ifc.found.empty")
         found = next((said for begins, said in _OTHERS.items() if begun.startswith(begins)), shown)
@@ -43,6 +43,14 @@ def check_form(contents: bytes, name: str) -> None:
     if not contents.rstrip(_SPACE).endswith(_END):
         found = Sentence("ifc.found.no_end", end=_END.decode())
         raise BuildingError(name, Sentence("ifc.file"), found, Sentence("ifc.whole_file"))
+
+
+def _from_start(contents: bytes) -> bytes:
+    """Return contents without what may stand before the first line: a byte order mark, comments."""
+    begun = contents.removeprefix(_MARK).lstrip()
+    while begun.startswith(b"/*"):
+        begun = begun.partition(b"*/")[2].lstrip()
+    return begun
 
 
 def for_parser(contents: bytes, name: str, notes: Notes) -> bytes:
@@ -73,7 +81,7 @@ def _in_ascii(contents: bytes, notes: Notes) -> bytes:
 
     They are taken as UTF-8 if all of them are, else as Latin-1 (Windows-1252).
     """
-    contents = contents.removeprefix(_MARK)
+    contents = _from_start(contents)
     if contents.isascii():
         return contents
     try:
