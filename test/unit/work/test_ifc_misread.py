@@ -644,3 +644,34 @@ def test_what_no_task_waits_for_is_told(read):
     model.sequence(model.root("IfcEvent", Name="approval"), first)
     found = read(model)
     assert said(found, "ifc.note.unread", "1", "IfcEvent") and said(found, "ifc.note.foreign_order")
+
+
+# -- schemas and contexts
+
+
+@pytest.mark.parametrize(
+    ("schema", "given"),
+    [
+        *(("IFC4X3", name) for name in ("IFC4X3", "IFC4X3_TC1", "ifc4x3_add1")),
+        *(("IFC4", name) for name in ("IFC4_ADD2", "IFC4_ADD2_TC1")),
+        ("IFC2X3", "IFC2X3_TC1"),
+    ],
+)
+def test_every_publication_of_a_schema_is_read_as_its_last(read, schema, given):
+    model, _, _ = two_studs(schema)
+    text = model.text().replace(f"'{'IFC4X3_ADD2' if schema == 'IFC4X3' else schema}'", f"'{given}'")
+    assert f"'{given}'" in text
+    found = read(text)
+    assert (found.schema, len(found.tasks), doubts(found)) == (schema, 2, ["", ""])
+
+
+def test_a_release_candidate_is_refused_by_name(read):
+    with pytest.raises(BuildingError, match="schema: found IFC4X3_RC4, expected one of IFC2X3, IFC4, IFC4X3"):
+        read(text_of_two().replace("'IFC4'", "'IFC4X3_RC4'"))
+
+
+def test_a_project_library_beside_the_project_changes_nothing(read):
+    model, _, _ = two_studs()
+    library = model.root("IfcProjectLibrary", Name="parts")
+    model.root("IfcRelDeclares", RelatingContext=model.project, RelatedDefinitions=[library])
+    assert doubts(read(model)) == ["", ""]
