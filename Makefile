@@ -45,7 +45,8 @@ mutations:
 	@bash setup/setup.sh tests
 	@bash -c 'source .ws/env.bash && python scripts/mutations.py $(ARGS)'
 
-bench: setup
+bench:
+	@bash setup/setup.sh tests
 	@bash -c 'source .ws/env.bash && python scripts/bench.py $(ARGS)'
 
 properties: setup

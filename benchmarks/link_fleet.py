@@ -1,6 +1,7 @@
 """Several robots on one machine, each with bridge, gateway and mock controller: processor time, latency, late replies.
 
-``python benchmarks/link_fleet.py --robots 4 --output FILE`` measures one number of robots. One process plays the gates of all of
+``python benchmarks/link_fleet.py --robots 4 --output FILE`` measures one number of robots; one that the machine does not carry is
+null in the file: not all were armed in time, or the gates fell behind. One process plays the gates of all of
 them; another process subscribes on the broker and sees what passes there. All processes stamp with the same monotonic clock. The
 latency covers both directions together: a command from its publication on ROS to a subscriber on the broker, and a state from the
 gateway's reply to `physical/feedback`. With one robot the file also holds the times from a command to the RSI packet and from there
@@ -28,7 +29,7 @@ from link_routes import bridge_parameters
 from link_world import REALTIME, ROBOT_YAML, ROOT, XACRO, World, cpu_seconds, end_in_order, spread_ms, wait_for
 
 from construction_twin.core.realtime import release_realtime, request_realtime
-from construction_twin.core.units import CYCLE, CYCLE_NS
+from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.mqtt.messages import read_command_properties, read_state_properties
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
@@ -37,6 +38,8 @@ from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher
 PREFIX = "fleet"
 #: Between the first command and the measurement [s].
 SETTLE = 2.0
+#: How late a command may be published before the number of robots is more than the machine carries [ns].
+BEHIND = NANOSECONDS
 #: What each robot has a process of; the bridges may share one.
 PARTS = ("bridge", "gateway", "mock")
 
@@ -112,9 +115,16 @@ class Gates:
         self._due = time.monotonic_ns()
 
     def stream(self, seconds: float) -> None:
-        """Publish for a time [s]; a command that cannot be published in time is published late, not left out."""
+        """Publish for a time [s]; a command that cannot be published in time is published late, not left out.
+
+        Raises:
+            TimeoutError: In motion, when they are late by more than `BEHIND`.
+        """
         for _ in range(round(seconds / CYCLE)):
-            time.sleep(max(0, self._due - time.monotonic_ns()) / 1e9)
+            ahead = self._due - time.monotonic_ns()
+            if self.moves and ahead < -BEHIND:
+                raise TimeoutError(f"commands are published {-ahead / NANOSECONDS:.1f} s late")
+            time.sleep(max(0, ahead) / NANOSECONDS)
             pose = pose_at(self._home, self._cycle)
             self._cycle += self.moves
             for name, publisher in self._publishers.items():
@@ -152,22 +162,17 @@ class Fleet:
         request_realtime(realtime)
         self.gates = Gates(self.names, model.joint_names, tuple(model.home))
 
-    def start(self, timeout: float) -> bool:
-        """Arm all robots and begin to move; False if not all were armed in time."""
+    def start(self, timeout: float) -> None:
+        """Arm all robots and begin to move; TimeoutError if not all were armed in time."""
 
         def following() -> bool:
             self.gates.stream(0.2)
             states = [status["state"] for status in self.ask("statuses").values()]
             return states.count("following") == len(self.names)
 
-        armed = True
-        try:
-            wait_for(following, timeout, "a fleet that follows")
-        except TimeoutError:
-            armed = False
+        wait_for(following, timeout, "a fleet that follows")
         self.gates.moves = True
         self.gates.stream(SETTLE)
-        return armed
 
     def ask(self, order: str):
         """Ask the observer."""
@@ -256,8 +261,12 @@ def main() -> None:
     end_in_order()
     with tempfile.TemporaryDirectory() as folder, World(Path(folder)) as world:
         fleet = Fleet(world, options.robots, options.realtime)
-        armed = fleet.start(options.timeout)
-        result = fleet.measure(options.seconds) | {"armed_in_time": armed}
+        result = None
+        try:
+            fleet.start(options.timeout)
+            result = fleet.measure(options.seconds)
+        except TimeoutError as error:
+            print(f"[fleet] {options.robots} robots are not carried: {error}", file=sys.stderr)
         options.output.write_text(json.dumps(result))
         fleet.dismiss()
         rospy.signal_shutdown("measured")

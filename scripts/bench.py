@@ -42,8 +42,6 @@ def main(arguments: list[str]) -> int:
         subprocess.run(
             [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *wanted], check=True
         )
-    if "console" in selected and not BROWSER_PYTHON.exists():
-        subprocess.run(["bash", str(ROOT / "setup" / "setup.sh"), "tests"], check=True)
     for name in selected:
         python = str(BROWSER_PYTHON) if name == "console" else sys.executable
         command = [python, str(ROOT / "benchmarks" / f"{name}.py"), *options]

@@ -6,6 +6,7 @@
 #   setup/setup.sh physics   the same as without a word, and what simulates an arm with mass
 #   setup/setup.sh console   the same as without a word, and what the console needs: a Python package, and its page (web/), built
 #   setup/setup.sh tests     all of these, the Debian packages that only the tests need, and a venv with what drives a browser
+#   setup/setup.sh venv      the venv alone, as the build in any catkin workspace does; `venv physics`: what physics adds to it, and so on
 #
 # Everything it makes lies under .ws/ in the repository, except the Debian packages.
 set -euo pipefail
@@ -16,12 +17,14 @@ venv="$work/venv"
 workspace="$work/catkin"
 python=/usr/bin/python3 # Debian's own: the only Python that sees Debian's rospy, tf2 and PyKDL
 
+venv_alone=false
+[ "${1:-}" != venv ] || { venv_alone=true && shift; }
 lists=("$root/setup/debian-packages.txt")
 case "${1:-}" in
   "") ;;
   work | console | physics) ;;
   tests) lists+=("$root/setup/debian-test-packages.txt") ;;
-  *) printf '[setup] unknown word %q; expected nothing, work, physics, console or tests\n' "$1" >&2 && exit 2 ;;
+  *) printf '[setup] unknown word %q; expected nothing, work, physics, console, tests or venv\n' "$1" >&2 && exit 2 ;;
 esac
 
 say() { printf '[setup] %s\n' "$*"; }
@@ -159,7 +162,8 @@ build_inputs() {
   (
     cd "$root"
     cat CMakeLists.txt package.xml setup.py msg/*.msg srv/*.srv setup/control_msgs/*.* setup/control_msgs/*/*
-    printf '%s\n' "$root" "$workspace"/src/* msg/*.msg srv/*.srv nodes/* examples/*/* test/integration/*.test
+    # of the workspace its packages, not the file that catkin_make adds
+    printf '%s\n' "$root" "$workspace"/src/*/ msg/*.msg srv/*.srv nodes/* test/integration/*.test
     declare -f build_workspace
   ) | sha256sum
 }
@@ -202,7 +206,7 @@ build_workspace() {
     cd "$workspace"
     # an environment that belongs to another ROS installation must not leak into this build
     unset ROS_PACKAGE_PATH CMAKE_PREFIX_PATH PYTHONPATH ROS_ROOT
-    PATH="$venv/bin:/usr/bin:/bin" catkin_make -DPYTHON_EXECUTABLE="$venv/bin/python" -DCATKIN_ENABLE_TESTING=ON
+    PATH=/usr/bin:/bin catkin_make -DCATKIN_ENABLE_TESTING=ON
   ) >"$work/build.log" 2>&1 || fail "catkin_make failed; its last lines: $(tail -n 5 "$work/build.log" | tr '\n' ' ') (all of it: $work/build.log)"
   printf '%s\n' "$want" >"$stamp"
 }
@@ -224,7 +228,7 @@ EOF
 
 check_path
 check_system
-install_packages
+"$venv_alone" || install_packages
 make_venv
 case "${1:-}" in
   work | tests) add_packages work "work from a building model" ;;&
@@ -235,10 +239,11 @@ case "${1:-}" in
     make_browser_venv
     ;;
 esac
+case "${1:-}" in console | tests) build_page ;; esac
+"$venv_alone" && exit
 link_repository
 provide_control_msgs
 build_workspace
 compile_python
 write_environment
-case "${1:-}" in console | tests) build_page ;; esac
 say "ready; for your own shell: source $work/env.bash"

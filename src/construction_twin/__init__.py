@@ -4,3 +4,5 @@ The folders, what goes in and out of each, and the order that import-linter enfo
 rospy. ``core``, ``mqtt``, ``rsi`` and ``gateway`` need the standard library and paho-mqtt only, so that they run on the cell
 PC.
 """
+
+__version__ = "0.2.0"  # package.xml's

@@ -108,7 +108,12 @@ class MqttReviewTest(unittest.TestCase):
         points = [JointTrajectoryPoint(positions=[0.1 * k] * 6) for k in range(3)]
         names = [f"joint_a{k}" for k in range(1, 7)]
         self.plans.publish(
-            Plan(id=name, hash=f"hash of {name}", trajectory=JointTrajectory(joint_names=names, points=points))
+            Plan(
+                asked="c0ffee00-7",
+                id=name,
+                hash=f"hash of {name}",
+                trajectory=JointTrajectory(joint_names=names, points=points),
+            )
         )
         wait(lambda: (self.tablet.plan or {}).get("id") == name, f"plan {name} on MQTT")
         return self.tablet.plan

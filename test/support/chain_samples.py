@@ -51,7 +51,7 @@ def make_chain(
 def make_plan(chain: SimulatedChain, goal, **timing) -> Plan:
     """Return a plan from the twin's pose to `goal`, timed as `time_path` is told."""
     trajectory = time_path(np.array([chain.twin.pose, goal]), ROBOT, **timing)
-    return plan_samples.make_plan(trajectory, f"plan-{chain.now}", created_ns=chain.now)
+    return plan_samples.make_plan(trajectory, f"plan-{chain.now}", asked_ns=chain.now)
 
 
 def play_to_the_end(chain: SimulatedChain, plan: Plan) -> None:

@@ -43,9 +43,9 @@ def reach(start=ROBOT.home, goal=GOAL, duration: float = 2.0, waypoints: int = 2
     )
 
 
-def make_plan(name: str = "p", motion: Trajectory | None = None, scene: str = SCENE, created_ns: int = 0) -> Plan:
+def make_plan(name: str = "p", motion: Trajectory | None = None, scene: str = SCENE, asked_ns: int = 0) -> Plan:
     """Return a plan of a motion, of `reach` by default."""
-    return plan_samples.make_plan(motion or reach(), name, scene, created_ns)
+    return plan_samples.make_plan(motion or reach(), name, scene, asked_ns)
 
 
 GRIPPED = (Signal("gripped", True),)
@@ -75,7 +75,7 @@ def between(*shares: float, duration: float = 0.8) -> Trajectory:
 
 
 def make_work_plan(
-    name: str = "w", motion: Trajectory | None = None, created_ns: int = 0, **changes: dict[int, dict]
+    name: str = "w", motion: Trajectory | None = None, asked_ns: int = 0, **changes: dict[int, dict]
 ) -> Plan:
     """Return a plan of four segments: to the stock, approach and grip (engaged), lift (engaged), carry and let go.
 
@@ -93,12 +93,12 @@ def make_work_plan(
     ]
     for number, segment in enumerate(segments):
         segments[number] = replace(segment, **changes.get(f"segment_{number}", {}))
-    return plan_of(motion, tuple(segments), name, created_ns)
+    return plan_of(motion, tuple(segments), name, asked_ns)
 
 
-def plan_of(motion: Trajectory, segments: tuple[Segment, ...], name: str, created_ns: int = 0) -> Plan:
+def plan_of(motion: Trajectory, segments: tuple[Segment, ...], name: str, asked_ns: int = 0) -> Plan:
     """Return a work plan of a motion and its segments."""
-    plain = plan_samples.make_plan(motion, name, segments[0].scene, created_ns)
+    plain = plan_samples.make_plan(motion, name, segments[0].scene, asked_ns)
     return replace(plain, hash=content_hash(motion, "t1", segments), task="t1", segments=segments)
 
 
@@ -334,8 +334,8 @@ def motion_back(path: ExecutedPath, begin: float, until: float = 0.0, pace: floa
 
 
 def plan_back(
-    motion: Trajectory, requires=(), scene: str = SCENE, name: str = "back", created_ns: int = 0, **changes
+    motion: Trajectory, requires=(), scene: str = SCENE, name: str = "back", asked_ns: int = 0, **changes
 ) -> Plan:
     """Return the plan of a way back, as the planner makes it; `changes` are fields of its segment."""
     segment = Segment("way back", motion.duration, True, requires, (), scene, scene)
-    return plan_of(motion, (replace(segment, **changes),), name, created_ns)
+    return plan_of(motion, (replace(segment, **changes),), name, asked_ns)

@@ -108,7 +108,7 @@ class World:
         self.node.on_link(Link(state=Link.ARMED, session="s"))
         self.node.on_scene(Scene(hash=SCENE))
         self.run(5)
-        plan = make_plan(created_ns=self.wall)
+        plan = make_plan(asked_ns=self.booted)
         self.executor.offer(plan)
         return plan
 

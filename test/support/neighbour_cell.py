@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio
 from planning_cell import HOME, ROBOT, SELF_COLLISION
 
+from construction_twin.core.freshness import Moment
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
@@ -69,7 +70,7 @@ def plan(start: np.ndarray, end: np.ndarray, plan_id: str = "p1", duration: floa
         "test",
         "direct",
         "0" * 64,
-        1,
+        Moment("c0ffee00", 1),
         0.1,
         trajectory,
         PlanReport(Clearance(1.0), fractions, 0.1),

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio
 from scene_samples import kr120, kr120_pairs, track7, track7_pairs, ur_like_pairs
 
+from construction_twin.core.freshness import Moment
 from construction_twin.physics.drive import ArmDrives, drives_of, read_drives
 from construction_twin.physics.model import Load, PhysicsModel, build_model
 from construction_twin.physics.rehearsal import Rehearsal
@@ -93,8 +94,8 @@ def plan_of(trajectory: Trajectory, scene: Scene, segments: tuple[Segment, ...] 
     report = PlanReport(Clearance(np.inf), LimitUsage(zeros, zeros, zeros), 0.0)
     task = "task" if segments else ""
     return Plan(
-        "p", content_hash(trajectory, task, segments), "test", "none", scene.hash, 0, 0.0, trajectory, report, task=task,
-        segments=segments,
+        "p", content_hash(trajectory, task, segments), "test", "none", scene.hash, Moment("c0ffee00", 0), 0.0, trajectory, report,
+        task=task, segments=segments,
     )  # fmt: skip
 
 

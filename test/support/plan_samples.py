@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 
+from construction_twin.core.freshness import Moment
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.trajectory import Trajectory
+
+#: Which clock the moments of tests are of.
+ROBOT_CLOCK = "c0ffee00"
 
 
 def make_report(joints: int) -> PlanReport:
@@ -14,7 +18,7 @@ def make_report(joints: int) -> PlanReport:
     return PlanReport(Clearance(math.inf), LimitUsage(*fractions), 0.01)
 
 
-def make_plan(trajectory: Trajectory, plan_id: str = "p", scene: str = "s", created_ns: int = 0) -> Plan:
+def make_plan(trajectory: Trajectory, plan_id: str = "p", scene: str = "s", asked_ns: int = 0) -> Plan:
     """Return a plan for a trajectory, as if checked against the scene with hash `scene` at `created_ns` [ns]."""
     return Plan(
         id=plan_id,
@@ -22,7 +26,7 @@ def make_plan(trajectory: Trajectory, plan_id: str = "p", scene: str = "s", crea
         source="test",
         planner="none",
         scene=scene,
-        created_ns=created_ns,
+        asked=Moment(ROBOT_CLOCK, asked_ns),
         planning_time=0.0,
         trajectory=trajectory,
         report=make_report(len(trajectory.joint_names)),

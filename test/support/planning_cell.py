@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 
+from construction_twin.core.freshness import Moment
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
@@ -23,7 +24,7 @@ CHAIN = Chain(ROBOT)
 SELF_COLLISION = read_self_collision(ROOT / "config/kr120_self_collision.yaml", ROBOT)
 HOME = np.array(ROBOT.home)
 RIGHT, LEFT = HOME + np.radians([-40, 10, 0, 0, 0, 0]), HOME + np.radians([40, 10, 0, 0, 0, 0])
-REQUEST = PlanRequest(plan_id="p1", created_ns=7)
+REQUEST = PlanRequest(plan_id="p1", asked=Moment("c0ffee00", 7))
 QUICK = dict(
     planner="RRTConnect",
     planning_budget=5.0,

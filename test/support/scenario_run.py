@@ -211,7 +211,7 @@ class ScenarioRun:
         self.chain.executor.offer(plan)
 
     def _plan(self, trajectory) -> Plan:
-        return plan_samples.make_plan(trajectory, f"plan-{self.chain.now}", SCENE, created_ns=self.chain.now)
+        return plan_samples.make_plan(trajectory, f"plan-{self.chain.now}", SCENE, asked_ns=self.chain.now)
 
     def _replan(self, held: tuple[float, ...], goal: tuple[float, ...]) -> Plan:
         return self._plan(time_path(np.array([held, goal]), ROBOT, None, SPEED_SCALE, ACCELERATION_SCALE))

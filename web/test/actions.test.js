@@ -10,12 +10,12 @@ const settle = () => new Promise((done) => setTimeout(done));
 const STOPPED = {...view().link, state: "NEEDS_RESET", reason: "gateway was stopped (stop 3) and is stopped: asked by account bob"};
 
 /** A page with the panel, its robot stopped, and a clock: `pass(ms)`. */
-async function panel(account = "ada", may = () => true) {
+async function panel(account = "ada", may = () => true, kind = "rsi") {
   const clock = {at: 0, looks: [], now: () => clock.at, every: (_, look) => clock.looks.push(look)};
   const page = fakePage({account});
   page.store.rightsOf = {may, who: () => ["ada", "cora"]};
   actions.make(page.parent, page.store, page.connection, page.texts, clock);
-  await page.hear("kr120", "view", view({link: STOPPED}));
+  await page.hear("kr120", "view", view({link: {...STOPPED, gateway_kind: kind}}));
   page.find = (selector) => page.parent.querySelector(selector);
   page.fire = (element, kind, more = {}) => element.dispatchEvent(Object.assign(new page.window.Event(kind, {bubbles: true}), more));
   page.pass = async (ms) => {
@@ -53,9 +53,10 @@ test("a gate that was closed for good under an armed link is reset here, and a p
   assert.deepEqual(page.connection.sent.map(({topic}) => topic), ["reset/ada"]);
 });
 
-for (const verb of ["reset", "arm"]) {
+for (const [kind, verb] of [["rsi", "reset"], ["plc", "arm"]]) {
   test(`${verb} goes out when it was held for a second, with what the page had shown`, async () => {
-    const page = await panel();
+    const page = await panel("ada", () => true, kind);
+    assert.deepEqual(["reset", "arm"].filter((each) => !page.find(`.action-${each}`).hidden), [verb], "a stop is lifted by a reset alone");
     const button = page.find(`.action-${verb}`);
     page.fire(button, "pointerdown", {button: 0});
     await page.pass(900);

@@ -51,6 +51,26 @@ def write_whole(path: Path, contents: str | bytes) -> None:
         raise
 
 
+def write_in_place(path: Path, text: str, room: int) -> None:
+    """Write a short text over what a file holds; it is on the disk then, which may have been full since the file was made.
+
+    Args:
+        path: Made with all its room where it does not exist.
+        room: What the file has at least, in blanks behind the text [bytes].
+
+    Raises OSError; what the file holds is not known then.
+    """
+    data = text.encode().ljust(room)
+    file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        if os.write(file, data) < len(data):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        os.ftruncate(file, len(data))
+        os.fsync(file)
+    finally:
+        os.close(file)
+
+
 def check_writable(folder: str | Path) -> None:
     """Check that files can be written into a folder, which need not exist yet. Nothing is left behind.
 

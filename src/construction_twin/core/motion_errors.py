@@ -199,12 +199,12 @@ class NoSceneError(PlanningError):
     """It is not known what surrounds the arm, so nothing can be planned.
 
     Attributes:
-        source: Where the scene should come from.
+        source: Topic on which the scene should come; empty: it is given by a call.
     """
 
     def __init__(self, source: str):
         self.source = source
-        super().__init__(Sentence("motion.no_scene", source=source))
+        super().__init__(Sentence("motion.no_scene", source=source) if source else Sentence("motion.scene_not_set"))
 
 
 class SceneChangedError(PlanningError):

@@ -185,6 +185,7 @@ class ExecutionReport:
         engaged: Only the way back along the executed path can be planned.
         expected_scene: Hash of the scene that is waited for; empty for none.
         stamp: Of the report [ns].
+        moment: The same by the robot's clock (`core.freshness.Moment`).
     """
 
     text: str
@@ -203,6 +204,7 @@ class ExecutionReport:
     expected_scene: str = ""
     state: int = 0
     stamp: int = 0
+    moment: str = ""
 
     @property
     def playing(self) -> bool:

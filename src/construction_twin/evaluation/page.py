@@ -13,7 +13,7 @@ from html import escape
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.paper import NOTE
 from construction_twin.evaluation.recording import Recording
-from construction_twin.evaluation.tables import ALIGNMENTS, SIMULATION, TableRow, facts, table_rows, unavailable
+from construction_twin.evaluation.tables import ALIGNMENTS, TableRow, facts, remarks, table_rows, unavailable
 
 #: Most rows of the table of state changes; a bag of an unstable link may hold thousands.
 MOST_CHANGES = 500
@@ -86,7 +86,7 @@ def page(summary: Mapping, recording: Recording, drawings: Mapping[str, bytes]) 
 def _facts(summary: Mapping) -> str:
     rows = [(fact.name, fact.value, fact.paper) for fact in facts(summary)]
     table = _table(("", "here", "paper"), rows, "", "text")
-    return f'{table}\n<p class="warning">{escape(SIMULATION)}</p>' if summary.get("mock") else table
+    return "\n".join([table, *(f'<p class="warning">{escape(remark)}</p>' for remark in remarks(summary))])
 
 
 def _error_tables(summary: Mapping) -> Iterable[str]:

@@ -17,6 +17,8 @@ from construction_twin.evaluation.alignment import Alignment, Window
 from construction_twin.evaluation.recording import LinkSnapshot, Recording, Stream
 from construction_twin.evaluation.tables import PERCENTILES, error_table, percentiles
 
+#: A twin of which no joint goes further than this has not moved [rad], [m].
+MOTION = 1e-3
 _MOCK_LIMITS = ("start_pose_deg", "correction_lower_deg", "correction_upper_deg", "correction_monitor_deg")
 
 
@@ -69,6 +71,7 @@ def summarise(evaluation: Evaluation) -> dict:
     first, last = link_span(recording.links, window)
     tables = {name: error_table(aligned, names, recording.linear) for name, aligned in evaluation.alignments.items()}
     final_error = np.abs(recording.physical.positions[-1] - recording.twin.positions[-1])
+    poses = recording.twin.positions[window.contains(recording.twin.stamps)]
     mock = _mock_settings(recording.mock) if recording.mock else None
     return {
         "waypoints": _waypoints(recording),
@@ -86,6 +89,7 @@ def summarise(evaluation: Evaluation) -> dict:
         "rate_hz": {name: rate(getattr(recording, name), window) for name in ("twin", "physical", "command")},
         "final_error_rad": {n: e for n, e in zip(names, final_error.tolist()) if n not in recording.linear},
         "final_error_m": {n: e for n, e in zip(names, final_error.tolist()) if n in recording.linear},
+        "moved": bool(np.abs(poses - poses[:1]).max(initial=0.0) > MOTION),
         "robot": recording.robot,
         "skipped_samples": {name: aligned and aligned.skipped for name, aligned in evaluation.alignments.items()},
         "mock": mock,

@@ -29,6 +29,10 @@ ALIGNMENTS = {
 #: What an alignment needs that not every run has.
 NEEDS = {"expected": "a run with the launch argument servo_model has it"}
 SIMULATION = "This is a simulation: the arm was the mock controller of this package, not a robot."
+ARM_NOT_TOLD = (
+    "The recording has no mock_rsi/status: the arm was a robot, or this is a simulation whose status was not recorded."
+)
+NO_MOTION = "Nothing moved while this was recorded: the figures say nothing of how twin and arm agree in motion."
 #: Names and fractions of the reported percentiles.
 PERCENTILES = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
 
@@ -157,9 +161,12 @@ def summary_lines(summary: Mapping) -> list[str]:
         "rates: " + "   ".join(f"{name} {_text(rate, '.3f')} Hz" for name, rate in summary["rate_hz"].items()),
         "largest final error: " + _final_errors(summary),
     ]
-    if summary.get("mock"):
-        lines.append(SIMULATION)
-    return lines
+    return lines + remarks(summary)
+
+
+def remarks(summary: Mapping) -> list[str]:
+    """Return what is said beside the figures: what kind of arm they are of, and that nothing moved."""
+    return [*([] if summary["moved"] else [NO_MOTION]), SIMULATION if summary["mock"] else ARM_NOT_TOLD]
 
 
 @dataclass(frozen=True)

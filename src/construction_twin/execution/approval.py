@@ -196,7 +196,7 @@ class Approval:
             raise ReviewError(Sentence("review.rehearsal.unreasoned", plan=plan.id))
 
     def _demand_fresh(self, moment: Moment) -> int:
-        """Return how long an approval may still wait for the first setpoint [ns]; ExpiredError when that is over."""
+        """Return how long an approval may still wait for motion [ns]; ExpiredError when that is over."""
         now = self._clock()
         if problem := staleness(moment, now):
             raise ExpiredError(Sentence("executor.void.approval", problem=problem))

@@ -1,7 +1,7 @@
 """The executor: one setpoint per cycle, from an approved plan or, idle, the twin's pose.
 
 Pure: `step` is called once per 4 ms with the cycle's nominal stamp [ns]. Angles in rad. `now` is on the monotonic clock, but
-for `stop`, `pause` and `restart`: these are compared with when a plan was made, on the clock of the stamps.
+for `stop`, `pause` and `restart`: these are compared with when a plan was asked for, on the robot's clock (`core.freshness`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.engagement import Engagement, EngagementKeeper
 from construction_twin.execution.play_rate import PlayRate
-from construction_twin.execution.playback import Playback, StopForecaster
+from construction_twin.execution.playback import START_TOLERANCE, Playback, StopForecaster
 from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.execution.segment_run import SegmentRun
 from construction_twin.execution.states import (
@@ -49,8 +49,6 @@ _MAY_BEGIN = (ExecutorState.PLAYING, ExecutorState.HELD, ExecutorState.AT_BOUNDA
 _OLDEST = LIFETIME / NANOSECONDS
 #: The twin's pose counts as known this long after its last message [ns].
 TWIN_TIMEOUT = NANOSECONDS // 2
-#: A plan may start this far from the present pose [rad]; rounding, not motion.
-START_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -508,7 +506,7 @@ class Executor:
             self._on(ExecutorEvent.AGREED, Sentence("executor.agreed"))
         if machine.state is ExecutorState.WAITING:
             return None
-        if machine.state in _MAY_BEGIN and now > self._begin_by and self._played.elapsed == 0.0:
+        if machine.state in _MAY_BEGIN and now > self._begin_by and not self._played.moved:
             sentence = Sentence("executor.not_begun", waits=self._waits_for(), seconds=_OLDEST)
             self._on(ExecutorEvent.TIMEOUT, sentence)
         if machine.state is ExecutorState.AT_BOUNDARY:
@@ -536,8 +534,10 @@ class Executor:
             return Sentence("executor.gate_holds", state=self._sync.name)
         if self.segment_run is not None and self.state is ExecutorState.AT_BOUNDARY:
             return self.segment_run.waits_for()
-        if self.limit.rate == 0.0:
-            return self.limit.reason if self.limit.fraction == 0.0 else self.limit.sentence("")
+        if self.limit.waits and self.limit.fraction > 0.0:
+            return self.limit.sentence("")
+        if self.limit.fraction < 1.0:
+            return self.limit.reason
         return Sentence("executor.waits.late")
 
     def _wait_at_boundary(self, stamp: int, now: int) -> None:

@@ -5,12 +5,14 @@ Pure. Stamps in ns, angles in rad, m for prismatic joints.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import islice
 
 from construction_twin.core.errors import ExecutionError
+from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.execution.path_progress import Progress
@@ -18,6 +20,8 @@ from construction_twin.execution.stopping import StoppingForecast, distance_alon
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 
+#: A plan may start this far from the present pose [rad], and has moved when it is further from its start; rounding, not motion.
+START_TOLERANCE = 1e-6
 #: Setpoints that are remembered: 3 s. What the arm has not reached yet belongs to the forecast of a stop.
 HISTORY = 750
 #: Newest setpoints of which one may be the last that passed a gate: 1 s. The monitor is heard within 0.5 s, or it counts as silent.
@@ -41,6 +45,8 @@ class Playback:
         self.goal_stamp = 0
         self._progress = Progress(plan.trajectory, robot.acceleration, robot.jerk)
         self._begins = True
+        #: Time along the trajectory at which it was seen to have moved first [ns].
+        self._moved_at = math.inf
         if plan.segments:
             # it stands at its beginning until the first segment is entered
             self._progress.bound(0.0)
@@ -51,6 +57,11 @@ class Playback:
     def elapsed(self) -> float:
         """Time along the trajectory [s]."""
         return self._progress.elapsed
+
+    @property
+    def moved(self) -> bool:
+        """True from the setpoint on that left the start of the plan, or reached the end of a segment that stays there."""
+        return self._progress.elapsed_ns >= self._moved_at
 
     @property
     def rate(self) -> float:
@@ -75,7 +86,7 @@ class Playback:
             setpoint = self._progress.begin(rate)
         else:
             setpoint = self._progress.advance(rate)
-        self._remember(stamp)
+        self._remember(stamp, setpoint)
         return setpoint
 
     def arrive(self) -> None:
@@ -90,7 +101,7 @@ class Playback:
     def brake(self, stamp: int) -> tuple[float, ...]:
         """Return the setpoint [rad] for a cycle in which it brakes as hard as the acceleration limits allow."""
         setpoint = self._progress.brake()
-        self._remember(stamp)
+        self._remember(stamp, setpoint)
         return setpoint
 
     def knows(self, stamp: int) -> bool:
@@ -102,8 +113,13 @@ class Playback:
         self._progress.rest_at(next(elapsed for known, elapsed in self._history if known == stamp))
         self.goal_stamp = 0
 
-    def _remember(self, stamp: int) -> None:
-        self._history.append((stamp, self._progress.elapsed_ns))
+    def _remember(self, stamp: int, setpoint: tuple[float, ...]) -> None:
+        elapsed = self._progress.elapsed_ns
+        self._history.append((stamp, elapsed))
+        if elapsed < self._moved_at and elapsed > 0.0:
+            start = self.plan.trajectory.positions[0]
+            if self._progress.finished or outside_tolerance(start, setpoint, START_TOLERANCE) is not None:
+                self._moved_at = elapsed
         if self.goal_stamp == 0 and self._progress.finished:
             self.goal_stamp = stamp
 

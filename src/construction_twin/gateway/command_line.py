@@ -9,6 +9,7 @@ import secrets
 import signal
 import sys
 import threading
+from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
@@ -19,6 +20,7 @@ from construction_twin.gateway.config import GatewayConfig, load_config
 from construction_twin.gateway.log import log_beside_the_loop
 from construction_twin.gateway.service import GatewayService
 from construction_twin.gateway.states import Mode, noted
+from construction_twin.gateway.stop_file import StopFile
 from construction_twin.gateway.trace import TraceWriter
 from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import Broker
@@ -72,6 +74,12 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
         "--realtime", type=int, default=0, metavar="PRIORITY", help="SCHED_FIFO priority, 0 for none [%(default)s]"
     )
     parser.add_argument(
+        "--stop-file",
+        metavar="FILE",
+        help="keep here that the arm is stopped until somebody resets it, also when this program is started again"
+        " [ROBOT.stopped beside the configuration]",
+    )
+    parser.add_argument(
         "--trace",
         metavar="FILE",
         help="record what is really sent, cycle by cycle, for an hour; its room on the disk is reserved at the start",
@@ -105,7 +113,10 @@ def _run(arguments: argparse.Namespace) -> int:
         if controller is None and not is_loopback(address[0]):
             raise ConfigurationError("--controller", "", Sentence("expected.controller_address", address=address[0]))
         run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
-        service = GatewayService(config, bind(*address), broker, topics, run, controller, commissioning)
+        sock = bind(*address)
+        # behind the address, which no second gateway gets
+        stops = StopFile(arguments.stop_file or Path(arguments.config).with_name(f"{config.robot}.stopped"))
+        service = GatewayService(config, sock, broker, topics, run, controller, commissioning, stops=stops)
         # last: it takes room on a disk, which what else may be refused must not leave taken
         trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
         if trace is not None:
@@ -132,6 +143,8 @@ def _run(arguments: argparse.Namespace) -> int:
         log.info("channels that no reply fills, so they stay as they are: %s", ", ".join(config.layout.not_filled))
     if service.gateway.mode is not Mode.NORMAL:
         log.warning("%s", noted(f"mode {service.gateway.mode.value}", service.gateway.mode, words))
+    if stops.found:
+        log.warning("%s", Sentence("gateway.stopped_before", reason=stops.found))
     log.info("%s; %s", request_realtime(arguments.realtime), lock_memory())
     # a full collection over everything imported would take longer than the controller waits
     gc.freeze()

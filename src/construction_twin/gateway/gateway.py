@@ -19,7 +19,7 @@ from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
 from construction_twin.core.pace import STEADY
 from construction_twin.core.records import document
-from construction_twin.core.sentences import Sentence, Value
+from construction_twin.core.sentences import Sentence, Value, both
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.state_table import Machine
 from construction_twin.core.units import NANOSECONDS
@@ -109,6 +109,8 @@ class Gateway:
         self.fault = False
         #: Number of the last stop or fault of this run, but of one by silence; 0 before the first. A `reset` must name it.
         self.fault_number = 0
+        #: Why it was stopped, "" once somebody has reset that; the end of the program is no stop.
+        self.stopped = ""
         #: What tells of a stop, and cannot fail it.
         self.side_effects = SideEffects()
         #: Called with every answered telegram: its stamp, number of the session, state, stamp of the target [ns] (0: none),
@@ -396,7 +398,9 @@ class Gateway:
             "value": telegram.controller_ms,
             "why": controller.began,
         }
-        self._began = self._noted(Sentence("gateway.session_began", **began))
+        # what stands against arming is said, too: the states of a new session do not tell
+        why = Sentence("gateway.stopped_before", reason=self.stopped) if self.stopped else ""
+        self._began = both(self._noted(Sentence("gateway.session_began", **began)), why)
         self._machine.on(Event.SESSION_BEGAN, Occasion(self._began))
         if self._machine.state is State.MEASURING:
             if self._measures:
@@ -507,6 +511,7 @@ class Gateway:
         self.fault = self._machine.changed = True
         if not occasion.ending:
             self.fault_number += 1
+            self.stopped = self.stopped or occasion.reason
 
     def fail(self, reason: str) -> None:
         """Take note of an unexpected exception; from now on the last resort answers (`last_resort`), for good.
@@ -708,6 +713,11 @@ class Gateway:
         """Brake, whatever the state, and stay stopped until a `reset`: also a stop of an arm at rest must not be forgotten."""
         self._brake(Event.STOP, reason, account, ending)
 
+    def recall(self, reason: str) -> None:
+        """Be stopped until a `reset`, because the run before this one was, and nobody has reset that; before anything else."""
+        self.stopped = reason
+        self.stop(Sentence("gateway.stopped_before", reason=reason))
+
     def on_stop(self, stop: Intervention, now: int) -> Answer:
         """Carry out a person's stop that came at `now` [ns]; it needs no session, and nothing that arming needs.
 
@@ -789,7 +799,7 @@ class Gateway:
 
     def _on_reset(self, row: Row, occasion: Occasion) -> None:
         self._disarm(Sentence("gateway.reset.done"))
-        self.fault = self._ending = False
+        self.fault, self.stopped, self._ending = False, "", False
         self.refusals.forgive()
         if self.mode is Mode.COMMISSIONING or not any(self.correction):
             # the arm stands at its origin, or where a program of the controller took it: the next stream begins there

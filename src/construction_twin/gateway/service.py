@@ -33,6 +33,7 @@ from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
 from construction_twin.gateway.states import State
 from construction_twin.gateway.status import StatusClock
+from construction_twin.gateway.stop_file import StopFile
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import (
     Broker,
@@ -50,6 +51,7 @@ from construction_twin.mqtt.messages import (
     ControlAnswer,
     Topics,
     account_of,
+    identity_of,
     parse_control,
     read_command_properties,
 )
@@ -91,6 +93,7 @@ class GatewayService:
         controller: Only datagrams from this IPv4 address are read, see `address_of`; None reads any.
         commissioning: Send every correction as zero.
         measures: See `Gateway`: False for a controller that is no match for real time.
+        stops: Keeps a stop beyond this run; None: it is forgotten.
     """
 
     def __init__(
@@ -103,8 +106,12 @@ class GatewayService:
         controller: str | None = None,
         commissioning: bool = False,
         measures: bool = True,
+        stops: StopFile | None = None,
     ):
         self.gateway = Gateway(config, run, commissioning, measures)
+        self._stops = stops
+        if stops is not None and stops.found:
+            self.gateway.recall(stops.found)
         self.reply_time = Histogram.of_microseconds()
         #: What failed, in one sentence; "" while nothing has.
         self.failure = ""
@@ -162,6 +169,8 @@ class GatewayService:
             self.guarded(self._tell_failure)
             self.guarded(self._publish_status, True)
             self.guarded(self._mqtt.close)
+            if self._stops is not None:
+                self.guarded(self._stops.close)
             self._sock.close()
 
     def stop(self) -> None:
@@ -431,30 +440,32 @@ class GatewayService:
         level = logging.INFO if ok else logging.WARNING
         side_effects.run("the log", self._log, level, kind, f"session {control.session}: {reason}")
 
+    def _answer_stop(self, payload: bytes, known: dict[str, object]) -> None:
+        self._publish_answer(self._topics.stop_ack, requests.STOP.payload(**identity_of(payload), **known))
+
     def _publish_answer(self, topic: str, answer: bytes) -> None:
         self._mqtt.client.publish(topic, answer, qos=1)
 
     def _on_stop(self, client, userdata, message: paho.MQTTMessage) -> None:
-        now, account, id_ = time.monotonic_ns(), "", ""
+        now, account, payload = time.monotonic_ns(), "", bytes(message.payload)
         side_effects = self.gateway.side_effects
         try:
             account = account_of(message.topic)
             if not account:
                 # an answer: this gateway's, or the executor's
                 return
-            stop = parse_intervention(STOP, account, bytes(message.payload), message.retain)
+            stop = parse_intervention(STOP, account, payload, message.retain)
         except PayloadError as error:
             done = self.gateway.refuse_stop(account, error, now)
             line = logging.WARNING, f"refused on {error.reason}", str(error)
         else:
-            done, id_ = self.gateway.on_stop(stop, now), stop.id
+            done = self.gateway.on_stop(stop, now)
             line = logging.INFO, "stop by a person", f"account {account}: {done.reason or 'again'}"
         if done.reason:
             # the status first: a reader of the answer must not act on an older status
             side_effects.run("the status", self._publish_status_of_stop)
-            known = {"id": id_, "account": account, "ok": done.ok, "reason": done.reason, "by": requests.GATEWAY}
-            answer = requests.STOP.payload(**known)
-            side_effects.run("the answer", self._publish_answer, self._topics.stop_ack, answer)
+            known = {"account": account, "ok": done.ok, "reason": done.reason, "by": requests.GATEWAY}
+            side_effects.run("the answer", self._answer_stop, payload, known)
         side_effects.run("the log", self._log, *line)
 
     def _publish_state(self) -> None:
@@ -478,6 +489,8 @@ class GatewayService:
 
     def _send_status(self, document: Callable[[], dict], final: bool = False) -> paho.MQTTMessageInfo | None:
         self._status.sent(time.monotonic())
+        if self._stops is not None:
+            self._stops.keep(self.gateway.stopped or self.failure)
         if not self._mqtt.connected:
             return None
         status = document() | {"connection": self._number}

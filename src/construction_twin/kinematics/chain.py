@@ -25,10 +25,23 @@ class Pose:
     Attributes:
         position: Shape (3,). [m]
         rotation: Shape (3, 3)
+
+    Raises:
+        ValueError: If they have other shapes.
     """
 
     position: np.ndarray
     rotation: np.ndarray
+
+    def __post_init__(self):
+        if not (isinstance(self.position, np.ndarray) and isinstance(self.rotation, np.ndarray)):
+            object.__setattr__(self, "position", np.asarray(self.position, dtype=float))
+            object.__setattr__(self, "rotation", np.asarray(self.rotation, dtype=float))
+        if self.position.shape != (3,) or self.rotation.shape != (3, 3):
+            raise ValueError(
+                f"a pose is a position of shape (3,) and a rotation of shape (3, 3), found {self.position.shape} and "
+                f"{self.rotation.shape}"
+            )
 
     def matrix(self) -> np.ndarray:
         """Return the pose as a homogeneous matrix, shape (4, 4)."""
@@ -160,8 +173,8 @@ def to_kdl(joints: Sequence[Joint]) -> PyKDL.Chain:
 
 def to_frame(pose: Pose) -> PyKDL.Frame:
     """Convert a pose to KDL's frame."""
-    rotation = PyKDL.Rotation(*np.asarray(pose.rotation, dtype=float).ravel().tolist())
-    return PyKDL.Frame(rotation, PyKDL.Vector(*np.asarray(pose.position, dtype=float).tolist()))
+    rotation = PyKDL.Rotation(*pose.rotation.ravel().tolist())
+    return PyKDL.Frame(rotation, PyKDL.Vector(*pose.position.tolist()))
 
 
 def to_pose(frame: PyKDL.Frame) -> Pose:

@@ -39,5 +39,5 @@ def parse_speed(document: Mapping[str, Any]) -> SpeedRequest:
     keys(document, "speed", ("id", "limit"), ("id", "limit", "moment"))
     id_, limit, moment = own_id(document["id"], "id"), number(document["limit"], "limit"), document.get("moment")
     if not LEAST <= limit <= 1.0:
-        raise PayloadError("values", Sentence("link.payload.speed", found=limit, least=LEAST))
+        raise PayloadError("values", Sentence("link.payload.speed_limit", found=limit, least=LEAST))
     return SpeedRequest(id_, limit, moment if isinstance(moment, str) and len(moment) <= MAX_TEXT else "")

@@ -136,22 +136,28 @@ class SpeedLimits:
             PayloadError: ``values``, ``person``, or ``moment``: none to raise it.
             ExpiredError: What the screen had shown is too old to raise it, or was lowered since.
         """
+        before, self._people = self._people, self.asked(limit, person, moment, now, at)
+        if self._people == before:
+            return Sentence("link.speed.same", percent=100 * limit)
+        if limit <= before.limit:
+            self._lowered = replace(now, at=now.at + SHOWN_AFTER)
+        whose = before.person or Sentence("link.speed.nobody")
+        key = "link.speed.raised" if limit > before.limit else "link.speed.lowered"
+        return Sentence(key, percent=100 * limit, before=100 * before.limit, whose=whose)
+
+    def asked(self, limit: float, person: str, moment: str, now: Moment, at: int) -> PeopleLimit:
+        """Return what `set` would make the limit of people; arguments and errors are its own."""
         # written so that a nan does not pass
         if not LEAST <= limit <= 1.0:
-            raise PayloadError("values", Sentence("link.payload.speed", found=limit, least=LEAST))
+            raise PayloadError("values", Sentence("link.payload.speed_limit", found=limit, least=LEAST))
         if not person.strip():
             raise PayloadError("person", Sentence("link.speed.nameless"))
         before = self._people
         if limit == before.limit and not before.problem:
-            return Sentence("link.speed.same", percent=100 * limit)
+            return before
         if limit > before.limit:
             self._check_raise(parse_moment(moment), now)
-        else:
-            self._lowered = replace(now, at=now.at + SHOWN_AFTER)
-        self._people = PeopleLimit(limit, person, at, before.limit, before.person)
-        whose = before.person or Sentence("link.speed.nobody")
-        key = "link.speed.raised" if limit > before.limit else "link.speed.lowered"
-        return Sentence(key, percent=100 * limit, before=100 * before.limit, whose=whose)
+        return PeopleLimit(limit, person, at, before.limit, before.person)
 
     def _check_raise(self, seen: Moment, now: Moment) -> None:
         if problem := staleness(seen, now):

@@ -35,7 +35,7 @@ class LinkEvent(Enum):
     PRESENT = "poll: broker, gateway and arm are there"
     TURN = "poll: a control message may be sent"
     ARM_ACCEPTED = "the gateway accepts `arm`"
-    RESET_ASKED = "a person calls `reset` or `arm`, or ends mirror mode"
+    RESET_ASKED = "a person calls `reset`, or ends mirror mode"
     MIRROR_ASKED = "a person begins mirror mode"
     HALTED = "a person calls `halt`"
     WITHDRAWN = "what a person asked for has been answered as failed"

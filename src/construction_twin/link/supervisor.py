@@ -210,22 +210,14 @@ class LinkSupervisor:
         self._want_session()
 
     def request_arm(self, now: int) -> None:
-        """Begin a session on a person's request where nothing needs to move for it.
+        """Refuse: where nothing stands against it the link arms by itself, and what does is lifted by `request_reset` alone.
 
         Raises:
-            ReviewError: When it is armed already, there is no arm, the gateway's program has failed, or twin and arm are not at
-                rest within the start tolerance.
+            ReviewError: Always; it says what stands against it.
         """
         if self.state is not LinkState.NEEDS_RESET:
             raise ReviewError(Sentence("link.nothing_to_arm", why=self.sentence))
-        if self.inputs.gateway_failed:
-            raise ReviewError(Sentence("link.cannot.arm", why=self.reason))
-        refused = self.inputs.why_no_pose(now)
-        if refused:
-            raise ReviewError(Sentence("link.cannot.arm", why=refused))
-        if not (self.inputs.within_tolerance(now) and self.inputs.at_rest(now)):
-            raise ReviewError(Sentence("link.apart"))
-        self._want_session()
+        raise ReviewError(Sentence("link.cannot.arm", why=self.reason))
 
     def _want_session(self) -> None:
         self._reset_wanted, self._shown = True, self.known_stop
@@ -242,7 +234,11 @@ class LinkSupervisor:
             request: `requests` after it was asked for; nothing happens when a person has asked again since.
             reason: One sentence.
         """
-        if request == self.requests and self._halted is None:
+        if request != self.requests:
+            return
+        self._reset_wanted = self._asked_for = False
+        # what it waits for a person for already is the better reason
+        if self._halted is None:
             if not reason.endswith(_CALL_RESET):
                 reason = Sentence("link.call_reset", reason=reason)
             self.take(LinkEvent.WITHDRAWN, 0, reason)
@@ -406,7 +402,6 @@ class LinkSupervisor:
         self._owes_stop = self._unanswered or not self.inputs.fault
         self._withdrawn_session = self.session
         self._halted, self._pending = at.reason, None
-        self._reset_wanted = self._asked_for = False
         return at.reason
 
     def _note_withdrawal_in_mirror(self, row: Row, at: Occasion) -> str:

@@ -20,15 +20,15 @@ class ReplanGoal:
         goal: Shape (n,). [rad]
         speed_scale, acceleration_scale: Largest fraction of the limits that the plan uses, at most 1; 0 for a plan that stands
             still.
-        seen: When the executor was last known to play it [ns]; 0: never. A plan that a person stopped later must not be taken up
-            again.
+        seen: The robot's clock when the executor was last known to play it; empty: never. A plan that a person stopped later must
+            not be taken up again.
     """
 
     plan_id: str
     goal: tuple[float, ...]
     speed_scale: float
     acceleration_scale: float
-    seen: int = 0
+    seen: str = ""
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,12 @@ class Played:
 
     Attributes:
         playing: It played that plan, and was not told to stop or to pause.
-        stamp: [ns]
+        moment: By the robot's clock.
     """
 
     plan_id: str = ""
     playing: bool = False
-    stamp: int = 0
+    moment: str = ""
 
 
 class ReplanGoals:
@@ -64,9 +64,9 @@ class ReplanGoals:
         for known in old[: max(len(old) - KEPT, 0)]:
             del self._goals[known]
 
-    def on_execution(self, plan_id: str, playing: bool, stamp: int) -> None:
-        """Take what the executor did at `stamp` [ns]: whether it played that plan, and was not told to stop or to pause."""
-        self._execution = Played(plan_id, playing, stamp)
+    def on_execution(self, plan_id: str, playing: bool, moment: str) -> None:
+        """Take what the executor did at a moment: whether it played that plan, and was not told to stop or to pause."""
+        self._execution = Played(plan_id, playing, moment)
 
     @property
     def interrupted(self) -> ReplanGoal | None:
@@ -79,4 +79,4 @@ class ReplanGoals:
         found = self._goals.get(played.plan_id) if played.playing else None
         if found is None or found.speed_scale <= 0.0 or found.acceleration_scale <= 0.0:
             return None
-        return replace(found, seen=played.stamp)
+        return replace(found, seen=played.moment)

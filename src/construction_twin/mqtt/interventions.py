@@ -13,11 +13,14 @@ from dataclasses import dataclass, field
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import parse_moment
 from construction_twin.core.sentences import Sentence
+from construction_twin.mqtt import requests
 from construction_twin.mqtt.messages import demand_live, is_short_text, parse_object, shown_keys
 from construction_twin.mqtt.requests import PRESSED
 
 #: What can be asked for.
-STOP, PAUSE, RESUME, RESET, ARM = (kind.name for kind in PRESSED)
+STOP, PAUSE, RESUME, RESET, ARM = (
+    kind.name for kind in (requests.STOP, requests.PAUSE, requests.RESUME, requests.RESET, requests.ARM)
+)
 _STARTING = {kind.name for kind in PRESSED if kind.starts}
 #: Longest message that is read [bytes].
 MAX_BYTES = 256

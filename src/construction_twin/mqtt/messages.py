@@ -50,6 +50,8 @@ GATEWAY_KINDS = (RSI, PLC)
 PROTOCOL, FIRST_PROTOCOL = 2, 1
 #: Control messages are short; anything longer is not one.
 MAX_CONTROL_BYTES = 2048
+#: Of a request, what its answer repeats; and of a longer one that was not read, nothing of it is looked for [bytes].
+_IDENTITY, _MAX_IDENTITY_BYTES = ("id", "kind", "message", "plan_hash", "plan_id", "reviewer", "task", "verdict"), 8192
 
 
 def _level(name: str) -> Any:
@@ -405,6 +407,24 @@ def _without_duplicates(pairs: list[tuple[str, object]]) -> dict:
     if len(document) != len(pairs):
         raise ValueError("a key stands in it twice")
     return document
+
+
+def identity_of(payload: bytes, document: Mapping[str, object] | None = None) -> dict[str, str]:
+    """Return the short texts in a request by which its sender knows the answer, also where the request is refused.
+
+    Args:
+        document: What was read of the payload; None: it was not, and what can be is read here.
+    """
+    if document is None:
+        try:
+            document = parse_object(payload, "request", _MAX_IDENTITY_BYTES)
+        except PayloadError:
+            return {}
+    found = {name: document[name] for name in _IDENTITY if name in document}
+    if "dtype" in document and "guid" in document:
+        # an object of COMPAS
+        found.setdefault("id", document["guid"])
+    return {name: value for name, value in found.items() if isinstance(value, str) and is_short_text(value)}
 
 
 def demand_live(retained: bool, what: str) -> None:

@@ -22,7 +22,8 @@ class Answer:
     """Every field of an answer, with what it holds while no more is known; a kind of request has some of them.
 
     Attributes:
-        id: The request's own; "" when it could not be read.
+        id: The request's own, also of one that is refused; "" when it could not be read. The same holds of `kind`, `plan_id`,
+            `plan_hash`, `verdict`, `task` and `message`.
         account, sender: Who asked, as the topic has it; "" in no name.
         reason, sentence: For people.
         by: Who carries it out.

@@ -68,9 +68,7 @@ def check_serial(bodies: RobotBodies) -> None:
     """Raise a ConfigurationError for an arm with a joint that follows another: the plugin knows one serial chain."""
     names = [name for index, name in enumerate(bodies.model.names) if index and name not in bodies.robot.joint_names]
     if names:
-        raise ConfigurationError(
-            "robot_description", ", ".join(names), Sentence("expected.physics.serial", names=", ".join(names))
-        )
+        raise ConfigurationError("URDF", ", ".join(names), Sentence("expected.physics.serial", names=", ".join(names)))
 
 
 class _Builder:
@@ -267,7 +265,7 @@ def _looks(bodies: RobotBodies) -> dict[int, list[Element]]:
             placement = frame.placement * pinocchio.SE3(pinocchio.rpy.rpyToMatrix(*rpy), xyz)
             made = ElementTree.Element("visual", name=f"looks_{_name(name)}_{number}")
             _add(made, "pose", *_pose(placement))
-            file = packages.file(mesh.get("filename", ""), f"robot_description link {name} visual mesh")
+            file = packages.file(mesh.get("filename", ""), f"URDF link {name} visual mesh")
             drawn = _add(_add(made, "geometry"), "mesh")
             _add(drawn, "uri", f"file://{file}")
             _add(drawn, "scale", *mesh.get("scale", "1 1 1").split())

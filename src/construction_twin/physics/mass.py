@@ -137,7 +137,7 @@ def of_link(name: str, inertia: pinocchio.Inertia, shapes: Sequence[MassProperti
         matrix, low, middle, high = matrix + np.eye(3) * 1e-6, 1e-6, 1e-6, 1e-6
     if low < 0.0 or high > (low + middle) * (1 + 1e-6):
         raise ConfigurationError(
-            f"robot_description link {name} inertia",
+            f"URDF link {name} inertia",
             np.round([low, middle, high], 6).tolist(),
             Sentence("expected.physics.inertia"),
         )

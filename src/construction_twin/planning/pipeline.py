@@ -47,7 +47,7 @@ class PlanningPipeline:
         settings: Default: the shipped ones.
         self_collision: Default: found anew by `sample_self_collision`, which takes some seconds; a program keeps it in a file.
         clock: Returns seconds from any fixed origin; measures planning time.
-        source: Name of the source of scenes, for the message when there is no scene.
+        source: Topic of the scenes, for the message when there is none; empty: they are given by calls.
         neighbour: Returns the space that another arm occupies now, padding included. Called for every plan; raises when it is not
             known.
     """
@@ -59,7 +59,7 @@ class PlanningPipeline:
         settings: PlannerSettings | None = None,
         self_collision: SelfCollision | None = None,
         clock: Clock = MONOTONIC,
-        source: str = "scene",
+        source: str = "",
         neighbour: Callable[[], Iterable[Obstacle]] | None = None,
     ):
         self._robot = robot

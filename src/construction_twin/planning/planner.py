@@ -15,6 +15,7 @@ import pydantic
 import yaml
 
 from construction_twin.core.clock import Clock
+from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
@@ -93,7 +94,7 @@ class PlanRequest:
 
     Attributes:
         plan_id: Unique id of the plan to be made. Default: a new one.
-        created_ns: Time of the request [ns, ROS time]. Default: 0, it is not told.
+        asked: When it was asked for. Default: not told.
         source: Name of the requester, for the reviewer.
         duration: [s]; None: as fast as the scales allow.
         speed_scale: Fraction of the velocity limits in (0, 1]; None: the planner's default, or 1 with a duration.
@@ -102,7 +103,7 @@ class PlanRequest:
     """
 
     plan_id: str = field(default_factory=lambda: str(uuid.uuid4()))
-    created_ns: int = 0
+    asked: Moment = Moment("0" * 8, 0)
     source: str = "request"
     duration: float | None = None
     speed_scale: float | None = None
@@ -133,7 +134,7 @@ class PlanRequest:
             source=self.source,
             planner=planner,
             scene=scene,
-            created_ns=self.created_ns,
+            asked=self.asked,
             planning_time=planning_time,
             trajectory=trajectory,
             report=measured,

@@ -118,19 +118,19 @@ class PlanUnderReview:
         _check_rests(plan)
         if plan.id in self._decided or (self.plan is not None and self.plan.id == plan.id):
             return None
-        if plan.created_ns < self._void_before:
+        if plan.asked.at < self._void_before:
             raise ReviewError(Sentence("review.void", plan=plan.id))
         replaced = self.clear()
         self.plan = plan
         return replaced
 
     def void(self, now: int) -> Plan | None:
-        """Take the plan out of review, and refuse plans asked for until `now` [ns] that are not here yet; return what lay there."""
+        """Take the plan out of review, and refuse plans asked for before `now` that are not here yet; return what lay there."""
         self.void_coming(now)
         return self.clear()
 
     def void_coming(self, now: int) -> None:
-        """Refuse plans asked for until `now` [ns] that are not here yet."""
+        """Refuse plans asked for before `now` [ns of the clock of `Plan.asked`] that are not here yet."""
         self._void_before = now
 
     def on_scene(self, scene: str) -> Plan | None:

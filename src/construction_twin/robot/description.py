@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -83,7 +83,7 @@ class RobotModel:
     """
 
     name: str
-    urdf: str
+    urdf: str = field(repr=False)
     base_link: str
     tip_link: str
     joint_names: tuple[str, ...]
@@ -267,7 +267,7 @@ def _validate(model: type[_Model], values: Mapping, where: str) -> _Model:
 
 
 def _check_joint(joint: Joint) -> None:
-    where = f"robot_description joint {joint.name}"
+    where = f"URDF joint {joint.name}"
     if joint.joint_type not in ("revolute", "continuous", "prismatic") or joint.mimic is not None:
         found = "a mimic joint" if joint.mimic is not None else joint.joint_type
         raise ConfigurationError(where, found, Sentence("expected.robot.movable"))

@@ -20,6 +20,8 @@ from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf,
 
 #: What is an estimate in every file that is written here; `RANGES` as well, where the URDF has a joint without a range.
 ESTIMATED = ("accelerations", "jerks", "axes", "couplings")
+#: What is one until `with_home` has put in a pose that somebody looked at.
+HOME = "home"
 RANGES = "ranges"
 #: Range of a joint that the URDF lets turn without end [deg]: a turn to each side, which most such joints allow.
 CONTINUOUS_DEG = 360.0
@@ -50,13 +52,13 @@ def find_ends(urdf: str, base_link: str = "", tip_link: str = "") -> tuple[str, 
     tip_link = tip_link or "tool0"
     if tip_link not in model.link_map:
         ends = sorted(set(model.link_map) - set(model.child_map))
-        raise ConfigurationError("--tip", tip_link, Sentence("expected.robot.tip", ends=", ".join(ends)))
+        raise ConfigurationError("tip link", tip_link, Sentence("expected.robot.tip", ends=", ".join(ends)))
     if not base_link:
         path = _path(model, tip_link)
         base_link = "base_link" if "base_link" in path else path[1 if path[0] == "world" and len(path) > 1 else 0]
     if base_link not in model.link_map:
         raise ConfigurationError(
-            "--base", base_link, Sentence("expected.robot.base", links=", ".join(sorted(model.link_map)))
+            "base link", base_link, Sentence("expected.robot.base", links=", ".join(sorted(model.link_map)))
         )
     chain_joints(model, base_link, tip_link)
     return base_link, tip_link
@@ -71,7 +73,7 @@ def _path(model: URDF, link: str) -> list[str]:
 
 
 def new_description(urdf: str, name: str, base_link: str, tip_link: str, full_speed_in: float) -> dict[str, Any]:
-    """Return the mapping of a robot YAML, with home in the middle of every range.
+    """Return the mapping of a robot YAML, with home in the middle of every range: an estimate, where the arm may touch itself.
 
     Args:
         full_speed_in: Every joint's acceleration is the one that reaches its full speed in this time [s].
@@ -82,7 +84,7 @@ def new_description(urdf: str, name: str, base_link: str, tip_link: str, full_sp
     joints = [joint for joint in chain_joints(parse_urdf(urdf), base_link, tip_link) if joint.joint_type != "fixed"]
     if not 0 < len(joints) <= _MOST:
         raise ConfigurationError(
-            "--tip", tip_link, Sentence("expected.robot.joint_count", most=_MOST, count=len(joints))
+            "tip link", tip_link, Sentence("expected.robot.joint_count", most=_MOST, count=len(joints))
         )
     axes = rsi_axes([joint.joint_type == "prismatic" for joint in joints])
     endless = any(joint.joint_type == "continuous" for joint in joints)
@@ -90,7 +92,7 @@ def new_description(urdf: str, name: str, base_link: str, tip_link: str, full_sp
         "name": name,
         "base_link": base_link,
         "tip_link": tip_link,
-        "estimates": [word for word in ESTIMATES if word in ESTIMATED or (endless and word == RANGES)],
+        "estimates": [word for word in ESTIMATES if word in (*ESTIMATED, HOME) or (endless and word == RANGES)],
         "joints": {joint.name: _joint(joint, axis, full_speed_in) for joint, axis in zip(joints, axes)},
     }
 
@@ -133,7 +135,7 @@ def rsi_axes(linear: Sequence[bool]) -> list[str]:
 
 
 def _joint(joint: Joint, axis: str, full_speed_in: float) -> dict[str, Any]:
-    where = f"robot_description joint {joint.name}"
+    where = f"URDF joint {joint.name}"
     if joint.joint_type not in ("revolute", "continuous", "prismatic") or joint.mimic is not None:
         found = "a mimic joint" if joint.mimic is not None else joint.joint_type
         raise ConfigurationError(where, found, Sentence("expected.robot.movable"))
@@ -168,12 +170,13 @@ def _rounded(value: float) -> float:
 
 
 def with_home(description: Mapping[str, Any], home: Sequence[float]) -> dict[str, Any]:
-    """Return a robot YAML's mapping with another home pose [rad], [m], in the order of its joints."""
+    """Return a robot YAML's mapping with a home pose [rad], [m], in the order of its joints, which is no estimate any more."""
     joints = {}
     for (name, joint), value in zip(description["joints"].items(), home):
         key, per_unit = ("home_mm", 1e3) if "home_mm" in joint else ("home_deg", _DEGREES)
         joints[name] = {**joint, key: round(value * per_unit, 3) + 0.0}
-    return {**description, "joints": joints}
+    estimates = [word for word in description["estimates"] if word != HOME]
+    return {**description, "joints": joints, "estimates": estimates}
 
 
 def robot_yaml(description: Mapping[str, Any], command: str, full_speed_in: float) -> str:

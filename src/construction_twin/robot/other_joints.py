@@ -110,7 +110,7 @@ def _position(
     factor, offset, passed = 1.0, 0.0, [joint.name]
     while joint.mimic is not None:
         leader = joint.mimic.joint
-        where = f"robot_description joint {joint.name} mimic"
+        where = f"URDF joint {joint.name} mimic"
         if leader in passed:
             raise ConfigurationError(where, leader, Sentence("expected.robot.leader"))
         if leader not in others and leader not in chain:
@@ -131,7 +131,7 @@ def _stands_at(joint: Joint, given: float | None) -> float:
     if joint.joint_type == "continuous":
         return given or 0.0
     unit, limit = _UNITS[joint.joint_type], joint.limit
-    where = f"robot_description joint {joint.name} limit"
+    where = f"URDF joint {joint.name} limit"
     if limit is None:
         raise ConfigurationError(where, None, Sentence("expected.robot.bounds", unit=unit))
     lower, upper = float(limit.lower or 0.0), float(limit.upper or 0.0)

@@ -92,6 +92,6 @@ def with_mesh_files(urdf: str) -> str:
         (link.get("name"), mesh) for link in robot.iter("link") for mesh in link.iterfind("collision/geometry/mesh")
     ]
     for link, mesh in meshes:
-        where = f"robot_description link {link} collision mesh"
+        where = f"URDF link {link} collision mesh"
         mesh.set("filename", str(packages.file(mesh.get("filename", ""), where)))
     return ElementTree.tostring(robot, encoding="unicode") if meshes else urdf

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import TrajectoryError
 from construction_twin.core.sentences import Sentence
 from construction_twin.robot.segments import Segment, check_segments, segments_hash
@@ -69,7 +70,7 @@ class Plan:
         source: Name of the requester.
         planner: How the path was found: name of an OMPL planner, ``direct``, ``cartesian``, ``waypoints``, ``work``, ``way back``.
         scene: Hash of the scene it was checked against.
-        created_ns: When it was planned [ns, ROS time].
+        asked: When it was asked for: a stop after that voids it.
         planning_time: Time spent planning and timing [s], without `PlanReport.recheck_time`.
         retimed: Why the times that were asked for were replaced, as one sentence; empty: they were kept, or there were none.
         task: Id of the task that a work plan carries out.
@@ -84,7 +85,7 @@ class Plan:
     source: str
     planner: str
     scene: str
-    created_ns: int
+    asked: Moment
     planning_time: float
     trajectory: Trajectory
     report: PlanReport

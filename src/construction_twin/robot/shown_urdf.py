@@ -54,7 +54,7 @@ def shown_urdf(urdf: str, folder: str) -> ShownUrdf:
             if mesh is None:
                 continue
             try:
-                path = packages.file(mesh.get("filename", ""), f"robot_description link {link.get('name')} visual mesh")
+                path = packages.file(mesh.get("filename", ""), f"URDF link {link.get('name')} visual mesh")
                 name, contents = _read(path)
             except ConfigurationError as error:
                 problems.append(str(error))

@@ -37,8 +37,8 @@ class Trajectory:
     positions: np.ndarray
     velocities: np.ndarray
     accelerations: np.ndarray
-    _knots: list = field(init=False, repr=False)
-    _coefficients: np.ndarray = field(init=False, repr=False)
+    _knots: list = field(init=False)
+    _coefficients: np.ndarray = field(init=False)
 
     def __post_init__(self):
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
@@ -54,6 +54,9 @@ class Trajectory:
         # `sample` runs at 250 Hz and searches the knots by bisection, which is several times faster on a list than on an array
         object.__setattr__(self, "_knots", self.times.tolist())
         object.__setattr__(self, "_coefficients", _quintic_coefficients(self))
+
+    def __repr__(self) -> str:
+        return f"Trajectory({len(self.times)} waypoints of {', '.join(self.joint_names)} in {self.duration:.3f} s)"
 
     @property
     def coefficients(self) -> np.ndarray:

@@ -154,9 +154,9 @@ def parse_urdf(urdf: str) -> URDF:
         with contextlib.redirect_stderr(remarks):
             model = URDF.from_xml_string(urdf.encode())
     except (ParseError, ElementTree.ParseError, AssertionError, KeyError, ValueError) as error:
-        raise ConfigurationError("robot_description", str(error), Sentence("expected.urdf")) from error
+        raise ConfigurationError("URDF", str(error), Sentence("expected.urdf")) from error
     for remark in remarks.getvalue().splitlines():
-        _LOG.debug("robot_description: %s", remark)
+        _LOG.debug("URDF: %s", remark)
     return model
 
 

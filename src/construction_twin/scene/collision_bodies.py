@@ -107,7 +107,7 @@ class RobotBodies:
             full = pinocchio.buildModelFromXML(urdf)
             shapes = pinocchio.buildGeomFromUrdfString(full, urdf, pinocchio.GeometryType.COLLISION)
         except (ElementTree.ParseError, ValueError, RuntimeError) as error:
-            raise ConfigurationError("robot_description", str(error), Sentence("expected.scene.urdf")) from error
+            raise ConfigurationError("URDF", str(error), Sentence("expected.scene.urdf")) from error
         following = {other.name: other.following for other in robot.other_joints if other.following is not None}
         wanted = {*robot.joint_names, *following}
         locked = [index for index, name in enumerate(full.names) if index and name not in wanted]
@@ -417,9 +417,7 @@ def shape_contents(geometry: coal.CollisionGeometry) -> list:
     elif isinstance(geometry, coal.ConvexBase):
         numbers = geometry.points().ravel()
     else:
-        raise ConfigurationError(
-            "robot_description collision shape", type(geometry).__name__, Sentence("expected.scene.shapes")
-        )
+        raise ConfigurationError("URDF collision shape", type(geometry).__name__, Sentence("expected.scene.shapes"))
     return [type(geometry).__name__, *(np.round(np.asarray(numbers, dtype=float), 9) + 0.0).tolist()]
 
 

@@ -78,7 +78,7 @@ def mesh_hulls(bodies: RobotBodies) -> list[Hull]:
             hull = ConvexHull(vertices.astype(np.float32).astype(float))
         except QhullError as error:
             raise ConfigurationError(
-                f"robot_description link {body.link} collision mesh", f"{len(triangles)} triangles in one plane",
+                f"URDF link {body.link} collision mesh", f"{len(triangles)} triangles in one plane",
                 Sentence("expected.scene.volume"),
             ) from error  # fmt: skip
         volume = closed_volume(vertices, triangles)

@@ -80,7 +80,7 @@ def _shapes(geometry: coal.CollisionGeometry, margin: float) -> list[tuple[str, 
     if isinstance(geometry, coal.BVHModelBase):
         return [("mesh", (), mesh_triangles(geometry), centre)]
     expected = Sentence("expected.scene.neighbour_shapes")
-    raise ConfigurationError("robot_description collision shape", type(geometry).__name__, expected)
+    raise ConfigurationError("URDF collision shape", type(geometry).__name__, expected)
 
 
 def _grown(points: np.ndarray, margin: float) -> _Mesh:

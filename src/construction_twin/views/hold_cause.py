@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
+from typing import cast
 
 from construction_twin.core.axis_name import axis_name
 from construction_twin.core.reports import HoldReport
-from construction_twin.core.sentences import Sentence, understood
-from construction_twin.core.units import NANOSECONDS
+from construction_twin.core.sentences import Quantity, Sentence, understood
+from construction_twin.core.units import NANOSECONDS, from_people, to_people
 
 
 def hold_cause(hold: HoldReport | None) -> str:
@@ -21,5 +22,19 @@ def hold_cause(hold: HoldReport | None) -> str:
     found = understood(hold.cause)
     if found is None or found.key != "reason.gate.differs":
         return Sentence("reason.holds.because", reason=found or hold.cause, since=since)
-    values = {**found.values, "joint": axis_name(str(found.values["joint"]))}
-    return Sentence("reason.holds.differs", **values, since=since)
+    difference, threshold = (cast(Quantity, found.values[name]) for name in ("difference", "threshold"))
+    return Sentence(
+        "reason.holds.differs",
+        joint=axis_name(str(found.values["joint"])),
+        difference=_above(difference, threshold),
+        threshold=threshold,
+        since=since,
+    )
+
+
+def _above(difference: Quantity, threshold: Quantity) -> Quantity:
+    """Return a difference that is shown as more than its threshold, with the sentence's three decimals of deg or mm."""
+    (shown, unit), (allowed, _) = (to_people(each.value, each.unit) for each in (difference, threshold))
+    if round(shown, 3) > round(allowed, 3):
+        return difference
+    return Quantity(*from_people(round(allowed, 3) + 0.001, unit))

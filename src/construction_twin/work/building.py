@@ -160,11 +160,11 @@ class BuildingModel:
     schema: str
     project: str
     unit: float
-    elements: Mapping[str, Element]
-    tasks: Mapping[str, Task] = field(default_factory=dict)
-    sequences: tuple[Sequence, ...] = ()
+    elements: Mapping[str, Element] = field(repr=False)
+    tasks: Mapping[str, Task] = field(default_factory=dict, repr=False)
+    sequences: tuple[Sequence, ...] = field(default=(), repr=False)
     notes: tuple[str, ...] = ()
-    remarks: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    remarks: Mapping[str, tuple[str, ...]] = field(default_factory=dict, repr=False)
 
     def element(self, global_id: str) -> Element:
         """Return the element of that GlobalId.

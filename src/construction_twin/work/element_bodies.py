@@ -46,6 +46,8 @@ _LARGEST = 8 * 2**20
 #: Ways whose pieces have no overlaps and, together, the volume of the body.
 _EXACT = ("profile", "cut")
 _CUBE = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+#: A box around something flat is as thick [m].
+_FLAT = 0.001
 #: A hull of this fraction of its box is the box.
 _IS_BOX = 1e-9
 
@@ -102,6 +104,16 @@ def element_shapes(
         else:
             shapes[name] = one
     return shapes, failures
+
+
+def box_of(element: Element) -> SceneObject:
+    """Return the box around an element's bodies, which stands for it where nothing better is known."""
+    points = np.concatenate([body.vertices for body in element.bodies])
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = np.maximum(high - low, _FLAT)
+    return SceneObject(
+        f"{element.id}/0", "box", tuple(size.tolist()), tuple((0.5 * (low + high)).tolist()), (0.0, 0.0, 0.0, 1.0)
+    )
 
 
 def _shape_or_error(task: tuple[str, tuple[Body, ...], Path, BodySettings]) -> ElementShape | BodyError:

@@ -13,7 +13,7 @@ from construction_twin.kinematics.chain import Chain
 from construction_twin.robot.description import RobotModel
 from construction_twin.scene.objects import SceneObject, product
 from construction_twin.work.building import BuildingModel, Element
-from construction_twin.work.element_bodies import element_shapes
+from construction_twin.work.element_bodies import box_of, element_shapes
 from construction_twin.work.site import Site, inverse, pose_of
 
 #: What is carried reaches further than the tool: half of the longest element that an arm carries, and something [m].
@@ -26,7 +26,7 @@ class Standing:
 
     Attributes:
         pieces: Convex pieces of each element in its own frame, ``<GlobalId>/<number>``; for `site_scene.Layout`.
-        notes: One sentence for each element that should stand but whose geometry is unusable: it is no obstacle.
+        notes: One sentence for each element whose geometry is unusable: its box stands for it.
     """
 
     pieces: dict[str, tuple[SceneObject, ...]]
@@ -49,15 +49,15 @@ def standing(building: BuildingModel, made: Collection[str], site: Site, robot: 
         pose = product(base_T_model, element.model_T_element)
         points = np.concatenate([body.vertices for body in element.bodies]) @ pose.rotation.T + pose.position
         nearest = np.maximum(np.maximum(points.min(axis=0), -points.max(axis=0)), 0.0)
-        # corners that are not finite are told below
         if not np.linalg.norm(nearest) > reach:
             near.append(element)
     shapes, failures = element_shapes(near, folder)
     notes = tuple(
-        Sentence("work.body.no_obstacle", name=repr(building.element(name).name), problem=failure.sentence)
+        Sentence("work.body.box", name=repr(building.element(name).name), element=name, problem=failure.sentence)
         for name, failure in failures.items()
     )
-    return Standing({name: shape.objects for name, shape in shapes.items()}, notes)
+    boxes = {name: (box_of(building.element(name)),) for name in failures}
+    return Standing({name: shape.objects for name, shape in shapes.items()} | boxes, notes)
 
 
 def standing_elements(building: BuildingModel, made: Collection[str], site: Site) -> tuple[Element, ...]:

@@ -80,11 +80,11 @@ def prepare(
     reach = chain.reach + float(np.linalg.norm(chain.shoulder)) + float(np.linalg.norm(tool.position))
     base = site.base(building).id if site.file.base_element else ""
     placement = check_placement(building, site.model_T_base(building), reach, base)
-    # what is doubted stands as an obstacle
+    # what is doubted, or has no usable body, stands as an obstacle
     sure = [element for element in order if not building.element(element).doubt]
     shapes, failures = element_shapes(map(building.element, sure), Path(cache) / "bodies")
     pieces = {element: shape.objects for element, shape in shapes.items()}
-    stands = standing(building, sure, site, robot, Path(cache) / "bodies")
+    stands = standing(building, pieces, site, robot, Path(cache) / "bodies")
     # one element without usable body does not stop the others
     usable = [element for element in order if element in pieces]
     layout = Layout(site, building, pieces, usable, robot.tip_link, stands.pieces, schedule.jobs)

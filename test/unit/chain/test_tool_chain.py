@@ -23,7 +23,7 @@ def begun(**settings):
     """Return a chain that plays a work plan of grip, lift, carry and release."""
     chain = make_chain(6, ethernet_xml=XML, tool=TOOL, **settings)
     assert chain.run_until(lambda: chain.executor.tool.known, 1.0), chain.executor.tool
-    plan = make_work_plan(created_ns=chain.now, **ONE_SCENE)
+    plan = make_work_plan(asked_ns=chain.now, **ONE_SCENE)
     chain.play(plan)
     assert chain.run_until(lambda: chain.executor.state is ExecutorState.PLAYING, 2.0), chain.executor.reason
     return chain, plan

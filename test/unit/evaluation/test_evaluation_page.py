@@ -12,7 +12,7 @@ from evaluation_samples import BASE, link, run
 from construction_twin.evaluation.page import MOST_CHANGES, page
 from construction_twin.evaluation.recording import StateChange
 from construction_twin.evaluation.summary import evaluate, summarise
-from construction_twin.evaluation.tables import ALIGNMENTS
+from construction_twin.evaluation.tables import ALIGNMENTS, ARM_NOT_TOLD
 
 PNG = b"\x89PNG not a real picture"
 EVIL = "\"><script>alert(1)</script><b a='&"
@@ -94,6 +94,11 @@ def test_page_holds_tables_timing_and_what_happened(full):
     assert ["3.000", "gate", "HOLDING", "joint_a3 differs by 2 deg"] in reader.rows
     assert "2 changes of state, 1 of them faults" in reader.text
     assert "This is a simulation" in reader.text
+
+
+def test_page_of_a_recording_that_does_not_tell_the_arm_says_so():
+    recording = run()
+    assert ARM_NOT_TOLD in Reader(page(summary_of(recording), recording, {})).text
 
 
 def test_the_header_is_a_table_beside_the_paper_s_figures(full):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import importlib.metadata
 import io
 import json
@@ -160,7 +161,28 @@ def test_printed_tables_follow_the_figures(full_summary):
 
 def test_printed_tables_say_what_is_missing():
     text = printed(summarise(evaluate(run(feedback=False))))
-    assert "by_command: not available" in text and "lag: unknown" in text and "simulation" not in text
+    assert "by_command: not available" in text and "lag: unknown" in text
+
+
+def test_every_summary_says_whether_the_arm_was_simulated_or_that_the_recording_does_not(full_summary):
+    without = summarise(evaluate(run()))
+    assert tables.remarks(full_summary) == [tables.SIMULATION]
+    assert tables.remarks(without) == [tables.ARM_NOT_TOLD]
+    assert tables.ARM_NOT_TOLD in printed(without).replace("\n", " ")
+
+
+def test_figures_of_a_recording_in_which_nothing_moved_are_said_to_be_none_of_a_motion(full_summary):
+    still = run(plans=False)
+    rest = np.zeros_like(still.twin.positions)
+    still = dataclasses.replace(
+        still,
+        twin=dataclasses.replace(still.twin, positions=rest),
+        physical=dataclasses.replace(still.physical, positions=np.zeros_like(still.physical.positions)),
+        mock=MOCK,
+    )
+    summary = summarise(evaluate(still))
+    assert summary["moved"] is False and full_summary["moved"] is True
+    assert tables.remarks(summary) == [tables.NO_MOTION, tables.SIMULATION]
 
 
 def test_report_writes_every_file(tmp_path):

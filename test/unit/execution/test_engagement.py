@@ -67,7 +67,7 @@ def way_back(bench: Bench, name: str = "back", **fields):
     left = bench.executor.engagement.present
     begin = left.path.entry(bench.twin).time
     fields = {"requires": left.requires(bench.executor.tool), "scene": bench.executor.under_review.scene} | fields
-    return plan_back(motion_back(left.path, begin), name=name, created_ns=bench.stamp, **fields)
+    return plan_back(motion_back(left.path, begin), name=name, asked_ns=bench.stamp, **fields)
 
 
 def offer_back(bench: Bench, plan) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import threading
 from dataclasses import replace
 
+import numpy as np
 import pytest
-from executor_bench import GOAL, ROBOT, SCENE, Bench, make_plan, make_work_plan, reach
+from executor_bench import GOAL, ROBOT, SCENE, Bench, between, make_plan, make_work_plan, reach
 from sentence_checks import says
 
 from construction_twin.core.errors import ExpiredError, RecordError, ReviewError
@@ -195,7 +196,7 @@ class TestRecordFirst:
         bench.executor.offer(plans["q"])
         approval.review("q", plans["q"].hash, True, "Ada")
         bench.run_until_idle()
-        bench.executor.offer(make_plan("r", reach(start=bench.twin, goal=ROBOT.home), created_ns=bench.stamp))
+        bench.executor.offer(make_plan("r", reach(start=bench.twin, goal=ROBOT.home), asked_ns=bench.stamp))
         assert approval.approve_by_itself(bench.stamp)
         assert written == [("refused", 0), ("approved", 0), ("approved", 0)]
 
@@ -366,11 +367,12 @@ class TestAge:
         assert bench.state is ExecutorState.IDLE and bench.executor.outcome == "stopped"
         assert "not begun, waits on the path until the arm has caught up" in bench.executor.reason
 
+    @pytest.mark.parametrize("limit", [0.0, 1e-9, 1e-3])
     @pytest.mark.parametrize("work", [False, True])
-    def test_what_a_speed_limit_of_0_kept_from_beginning_never_begins_by_itself(self, bench, work):
+    def test_what_a_speed_limit_kept_from_moving_never_begins_by_itself(self, bench, work, limit):
         plan = make_work_plan() if work else make_plan()
         bench.with_tool()
-        bench.executor.limit_rate(0.0, "speed limit 0 by /scanner: somebody is near")
+        bench.executor.limit_rate(limit, "speed limit 0 by /scanner: somebody is near")
         bench.play(plan, SECOND * 29 // 10)
         assert bench.state is ExecutorState.PLAYING
         bench.run(SECOND // 2)
@@ -380,7 +382,27 @@ class TestAge:
         )
         bench.executor.limit_rate(1.0)
         bench.run(SECOND)
-        assert set(bench.outputs[3:]) == {ROBOT.home}
+        assert np.abs(np.array(bench.outputs[3:]) - ROBOT.home).max() < START_TOLERANCE
+
+    @pytest.mark.parametrize("limit", [0.005, 0.02])
+    def test_what_moves_slowly_goes_on(self, bench, limit):
+        bench.executor.limit_rate(limit, "somebody is near")
+        bench.play(make_plan(), 4 * SECOND)
+        assert bench.state is ExecutorState.PLAYING
+        bench.executor.limit_rate(1.0)
+        bench.run_until_idle()
+        assert bench.executor.outcome == "finished"
+
+    def test_where_it_began_and_passes_again_it_has_begun(self, bench):
+        bench.with_tool()
+        bench.approve(make_work_plan(motion=between(0.0, 0.3, 0.0, 0.3, 0.6)))
+        bench.run_into(1, 10)
+        # nobody changes the scene at its end
+        bench.edits = False
+        bench.run_to_end_of(1)
+        assert np.allclose(bench.step(), ROBOT.home, atol=1e-9)
+        bench.run(5 * SECOND)
+        assert bench.state is ExecutorState.AT_BOUNDARY and bench.executor.outcome == ""
 
     def test_what_has_begun_to_move_within_its_time_goes_on_after_it(self, bench):
         bench.executor.limit_rate(0.0, "somebody is near")

@@ -168,8 +168,8 @@ class TestPause:
         bench.executor.pause(bench.stamp)
         assert bench.executor.under_review.plan is waiting
         with pytest.raises(ReviewError, check=says("review.void")):
-            bench.executor.under_review.offer(make_plan("late", created_ns=bench.stamp - 1))
-        bench.executor.under_review.offer(make_plan("new", created_ns=bench.stamp + 1))
+            bench.executor.under_review.offer(make_plan("late", asked_ns=bench.stamp - 1))
+        bench.executor.under_review.offer(make_plan("new", asked_ns=bench.stamp + 1))
 
     def test_goes_on_along_the_same_path_to_the_goal_without_another_approval(self, bench):
         pause_after(bench, 250)
@@ -221,7 +221,7 @@ class TestPause:
     def test_a_paused_plan_keeps_others_from_starting(self, bench):
         pause_after(bench, 250)
         with pytest.raises(ReviewError, check=says("executor.start.state", state="PAUSED")):
-            bench.approve(make_plan("q", reach(start=bench.twin), created_ns=bench.stamp))
+            bench.approve(make_plan("q", reach(start=bench.twin), asked_ns=bench.stamp))
 
     @pytest.mark.parametrize("paused", [True, False], ids=["paused", "pausing"])
     @pytest.mark.parametrize(

@@ -82,6 +82,23 @@ def test_a_motion_at_full_limits_is_followed():
     assert_within_limits(cell)
 
 
+def test_telegrams_that_come_every_4_ms_get_a_third_of_a_step_each():
+    """Before the change of the cycle is noticed: a whole step in each of them would be three times the speed."""
+    cell = following(360, **FINE)
+    begin = len(cell.replies)
+    for k in range(360, 369):
+        cell.send(slow(k))
+        cell.cycle(step_ms=4)
+    assert cell.state is State.FOLLOWING, cell.gateway.reason
+    played = [q[0] for q in positions(cell)[begin - 2 :]]
+    step = played[1] - played[0]
+    for part in zip(played[1::3], played[2::3], played[3::3], played[4::3]):
+        step, before = part[-1] - part[0], step
+        # the motion goes on as it was
+        assert abs(step) > 1e-4 and abs(step - before) <= cell.config.acceleration[0] * PERIOD**2
+        assert [b - a for a, b in itertools.pairwise(part)] == pytest.approx([step / 3] * 3, abs=4e-8)
+
+
 def test_silence_brakes_within_the_limits_and_the_stated_time_is_that_of_cycles_of_12_ms():
     cell = following(300, **FINE)
     begin = len(cell.replies)

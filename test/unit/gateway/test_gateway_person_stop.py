@@ -85,6 +85,29 @@ def test_a_failed_gateway_answers_that_it_has_failed():
     assert (press(cell).ok, press(cell, "arm-reviewer-ada").reason) == (True, Sentence("gateway.is", state="failed"))
 
 
+def test_what_a_run_before_this_one_was_stopped_for_needs_a_reset_and_says_so():
+    cell = Cell()
+    cell.gateway.recall("stop: asked for by account anna")
+    cell.cycle(5)
+    assert cell.gateway.fault and cell.gateway.fault_number == 1 and "account anna" in cell.gateway.reason
+    assert not cell.arm()[0] and cell.state is State.READY
+    assert cell.gateway.stopped == "stop: asked for by account anna", (
+        "it is kept as it was, however often it is started"
+    )
+    assert cell.control("reset")[0] and cell.gateway.stopped == ""
+    assert cell.arm()[0]
+
+
+def test_what_is_kept_is_the_first_stop_that_nobody_has_reset_and_no_end_of_the_program():
+    cell = Cell()
+    cell.cycle(5)
+    cell.gateway.end("the gateway is ending", True)
+    assert cell.gateway.fault and cell.gateway.stopped == ""
+    cell.gateway.stop("first")
+    cell.gateway.stop("second")
+    assert "first" in cell.gateway.stopped
+
+
 def test_pressing_on_costs_a_count_and_no_answer():
     cell = following()
     assert all(press(cell, id_=str(k)).reason for k in range(ANSWERS))

@@ -101,6 +101,37 @@ def test_every_run_names_itself_and_a_recorded_arm_is_void_in_the_next(broker, t
             client.wait_for_status(state="offline")
 
 
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM])
+def test_a_stop_that_nobody_has_reset_outlasts_the_program_whoever_heard_it(broker, topics, config_file, end):
+    """Law 5: no bridge runs here, and the gateway is started again."""
+    file, runs = Path(config_file).with_name("arm.stopped"), []
+
+    @contextmanager
+    def started(client):
+        with program(config_file, broker, topics) as (process, address), controller_of(address) as controller:
+            controller.start()
+            # whatever its cycle is on a loaded machine
+            wait_until(
+                lambda: client.status().get("run") not in (None, *runs) and client.status()["state"] != "no_controller"
+            )
+            runs.append(client.status()["run"])
+            yield client.status()
+            process.send_signal(end)
+            controller.send_until(lambda: process.poll() is not None)
+
+    with client_of(broker, topics) as client:
+        with started(client):
+            client.paho.publish(topics.stop_by("anna"), b'{"id": "1"}', qos=1)
+            wait_until(lambda: "account anna" in file.read_text(), what="the stop on the disk")
+        with started(client) as status:
+            assert status["fault"] and status["fault_number"] == 1
+        with started(client) as status:
+            assert status["fault"] and client.control("reset")["ok"]
+            wait_until(lambda: not file.read_text().strip(), what="that it was reset on the disk")
+        with started(client) as status:
+            assert not status["fault"]
+
+
 def test_a_killed_gateway_is_declared_offline_by_its_last_will(broker, topics, config_file):
     with client_of(broker, topics) as client, program(config_file, broker, topics) as (process, _):
         client.wait_for_status(state="no_controller")

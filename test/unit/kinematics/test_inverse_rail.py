@@ -12,6 +12,7 @@ from dense_search import dense_search
 from hypothesis import given, settings
 from inverse_cases import KR120, TRACK, assert_solves, changed, joints, make_inverse
 
+from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import CollisionError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
@@ -187,7 +188,7 @@ def test_a_plan_goes_to_another_position_where_the_nearest_is_blocked():
     elbow = RAIL.chain.skeleton(nearest.q)[3]
     blocked = CollisionWorld(TRACK, Scene((SceneObject("ball", "sphere", (0.05,), tuple(elbow)),), 0.005), pairs)
     assert blocked.is_free(start) and not blocked.is_free(nearest.q)
-    request = PlanRequest(plan_id="p1", created_ns=7)
+    request = PlanRequest(plan_id="p1", asked=Moment("c0ffee00", 7))
     plan = planner_of_track().plan_to_pose(start, pose, request, blocked, str(nearest.configuration))
     reached = plan.trajectory.positions[-1]
     np.testing.assert_allclose(RAIL.chain.forward(reached).position, pose.position, atol=1e-5)
@@ -203,7 +204,7 @@ def test_a_goal_that_touches_everywhere_is_refused():
     at_tool = SceneObject("post", "sphere", (0.1,), tuple(pose.position))
     world = CollisionWorld(TRACK, Scene((at_tool,), 0.005), sample_self_collision(TRACK, samples=500))
     with pytest.raises(CollisionError, match="post"):
-        planner_of_track().plan_to_pose(home, pose, PlanRequest(plan_id="p1", created_ns=7), world)
+        planner_of_track().plan_to_pose(home, pose, PlanRequest(plan_id="p1", asked=Moment("c0ffee00", 7)), world)
 
 
 @pytest.mark.parametrize("axis", ["0 0 1", "0.6 0 0.8", "0.6 0.8 0"])

@@ -370,6 +370,22 @@ class TestWithdrawal:
         assert bench.gateway.session == "other" and not bench.gateway.fault
         assert bench.link is LinkState.NEEDS_RESET
 
+    @pytest.mark.parametrize("waiting", ["halted", "failed before", "another process waited"])
+    def test_nor_by_a_link_that_waited_for_a_person_already_and_was_not_polled_in_time(self, waiting):
+        bench = begun("armed")
+        if waiting == "halted":
+            bench.halt()
+        else:
+            self.failed(bench)
+        bench.run(0.5)
+        if waiting == "another process waited":
+            bench.restart_bridge()
+        bench.run(0.5)
+        # the poll waits for a socket until the answer is due, and then goes on
+        bench.reset()
+        bench.supervisor.withdraw(bench.supervisor.requests, "not armed within 5 s: NEEDS_RESET")
+        assert_stands(bench, 10.0)
+
     def test_a_person_who_asked_meanwhile_is_not_concerned(self):
         bench = begun("stopped")
         bench.together = False

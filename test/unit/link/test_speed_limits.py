@@ -161,6 +161,7 @@ def test_what_is_no_limit_is_refused(limit):
     with pytest.raises(PayloadError) as caught:
         limits.set(limit, "dora", str(at(1.0)), at(1.0), 1)
     assert caught.value.reason == "values" and limits.people == PeopleLimit()
+    assert caught.value.sentence.key == "link.payload.speed_limit"
 
 
 @pytest.mark.parametrize("person", ["", "  "])

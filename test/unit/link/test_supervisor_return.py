@@ -190,11 +190,10 @@ class TestStop:
         bench.run(2.0)
         assert bench.state is LinkState.NEEDS_RESET and bench.sent == []
 
-    @pytest.mark.parametrize("request_name", ["request_reset", "request_arm"])
-    def test_a_stop_takes_back_what_was_asked_for_just_before(self, armed, request_name):
+    def test_a_stop_takes_back_what_was_asked_for_just_before(self, armed):
         armed.set_gateway("holding", STOP, fault=True)
         armed.run(0.5)
-        getattr(armed.supervisor, request_name)(armed.now)
+        armed.supervisor.request_reset(armed.now)
         armed.supervisor.halt("stopped on request")
         armed.run(2.0)
         assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
@@ -206,6 +205,37 @@ class TestStop:
         bench.answer(bench.sent[0])
         bench.poll()
         assert bench.state is LinkState.NEEDS_RESET and not bench.forwarded
+
+
+class TestArm:
+    """`arm` lifts nothing: what stands against a session that begins by itself is lifted by a `reset`."""
+
+    @pytest.mark.parametrize(
+        "stop",
+        [
+            lambda bench: bench.set_gateway("holding", STOP, session="", fault=True),
+            lambda bench: bench.set_gateway("holding", FAULT, session="", fault=True),
+            lambda bench: bench.set_gateway("holding", "somebody's"),
+            lambda bench: bench.supervisor.halt("stopped on request"),
+            lambda bench: bench.supervisor.withdraw(bench.supervisor.requests, "not armed in time"),
+        ],
+        ids=["stop", "fault", "unknown", "halt", "failed reset"],
+    )
+    def test_it_is_refused_and_a_reset_is_not(self, armed, stop):
+        stop(armed)
+        armed.run(0.5)
+        armed.sent.clear()
+        with pytest.raises(ReviewError, check=says("link.cannot.arm", why=armed.supervisor.reason)):
+            armed.supervisor.request_arm(armed.now)
+        armed.run(2.0)
+        assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
+        armed.supervisor.request_reset(armed.now)
+        armed.run(1.0)
+        assert armed.state is LinkState.ARMED
+
+    def test_an_armed_link_has_nothing_to_arm(self, armed):
+        with pytest.raises(ReviewError, check=says("link.nothing_to_arm", why=armed.supervisor.sentence)):
+            armed.supervisor.request_arm(armed.now)
 
 
 class TestFault:

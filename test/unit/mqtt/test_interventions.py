@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import runpy
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.mqtt import interventions, requests
 from construction_twin.mqtt.interventions import (
     MAX_BYTES,
     PAUSE,
@@ -18,6 +20,7 @@ from construction_twin.mqtt.interventions import (
     parse_intervention,
 )
 from construction_twin.mqtt.messages import account_of
+from construction_twin.mqtt.requests import RequestKind
 
 
 def refusal(verb: str, payload: bytes, retained: bool = False) -> str:
@@ -25,6 +28,13 @@ def refusal(verb: str, payload: bytes, retained: bool = False) -> str:
         parse_intervention(verb, "ada", payload, retained)
     assert len(str(caught.value)) < 300
     return caught.value.reason
+
+
+def test_one_line_of_pressed_is_a_further_verb(monkeypatch):
+    park = RequestKind("park", "pause", "park/{}", "pause/ack", requests.PAUSE.answer)
+    monkeypatch.setattr(requests, "PRESSED", (*requests.PRESSED, park))
+    read = runpy.run_path(interventions.__file__)["parse_intervention"]
+    assert read("park", "ada", b'{"id": "7"}', False).verb == "park"
 
 
 MOMENT = "c0ffee00-5000"

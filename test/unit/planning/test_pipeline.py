@@ -6,7 +6,6 @@ import threading
 
 import numpy as np
 import pytest
-import rospy
 import yaml
 from construction_twin.msg import CartesianWaypoint
 from construction_twin.srv import PlanFromCsvRequest, PlanToJointsRequest
@@ -16,6 +15,8 @@ from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, SELF_
 from sentence_checks import says
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import (
     CartesianPathError,
     CollisionError,
@@ -34,7 +35,6 @@ from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoints import from_points
 from construction_twin.ros.messages.plan_requests import (
-    check_asked,
     plan_request,
     read_waypoints,
     tool_waypoints,
@@ -62,7 +62,7 @@ def test_what_is_not_given_is_as_shipped_and_the_same_each_time():
         plain.set_scene(Scene((WALL,)))
         plans.append(plain.to_joints(RIGHT, LEFT))
     assert plans[0].hash == plans[1].hash and plans[0].id != plans[1].id
-    assert plans[0].created_ns == 0
+    assert plans[0].asked == Moment("00000000", 0)
 
 
 def test_without_a_scene_nothing_is_planned():
@@ -70,6 +70,11 @@ def test_without_a_scene_nothing_is_planned():
         pipeline(None).to_joints(HOME, LEFT, REQUEST)
     with pytest.raises(NoSceneError):
         pipeline(None).wait_for_scene(0.0)
+
+
+def test_without_ros_a_missing_scene_is_no_matter_of_nodes():
+    with pytest.raises(NoSceneError, check=says("motion.scene_not_set")):
+        PlanningPipeline(ROBOT, self_collision=SELF_COLLISION).to_joints(HOME, LEFT)
 
 
 def test_a_scene_that_comes_later_is_waited_for():
@@ -188,27 +193,33 @@ def test_the_speed_scale_of_the_settings_is_the_default_for_all():
 
 
 def test_zero_and_empty_mean_the_default():
-    asked = plan_request(PlanToJointsRequest(), "p", 5)
-    assert (asked.plan_id, asked.created_ns, asked.source) == ("p", 5, "request")
+    asked = plan_request(PlanToJointsRequest(), "p", Moment("c0ffee00", 5))
+    assert (asked.plan_id, asked.asked, asked.source) == ("p", Moment("c0ffee00", 5), "request")
     assert (asked.duration, asked.speed_scale, asked.acceleration_scale, asked.waypoints) == (None,) * 4
     full = PlanToJointsRequest(duration=2.0, speed_scale=0.5, acceleration_scale=0.25, waypoints=9, source="me")
-    asked = plan_request(full, "p", 5)
+    asked = plan_request(full, "p", Moment("c0ffee00", 5))
     assert (asked.duration, asked.speed_scale, asked.acceleration_scale, asked.waypoints) == (2.0, 0.5, 0.25, 9)
     assert asked.source == "me"
 
 
 def test_a_request_may_say_how_old_it_is_but_not_that_it_comes_from_the_future():
-    asked = plan_request(PlanToJointsRequest(asked=rospy.Time(0, 5)), "p", 9)
-    assert asked.created_ns == 5
-    check_asked(asked, 9)
-    check_asked(asked, 5)
-    with pytest.raises(PlanningError, check=says("motion.asked.future", late=2.0)):
-        check_asked(plan_request(PlanToJointsRequest(asked=rospy.Time(4)), "p", 9), 2 * 10**9)
+    then, now = Moment("c0ffee00", 5 * 10**9), Moment("c0ffee00", 9 * 10**9)
+    assert plan_request(PlanToJointsRequest(asked=str(then)), "p", now).asked == then
+    assert plan_request(PlanToJointsRequest(asked=str(now)), "p", now).asked == now
+    elsewhere = Moment("deadbeef", then.at)
+    for asked, arrived in ((now, then), (elsewhere, now)):
+        with pytest.raises(PlanningError, check=says("motion.asked.elsewhere", asked=str(asked), arrived=str(arrived))):
+            plan_request(PlanToJointsRequest(asked=str(asked)), "p", arrived)
+    with pytest.raises(PayloadError, check=says("executor.void.no_moment", shown="'4.0'")):
+        plan_request(PlanToJointsRequest(asked="4.0"), "p", now)
 
 
 def test_a_request_for_a_file_is_from_the_file_unless_it_says_otherwise():
-    assert plan_request(PlanFromCsvRequest(path="/a.csv"), "p", 0, "/a.csv").source == "/a.csv"
-    assert plan_request(PlanFromCsvRequest(path="/a.csv", source="me"), "p", 0, "/a.csv").source == "me"
+    assert plan_request(PlanFromCsvRequest(path="/a.csv"), "p", Moment("c0ffee00", 0), "/a.csv").source == "/a.csv"
+    assert (
+        plan_request(PlanFromCsvRequest(path="/a.csv", source="me"), "p", Moment("c0ffee00", 0), "/a.csv").source
+        == "me"
+    )
 
 
 def test_a_tool_path_comes_in_its_frame():

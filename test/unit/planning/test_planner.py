@@ -10,6 +10,7 @@ from limit_use import limit_use
 from planning_cell import CHAIN, HOME, QUICK, REQUEST, ROBOT, ROOT, planner, world
 from sentence_checks import says
 
+from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import (
     BranchError,
     DurationError,
@@ -35,9 +36,9 @@ def test_free_motion_is_the_straight_line():
 
 
 def test_a_plan_carries_what_was_asked_and_what_was_measured():
-    request = PlanRequest("p9", 11, source="replan after hold", duration=12.5, waypoints=300)
+    request = PlanRequest("p9", Moment("c0ffee00", 11), source="replan after hold", duration=12.5, waypoints=300)
     plan = planner().plan_to_joints(HOME, GOAL, request, EMPTY)
-    assert (plan.id, plan.created_ns, plan.source) == ("p9", 11, "replan after hold")
+    assert (plan.id, plan.asked, plan.source) == ("p9", Moment("c0ffee00", 11), "replan after hold")
     assert plan.hash == plan.trajectory.content_hash() and plan.scene == EMPTY.scene.hash
     assert len(plan.trajectory.times) == 300 and plan.trajectory.duration == 12.5
     assert 0.0 < max(plan.report.usage.velocity) < 1.0

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import genpy
 import pytest
@@ -18,6 +19,14 @@ from construction_twin.msg import Feedback
 from evaluation_samples import run
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
+
+import construction_twin
+from construction_twin.core.share import share_file
+from construction_twin.planning.pipeline import PlanningPipeline
+from construction_twin.robot.description import read_robot_files
+from construction_twin.scene.objects import Scene
+from construction_twin.scene.self_collision import read_self_collision
+from construction_twin.work.ifc.reading import read_building
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = (ROOT / "docs/library.md").read_text()
@@ -108,3 +117,20 @@ def test_an_example_has_at_most_ten_lines_and_imports_what_folders_offer(heading
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.ImportFrom):
             assert (ROOT / "src" / (node.module or "").replace(".", "/") / "__init__.py").is_file()
+
+
+def test_what_a_notebook_shows_of_an_object_is_short():
+    robot = read_robot_files(share_file("urdf/kr120r2500.urdf.xacro"), share_file("config/kr120.yaml"))
+    pipeline = PlanningPipeline(
+        robot, self_collision=read_self_collision(share_file("config/kr120_self_collision.yaml"), robot)
+    )
+    pipeline.set_scene(Scene())
+    plan = pipeline.to_joints(robot.home, [0.5, *robot.home[1:]])
+    building = read_building(share_file("models/timber_panel.ifc"))
+    shown = {repr(each): len(repr(each)) for each in (robot, plan, plan.trajectory, building)}
+    assert max(shown.values()) < 2500, shown
+    assert "kr120" in repr(robot) and f"{plan.trajectory.duration:.3f} s" in repr(plan)
+
+
+def test_the_version_is_that_of_the_package():
+    assert construction_twin.__version__ == ElementTree.parse(ROOT / "package.xml").findtext("version")

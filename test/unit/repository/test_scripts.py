@@ -134,3 +134,32 @@ def test_a_repository_in_a_path_with_a_space_is_one_sentence(tmp_path):
     assert run.stderr.startswith(
         f"[setup] cannot go on: the path {folder.parent} holds a space, and catkin, which builds ROS"
     )
+
+
+def test_a_second_set_up_builds_nothing(tmp_path):
+    """With a package of one message, and catkin_make itself: what it writes into the workspace is no input of a build."""
+    script = (ROOT / "setup/setup.sh").read_text().partition("\ncheck_path\n")[0]
+    for name, text in {
+        "setup/setup.sh": f"{script}\nlink_repository && build_workspace\n",
+        "setup/control_msgs/msg/One.msg": "",
+        "setup/control_msgs/package.xml": "",
+        "setup.py": "",
+        "package.xml": "<package><name>one</name><version>0.0.0</version><description>one</description><license>none</license>"
+        '<maintainer email="a@b.invalid">a</maintainer><buildtool_depend>catkin</buildtool_depend></package>',
+        "CMakeLists.txt": "cmake_minimum_required(VERSION 3.5)\nproject(one)\nfind_package(catkin REQUIRED)\ncatkin_package()\n",
+        "msg/One.msg": "",
+        "srv/One.srv": "---\n",
+    }.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    (tmp_path / ".ws/catkin").mkdir(parents=True)
+    (tmp_path / ".ws/venv").symlink_to(sys.prefix)
+
+    def set_up() -> str:
+        run = subprocess.run(["bash", str(tmp_path / "setup/setup.sh")], capture_output=True, text=True, timeout=120)
+        assert run.returncode == 0, run.stderr
+        return run.stdout
+
+    assert "building the catkin workspace" in set_up()
+    assert (tmp_path / ".ws/catkin/src/CMakeLists.txt").exists(), "catkin_make wrote it"
+    assert set_up() == ""

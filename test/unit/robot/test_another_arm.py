@@ -32,7 +32,7 @@ def test_a_plan_is_played_to_its_goal_with_nothing_but_the_urdf_and_the_yaml():
     assert chain.run_until(lambda: chain.ready, 5.0), chain.supervisor.reason
     assert chain.twin.pose == pytest.approx(ROBOT.home, abs=1e-5)
     trajectory = time_path(np.array([chain.twin.pose, GOAL]), ROBOT)
-    chain.play(plan_samples.make_plan(trajectory, "plan-1", created_ns=chain.now))
+    chain.play(plan_samples.make_plan(trajectory, "plan-1", asked_ns=chain.now))
     assert chain.run_until(lambda: chain.executor.outcome == "finished", trajectory.duration + 5.0), (
         chain.executor.reason
     )

@@ -274,7 +274,7 @@ def test_arm_on_the_track_has_the_arm_s_own_limits(robot):
 
 @pytest.mark.parametrize("text", ["", "<robot", "<robot/>", '<robot name="x"><joint name="j" type="bogus"/></robot>'])
 def test_what_is_no_urdf_is_refused(description, text):
-    assert refused(text, description).where == "robot_description"
+    assert refused(text, description).where == "URDF"
 
 
 def test_urdf_with_encoding_declaration_and_unknown_tags_loads_quietly(description, capfd):

@@ -168,7 +168,7 @@ def test_a_mesh_that_is_not_there_names_its_link(xacro, tmp_path, uri, expected)
     robot = read_robot_files(xacro, robot_yaml(tmp_path))
     with pytest.raises(ConfigurationError) as caught:
         RobotBodies(robot)
-    assert caught.value.where.startswith("robot_description link link_1 collision mesh")
+    assert caught.value.where.startswith("URDF link link_1 collision mesh")
     assert caught.value.expected.startswith(expected.format(src=tmp_path / "src"))
 
 

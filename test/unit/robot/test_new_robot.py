@@ -94,8 +94,8 @@ def test_a_urdf_alone_makes_a_robot_with_estimates(tmp_path):
     description = new_description(robot.urdf, robot_name(robot.urdf), *find_ends(robot.urdf), 1.0)
     assert robot == load_robot(robot.urdf, description)
     assert (robot.joint_names, robot.velocity) == (ur_like().joint_names, ur_like().velocity)
-    assert "accelerations" in robot.estimates
-    with pytest.raises(ConfigurationError, match="--tip"):
+    assert robot.estimates == (*ESTIMATED, "home")
+    with pytest.raises(ConfigurationError, match="tip link: found 'nowhere'"):
         robot_of_urdf(tmp_path / "arm.urdf", tip_link="nowhere")
 
 

@@ -114,7 +114,7 @@ def test_a_wrong_value_is_named(positions, where, expected):
 
 
 def test_limits_and_leaders_that_are_missing_are_named():
-    assert refused(changed("hinge", limit=None)).where == "robot_description joint hinge limit"
+    assert refused(changed("hinge", limit=None)).where == "URDF joint hinge limit"
     assert "found 'nobody'" in str(refused(changed("hinge", mimic={"joint": "nobody"})))
     both = changed("slide_left", mimic={"joint": "slide_right"})
     assert "a joint that does not follow it" in str(refused(both))

@@ -51,7 +51,7 @@ def make_chain(e1: dict, decimals: int = 3) -> SimulatedChain:
 
 def play(chain: SimulatedChain, goal) -> None:
     trajectory = time_path(np.array([chain.twin.pose, goal]), ROBOT)
-    plan = plan_samples.make_plan(trajectory, f"plan-{chain.now}", created_ns=chain.now)
+    plan = plan_samples.make_plan(trajectory, f"plan-{chain.now}", asked_ns=chain.now)
     chain.play(plan)
     assert chain.run_until(lambda: chain.executor.outcome == "finished", trajectory.duration + 5.0), (
         chain.executor.reason
@@ -99,7 +99,7 @@ def test_a_wrong_sign_of_e1_mirrors_the_track_and_only_the_pendant_can_tell():
     assert chain.run_until(lambda: chain.ready, 5.0)
     start = chain.controller.measured[0]
     trajectory = time_path(np.array([chain.twin.pose, GOAL]), ROBOT)
-    chain.play(plan_samples.make_plan(trajectory, "plan-1", created_ns=chain.now))
+    chain.play(plan_samples.make_plan(trajectory, "plan-1", asked_ns=chain.now))
     chain.run_for(trajectory.duration + 1.0)
     # wrong in feedback and correction alike: twin and arm agree, and the arm itself goes to the mirrored place
     assert chain.executor.outcome == "finished"

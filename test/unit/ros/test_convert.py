@@ -13,6 +13,7 @@ from geometry_msgs.msg import Point, Quaternion, Transform, Vector3
 from geometry_msgs.msg import Pose as PoseMsg
 from sentence_checks import says
 
+from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import KinematicsError, TrajectoryError
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport, content_hash
 from construction_twin.robot.segments import Segment, Signal, Switch
@@ -38,7 +39,7 @@ def plan(clearance: Clearance = Clearance(0.0123, ("link_3", "wall"), (1.0, -2.0
         source="request",
         planner="RRTConnect",
         scene="5c",
-        created_ns=1_700_000_000_123_456_789,
+        asked=Moment("c0ffee00", 1_700_000_123_000_000),
         planning_time=0.1,
         trajectory=motion,
         report=PlanReport(clearance, fractions, 0.017),
@@ -62,7 +63,7 @@ def test_a_plan_survives_with_everything_it_carries():
     sent = plan()
     msg = over_the_wire(convert.plan_to_msg(sent, "base_link", np.arange(150.0).reshape(50, 3)))
     received = convert.plan_from_msg(msg)
-    for name in ("id", "hash", "source", "planner", "scene", "created_ns", "planning_time", "report"):
+    for name in ("id", "hash", "source", "planner", "scene", "asked", "planning_time", "report"):
         assert getattr(received, name) == getattr(sent, name)
     assert msg.header.frame_id == "base_link" and msg.duration == sent.trajectory.duration
     assert (len(msg.tool_path), msg.tool_path[1].x, msg.tool_path[1].z) == (50, 3.0, 5.0)
@@ -85,7 +86,7 @@ def test_a_plan_changed_on_its_way_is_refused():
 
 def test_an_empty_plan_is_refused():
     with pytest.raises(TrajectoryError):
-        convert.plan_from_msg(PlanMsg())
+        convert.plan_from_msg(PlanMsg(asked="c0ffee00-7"))
 
 
 def test_waypoints_without_accelerations_are_refused():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pydantic
@@ -28,6 +29,7 @@ from construction_twin.srv import (
 from executor_bench import ROBOT, SCENE, Gripper, make_plan, make_work_plan, motion_back, plan_back, reach
 from executor_world import World, records
 
+from construction_twin.core.freshness import Moment
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.boundary import ToolOrder
@@ -73,7 +75,7 @@ def test_who_has_armed_a_bare_plc_is_recorded_once_and_with_the_verdict(world, t
     node.on_link(Link(state=Link.ARMED, session="s", **bare))
     node.on_scene(Scene(hash=SCENE))
     world.run(5)
-    plan = make_plan(created_ns=world.wall)
+    plan = make_plan(asked_ns=world.booted)
     world.executor.offer(plan)
     assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "")).success
     armed, verdict = records(tmp_path)[:2]
@@ -130,7 +132,7 @@ class TestCycle:
 
     def test_says_what_it_does_before_what_became_of_plans(self, world):
         world.playing()
-        world.executor.offer(make_plan("q", created_ns=world.wall))
+        world.executor.offer(make_plan("q", asked_ns=world.booted))
         world.said.clear()
         world.executor.stop(world.wall)
         world.run(1)
@@ -163,7 +165,7 @@ def test_a_stop_of_one_plan_names_who_asked_for_it_and_no_other_is_stopped(world
     assert answer.success and answer.message == "braking plan p"
     assert world.run(1).executor.reason == "stop requested by /client"
     # a plan that somebody asked for before is not void
-    world.executor.offer(make_plan("q", created_ns=world.wall - NANOSECONDS // 100))
+    world.executor.offer(make_plan("q", asked_ns=world.booted - NANOSECONDS // 100))
     assert world.executor.under_review.plan.id == "q"
 
 
@@ -201,49 +203,54 @@ class TestPlansThatAreTurnedDown:
         return [(m[0].plan_id, m[0].approved, m[0].reason) for name, m in world.said if name == "review"]
 
     def test_one_that_was_asked_for_before_a_stop(self, world):
-        asked = world.playing().wall - CYCLE_NS
+        asked = world.playing().booted - CYCLE_NS
         world.node.on_stop(None)
         world.run(100)
-        ((plan_id, approved, reason),) = self.offered(world, make_plan("late", created_ns=asked))
+        ((plan_id, approved, reason),) = self.offered(world, make_plan("late", asked_ns=asked))
         assert (plan_id, approved) == ("late", False) and "before the last stop" in reason
 
     @pytest.mark.parametrize("step", [-0.05, -1.0, -10.0, -29.0, -60.0, -600.0, 10.0])
     @pytest.mark.parametrize("stop", ["on_stop", "on_pause"])
     def test_one_that_was_asked_for_before_a_stop_on_a_clock_that_was_set_since(self, world, step, stop):
-        asked = world.playing().wall - CYCLE_NS
+        asked = world.playing().booted - CYCLE_NS
         world.node.do_background_work(True)
         world.wall += round(step * NANOSECONDS)
         world.run(10)
         getattr(world.node, stop)(None)
         world.run(150)
         # a stop voids, a pause also
-        said = self.offered(world, make_plan("late", created_ns=asked))
+        said = self.offered(world, make_plan("late", asked_ns=asked))
         assert [(plan_id, approved) for plan_id, approved, _ in said if plan_id == "late"] == [("late", False)]
 
-    def test_and_a_minute_after_the_clock_was_set_back_a_stop_is_nothing_special(self, world):
-        world.playing().node.do_background_work(True)
-        world.wall -= 600 * NANOSECONDS
-        for _ in range(70):
-            world.wall, world.steady = world.wall + NANOSECONDS, world.steady + NANOSECONDS
-            world.node.do_background_work(True)
-        world.node.on_stop(None)
-        before, after = (make_plan(name, created_ns=world.wall + k) for name, k in (("before", -1), ("after", 1)))
-        assert [plan_id for plan_id, *_ in self.offered(world, before)] == ["before"]
-        assert self.offered(world, after) == []
+    @pytest.mark.parametrize("stop", ["on_stop", "on_pause"])
+    def test_none_that_was_asked_for_after_a_stop_on_a_clock_that_was_ahead(self, world, stop):
+        world.playing()
+        world.wall += 3600 * NANOSECONDS
+        world.run(5)
+        getattr(world.node, stop)(None)
+        world.wall -= 3600 * NANOSECONDS
+        world.run(150)
+        assert self.offered(world, make_plan("new", asked_ns=world.booted)) == []
+        assert world.executor.under_review.plan.id == "new"
+
+    def test_one_of_another_computer(self, world):
+        plan = replace(make_plan("elsewhere"), asked=Moment("deadbeef", world.booted))
+        ((plan_id, _, reason),) = self.offered(world, plan)
+        assert plan_id == "elsewhere" and "on another computer" in reason
 
     def test_one_from_before_this_executor(self, world):
-        ((plan_id, _, reason),) = self.offered(world, make_plan("old", created_ns=world.wall - NANOSECONDS))
+        ((plan_id, _, reason),) = self.offered(world, make_plan("old", asked_ns=world.booted - NANOSECONDS))
         assert plan_id == "old" and "older than this executor" in reason
 
     def test_one_that_comes_twice_is_not(self, world):
-        plan = make_plan("p2", created_ns=world.run(5).wall)
+        plan = make_plan("p2", asked_ns=world.run(5).booted)
         assert self.offered(world, plan) == self.offered(world, plan) == []
 
 
 @pytest.mark.parametrize("reviewer", ["executor", "auto_approve", " executor "])
 def test_nobody_reviews_under_the_names_that_the_executor_writes(world, reviewer):
     world.playing()
-    plan = make_plan("q", created_ns=world.wall)
+    plan = make_plan("q", asked_ns=world.booted)
     world.executor.offer(plan)
     answer = world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, reviewer, "", False, ""))
     assert not answer.success and "the name of a person" in answer.message
@@ -402,8 +409,8 @@ def test_a_full_log_forgets_the_oldest_lines():
 
 
 def test_a_verdict_is_published_with_its_reason(world):
-    world.run(5).executor.offer(make_plan("p", created_ns=world.wall))
-    world.executor.offer(make_plan("q", created_ns=world.wall))
+    world.run(5).executor.offer(make_plan("p", asked_ns=world.booted))
+    world.executor.offer(make_plan("q", asked_ns=world.booted))
     world.run(1)
     (verdict,) = [message[0] for name, message in world.said if name == "review"]
     assert (verdict.plan_id, verdict.approved, verdict.reviewer) == ("p", False, "executor")
@@ -489,7 +496,7 @@ class WorkWorld(World):
         self.node.on_link(Link(state=Link.ARMED, session="s"))
         self.node.on_scene(Scene(hash=SCENE))
         self.run(5)
-        plan = plan or make_work_plan(created_ns=self.wall)
+        plan = plan or make_work_plan(asked_ns=self.booted)
         self.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
         answer = self.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, ""))
         assert answer.success, answer.message
@@ -549,7 +556,7 @@ class TestWorkPlan:
         assert command.stamp.to_nsec() in stamps and command.header.stamp < command.stamp
 
     def test_the_verdict_names_task_and_segments(self, work, tmp_path):
-        plan = make_work_plan(created_ns=work.wall + NANOSECONDS)
+        plan = make_work_plan(asked_ns=work.booted + NANOSECONDS)
         work.approved(plan)
         (verdict,) = [line for line in records(tmp_path) if line["record"] == "verdict"]
         assert (verdict["task"], verdict["segments"]) == ("t1", ["to stock", "approach", "lift", "carry"])
@@ -582,7 +589,7 @@ class TestEngaged:
     def test_no_other_plan_waits_for_review(self, work):
         work.left_in_lift()
         pose = [message[1] for name, message in work.said if name == "next/joint_states"][-1]
-        plan = make_plan("other", reach(pose, ROBOT.home), "5ce1e", work.wall + NANOSECONDS)
+        plan = make_plan("other", reach(pose, ROBOT.home), "5ce1e", work.booted + NANOSECONDS)
         work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
         assert work.executor.under_review.plan is None and "is not the way back" in work.refused[-1][1]
 
@@ -591,7 +598,7 @@ class TestEngaged:
         left = work.executor.engagement.present
         pose = [message[1] for name, message in work.said if name == "next/joint_states"][-1]
         motion = motion_back(left.path, left.path.entry(pose).time)
-        plan = plan_back(motion, left.requires(work.executor.tool), "5ce1e", created_ns=work.wall + NANOSECONDS)
+        plan = plan_back(motion, left.requires(work.executor.tool), "5ce1e", asked_ns=work.booted + NANOSECONDS)
         work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
         assert work.node.on_review(ReviewPlanRequest("back", plan.hash, True, "Ada", "", False, "")).success
         work.until(lambda: work.executor.outcome == "finished").run(3)
@@ -641,7 +648,7 @@ class TestEngaged:
         left = work.executor.engagement.present
         pose = [message[1] for name, message in work.said if name == "next/joint_states"][-1]
         motion = motion_back(left.path, left.path.entry(pose).time)
-        plan = plan_back(motion, left.requires(work.executor.tool), "5ce1e", created_ns=work.wall + NANOSECONDS)
+        plan = plan_back(motion, left.requires(work.executor.tool), "5ce1e", asked_ns=work.booted + NANOSECONDS)
         work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
         assert work.node.on_review(ReviewPlanRequest("back", plan.hash, True, "Ada", "", False, "")).success
         work.run(20)

@@ -350,8 +350,7 @@ class TestReplan:
     def test_asks_for_the_same_goal_at_the_approved_pace(self, world):
         node = opened(world)
         self.offer(node)
-        known = Execution(state=Execution.PLAYING, plan_id="p")
-        known.header.stamp = to_time(world.wall)
+        known = Execution(state=Execution.PLAYING, plan_id="p", moment="c0ffee00-7")
         node.on_execution(known)
         world.pass_time()
         node.on_feedback(*feedback(world, 0.2))
@@ -359,7 +358,7 @@ class TestReplan:
         assert world.request["goal"] == (0.5,) * 6
         assert (world.request["speed_scale"], world.request["acceleration_scale"]) == (0.2, 0.4)
         # as of when the plan was known to be played: a stop since then voids the new one
-        assert world.request["asked"] == known.header.stamp
+        assert world.request["asked"] == known.moment
 
     def test_a_work_plan_is_planned_anew_by_whoever_gave_the_task(self, world):
         node = opened(world)

@@ -217,13 +217,13 @@ def test_a_motion_without_times_keeps_the_scales_that_were_asked_for(bench):
 @pytest.mark.parametrize(
     "sender, payload, retained, reason, request_id",
     [
-        ("", json.dumps(TRAJECTORY).encode(), True, "retained", ""),
+        ("", json.dumps(TRAJECTORY).encode(), True, "retained", "7"),
         ("", b" " * 5000, False, "size", ""),
         ("", b"{", False, "format", ""),
         ("", json.dumps(TRAJECTORY | {"units": {}}).encode(), False, "units", "7"),
         ("", json.dumps(TRAJECTORY | {"joint_names": []}).encode(), False, "joints", "7"),
         ("", json.dumps(TRAJECTORY | {"speed_scale": 2}).encode(), False, "values", "7"),
-        ("no such account", json.dumps(TRAJECTORY).encode(), False, "sender", ""),
+        ("no such account", json.dumps(TRAJECTORY).encode(), False, "sender", "7"),
     ],
 )
 def test_what_is_refused_is_counted_and_answered_with_the_id_where_there_is_one(

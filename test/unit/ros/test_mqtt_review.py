@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 import threading
 from types import SimpleNamespace
 
@@ -176,6 +177,33 @@ def test_a_verdict_that_cannot_be_read_is_answered_to_the_account(bench, account
     assert answer == {
         "plan_id": "", "plan_hash": "", "verdict": "", "reviewer": account, "account": account, "ok": False, "expired": False,
     }  # fmt: skip
+
+
+#: What is refused, and what its answer repeats all the same.
+NAMED = {"plan_id": "p1", "plan_hash": "cafe", "verdict": "approved"}
+REFUSED = [
+    ("resume/bob", "pause/ack", {"id": "7"}, {"id": "7"}),
+    ("reset/bob", "reset/ack", {"id": "7"}, {"id": "7"}),
+    ("arm/bob", "arm/ack", {"id": "7", "moment": "now"}, {"id": "7"}),
+    ("stop/bob", "stop/ack", {"id": "7", "more": 1}, {"id": "7"}),
+    ("review/bob", "review/ack", NAMED, NAMED),
+    ("review", "review/ack", NAMED | {"reviewer": "Ann"}, NAMED | {"reviewer": "Ann"}),
+    ("review/bob", "review/ack", {"plan_id": "p1"}, {"plan_id": "p1", "plan_hash": ""}),
+    ("review/bob", "review/ack", NAMED | {"plan_id": 5}, {"plan_id": "", "plan_hash": "cafe"}),
+    ("override_rehearsal/bob", "override_rehearsal/ack", NAMED | {"moment": MOMENT}, NAMED),
+    ("answer/bob", "answer/ack", {"id": "7", "task": "t"}, {"id": "7", "task": "t"}),
+    ("speed/bob", "speed/ack", {"id": "7", "limit": 0}, {"id": "7"}),
+    ("resume/bob", "pause/ack", {"id": "x" * 65}, {"id": ""}),
+    ("resume/bob", "pause/ack", ["7"], {"id": ""}),
+]
+
+
+@pytest.mark.parametrize("topic, ack, content, repeated", REFUSED)
+@pytest.mark.parametrize("retain", [False, True])
+def test_what_is_refused_is_answered_with_whatever_can_be_read_of_it(bench, topic, ack, content, repeated, retain):
+    bench.deliver(topic, json.dumps(content).encode(), retain)
+    (answer,) = acks(bench, ack.removesuffix("/ack"))
+    assert not answer["ok"] and {name: answer[name] for name in repeated} == repeated
 
 
 @pytest.mark.parametrize("account, reviewer", [("", "Ann"), ("kr120-reviewer-ada", "kr120-reviewer-ada")])
@@ -397,6 +425,30 @@ def test_a_resume_that_came_before_starts_nothing_again(pressing):
         answers += moment == MOMENT
         wait_until(lambda: len(acks(pressing, "pause")) == answers, what="its answer")
     assert pressing.pressed == ["resume", "pause", "resume"] and pressing.made.refused == {"repeated": 1}
+
+
+@pytest.fixture
+def hurried():
+    """Threads that give way to each other at almost every step."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
+def test_what_starts_something_is_pressed_by_several_people_at_once(pressing, hurried):
+    def go_on(verb):
+        for number in range(150):
+            press(pressing, verb, str(number), account=f"kr120-{verb}-bob")
+            wait_until(lambda: pressing.pressed.count(verb) > number, what=f"{verb} {number}")
+
+    people = [threading.Thread(target=go_on, args=(verb,)) for verb in STARTING]
+    for person in people:
+        person.start()
+    for person in people:
+        person.join()
+    assert {verb: pressing.pressed.count(verb) for verb in STARTING} == dict.fromkeys(STARTING, 150)
+    assert not pressing.made.refused
 
 
 def test_a_resume_that_was_too_old_is_told(pressing):

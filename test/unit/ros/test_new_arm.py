@@ -15,6 +15,7 @@ from new_arms import ARMS, write_arm
 from roslaunch.substitution_args import resolve_args
 
 from construction_twin.controller import makes
+from construction_twin.core.freshness import Moment
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.pipeline import PlanningPipeline
@@ -162,7 +163,7 @@ def check_planning(robot: RobotModel, given: dict[str, str]) -> None:
     pipeline.set_scene(read_scene(given["scene"]))
     goal = np.array(robot.home)
     goal[0] += 0.05 if robot.linear[0] else np.radians(20)
-    plan = pipeline.to_joints(robot.home, goal, PlanRequest(plan_id="p1", created_ns=1))
+    plan = pipeline.to_joints(robot.home, goal, PlanRequest(plan_id="p1", asked=Moment("c0ffee00", 1)))
     assert plan.trajectory.positions[-1] == pytest.approx(goal, abs=1e-9)
 
 
@@ -239,9 +240,9 @@ def test_a_mesh_arm_comes_with_its_hulls(tmp_path, capsys):
         (
             ["--tip", "hand"],
             ("", ""),
-            "--tip: found 'hand', expected a link of the URDF; links at an end of its tree: tool0",
+            "tip link: found 'hand', expected a link of the URDF; links at an end of its tree: tool0",
         ),
-        (["--base", "foot"], ("", ""), "--base: found 'foot', expected one of the URDF's links"),
+        (["--base", "foot"], ("", ""), "base link: found 'foot', expected one of the URDF's links"),
         (["--base", "tool0", "--tip", "base_link"], ("", ""), "expected a descendant of tool0"),
         (["--tip", "base_link"], ("", ""), "expected a link that 1 to 12 joints move; 0 do"),
         ([], ('type="revolute"', 'type="floating"'), "an independent revolute, continuous or prismatic joint"),

@@ -22,7 +22,7 @@ def test_every_kind_of_request_has_a_service_that_takes_its_fields():
     for kind, service in PLAN_SERVICES.items():
         asked = GoalRequest(kind, position=(1.0, 2.0, 3.0), orientation=(0.0, 0.0, 0.0, 1.0))
         rospy.ServiceProxy(service.name, service.kind).request_class(
-            **service.fields(asked, source="ada", asked=rospy.Time(7))
+            **service.fields(asked, source="ada", asked="c0ffee00-7")
         )
 
 
@@ -31,7 +31,7 @@ def test_a_field_reaches_the_services_field_of_its_name_and_a_goal_is_formed():
         "pose", position=(1.0, 2.0, 3.0), orientation=(0.0, 0.0, 1.0, 0.0), configuration="front", duration=2.5,
         speed_scale=0.5, acceleration_scale=0.25, frame="stock",
     )  # fmt: skip
-    request = PlanToPoseRequest(**PLAN_SERVICES["pose"].fields(asked, source="ada", asked=rospy.Time(7)))
+    request = PlanToPoseRequest(**PLAN_SERVICES["pose"].fields(asked, source="ada", asked="c0ffee00-7"))
     assert (request.source, request.configuration, request.duration) == ("ada", "front", 2.5)
     assert (request.speed_scale, request.acceleration_scale, request.goal.header.frame_id) == (0.5, 0.25, "stock")
     assert (request.goal.pose.position.y, request.goal.pose.orientation.z) == (2.0, 1.0)

@@ -9,7 +9,6 @@ from io import BytesIO
 import pytest
 import rospy
 from construction_twin.msg import Feedback
-from genpy import Time
 from hypothesis import given
 from hypothesis import strategies as st
 from rospy.msg import deserialize_messages, serialize_message
@@ -214,8 +213,3 @@ class TestNow:
     def test_is_the_wall_clock(self, monkeypatch):
         monkeypatch.setattr(joint_stream.time, "time_ns", lambda: 123)
         assert joint_stream.now_ns() == 123
-
-    def test_is_simulated_time_where_ros_has_one(self, monkeypatch):
-        monkeypatch.setattr(joint_stream.rospy.rostime, "is_wallclock", lambda: False)
-        monkeypatch.setattr(joint_stream.rospy.Time, "now", lambda: Time(3, 4))
-        assert joint_stream.now_ns() == 3 * NANOSECONDS + 4

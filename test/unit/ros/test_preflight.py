@@ -342,6 +342,15 @@ def test_no_master_is_nothing_that_runs():
     assert preflight.running_problem({"robot": "kr120"}, "http://127.0.0.1:1/") == ""
 
 
+@pytest.mark.parametrize("simulated", [True, False])
+def test_a_master_with_simulated_time_is_refused_before_anything_starts(master, monkeypatch, simulated):
+    monkeypatch.setattr(preflight, "address_problem", lambda environ: "")
+    rosgraph.Master("/gazebo", master).setParam("/use_sim_time", simulated)
+    said = preflight.refusal(KR120, None, master)
+    assert (said == "") is not simulated
+    assert said == "" or said.startswith("/use_sim_time: found True, expected false: ")
+
+
 def test_every_node_of_a_robot_is_looked_for():
     """Those of bringup.launch in its group, and of the files it includes there."""
     trees = [

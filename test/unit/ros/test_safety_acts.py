@@ -66,7 +66,7 @@ def prepared(world: World, which: str) -> World:
     """Play a plan; for a rejection another one waits for review."""
     world.playing()
     if which == "reject":
-        world.executor.offer(make_plan("q", created_ns=world.wall))
+        world.executor.offer(make_plan("q", asked_ns=world.booted))
     return world
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import threading
 from types import SimpleNamespace
 
 import pytest
@@ -37,6 +39,8 @@ class Bench:
         self.file = home / "limits" / f"{ROBOT.name}.json"
         monkeypatch.setenv("ROS_HOME", str(home))
         patch(module.time, "monotonic_ns", lambda: round(self.now * NANOSECONDS))
+        # no thread writes here, but `write`
+        patch(module, "PATIENCE", 0.0)
         patch(module, "now_ns", lambda: round(self.now * NANOSECONDS))
         patch(module, "present", lambda: Moment(BOOT, round(self.now * NANOSECONDS)))
         for name in ("loginfo", "logwarn", "logerr_throttle"):
@@ -173,8 +177,26 @@ def test_a_raise_that_is_too_old_is_refused_counted_and_said(bench):
 
 
 def test_lowering_is_in_force_before_a_disk_is_asked(bench, monkeypatch):
-    monkeypatch.setattr(module, "write_whole", lambda *_: pytest.fail("the answer waited for a disk"))
+    monkeypatch.setattr(os, "write", lambda *_: pytest.fail("the answer waited for a disk"))
     assert bench.sets(0.3).success and bench.limit == 0.3
+
+
+def test_the_answer_to_a_lower_limit_waits_for_a_disk_that_is_quick_and_not_for_one_that_hangs(bench, monkeypatch):
+    """So a kill right behind the answer raises nothing, and one lower limit holds up no other."""
+    monkeypatch.setattr(module, "PATIENCE", 10.0)
+    running = threading.Event()
+    monkeypatch.setattr(rospy, "is_shutdown", running.is_set)
+    threading.Thread(target=bench.node.run, daemon=True).start()
+    bench.sets(0.3)
+    assert json.loads(bench.file.read_text())["limit"] == 0.3
+    hangs = threading.Event()
+    write = os.write
+    monkeypatch.setattr(os, "write", lambda *given: hangs.wait(30.0) and write(*given))
+    monkeypatch.setattr(module, "PATIENCE", 0.05)
+    assert bench.sets(0.2).success and bench.sets(0.1).success and bench.limit == 0.1
+    hangs.set()
+    wait_until(lambda: json.loads(bench.file.read_text())["limit"] == 0.1, what="the newest limit on the disk")
+    running.set()
 
 
 def test_what_people_set_outlasts_node_and_launch(bench):
@@ -192,14 +214,110 @@ def test_what_people_set_outlasts_node_and_launch(bench):
     assert (bench.limit, bench.sent[-1].by) == (1.0, ""), "a gateway that had a lower one must hear that it is over"
 
 
-def test_a_raise_that_was_not_written_is_lower_after_a_restart(bench):
+def test_a_raise_is_on_the_disk_before_it_is_in_force(bench, monkeypatch):
     bench.sets(0.3)
     bench.node.write()
     bench.later(1.0)
-    bench.sets(0.8, moment=bench.shown())
+    write = os.write
+    with monkeypatch.context() as watched:
+        watched.setattr(os, "write", lambda *given: bench.limit == 0.3 and write(*given))
+        assert bench.sets(0.8, moment=bench.shown()).success and bench.limit == 0.8
     bench.restart()
     bench.later(0.05)
-    assert bench.limit == 0.3
+    assert bench.limit == 0.8
+
+
+def full(monkeypatch, path):
+    """Let the disk be full: what has its room can be written in place, anything else has none."""
+    has = os.stat(path).st_size if path.exists() else -1
+    opens, writes = os.open, os.write
+
+    def open_(name, flags, *more, **named):
+        if flags & os.O_CREAT and not os.path.exists(name):
+            raise OSError(28, "No space left on device")
+        return opens(name, flags, *more, **named)
+
+    def write(file, data):
+        if len(data) > has:
+            raise OSError(28, "No space left on device")
+        return writes(file, data)
+
+    monkeypatch.setattr(os, "open", open_)
+    monkeypatch.setattr(os, "write", write)
+
+
+def test_on_a_full_disk_a_restart_raises_nothing(bench, monkeypatch):
+    bench.sets(0.5)
+    bench.node.write()
+    full(monkeypatch, bench.file)
+    bench.sets(0.06, "a person with a long name")
+    bench.node.write()
+    bench.restart()
+    bench.later(0.05)
+    assert (bench.limit, bench.sent[-1].person) == (0.06, "a person with a long name")
+    assert bench.node.report().level == OK
+
+
+def test_a_first_limit_on_a_disk_that_was_full_from_the_start_is_the_least(monkeypatch, tmp_path):
+    with monkeypatch.context() as patch:
+        full(patch, tmp_path / "nothing")
+        bench = Bench(patch, tmp_path)
+        bench.later(1.0)
+        assert bench.limit == LEAST and bench.node.report().level == ERROR
+        answer = bench.sets(0.5, moment=bench.shown())
+        assert not answer.success and "No space left" in answer.message and answer.limit == LEAST
+        bench.restart()
+        bench.later(1.0)
+        assert bench.limit == LEAST
+
+
+@pytest.mark.parametrize("call", ["open", "write", "fsync"])
+def test_what_cannot_be_written_at_all_is_obeyed_only_falls_and_is_not_known_after_a_restart(bench, monkeypatch, call):
+    def fail(*_):
+        raise OSError(5, "Input/output error")
+
+    bench.sets(0.5)
+    bench.node.write()
+    bench.later(1.0)
+    with monkeypatch.context() as broken:
+        broken.setattr(os, call, fail)
+        assert bench.sets(0.06).success and bench.limit == 0.06
+        bench.node.write()
+        report = bench.node.report()
+        assert report.level == ERROR and "Input/output error" in report.sentence
+        bench.later(1.0)
+        answer = bench.sets(0.5, moment=bench.shown())
+        assert (answer.success, answer.limit, bench.limit) == (False, 0.06, 0.06)
+        assert [reason for reason, _ in bench.made.refused] == ["file"]
+    bench.restart()
+    bench.later(0.05)
+    assert bench.limit == LEAST and bench.node.report().level == ERROR
+
+
+def test_a_raise_that_is_overtaken_while_it_is_written_is_void_also_on_the_disk(bench, monkeypatch):
+    bench.sets(0.3)
+    bench.node.write()
+    bench.later(1.0)
+    write, seen = os.write, bench.shown()
+
+    def overtaken(*given):
+        monkeypatch.setattr(os, "write", write)
+        bench.sets(0.1, "bob")
+        return write(*given)
+
+    monkeypatch.setattr(os, "write", overtaken)
+    answer = bench.sets(0.8, moment=seen)
+    assert (answer.success, answer.expired, bench.limit) == (False, True, 0.1)
+    bench.node.write()
+    assert json.loads(bench.file.read_text())["limit"] == 0.1
+
+
+def test_a_file_that_is_missing_where_one_was_is_the_least(bench):
+    bench.node.write()
+    bench.file.unlink()
+    bench.restart()
+    bench.later(0.05)
+    assert bench.limit == LEAST and bench.node.report().level == ERROR
 
 
 @pytest.mark.parametrize("contents", [b"", b"\xff", b'{"limit": 5}', b"x" * (1 << 17)])
@@ -221,13 +339,12 @@ def test_a_file_that_cannot_be_written_is_said_and_tried_again(bench, monkeypatc
     def fail(*_):
         raise OSError(28, "No space left on device")
 
-    whole = module.write_whole
-    monkeypatch.setattr(module, "write_whole", fail)
-    bench.sets(0.3)
-    bench.node.write()
-    report = bench.node.report()
-    assert report.level == ERROR and "No space left" in report.sentence and bench.limit == 0.3
-    monkeypatch.setattr(module, "write_whole", whole)
+    with monkeypatch.context() as broken:
+        broken.setattr(os, "write", fail)
+        bench.sets(0.3)
+        bench.node.write()
+        report = bench.node.report()
+        assert report.level == ERROR and "No space left" in report.sentence and bench.limit == 0.3
     bench.node.write()
     assert bench.node.report().level == OK and json.loads(bench.file.read_text())["limit"] == 0.3
 

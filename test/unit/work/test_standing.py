@@ -47,11 +47,12 @@ def test_what_the_work_is_part_of_the_base_and_what_is_far_away_do_not_stand(tmp
     assert not standing(model, ["part"], at, robot(), tmp_path).pieces
 
 
-def test_an_element_whose_geometry_is_unusable_is_named(tmp_path):
-    flat = replace(WALL, vertices=np.full((8, 3), np.nan))
-    model = building(element("b"), replace(wall("odd"), bodies=(flat,)))
+def test_the_box_of_an_element_whose_geometry_is_unusable_stands_for_it(tmp_path):
+    model = building(element("b"), replace(wall("odd"), bodies=(replace(WALL, triangles=WALL.triangles[:0]),)))
     found = standing(model, ["b"], site(tmp_path), robot(), tmp_path)
-    assert not found.pieces and len(found.notes) == 1 and "'odd'" in found.notes[0]
+    (box,) = found.pieces["odd"]
+    assert (box.shape, box.size, box.position) == ("box", (2.0, 0.1, 1.0), (1.0, 0.05, 0.5))
+    assert len(found.notes) == 1 and "'odd'" in found.notes[0]
 
 
 def test_a_whole_that_exists_stands_though_a_part_of_it_is_placed(tmp_path):

@@ -1,5 +1,5 @@
 /**
- * What a person can do about what the state says: lift a stop or a fault (`reset`), arm. Held to confirm, in the name of the account;
+ * What a person can do about what the state says: lift a stop or a fault (`reset`), arm a bare PLC. Held to confirm, in the name of the account;
  * whether it may is the broker's to decide, and whether it counts the robot's. Below stands whose stop it lifts: the state's own reason.
  */
 import {add, clear, setText} from "../dom.js";
@@ -10,9 +10,9 @@ import {browser} from "./clock.js";
 const VERBS = ["reset", "arm"];
 const BAD = ["refused", "expired", "silent", "not_sent", "no_right", "unknown"];
 
-/** What a person can do: the link waits for a reset or to be armed, or the gate does not go on without a reset. */
+/** What a person can do: the link waits for a reset, or a bare PLC to be armed, or the gate does not go on without a reset. */
 export function waitsFor(view) {
-  if (view?.link?.state === "NEEDS_RESET") return VERBS;
+  if (view?.link?.state === "NEEDS_RESET") return [view.link.gateway_kind === "plc" ? "arm" : "reset"];
   // an armed link has nothing to arm
   return view?.link?.state === "ARMED" && view.sync?.state === "STOPPED" ? ["reset"] : [];
 }

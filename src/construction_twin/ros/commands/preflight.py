@@ -51,7 +51,7 @@ from construction_twin.ros.shared.launch_arguments import (
     tool_settings,
 )
 from construction_twin.ros.shared.loaded_process import leave_behind
-from construction_twin.ros.shared.master import running
+from construction_twin.ros.shared.master import expect_wall_clock, running
 from construction_twin.ros.shared.params import ros_home, settings_of
 from construction_twin.ros.shared.roslaunch_parent import command_lines, print_after, roslaunch_parent
 from construction_twin.ros.shared.start_claim import claim
@@ -425,6 +425,15 @@ def address_problem(environ: Mapping[str, str]) -> str:
     return Sentence("preflight.localhost", why=why) if why else ""
 
 
+def clock_problem(uri: str) -> str:
+    """Return a sentence when a master gives simulated time; empty when it does not."""
+    try:
+        expect_wall_clock(uri)
+    except ConfigurationError as error:
+        return error.sentence
+    return ""
+
+
 def claim_problem(given: Given, uri: str, pid: int) -> str:
     """Claim the robot for the roslaunch of a number; return a sentence when another start has claimed it, empty when it has not.
 
@@ -517,7 +526,7 @@ def refusal(given: Given, call: RoslaunchCall | None, uri: str) -> str:
     sentence = sentence or problem(given, readable, lets_in_everybody) or make_problem(given) or contents_problem(given)
     if sentence or not uri:
         return sentence
-    sentence = address_problem(os.environ)
+    sentence = address_problem(os.environ) or clock_problem(uri)
     return sentence or running_problem(given, uri) or (port_problem(given) if call is not None else "")
 
 

@@ -82,9 +82,8 @@ def main(arguments: list[str]) -> int:
             # needs the packages of `check_extras`
             from construction_twin.work.standing import standing
 
-            # what is doubted stands as an obstacle
-            placed = [job.element for job in work.jobs if not work.building.element(job.element).doubt]
-            stands = standing(work.building, placed, work.site, robot, Path(folder))
+            # what is doubted, or has no usable body, stands as an obstacle
+            stands = standing(work.building, pieces, work.site, robot, Path(folder))
             notes = (*work.notes, *inexact, *stands.notes)
             for note in notes:
                 console.print(note, markup=False, soft_wrap=True)

@@ -14,6 +14,7 @@ from geometry_msgs.msg import Point, Quaternion, Transform
 from geometry_msgs.msg import Pose as PoseMsg
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from construction_twin.core.freshness import parse_moment
 from construction_twin.core.motion_errors import TrajectoryError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
@@ -76,6 +77,7 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray, changes: Seque
     clearance, usage = plan.report.clearance, plan.report.usage
     told = changes or [SceneChange()] * len(plan.segments)
     msg = PlanMsg(
+        asked=str(plan.asked),
         id=plan.id,
         hash=plan.hash,
         source=plan.source,
@@ -96,7 +98,6 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray, changes: Seque
         task=plan.task,
         segments=[segment_to_msg(segment, change) for segment, change in zip(plan.segments, told, strict=True)],
     )
-    msg.header.stamp = genpy.Time(0, plan.created_ns)
     msg.header.frame_id = frame_id
     return msg
 
@@ -106,6 +107,7 @@ def plan_from_msg(msg: PlanMsg) -> Plan:
 
     Raises:
         TrajectoryError: If its trajectory or its hash is invalid, or a measurement is not a number.
+        PayloadError: ``moment``, of when it was asked for.
     """
     return Plan(
         id=msg.id,
@@ -113,7 +115,7 @@ def plan_from_msg(msg: PlanMsg) -> Plan:
         source=msg.source,
         planner=msg.planner,
         scene=msg.scene,
-        created_ns=msg.header.stamp.to_nsec(),
+        asked=parse_moment(msg.asked),
         planning_time=msg.planning_time,
         trajectory=trajectory_from_msg(msg.trajectory),
         report=_report_from_msg(msg),

@@ -9,6 +9,7 @@ import numpy as np
 from trajectory_msgs.msg import JointTrajectory
 
 from construction_twin.core.files import read_file
+from construction_twin.core.freshness import Moment, parse_moment
 from construction_twin.core.motion_errors import PlanningError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
@@ -27,35 +28,31 @@ from construction_twin.scene.objects import product
 _LARGEST_FILE = 16 * 2**20
 
 
-def plan_request(request, plan_id: str, created_ns: int, source: str = "request") -> PlanRequest:
+def plan_request(request, plan_id: str, arrived: Moment, source: str = "request") -> PlanRequest:
     """Return the request behind any of the services'; zero and empty mean the default.
 
     Args:
         request: Request of PlanToJoints, PlanToPose, PlanCartesian, PlanFromCsv or PlanTrajectory
         plan_id: Of the plan to be made.
-        created_ns: ROS time at which the request arrived [ns]; used if the request does not say when it was asked for.
+        arrived: When the request arrived; used if it does not say when it was asked for.
         source: Name of the requester if the request does not give one.
+
+    Raises:
+        PayloadError: ``moment``, of when it was asked for.
+        PlanningError: If that is not before it arrived, on the same clock: then a stop between the two would not void it.
     """
-    asked = getattr(request, "asked", None)
+    asked = parse_moment(request.asked) if getattr(request, "asked", "") else arrived
+    if asked.origin != arrived.origin or asked.at > arrived.at:
+        raise PlanningError(Sentence("motion.asked.elsewhere", asked=str(asked), arrived=str(arrived)))
     return PlanRequest(
         plan_id=plan_id,
-        created_ns=(asked and asked.to_nsec()) or created_ns,
+        asked=asked,
         source=request.source or source,
         duration=getattr(request, "duration", None) or None,
         speed_scale=request.speed_scale or None,
         acceleration_scale=request.acceleration_scale or None,
         waypoints=getattr(request, "waypoints", None) or None,
     )
-
-
-def check_asked(asked: PlanRequest, now: int) -> None:
-    """Refuse a request with a time of asking later than `now` [ns], because a stop between the two would not void it.
-
-    Raises PlanningError.
-    """
-    if asked.created_ns > now:
-        late = (asked.created_ns - now) / NANOSECONDS
-        raise PlanningError(Sentence("motion.asked.future", late=late))
 
 
 def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint]:

@@ -6,6 +6,7 @@ what `tool` says; `engagement`, and the service `release_engagement`.
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -35,7 +36,6 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.executor import Executor, ExecutorState
-from construction_twin.execution.newest_reading import AHEAD, NewestReading
 from construction_twin.execution.playback import StopForecaster
 from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.execution.states import ACTIVE
@@ -190,6 +190,7 @@ class Snapshot(NamedTuple):
     limit_state: LimitState
     limit_reason: str
     stamp: int
+    moment: Moment
 
 
 def _do(_what: str, part: Callable[..., _Result], *arguments: object) -> _Result:
@@ -233,9 +234,7 @@ class ExecutorNode:
         self._acts = self._acts_reported = 0
         # of the newest pause or stop that was answered; a screen that has not seen it resumes nothing
         self._rested: Moment | None = None
-        # by the wall clock, and by the one that nobody sets [ns]
-        self._started, self._started_steady = now_ns(), time.monotonic_ns()
-        self._readings = NewestReading(self._started, self._started_steady)
+        self._started = present()
         self._lock = threading.Lock()
         self._approval = Approval(executor, log.append, self._lock, lambda: present())
         self._without_person = without_person
@@ -341,16 +340,12 @@ class ExecutorNode:
                 check_way_back(plan, way_back)
             except ReviewError as error:
                 problem = error
-        now, asked = now_ns(), message.header.stamp.to_nsec()
-        # on a clock that was set back the start lies further back, too: else every plan was older until the clock has caught up
-        started = min(self._started, now - (time.monotonic_ns() - self._started_steady))
         with self._lock:
             try:
-                if asked < started:
+                if plan.asked.origin != self._started.origin:
+                    raise ReviewError(Sentence("executor.plan_elsewhere", plan=plan.id))
+                if plan.asked.at < self._started.at:
                     raise ReviewError(Sentence("executor.plan_older", plan=plan.id))
-                ahead = asked - now
-                if ahead > AHEAD:
-                    raise ReviewError(Sentence("executor.plan_ahead", plan=plan.id, ahead=ahead / NANOSECONDS))
                 if problem is not None:
                     raise problem
                 self._executor.offer(plan, way_back)
@@ -546,7 +541,9 @@ class ExecutorNode:
             return self._executor.resume()
 
     def _asked_until(self) -> int:
-        return self._readings.asked_until(now_ns(), time.monotonic_ns())
+        # where the clock cannot be read, whatever comes was asked for before
+        now = self._side_effects.run("the moment of an act", present)
+        return sys.maxsize if now is None else now.at
 
     def on_screen_resume(self, request: ResumeFromScreenRequest) -> Outcome:
         """Go on after a pause, unless what the person's screen had shown is too old, or older than a pause or stop."""
@@ -579,7 +576,6 @@ class ExecutorNode:
         reported = self._acts == self._acts_reported
         (_do if reported else self._side_effects.run)("the engagement", self.keep_engagement)
         with self._lock:
-            self._readings.note(now_ns(), time.monotonic_ns())
             self._executor.under_review.scene_alive = scene_alive
             obstacle = self._executor.approval_obstacle()
         if obstacle != self._obstacle:
@@ -699,9 +695,11 @@ class ExecutorNode:
         )
         standing = executor.limit.standing
         logged = LoggedState(executor.state, executor.cause, standing, executor.plan_start, executor.outcome)
-        # with the state: a stop that comes after this stamp is not known to the report
-        stamp = now_ns()
-        return Snapshot(fields, logged, executor.plan, executor.rate, limit.limit, limit.state, limit.reason, stamp)
+        # with the state: a stop that comes after this moment is not known to the report
+        moment = present()
+        return Snapshot(
+            fields, logged, executor.plan, executor.rate, limit.limit, limit.state, limit.reason, now_ns(), moment
+        )
 
     def _note_changes(self, now: Snapshot) -> None:
         if now.limit_state is not self._limit_state:
@@ -714,7 +712,7 @@ class ExecutorNode:
 
     def _publish_execution(self, now: Snapshot) -> None:
         report = execution_report(now.fields, now.plan, now.rate, now.limit, now.stamp)
-        self._outputs.execution.publish(to_msg(report, Execution))
+        self._outputs.execution.publish(to_msg(replace(report, moment=str(now.moment)), Execution))
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""

@@ -16,9 +16,8 @@ import pydantic
 import rospy
 from std_srvs.srv import Trigger
 
-from construction_twin.core.errors import PayloadError
+from construction_twin.core.errors import ConstructionTwinError, PayloadError
 from construction_twin.core.freshness import staleness
-from construction_twin.core.motion_errors import PlanningError
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
@@ -229,7 +228,7 @@ class MqttReview:
         """Show a plan; a work plan whose hash is not that of what would be shown is refused."""
         try:
             view = plan_view(message, self._tool)
-        except PlanningError as error:
+        except ConstructionTwinError as error:
             self._diagnostics.refuse("plan", str(error))
             return
         with self._lock:
@@ -377,16 +376,11 @@ def _run_queue(queue: RequestQueue) -> None:
 
 
 def _read_override(incoming: Incoming) -> ReviewRequest:
-    return _echoed(incoming, parse_override(incoming.payload, incoming.retained, incoming.account))
+    return parse_override(incoming.payload, incoming.retained, incoming.account)
 
 
 def _read_verdict(incoming: Incoming) -> ReviewRequest:
-    return _echoed(incoming, parse_review(incoming.payload, incoming.retained, incoming.account))
-
-
-def _echoed(incoming: Incoming, review: ReviewRequest) -> ReviewRequest:
-    incoming.echo |= {name: getattr(review, name) for name in ("plan_id", "plan_hash", "verdict", "reviewer")}
-    return review
+    return parse_review(incoming.payload, incoming.retained, incoming.account)
 
 
 def _refuse_nameless(review: ReviewRequest) -> Outcome:
@@ -394,9 +388,7 @@ def _refuse_nameless(review: ReviewRequest) -> Outcome:
 
 
 def _read_answer(incoming: Incoming) -> tuple[AnswerRequest, str]:
-    answer = parse_answer(incoming.read_document("answer", MAX_BYTES))
-    incoming.echo["task"] = answer.task
-    return answer, incoming.account
+    return parse_answer(incoming.read_document("answer", MAX_BYTES)), incoming.account
 
 
 def _read_speed(incoming: Incoming) -> tuple[SpeedRequest, str]:

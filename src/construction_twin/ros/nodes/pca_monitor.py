@@ -50,7 +50,7 @@ from construction_twin.ros.shared.ports import (
 )
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
 from construction_twin.ros.shared.transition_report import TransitionReport
-from construction_twin.ros.transport.joint_stream import from_time, now_ns, to_time
+from construction_twin.ros.transport.joint_stream import from_time, now_ns
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.objects import Scene
 from construction_twin.servo.file import read_servos
@@ -287,7 +287,7 @@ class PcaMonitorNode:
         with self._lock:
             if self._load is not None:
                 self._load.on_execution(active, message.at_boundary, message.expected_scene)
-        self._goals.on_execution(message.plan_id, message.state == Execution.PLAYING, from_time(message.header.stamp))
+        self._goals.on_execution(message.plan_id, message.state == Execution.PLAYING, message.moment)
 
     def _note_changes(self) -> None:
         """Take over the gate's transitions; when it has just closed ask once, beside the stream, for a plan to the old goal.
@@ -323,13 +323,13 @@ class PcaMonitorNode:
                 acceleration_scale=wanted.acceleration_scale,
                 source=Sentence("reason.replan_source", state=cause),
                 # not now: a person may have called `stop` since then, which this node has not heard of
-                asked=to_time(wanted.seen),
+                asked=wanted.seen,
             )
         except rospy.ServiceException as error:
             self._on_replan_failed(Sentence("reason.gate.planner_silent", problem=str(error)), violation)
             return
         if answer.success:
-            rospy.logwarn("re-planned from the held pose: %s; it waits for review", answer.message)
+            rospy.logwarn("re-planned from the held pose: %s", answer.message)
         else:
             self._on_replan_failed(answer.message, violation)
 

@@ -31,7 +31,6 @@ from construction_twin.robot.plan import Plan
 from construction_twin.robot.segments import Signal
 from construction_twin.ros.messages.convert import plan_to_msg, pose_from_msg, trajectory_from_msg
 from construction_twin.ros.messages.plan_requests import (
-    check_asked,
     plan_request,
     read_waypoints,
     tool_waypoints,
@@ -48,7 +47,7 @@ from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, Publication, Served, Subscription
 from construction_twin.ros.shared.request_handler import OccupiedSpace, RequestHandler
-from construction_twin.ros.transport.joint_stream import now_ns
+from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import product
@@ -165,11 +164,8 @@ class PlannerNode:
 
     def on_plan_to_joints(self, request: PlanToJointsRequest) -> Outcome:
         """Plan to joint positions."""
-        arrived = now_ns()
 
         def plan(asked: PlanRequest) -> Plan:
-            if request.asked:
-                check_asked(asked, arrived)
             return self._pipeline.to_joints(request.start or self._present_pose(), request.goal, asked)
 
         return self._requests.answer(plan, self._request(request))
@@ -215,7 +211,7 @@ class PlannerNode:
             changes.extend(segment.change for segment in segments)
             return lambda asked: self._pipeline.work(self._present_pose(), request.task, segments, asked)
 
-        asked = PlanRequest(str(uuid.uuid4()), now_ns(), request.source or f"task {request.task}")
+        asked = PlanRequest(str(uuid.uuid4()), present(), request.source or f"task {request.task}")
         return self._requests.answer_read(read, asked, changes)
 
     def on_plan_way_back(self, _request: TriggerRequest) -> Outcome:
@@ -239,13 +235,13 @@ class PlannerNode:
             return plan
 
         source = f"way back out of {left.segment!r}: {left.reason}" if left is not None else "way back"
-        asked = PlanRequest(str(uuid.uuid4()), now_ns(), source)
+        asked = PlanRequest(str(uuid.uuid4()), present(), source)
         return self._requests.answer_read(read, asked, back=True)
 
     def on_trajectory(self, msg: JointTrajectory) -> None:
         """Plan a motion from elsewhere; what becomes of it stands in `plan_outcome`."""
         caller = caller_of(msg)
-        asked = PlanRequest(str(uuid.uuid4()), now_ns(), f"joint_trajectory from {caller}")
+        asked = PlanRequest(str(uuid.uuid4()), present(), f"joint_trajectory from {caller}")
         self._requests.answer_read(self._through(msg), asked)
 
     def _through(self, msg: JointTrajectory, retime: bool = False) -> Callable[[], Callable[[PlanRequest], Plan]]:
@@ -258,11 +254,13 @@ class PlannerNode:
         return read
 
     def _request(self, request, source: str = "request") -> PlanRequest:
-        return plan_request(request, str(uuid.uuid4()), now_ns(), source)
+        return plan_request(request, str(uuid.uuid4()), present(), source)
 
     def _publish(self, plan: Plan, changes: Sequence[SceneChange]) -> str:
         tool_path = np.array([self._chain.forward(q).position for q in plan.trajectory.positions])
-        self._publisher.publish(plan_to_msg(plan, self._frames.base, tool_path, changes))
+        message = plan_to_msg(plan, self._frames.base, tool_path, changes)
+        message.header.stamp = rospy.Time.now()
+        self._publisher.publish(message)
         self._plans += 1
         return _sentence(plan)
 

@@ -15,6 +15,9 @@ from construction_twin.ros.shared.gateway_config import config_from_parameters
 from construction_twin.ros.shared.master import wait_for_master
 from construction_twin.ros.shared.params import ros_home
 
+#: In the robot's namespace, by the launch file: the arm is a mock, another one in each launch, and nobody has stopped it yet.
+NEW_ARM = "gateway_new_arm"
+
 
 def main() -> None:
     """Start the gateway on this machine as roslaunch would start a node; ROS ends where the gateway begins."""
@@ -27,7 +30,12 @@ def main() -> None:
     # one file per node and ROS master: two masters of one user must not hand each other's configuration over
     name = re.sub(r"\W+", "_", f"{rosgraph.get_master_uri()} {rospy.get_name()}")
     path = ros_home() / f"{name}.json"
+    stops = path.with_suffix(".stopped")
+    if rospy.get_param(NEW_ARM, False):
+        stops.unlink(missing_ok=True)
+        rospy.set_param(NEW_ARM, False)
     write_whole(path, config.to_json())
     rospy.signal_shutdown("handing over to the gateway")
     arguments = rospy.myargv(sys.argv)[1:]
-    os.execv(sys.executable, [sys.executable, "-m", "construction_twin.gateway", "--config", str(path), *arguments])
+    files = ["--config", str(path), "--stop-file", str(stops)]
+    os.execv(sys.executable, [sys.executable, "-m", "construction_twin.gateway", *files, *arguments])

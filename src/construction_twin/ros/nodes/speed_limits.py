@@ -1,11 +1,12 @@
 """speed_limits: merges what limits the speed; executor and bridge hear it alone. The lowest wins, and is repeated.
 
 Sources: one program on `speed_limit`, and people by the service `limit_speed`, which `mqtt_review` calls. What people set is kept
-in a file, so that a restart raises nothing. Not safety rated.
+in a file, so that a restart raises nothing: a raise is in force once it is on the disk, a lower limit at once. Not safety rated.
 """
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Mapping
@@ -17,7 +18,7 @@ import pydantic
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
-from construction_twin.core.files import read_file, write_whole
+from construction_twin.core.files import read_file, write_in_place
 from construction_twin.core.reports import SpeedChange, SpeedReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
@@ -55,8 +56,10 @@ from construction_twin.srv import LimitSpeed, LimitSpeedRequest
 PROGRAM = "speed_limit_program"
 #: A file that could not be written is tried again, and lines are written to the log, after this time [s].
 _AGAIN = 0.5
-#: Largest file that is read [bytes].
-MOST = 1 << 16
+#: So long the answer to a lower limit, which acts already, waits for the disk [s]: one that hangs holds up no lower one.
+PATIENCE = 0.5
+#: Largest file that is read, and the least that it has [bytes].
+MOST, ROOM = 1 << 16, 4096
 
 
 class Settings(pydantic.BaseModel):
@@ -80,6 +83,9 @@ class SourceRules(pydantic.BaseModel):
 class LimitFile:
     """The file in which the limit of people outlasts the node.
 
+    It has its room from the first start on and is written in place, so a disk that is full later takes every limit. Beside it lies
+    a mark that there was one: what is not there any more is not known.
+
     Args:
         path: None: it ends with the node.
     """
@@ -88,23 +94,29 @@ class LimitFile:
         self._path = path
 
     def read(self) -> PeopleLimit:
-        """Return what people had set; the least where that is not known."""
+        """Return what people had set; the least where that is not known, or where no other could be kept."""
         if self._path is None:
             return PeopleLimit()
+        mark = self._path.with_suffix(".mark")
         try:
-            return kept(str(self._path), read_file(self._path, MOST).decode("utf-8"))
-        except FileNotFoundError:
-            return PeopleLimit()
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            is_first = not mark.exists() and not self._path.exists()
+            mark.touch()
+            people = PeopleLimit() if is_first else kept(str(self._path), read_file(self._path, MOST).decode("utf-8"))
+            write_in_place(self._path, people.to_text(), ROOM)
         except (OSError, UnicodeDecodeError, ConfigurationError) as error:
             return unreadable(str(error))
+        return people
 
     def write(self, people: PeopleLimit) -> str:
-        """Write it; return why that was not possible, "" when it was."""
+        """Write it; return why that was not possible, "" when it was. What could not be written is not known after a restart."""
         if self._path is None:
             return ""
         try:
-            write_whole(self._path, people.to_text())
+            write_in_place(self._path, people.to_text(), ROOM)
         except OSError as error:
+            with contextlib.suppress(OSError):
+                self._path.unlink()
             path, problem = str(self._path), error.strerror or str(error)
             return Sentence("link.speed.not_written", path=path, problem=problem)
         return ""
@@ -130,13 +142,16 @@ class SpeedLimitsNode:
         diagnostics: NodeDiagnostics,
     ):
         self._limits = limits
-        self._file, self._kept, self._problem = file, limits.people, ""
+        self._file, self._problem = file, ""
+        # what the file holds; None: it is not known. The lock is held while the disk is waited for
+        self._kept: PeopleLimit | None = limits.people
+        self._file_lock = threading.Lock()
         self._memory = memory
         self._publisher, self._changes = in_force, changes
         self._diagnostics = diagnostics
         # also orders what is published: the last message is what was decided last
         self._lock = threading.Lock()
-        self._news = threading.Event()
+        self._news, self._tried = threading.Event(), threading.Condition()
         self._log = DeferredLog()
         self._state: LimitState | None = None
         self._told: SpeedReport | None = None
@@ -151,15 +166,21 @@ class SpeedLimitsNode:
 
     def write(self) -> None:
         """Write what has changed."""
-        people = self._limits.people
-        # an unreadable file stays as it is until a person has set a limit
-        if people != self._kept:
-            self._problem = self._file.write(people)
-            if self._problem:
-                rospy.logerr_throttle(5.0, "%s", self._problem)
-            else:
-                self._kept = people
+        with self._file_lock:
+            people = self._limits.people
+            # an unreadable file stays as it is until a person has set a limit
+            if people != self._kept:
+                self._write(people)
+        with self._tried:
+            self._tried.notify_all()
         self._log.flush()
+
+    def _write(self, people: PeopleLimit) -> None:
+        """Write a limit, which nobody else does meanwhile."""
+        self._problem = self._file.write(people)
+        self._kept = None if self._problem else people
+        if self._problem:
+            rospy.logerr_throttle(5.0, "%s", self._problem)
 
     def on_program(self, message: SpeedLimitMessage) -> None:
         """Take what a program allows; it is in force at once."""
@@ -172,21 +193,40 @@ class SpeedLimitsNode:
             self._diagnostics.refuse(error.reason, str(error))
 
     def on_limit_speed(self, request: LimitSpeedRequest) -> Outcome:
-        """Take what a person sets: it is in force before the answer, and before anything is written."""
+        """Take what a person sets: a lower limit is in force before anything is written, a higher one is written first."""
+        given = request.limit, request.person, request.moment
         try:
+            if self._is_raise(request.limit):
+                self._keep_raise(*given)
             with self._lock:
                 before = self._limits.people
-                sentence = self._limits.set(request.limit, request.person, request.moment, present(), now_ns())
+                sentence = self._limits.set(*given, present(), now_ns())
                 self._publish()
                 if self._limits.people != before:
                     self._tell_change(self._limits.people)
         except (PayloadError, ExpiredError) as error:
             expired = isinstance(error, ExpiredError)
             self._diagnostics.refuse(error.reason if isinstance(error, PayloadError) else TOO_OLD, str(error))
+            # a raise that somebody has overtaken is on the disk
+            self._news.set()
             return Outcome(False, str(error), expired, {"limit": self._limits.people.limit})
         self._log.add(rospy.loginfo, "%s: %s", request.person, sentence)
         self._news.set()
+        with self._tried:
+            self._tried.wait_for(lambda: self._kept == self._limits.people or self._problem, PATIENCE)
         return Outcome(True, sentence, fields={"limit": self._limits.people.limit})
+
+    def _is_raise(self, limit: float) -> bool:
+        return limit > self._limits.people.limit
+
+    def _keep_raise(self, limit: float, person: str, moment: str) -> None:
+        """Write a higher limit before it is in force; PayloadError (``file``) when it cannot be, or as `SpeedLimits.set`."""
+        with self._file_lock:
+            with self._lock:
+                wanted = self._limits.asked(limit, person, moment, present(), now_ns())
+            self._write(wanted)
+            if self._problem:
+                raise PayloadError("file", Sentence("link.speed.not_raised", problem=self._problem))
 
     def repeat(self) -> None:
         """Publish what is in force again, and notice a program's silence; to be called at `rate`."""

@@ -30,7 +30,6 @@ from construction_twin.ros.shared.pose_judge import PoseJudge
 from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.ros.shared.request_queue import NewestQueue, RequestQueue
 from construction_twin.ros.shared.robot_clock import present
-from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.persistent_service import call
 
 #: Accounts whose poses wait at once; each has one at most.
@@ -58,11 +57,11 @@ class RobotContext:
 
 @dataclass(frozen=True)
 class _PlanAsked:
-    """A plan request, who asked (for the reviewer), and when it arrived [ns of ROS time]."""
+    """A plan request, who asked (for the reviewer), and when it arrived."""
 
     asked: GoalRequest
     account: str
-    arrived: int
+    arrived: Moment
 
 
 class ConsoleRequests:
@@ -124,9 +123,8 @@ class ConsoleRequests:
 
     def _read_plan_request(self, incoming: Incoming) -> _PlanAsked:
         asked = parse_plan_request(incoming.read_document("plan_request", MAX_BYTES), self._joints)
-        incoming.echo["kind"] = asked.kind
         self._demand_fresh(asked)
-        return _PlanAsked(asked, incoming.account, now_ns())
+        return _PlanAsked(asked, incoming.account, self._around.clock())
 
     def _carry_out(self, request: _PlanAsked) -> Outcome:
         # it may have waited too long for its turn
@@ -138,7 +136,7 @@ class ConsoleRequests:
         if kind == "work_task" and not self._around.has_work():
             return Outcome(False, Sentence("link.no_work"))
         # a stop between the message and its turn voids the plan
-        source, arrived = self._source_of(request.account), to_time(request.arrived)
+        source, arrived = self._source_of(request.account), str(request.arrived)
         fields = PLAN_SERVICES[kind].fields(asked, source=source, asked=arrived)
         return Outcome.of(call(self._services[kind], "its node", **fields))
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Generic, TypeVar
 
@@ -20,9 +20,8 @@ from paho.mqtt.client import MQTTMessage
 from construction_twin.core.errors import PayloadError, ServiceSilentError
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.remote_trajectory import request_id
 from construction_twin.mqtt.json_fields import read_document
-from construction_twin.mqtt.messages import Topics, account_of
+from construction_twin.mqtt.messages import Topics, account_of, identity_of
 from construction_twin.mqtt.requests import RequestKind
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.outcome import Outcome
@@ -42,19 +41,24 @@ class Incoming:
     Attributes:
         account: Of the topic; "" where it names none.
         retained: The message's retain flag.
-        echo: Fields of the answer, by name; who reads the message fills in each as soon as it is known.
+        document: What `read_document` has read.
     """
 
     account: str
     payload: bytes
     retained: bool
-    echo: dict[str, str] = field(default_factory=dict)
+    document: dict[str, Any] | None = None
 
     def read_document(self, what: str, limit: int, parameter: str = "") -> dict[str, Any]:
-        """Return the JSON object of a request whose answer repeats its id; PayloadError, and arguments, as of `json_fields`."""
-        document = read_document(self.payload, self.retained, what, limit, parameter)
-        self.echo["id"] = request_id(document)
-        return document
+        """Return the JSON object of a request; PayloadError, and arguments, as of `json_fields`."""
+        self.document = read_document(self.payload, self.retained, what, limit, parameter)
+        return self.document
+
+    @property
+    def identity(self) -> dict[str, str]:
+        """What an answer repeats of the message, with its account."""
+        named = dict.fromkeys(("account", "sender", "reviewer"), self.account) if self.account else {}
+        return identity_of(self.payload, self.document) | named
 
 
 class Outlets:
@@ -175,7 +179,7 @@ class Endpoint(Generic[Asked]):
             self._publish(incoming, answer)
         self._count_refusal(
             REPEATED,
-            f"{self._kind.name} {incoming.echo.get('id', '')!r} came again soon after its answer, or before it",
+            f"{self._kind.name} {incoming.identity.get('id', '')!r} came again soon after its answer, or before it",
         )
 
     def _act_and_answer(self, incoming: Incoming, asked: Asked) -> bytes:
@@ -204,10 +208,9 @@ class Endpoint(Generic[Asked]):
         return answer
 
     def _payload(self, incoming: Incoming, outcome: Outcome) -> bytes:
-        known = dict.fromkeys(("account", "sender", "reviewer"), incoming.account)
         said = dict.fromkeys(("reason", "sentence"), outcome.message)
         done = {"ok": outcome.success, "expired": outcome.expired, "by": self._kind.by}
-        return self._kind.payload(**{**known, **said, **done, **incoming.echo, **outcome.fields})
+        return self._kind.payload(**{**incoming.identity, **said, **done, **outcome.fields})
 
     def _publish(self, incoming: Incoming, answer: bytes) -> None:
         if self._kind.is_answered_to(incoming.account):

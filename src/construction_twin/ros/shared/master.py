@@ -24,6 +24,8 @@ NODE_TIMEOUT = 2.0
 ANSWER = 0.4
 #: What to do when there is none.
 TO_DO = Sentence("view.to_do.master")
+#: The parameter by which ROS takes its time from the topic /clock.
+SIMULATED = "/use_sim_time"
 #: How often a master that does not answer is asked again [s].
 _POLL = 0.5
 _CALLER = "/construction_twin"
@@ -117,6 +119,20 @@ def wait_for_master(name: str) -> None:
                 print(f"{name} waits: {error}", file=sys.stderr, flush=True)
             said = True
         time.sleep(_POLL)
+
+
+def expect_wall_clock(uri: str) -> None:
+    """Check that a master gives no simulated time; without a master there is none.
+
+    Raises:
+        ConfigurationError: It does, by /use_sim_time; with what to do.
+    """
+    try:
+        _, is_simulated = ask(uri, TIMEOUT, "getParam", SIMULATED)
+    except FAILURES:
+        return
+    if is_simulated is True:
+        raise ConfigurationError(SIMULATED, True, Sentence("expected.wall_clock"))
 
 
 def publishing_nodes(topic: str) -> list[str]:

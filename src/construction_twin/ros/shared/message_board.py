@@ -97,5 +97,4 @@ class MessageBoard:
 
 def _read(incoming: Incoming) -> tuple[str, str]:
     asked = parse_acknowledgement(incoming.read_document("acknowledge", MAX_BYTES))
-    incoming.echo["message"] = asked.message
     return asked.message, incoming.account

@@ -31,7 +31,7 @@ from rosgraph.roslogging import RosStreamHandler
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.realtime import release_realtime, request_realtime
-from construction_twin.ros.shared.master import await_master, wait_for_master
+from construction_twin.ros.shared.master import await_master, expect_wall_clock, wait_for_master
 
 #: Exit code of a process that an unexpected exception has ended.
 UNFORESEEN = 1
@@ -75,6 +75,7 @@ def _serve(name: str, start: Callable[[], object]) -> None:
     threading.excepthook = end_on_error
     _report_lines_that_cannot_be_written()
     try:
+        expect_wall_clock(rosgraph.get_master_uri())
         node = start()
         rospy.on_shutdown(release_realtime)
         rospy.loginfo(request_realtime(rospy.get_param("~realtime_priority", 0)))

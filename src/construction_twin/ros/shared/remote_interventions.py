@@ -27,7 +27,7 @@ from construction_twin.ros.transport.persistent_service import call, call_twice
 
 #: What may wait while one is carried out, for each of the verbs.
 WAITING = 8
-#: Of what starts something, requests that are remembered: QoS 1 may deliver twice, and a recording can be replayed.
+#: Of each verb that starts something, requests that are remembered: QoS 1 may deliver twice, and a recording can be replayed.
 MEMORY = 1000
 #: Who offers the services, for sentences.
 EXECUTOR, BRIDGE = "the executor", "the bridge"
@@ -55,9 +55,8 @@ def remote_interventions(
         services: Of each verb; one that starts something takes `moment`, and the bridge's the `person`; others may be called twice.
     """
     queues = {kind.name: RequestQueue(WAITING) for kind in PRESSED}
-    known: deque[Intervention] = deque(maxlen=MEMORY)
 
-    def start(kind: RequestKind, wanted: Intervention) -> Outcome:
+    def start(kind: RequestKind, known: deque[Intervention], wanted: Intervention) -> Outcome:
         if wanted in known:
             # it must not start again what was paused since
             names = {"verb": wanted.verb, "id": repr(wanted.id), "account": wanted.account}
@@ -72,16 +71,15 @@ def remote_interventions(
 
     def endpoint(kind: RequestKind) -> Endpoint[Intervention]:
         read, queue = partial(_read, kind.name), queues[kind.name]
-        act = partial(start if kind.starts else brake, kind)
+        # each verb remembers its own: the thread of another one may not add to what is looked through
+        act = partial(start, kind, deque(maxlen=MEMORY)) if kind.starts else partial(brake, kind)
         return Endpoint(kind, topics, read, act, counts, outlets, _describe, lambda _: queue)
 
     return RemoteInterventions(tuple(map(endpoint, PRESSED)), queues)
 
 
 def _read(verb: str, incoming: Incoming) -> Intervention:
-    wanted = parse_intervention(verb, incoming.account, incoming.payload, incoming.retained)
-    incoming.echo["id"] = wanted.id
-    return wanted
+    return parse_intervention(verb, incoming.account, incoming.payload, incoming.retained)
 
 
 def _describe(wanted: Intervention) -> str:

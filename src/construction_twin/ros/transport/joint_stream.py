@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 
 import genpy
-import rospy
 from sensor_msgs.msg import JointState
 
 from construction_twin.core.errors import PayloadError
@@ -33,9 +32,8 @@ def from_time(time: genpy.Time) -> int:
 
 
 def now_ns() -> int:
-    """Return ROS time in ns."""
-    # of a wall clock without the objects that rospy makes of it
-    return time.time_ns() if rospy.rostime.is_wallclock() else from_time(rospy.Time.now())
+    """Return ROS time in ns: no node runs on simulated time (`shared.master.expect_wall_clock`)."""
+    return time.time_ns()
 
 
 def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ...]:

@@ -1,7 +1,8 @@
 """Bodies of products as triangles, by ifcopenshell's geometry kernel, and as extrusions where they are one.
 
-Triangles are in the element's frame [m], openings cut out. An extrusion is given only when its bounding box and volume are those of
-the kernel's triangles: the two know nothing of each other.
+Triangles are in the element's frame [m], openings cut out (by manifold3d: the kernel leaves away what it cannot cut). An extrusion
+is given only when its bounding box and volume are those of the kernel's triangles: the two know nothing of each other. For a body
+that nobody can be sure of stands its bounding box.
 """
 
 from __future__ import annotations
@@ -9,21 +10,29 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import coal
 import ifcopenshell
 import ifcopenshell.geom
+import manifold3d
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
-from construction_twin.scene.triangle_mesh import hull_mesh, surface
+from construction_twin.scene.solids import mesh_of, solid
 from construction_twin.work.building import Body, Extrusion
-from construction_twin.work.ifc.notes import Notes, Where
+from construction_twin.work.ifc.notes import Misread, Notes, Where
 from construction_twin.work.ifc.profiles import is_curved
-from construction_twin.work.ifc.representations import Item, Items, corners_of, crosses_itself, extent, extrusion
+from construction_twin.work.ifc.representations import (
+    Item,
+    Items,
+    body_of,
+    corners_of,
+    crosses_itself,
+    extent,
+    extrusion,
+    reach,
+)
 from construction_twin.work.mesh_checks import is_closed, volume
 
 #: Triangles of a file.
@@ -38,13 +47,17 @@ _ANGLE = 0.5
 _SAME = 1e-5
 _SAME_VOLUME = 1e-5
 _CURVED_VOLUME = 0.06
-#: Corners that are closer are one where that closes a body [m, at 1 m].
-_ROUNDING = 1e-9
+#: By how much an opening is larger than it is given [m], so that no skin is left where a face of it lies in one of the element's.
+_GROWN = 1e-7
+#: By what part of it openings take volume away at least.
+_SHRUNK = 1e-12
+#: By how much bodies may have more volume than the hull around them, as a part of it.
+_OVERLAP = 1e-3
+#: By how much volumes may differ that are the same, as a part of one.
+_ROUNDING = 1e-6
 #: Pieces that are nearer touch [m]; smaller ones [m³] are rounding of the kernel's.
 _TOUCH = 1e-4
 _CRUMB = 1e-9
-#: The message of the kernel's after which a part of a shape that crosses another is missing.
-MISSING_CODE = "GEO161"
 #: Messages of the kernel's after which its lengths are none.
 NO_UNIT_CODES = ("GEO308", "GEO309", "GEO312")
 #: Items that have a surface: one that gives no triangle is missed.
@@ -61,114 +74,196 @@ class Shape:
     Attributes:
         id: The product's.
         bodies: In the frame of `model_T_shape`.
-        model_T_shape: Shape (4, 4). [m]
-        doubt: Why the bodies are not one workpiece as the model says, and what stands for it: one hull around everything it can
+        model_T_shape: Shape (4, 4) [m]; None: the element's own frame.
+        doubt: Why the bodies are not one workpiece as the model says, and what stands for it: the box around everything it can
             mean, or, of an element in pieces, its bodies. Empty: they are.
     """
 
     id: int
     bodies: tuple[Body, ...]
-    model_T_shape: np.ndarray
+    model_T_shape: np.ndarray | None
     doubt: str = ""
 
-    def doubted(self, why: str) -> Shape:
-        """Return the shape with a hull in place of its bodies."""
-        points = [body.vertices for body in self.bodies]
-        return replace(self, bodies=hull(np.concatenate(points)) if points else (), doubt=why)
+    def doubted(self, why: str, within: float) -> Shape:
+        """Return the shape with a box in place of its bodies.
+
+        Args:
+            within: What is not made reaches this far from the origin of the frame [m].
+        """
+        points = [body.vertices for body in self.bodies] + (
+            [within * np.array([[-1.0] * 3, [1.0] * 3])] if within else []
+        )
+        return replace(self, bodies=(box(np.concatenate(points)),) if points else (), doubt=why)
 
 
 def shapes(
     file: ifcopenshell.file,
     name: str,
     bodies: Mapping[int, ifcopenshell.entity_instance],
-    cut: frozenset[int],
+    openings: Mapping[int, Sequence[tuple[ifcopenshell.entity_instance, bool]]],
     unit: float,
     notes: Notes,
     progress: Callable[[int, int], None],
 ) -> Iterator[Shape]:
-    """Make the bodies of products.
+    """Make the bodies of products; one of which nothing is made has none, and is doubted.
 
     Args:
         name: For messages.
         bodies: Body representation by the product's id.
-        cut: Products that something is cut from.
+        openings: What is cut from a product, by its id, and whether that is an opening of its own: else of what it is a part of.
         unit: Metres per length unit.
         progress: Takes how many are done, of how many.
 
     Raises BuildingError.
     """
-    if not bodies:
-        return
     items = Items(name)
     for representation in bodies.values():
         items.check(representation)
-    contexts = {representation.ContextOfItems.id() for representation in bodies.values()}
-    made = set()
-    total = 0
-    iterator = ifcopenshell.geom.iterator(
-        _settings(contexts), file, 1, include=[file.by_id(product) for product in bodies]
-    )
+    cuts = {each.id(): body for given in openings.values() for each, _ in given if (body := body_of(each)) is not None}
+    for representation in cuts.values():
+        items.check(representation)
+    holes = {made.id: made for made in _made(file, name, cuts)}
     progress(0, len(bodies))
+    missing = dict(bodies)
+    for made in _made(file, name, bodies):
+        representation = bodies[made.id]
+        given = [(each.id(), own) for each, own in openings.get(made.id, ()) if each.id() in cuts]
+        try:
+            with Where(name, file.by_id(made.id)):
+                resolved = items.resolved(representation)
+                yield _shape(made, resolved, given, holes, unit, file.by_id(made.id).GlobalId, notes)
+                del missing[made.id]
+        except Misread:
+            # told as what is missing
+            pass
+        progress(len(bodies) - len(missing), len(bodies))
+    for number, representation in missing.items():
+        # one of lines alone has nothing to touch
+        if any(_has_surface(part) for part in file.traverse(representation)):
+            yield Shape(number, (), None).doubted(Sentence("ifc.doubt.nothing"), reach(representation) * unit)
+
+
+@dataclass(frozen=True)
+class _Made:
+    """What the kernel made of a product: triangles, and for each of them the number of the item that it is of."""
+
+    id: int
+    vertices: np.ndarray
+    triangles: np.ndarray
+    owners: np.ndarray
+    matrix: np.ndarray
+
+
+def _made(file: ifcopenshell.file, name: str, bodies: Mapping[int, ifcopenshell.entity_instance]) -> Iterator[_Made]:
+    """Give what the kernel makes of representations, nothing cut out; each once, and only what has triangles."""
+    if not bodies:
+        return
+    contexts = {representation.ContextOfItems.id() for representation in bodies.values()}
+    products = [file.by_id(product) for product in bodies]
+    iterator = ifcopenshell.geom.iterator(_settings(contexts), file, 1, include=products)
+    done: set[int] = set()
+    total = 0
     more = iterator.initialize()
     while more:
         shape = iterator.get()
-        if shape.id in bodies and shape.id not in made:
-            product = file.by_id(shape.id)
-            with Where(name, product):
-                vertices, triangles, owners = _arrays(shape.geometry)
-                total += len(triangles)
-                check_mesh(name, product, vertices, total)
-                resolved = items.resolved(bodies[shape.id])
-                crossed = _crossed(resolved, unit)
-                less = _less(resolved, owners)
-                resolved = [] if shape.id in cut else resolved
-                if crossed:
-                    found = hull(np.concatenate([vertices, *crossed]))
-                elif less:
-                    found = hull(vertices)
-                else:
-                    found = tuple(_bodies(vertices, triangles, owners, resolved, unit, product.GlobalId, notes))
+        # a product with two bodies in two contexts comes twice: the one that was chosen is looked for
+        if shape.id in bodies and shape.id not in done and _is_of(shape.geometry.id, bodies[shape.id]):
+            done.add(shape.id)
+            vertices, triangles, owners = _arrays(shape.geometry)
+            total += len(triangles)
+            check_mesh(name, file.by_id(shape.id), vertices, total)
+            if len(triangles):
                 matrix = np.array(shape.transformation.matrix, dtype=float).reshape(4, 4, order="F")
-            # a product with two bodies in two contexts comes twice: the one that was chosen is looked for
-            if _is_of(shape.geometry.id, bodies[shape.id]):
-                made.add(shape.id)
-                progress(len(made), len(bodies))
-                pieces = pieces_of(found) if shape.id in cut and not (crossed or less) else 1
-                yield Shape(shape.id, found, matrix, _doubt(bool(crossed), less, pieces))
+                yield _Made(shape.id, vertices.copy(), triangles.copy(), owners.copy(), matrix)
         more = bool(iterator.next())
+    # one that it cannot place keeps it from all others
+    left = {one: body for one, body in bodies.items() if one not in done} if len(bodies) > 1 else {}
+    for one, body in left.items():
+        yield from _made(file, name, {one: body})
+
+
+def _shape(
+    made: _Made, items: list[Item], openings: Sequence[tuple[int, bool]], holes: Mapping[int, _Made],
+    unit: float, about: str, notes: Notes,
+) -> Shape:  # fmt: skip
+    bodies = tuple(_bodies(made, [] if openings else items, unit, about, notes))
+    shape = Shape(made.id, bodies, made.matrix)
+    if crossed := _crossed(items, unit):
+        return replace(
+            shape, bodies=(box(np.concatenate([made.vertices, *crossed])),), doubt=Sentence("ifc.doubt.crossed")
+        )
+    if less := _less(items, made.owners):
+        within = max((reach(item.entity) for item in items), default=0.0) * unit
+        return shape.doubted(Sentence("ifc.doubt.less", problem=less), within)
+    if not all(map(_is_simple, bodies)):
+        return shape.doubted(Sentence("ifc.doubt.within"), 0.0)
+    if openings:
+        cut = _cut(shape, openings, holes)
+        if cut is None:
+            return shape.doubted(Sentence("ifc.doubt.uncut"), 0.0)
+        shape = replace(shape, bodies=cut)
+        if (pieces := pieces_of(cut)) > 1:
+            return replace(shape, doubt=Sentence("ifc.doubt.in_pieces", count=pieces))
+    whole = sum(volume(body.vertices, body.triangles) for body in shape.bodies if is_closed(body.triangles))
+    if whole > _hull_volume(made.vertices) * (1.0 + _OVERLAP):
+        return shape.doubted(Sentence("ifc.doubt.more"), 0.0)
+    return shape
+
+
+def _hull_volume(vertices: np.ndarray) -> float:
+    return float(manifold3d.Manifold.hull_points(np.ascontiguousarray(vertices)).volume())
+
+
+def _is_simple(body: Body) -> bool:
+    """Return whether no part of a closed body lies within another one but as a cavity, turned inwards."""
+    pieces = _split(body.triangles) if is_closed(body.triangles) else []
+    if len(pieces) < 2:
+        return True
+    whole, cavities = manifold3d.Manifold(), manifold3d.Manifold()
+    for piece in pieces:
+        found = solid(body.vertices, piece)
+        if found is None:
+            return False
+        if volume(body.vertices, piece) > 0:
+            whole += found
+        else:
+            cavities += found
+    enclosed = volume(body.vertices, body.triangles)
+    return abs((whole - cavities).volume() - enclosed) <= _ROUNDING * enclosed
+
+
+def _cut(shape: Shape, openings: Sequence[tuple[int, bool]], holes: Mapping[int, _Made]) -> tuple[Body, ...] | None:
+    """Return the bodies less openings; None: one cannot be cut out, or is the element's own and takes nothing away, or all."""
+    solids = [one for body in shape.bodies if (one := solid(body.vertices, body.triangles)) is not None]
+    if len(solids) < len(shape.bodies) or shape.model_T_shape is None:
+        return None
+    less = solids
+    for number, own in openings:
+        if number not in holes:
+            return None
+        hole, before = holes[number], sum(one.volume() for one in less)
+        shape_T_hole = np.linalg.inv(shape.model_T_shape) @ hole.matrix
+        points = hole.vertices @ shape_T_hole[:3, :3].T + shape_T_hole[:3, 3]
+        middle, size = 0.5 * (points.max(axis=0) + points.min(axis=0)), np.ptp(points, axis=0).max()
+        points = middle + (points - middle) * (1.0 + 2 * _GROWN / size)
+        for owner in np.unique(hole.owners):
+            tool = solid(points, hole.triangles[hole.owners == owner])
+            if tool is None:
+                return None
+            less = [one - tool for one in less]
+        if own and sum(one.volume() for one in less) > before * (1.0 - _SHRUNK):
+            return None
+    made_of = [mesh_of(one) for one in less if one.volume() > _CRUMB]
+    return tuple(Body(vertices, triangles.astype(np.int32)) for vertices, triangles in made_of) or None
 
 
 def pieces_of(bodies: Sequence[Body]) -> int:
-    """Return into how many pieces that do not touch each other the closed ones of these bodies fall.
-
-    Args:
-        bodies: Normals outwards.
-    """
-    pieces = [
-        (body.vertices[used], corners.reshape(-1, 3))
-        for body in bodies
-        if is_closed(body.triangles)
-        for used, corners in (np.unique(part, return_inverse=True) for part in _split(body.triangles))
-    ]
+    """Return into how many pieces that do not touch each other the closed ones of these bodies fall."""
+    solids = [one for body in bodies if (one := solid(body.vertices, body.triangles)) is not None]
     # the wall of a cavity is turned inwards
-    pieces = [piece for piece in pieces if volume(*piece) > _CRUMB]
-    if len(pieces) < 2:
-        return len(pieces)
-    low = np.array([vertices.min(axis=0) for vertices, _ in pieces]) - _TOUCH
-    high = np.array([vertices.max(axis=0) for vertices, _ in pieces])
-    meshes = [surface(*piece) for piece in pieces]
-    groups = list(range(len(pieces)))
-    for one in range(len(pieces)):
-        near = (low[one] <= high[one + 1 :]).all(axis=1) & (low[one + 1 :] <= high[one]).all(axis=1)
-        for other in (one + 1 + np.flatnonzero(near)).tolist():
-            if groups[one] != groups[other] and _touch(meshes[one], meshes[other]):
-                groups = [groups[one] if group == groups[other] else group for group in groups]
-    return len(set(groups))
-
-
-def _touch(one: coal.BVHModelOBBRSS, other: coal.BVHModelOBBRSS) -> bool:
-    identity = coal.Transform3s.Identity()
-    return bool(coal.distance(one, identity, other, identity, coal.DistanceRequest(), coal.DistanceResult()) <= _TOUCH)
+    pieces = [piece for one in solids for piece in one.decompose() if piece.volume() > _CRUMB]
+    touching = np.array([[one.min_gap(other, 2 * _TOUCH) <= _TOUCH for other in pieces] for one in pieces], dtype=bool)
+    return int(connected_components(touching, directed=False)[0]) if pieces else 0
 
 
 def _less(items: list[Item], owners: np.ndarray) -> str:
@@ -177,9 +272,13 @@ def _less(items: list[Item], owners: np.ndarray) -> str:
     missing = [
         f"#{item.entity.id()}={item.entity.is_a()}"
         for item in items
-        if any(item.entity.is_a(kind) for kind in _SURFACES) and made.isdisjoint(_numbers(item.entity))
+        if _has_surface(item.entity) and made.isdisjoint(_numbers(item.entity))
     ]
     return ", ".join(dict.fromkeys(missing[:3]))
+
+
+def _has_surface(item: ifcopenshell.entity_instance) -> bool:
+    return any(item.is_a(kind) for kind in _SURFACES)
 
 
 def _numbers(item: ifcopenshell.entity_instance) -> set[int]:
@@ -195,17 +294,12 @@ def _crossed(items: list[Item], unit: float) -> list[np.ndarray]:
     return [corners_of(each) for each in given if each is not None and crosses_itself(each)]
 
 
-def hull(points: np.ndarray) -> tuple[Body, ...]:
-    """Return the convex hull of points as one body; none where they lie in a plane.
-
-    Args:
-        points: Shape (n, 3)
-    """
-    try:
-        vertices, triangles = hull_mesh(ConvexHull(points))
-    except QhullError:
-        return ()
-    return (Body(vertices, triangles.astype(np.int32)),)
+def box(points: np.ndarray) -> Body:
+    """Return the box around points, shape (n, 3), and around curved surfaces that have corners there [m]."""
+    low, high = points.min(axis=0) - DEFLECTION, points.max(axis=0) + DEFLECTION
+    corners = manifold3d.Manifold.cube(high - low).translate(low)
+    vertices, triangles = mesh_of(corners)
+    return Body(vertices, triangles.astype(np.int32))
 
 
 def _is_of(geometry: str, representation: ifcopenshell.entity_instance) -> bool:
@@ -224,7 +318,9 @@ def _settings(contexts: set[int]) -> ifcopenshell.geom.settings:
     settings.set("context-ids", sorted(contexts))
     settings.set("no-normals", True)
     settings.set("weld-vertices", True)
-    settings.set("reorient-shells", True)
+    settings.set("disable-opening-subtractions", True)
+    # in 2D, what is cut away whole stands whole
+    settings.set("boolean-attempt-2d", False)
     settings.set("mesher-linear-deflection", DEFLECTION)
     settings.set("mesher-angular-deflection", _ANGLE)
     return settings
@@ -251,37 +347,20 @@ def check_mesh(name: str, product: ifcopenshell.entity_instance, vertices: np.nd
         raise BuildingError(name, what, Sentence("ifc.found.corners"), Sentence("ifc.at_most", most=FARTHEST))
 
 
-def _bodies(
-    vertices: np.ndarray,
-    triangles: np.ndarray,
-    owners: np.ndarray,
-    items: list,
-    unit: float,
-    about: str,
-    notes: Notes,
-) -> Iterator[Body]:
+def _bodies(made: _Made, items: list[Item], unit: float, about: str, notes: Notes) -> Iterator[Body]:
     exact: dict[int, list[tuple[Extrusion | None, bool]]] = {}
     for item in items:
         curved = item.entity.is_a("IfcSweptAreaSolid") and is_curved(item.entity.SweptArea)
         exact.setdefault(item.entity.id(), []).append((extrusion(item, unit), curved))
-    for owner in dict.fromkeys(owners.tolist()):
-        part = triangles[owners == owner]
+    for owner in dict.fromkeys(made.owners.tolist()):
+        part = made.triangles[made.owners == owner]
         candidates = exact.get(owner, [])
         # the same item, mapped several times
         for each in _split(part) if len(candidates) > 1 else [part]:
             used, corners = np.unique(each, return_inverse=True)
-            body = _oriented(vertices[used], corners.reshape(-1, 3).astype(np.int32), about, notes)
+            body = _oriented(made.vertices[used], corners.reshape(-1, 3).astype(np.int32), about, notes)
             if body is not None:
                 yield Body(body.vertices, body.triangles, _agreeing(body, candidates))
-
-
-def _doubt(crossed: bool, less: str, pieces: int) -> str:
-    """Return why a body is doubted, and what stands for it; empty: it is not."""
-    if crossed:
-        return Sentence("ifc.doubt.crossed")
-    if less:
-        return Sentence("ifc.doubt.less", problem=less)
-    return Sentence("ifc.doubt.in_pieces", count=pieces) if pieces > 1 else ""
 
 
 def _split(triangles: np.ndarray) -> list[np.ndarray]:
@@ -299,11 +378,6 @@ def _oriented(vertices: np.ndarray, triangles: np.ndarray, about: str, notes: No
         notes.add(Sentence("ifc.note.no_extent"), about)
         return None
     if not is_closed(triangles):
-        # cut by an opening: the corners of both sides of an edge may differ by rounding
-        near = _welded(_rounding_removed(vertices), triangles)
-        if is_closed(near[1]):
-            vertices, triangles = near
-    if not is_closed(triangles):
         notes.add(Sentence("ifc.note.not_closed"), about)
         return Body(vertices, triangles)
     enclosed = volume(vertices, triangles)
@@ -319,15 +393,6 @@ def _welded(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np
     triangles = index.reshape(-1)[triangles].astype(np.int32)
     a, b, c = triangles.T
     return places, np.ascontiguousarray(triangles[(a != b) & (b != c) & (c != a)])
-
-
-def _rounding_removed(vertices: np.ndarray) -> np.ndarray:
-    """Return corners, shape (v, 3) [m]: those that differ by rounding only are at the place of the first of them."""
-    pairs = cKDTree(vertices).query_pairs(_ROUNDING * max(1.0, float(np.abs(vertices).max())), output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=[len(vertices)] * 2)
-    _, group = connected_components(graph, directed=False)
-    _, first = np.unique(group, return_index=True)
-    return vertices[first[group]]
 
 
 def _agreeing(body: Body, candidates: list[tuple[Extrusion | None, bool]]) -> Extrusion | None:

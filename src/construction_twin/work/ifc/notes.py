@@ -65,6 +65,10 @@ def _sentence(text: str, named: list[str]) -> str:
     return Sentence("ifc.note.of", note=text, names=first_few(named, _NAMED))
 
 
+class Misread(BuildingError):
+    """ifcopenshell cannot read an entity."""
+
+
 class Where:
     """Says which file and entity cannot be read, when ifcopenshell raises an exception of its own.
 
@@ -74,7 +78,7 @@ class Where:
 
     Note:
         A broken file can make ifcopenshell raise almost anything (a value of another type than the schema's makes Python code that
-        trusts the schema fail): all but our own errors and the want of memory become `BuildingError`.
+        trusts the schema fail): all but our own errors and the want of memory become `Misread`.
     """
 
     def __init__(self, file: str, entity: object):
@@ -86,7 +90,7 @@ class Where:
     def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
         if isinstance(error, Exception) and not isinstance(error, (BuildingError, MemoryError)):
             found = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-            raise BuildingError(self._file, label(self._entity), found, Sentence("ifc.schema_says")) from error
+            raise Misread(self._file, label(self._entity), found, Sentence("ifc.schema_says")) from error
 
 
 def label(entity: object) -> str:

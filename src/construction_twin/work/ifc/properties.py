@@ -7,8 +7,6 @@ from collections.abc import Collection
 
 import ifcopenshell
 import ifcopenshell.util.element
-import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
@@ -22,12 +20,10 @@ Sets = dict[str, dict[str, Value]]
 #: Names of quantities that are the mass of what is delivered, in the order in which they are believed.
 _WEIGHTS = ("NetWeight", "GrossWeight", "Weight", "Mass")
 #: Densities [kg/m³] of what is built with, from insulation to lead, with much room.
-_LIGHTEST, _HEAVIEST = 1.0, 25000.0
+_LIGHTEST, HEAVIEST = 1.0, 25000.0
 _LONGEST_TEXT = 4000
 #: What a number in a project of feet or inches may mean that does not say its unit of mass: pounds [kg], and per cubic foot [m³].
 _POUND, _CUBIC_FOOT = 0.45359237, 0.3048**3
-#: Bodies whose volumes together are larger by this part than their convex hull overlap.
-_OVERLAP = 1e-3
 #: Values of `Status` of what is to be made, or of which nothing is said.
 _MADE = {"NEW", "NOTKNOWN", "UNSET", "NOTDEFINED", ""}
 #: Values of `Status` of what stands, and the beginnings of those of what is to go.
@@ -182,12 +178,6 @@ def read_mass(
     """
     closed = bool(bodies) and all(is_closed(body.triangles) for body in bodies)
     whole = sum(volume(body.vertices, body.triangles) for body in bodies) if closed else 0.0
-    if len(bodies) > 1 and whole > _hull_volume(bodies) * (1.0 + _OVERLAP):
-        notes.add(
-            Sentence("ifc.note.overlap"),
-            product.Name or label(product),
-            at,
-        )
     density = _density(product, at, units, notes)
     for quantity in _WEIGHTS:
         for name, values in sets.items():
@@ -213,14 +203,6 @@ def read_mass(
         return None
     _doubt(product, at, density * whole, whole, material, None, notes)
     return density * whole
-
-
-def _hull_volume(bodies: tuple[Body, ...]) -> float:
-    """Return the volume of the convex hull of bodies [m³], at most that of bodies that do not overlap; inf: they lie in a plane."""
-    try:
-        return float(ConvexHull(np.concatenate([body.vertices for body in bodies])).volume)
-    except QhullError:
-        return math.inf
 
 
 def _doubt(
@@ -295,7 +277,7 @@ def _density_factor(found: tuple[float, ifcopenshell.entity_instance | None], un
         metric = _is_power_of_ten(units.length)
         mass = units.mass if units.weighs or metric else _POUND
         candidates = [1.0, mass / units.volume, *([] if metric else [mass / _CUBIC_FOOT])]
-    likely = [each for each in candidates if each is not None and _LIGHTEST <= density * each <= _HEAVIEST]
+    likely = [each for each in candidates if each is not None and _LIGHTEST <= density * each <= HEAVIEST]
     if any(not math.isclose(likely[0], other, rel_tol=0.01) for other in likely):
         return None
     return likely[0] if likely else None

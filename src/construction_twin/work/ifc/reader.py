@@ -21,13 +21,14 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.work.building import Body, BuildingModel, Element
-from construction_twin.work.ifc.geometry import MISSING_CODE, NO_UNIT_CODES, Shape, shapes
-from construction_twin.work.ifc.notes import Notes, Where
+from construction_twin.work.ifc.doubts import Doubts, check_complete, entries
+from construction_twin.work.ifc.geometry import NO_UNIT_CODES, Shape, shapes
+from construction_twin.work.ifc.notes import Misread, Notes, Where
 from construction_twin.work.ifc.placements import Placements, check_rigid
-from construction_twin.work.ifc.properties import read_mass, read_material, read_properties, read_status
+from construction_twin.work.ifc.properties import HEAVIEST, read_mass, read_material, read_properties, read_status
 from construction_twin.work.ifc.relations import Relations, read_relations
-from construction_twin.work.ifc.representations import body_of
-from construction_twin.work.ifc.step_text import check_whole, first_error, in_ascii, kernel_says, note_parser_log
+from construction_twin.work.ifc.representations import body_of, reach
+from construction_twin.work.ifc.step_text import for_parser
 from construction_twin.work.ifc.tasks import read_tasks, unique_id
 from construction_twin.work.ifc.units import Units, read_units
 from construction_twin.work.ifc.unread import note_unread
@@ -37,7 +38,6 @@ from construction_twin.work.workpieces import is_workpiece
 #: Takes what is being done, how much of it is done, and how much there is.
 Progress = Callable[[str, int, int], None]
 
-SCHEMAS = ("IFC2X3", "IFC4", "IFC4X3")
 #: Elements of a file.
 MOST_ELEMENTS = 100_000
 #: An element farther from the model's origin than this [m] is told: map coordinates in a placement.
@@ -55,31 +55,6 @@ _STATUS = {
     "existing": Sentence("ifc.note.existing"),
     "demolish": Sentence("ifc.note.demolish"),
 }
-#: What says where something is, what shape it has or in which unit; and what of that only says how it looks.
-_GEOMETRY = (
-    *(
-        "IfcObjectPlacement",
-        "IfcRepresentationItem",
-        "IfcRepresentation",
-        "IfcProductRepresentation",
-        "IfcRepresentationMap",
-    ),
-    *(
-        "IfcProfileDef",
-        "IfcUnitAssignment",
-        "IfcNamedUnit",
-        "IfcDerivedUnit",
-        "IfcDerivedUnitElement",
-        "IfcMeasureWithUnit",
-    ),
-)
-_LOOKS = (
-    "IfcStyledItem",
-    "IfcStyledRepresentation",
-    "IfcPresentationItem",
-    "IfcAnnotationOccurrence",
-    "IfcFillAreaStyleTiles",
-)
 _SPATIAL = ("IfcSpatialElement", "IfcSpatialStructureElement")
 
 
@@ -91,6 +66,7 @@ class _Found:
     units: Units
     relations: Relations
     notes: Notes
+    doubts: Doubts
 
 
 def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: None) -> BuildingModel:
@@ -105,32 +81,24 @@ def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: 
     progress("open", 0, 1)
     contents = _contents(path, name, most_bytes)
     digest = hashlib.sha256(contents).hexdigest()
-    check_whole(contents, name)
     notes = Notes()
-    # what other files left in it is not of this one
-    ifcopenshell.get_log()
-    read = in_ascii(contents, notes)
-    if read is contents:
-        file = _open(path, name)
-        if hashlib.sha256(_contents(path, name, most_bytes)).hexdigest() != digest:
-            raise BuildingError(
-                name, Sentence("ifc.file"), Sentence("ifc.found.changed"), Sentence("ifc.nobody_writes")
-            )
-    else:
-        file = _open_copy(read, name)
-    schema = file.schema
-    if schema not in SCHEMAS:
-        raise BuildingError(name, Sentence("ifc.schema"), str(schema), ", ".join(SCHEMAS))
+    contents = for_parser(contents, name, notes)
+    file = _open(contents, name)
+    doubts = Doubts(file)
+    log = tuple(entries(ifcopenshell.get_log()))
     with Where(name, Sentence("ifc.file")):
-        note_parser_log(
-            ifcopenshell.get_log(), read, set(file.entity_names()),
-            lambda number: getattr(file.by_id(number), "GlobalId", "") or "",
-            lambda number: _is_geometry(file.by_id(number)), name, schema, notes,
-        )  # fmt: skip
+        check_complete(log, contents, name)
+        doubts.take_parser(log, contents)
+        for entry in log:
+            notes.add(Sentence("ifc.note.parser"), entry.text)
+        doubts.drop_broken_relations(log)
     # it can be large, and the geometry needs room
-    del contents, read
+    del contents
+    # its units are not the model's, and the kernel reads those of one context only
+    for library in () if file.schema == "IFC2X3" else file.by_type("IfcProjectLibrary"):
+        file.remove(library)
     progress("open", 1, 1)
-    found = _Found(name, read_units(file, name, notes), read_relations(file, name), notes)
+    found = _Found(name, read_units(file, name, notes), read_relations(file, name), notes, doubts)
     _note_map(file, found)
     _note_origin(file, found)
     elements, ids = _elements(file, found, progress)
@@ -143,16 +111,9 @@ def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: 
         title = project.Name or getattr(project, "LongName", None) or ""
     names = {one: element.name for one, element in elements.items()} | {one: task.name for one, task in tasks.items()}
     return BuildingModel(
-        name, digest, schema, title, found.units.length, elements, tasks, sequences, notes.sentences(names),
+        name, digest, file.schema, title, found.units.length, elements, tasks, sequences, notes.sentences(names),
         notes.remarks({*elements, *tasks}),
     )  # fmt: skip
-
-
-def _is_geometry(entity: ifcopenshell.entity_instance) -> bool:
-    """Return whether an entity says where something is, what shape it has or in which unit; of a product: what it says is lost."""
-    if _is(entity, "IfcProduct"):
-        return entity.ObjectPlacement is None or entity.Representation is None
-    return any(_is(entity, kind) for kind in _GEOMETRY) and not any(_is(entity, kind) for kind in _LOOKS)
 
 
 def _contents(path: str | Path, name: str, most_bytes: int) -> bytes:
@@ -164,30 +125,22 @@ def _contents(path: str | Path, name: str, most_bytes: int) -> bytes:
         ) from error
 
 
-def _open_copy(contents: bytes, name: str) -> ifcopenshell.file:
-    """Parse what is not the file's own contents; no file of it is left, however this process ends."""
+def _open(contents: bytes, name: str) -> ifcopenshell.file:
+    """Parse contents; no file of them is left, however this process ends."""
+    # what other files left in it is not of this one
+    ifcopenshell.get_log()
     copy = os.memfd_create("ifc")
     with os.fdopen(copy, "wb") as written:
         written.write(contents)
         written.flush()
-        return _open(f"/proc/self/fd/{copy}", name)
-
-
-def _open(path: str | Path, name: str) -> ifcopenshell.file:
-    try:
-        with Where(name, Sentence("ifc.file")):
-            file = ifcopenshell.open(str(path), format=".ifc")
-            entities = len(file.types())
-    except BuildingError as error:
-        expected = Sentence("ifc.published", schemas=", ".join(SCHEMAS))
-        why = first_error(ifcopenshell.get_log())
-        raise BuildingError(
-            name,
-            Sentence("ifc.file"),
-            Sentence("building.part", file=error.found, what=why) if why else error.found,
-            expected,
-        ) from error
-    if entities == 0:
+        try:
+            with Where(name, Sentence("ifc.file")):
+                file = ifcopenshell.open(f"/proc/self/fd/{copy}", format=".ifc")
+                count = len(file.types())
+        except Misread as error:
+            why = next((entry.text for entry in entries(ifcopenshell.get_log())), error.found)
+            raise BuildingError(name, Sentence("ifc.file"), why, Sentence("ifc.a_file")) from error
+    if count == 0:
         raise BuildingError(name, Sentence("ifc.file"), Sentence("ifc.found.no_entities"), Sentence("ifc.a_file"))
     return file
 
@@ -228,37 +181,49 @@ def _elements(file: ifcopenshell.file, found: _Found, progress: Progress) -> tup
         with Where(found.name, product):
             ids[product.id()] = unique_id(product, taken, found.notes)
             taken.add(ids[product.id()])
-            matrices[product.id()] = placements.matrix(product)
+            try:
+                matrices[product.id()] = placements.matrix(product)
+            except Misread as error:
+                # it stands nobody knows where
+                matrices[product.id()] = None
+                found.doubts.everything = Sentence("ifc.doubt.file", problem=error.sentence)
             if (body := body_of(product)) is not None:
                 bodies[product.id()] = body
                 _note_more(product, body, ids[product.id()], found.notes)
-    cut = frozenset(
-        product.id()
+    openings = {
+        product.id(): [
+            (opening, each is product)
+            for each in (product, *found.relations.wholes(product))
+            for opening in found.relations.openings.get(each.id(), ())
+        ]
         for product in products
-        if any(each.id() in found.relations.openings for each in (product, *found.relations.wholes(product)))
-    )
+    }
     made = {
         shape.id: shape
         for shape in shapes(
-            file, found.name, bodies, cut, found.units.length, found.notes,
+            file, found.name, bodies, openings, found.units.length, found.notes,
             lambda done, total: progress("geometry", done, total),
         )
     }  # fmt: skip
-    _take_kernel_log(file, found.name, made, found.notes)
+    _take_kernel_log(found)
+    for number, shape in made.items():
+        if not shape.doubt and number in found.doubts.shapes:
+            within = reach(bodies[number]) * found.units.length
+            made[number] = shape.doubted(found.doubts.shapes[number], within)
     elements = {}
     for count, product in enumerate(products):
         if count % 100 == 0:
             progress("elements", count, len(products))
-        if product.id() in bodies and (product.id() not in made or not made[product.id()].bodies):
-            found.notes.add(Sentence("ifc.note.no_geometry"), ids[product.id()])
-        if product.id() in made and (doubt := made[product.id()].doubt):
-            sentence = Sentence("ifc.note.doubtful", doubt=doubt)
-            found.notes.add(sentence, product.Name or ids[product.id()], ids[product.id()])
         with Where(found.name, product):
             element = _element(product, ids, matrices[product.id()], made.get(product.id()), found)
         if element is not None:
             elements[element.id] = element
     progress("elements", len(products), len(products))
+    if found.doubts.everything:
+        elements = {one: replace(each, doubt=each.doubt or found.doubts.everything) for one, each in elements.items()}
+    for one, element in elements.items():
+        if element.doubt:
+            found.notes.add(Sentence("ifc.note.doubtful", doubt=element.doubt), element.name or one, one)
     _hand_down_status(elements, found.notes)
     return _without_doubles(elements, found.notes), {
         entity: element for entity, element in ids.items() if element in elements
@@ -286,26 +251,17 @@ def _note_more(
         notes.add(Sentence("ifc.note.openings"), about, element_id)
 
 
-def _take_kernel_log(file: ifcopenshell.file, file_name: str, made: dict[int, Shape], notes: Notes) -> None:
-    """Note what the kernel said of shapes; where a part of one is missing, it is doubted as a whole.
+def _take_kernel_log(found: _Found) -> None:
+    """Note what the kernel said of shapes, and doubt those that it said it of.
 
     Raises:
         BuildingError: If the kernel does not know in which unit the lengths are.
     """
-    for said in kernel_says(ifcopenshell.get_log()):
-        if said.code in NO_UNIT_CODES:
-            raise BuildingError(file_name, Sentence("ifc.project_units"), said.sentence, Sentence("ifc.kernel_unit"))
-        if said.about:
-            try:
-                number = file.by_guid(said.about).id()
-            except RuntimeError:
-                number = 0
-            shape = made.get(number)
-            if shape is not None and not shape.doubt and said.code == MISSING_CODE:
-                made[number] = shape.doubted(Sentence("ifc.doubt.missing"))
-            elif shape is not None and not shape.doubt and said.is_error:
-                made[number] = replace(shape, doubt=Sentence("ifc.doubt.with_error", problem=said.sentence))
-        notes.add(Sentence("ifc.note.kernel", problem=said.sentence), said.about)
+    for entry in entries(ifcopenshell.get_log()):
+        if entry.code in NO_UNIT_CODES:
+            raise BuildingError(found.name, Sentence("ifc.project_units"), entry.text, Sentence("ifc.kernel_unit"))
+        found.doubts.take_kernel(entry)
+        found.notes.add(Sentence("ifc.note.kernel", problem=entry.text), entry.about)
 
 
 def _products(file: ifcopenshell.file, found: _Found) -> list[ifcopenshell.entity_instance]:
@@ -343,8 +299,10 @@ def _element(
     element_id = ids[product.id()]
     bodies: tuple[Body, ...] = ()
     if matrix is None:
-        if shape is None:
+        if shape is None or shape.model_T_shape is None:
             found.notes.add(Sentence("ifc.note.grid_without_body"), element_id)
+            if shape is not None:
+                found.doubts.everything = Sentence("ifc.doubt.file", problem=Sentence("ifc.note.grid_without_body"))
             return None
         matrix = shape.model_T_shape
         check_rigid(found.name, product, matrix)
@@ -360,10 +318,20 @@ def _element(
     if np.abs(matrix[:3, 3]).max() > _FAR:
         found.notes.add(Sentence("ifc.note.far"), element_id)
     doubt = "" if shape is None else shape.doubt
+    if not doubt and (unknown := found.doubts.shapes.get(product.id())):
+        # it can have a body that nobody knows
+        doubt = found.doubts.everything = unknown
+    wholes = (product, *found.relations.wholes(product))
+    doubt = doubt or next((said for each in wholes if (said := found.doubts.related.get(each.id()))), "")
     properties = read_properties(product, element_id, found.units, found.notes)
     material = read_material(product, element_id, found.notes)
     kind = ifcopenshell.util.element.get_type(product)
     assembly = next((ids[whole.id()] for whole in found.relations.wholes(product) if whole.id() in ids), "")
+    mass = read_mass(product, element_id, properties, material, () if doubt else bodies, found.units, found.notes)
+    if mass is not None and bodies and not doubt:
+        litres = 1e3 * float(np.ptp(np.concatenate([body.vertices for body in bodies]), axis=0).prod())
+        if mass > HEAVIEST * litres / 1e3:
+            doubt = Sentence("ifc.doubt.heavy", mass=f"{mass:.3g}", litres=f"{litres:.3g}")
     return Element(
         id=element_id,
         ifc_class=product.is_a(),
@@ -376,7 +344,7 @@ def _element(
         model_T_element=Pose(matrix[:3, 3].copy(), matrix[:3, :3].copy()),
         bodies=bodies,
         properties=properties,
-        mass=read_mass(product, element_id, properties, material, () if doubt else bodies, found.units, found.notes),
+        mass=mass,
         status=read_status(product, element_id, properties, found.notes),
         doubt=doubt,
     )
@@ -384,6 +352,8 @@ def _element(
 
 def _in_frame(shape: Shape, matrix: np.ndarray) -> tuple[Body, ...]:
     """Bodies in the frame of the placement, where the kernel has another one."""
+    if shape.model_T_shape is None:
+        return shape.bodies
     offset = np.linalg.inv(matrix) @ shape.model_T_shape
     if np.allclose(offset, np.eye(4), atol=1e-6):
         return shape.bodies

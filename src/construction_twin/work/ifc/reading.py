@@ -24,12 +24,11 @@ from construction_twin.core.sentences import Sentence, understood
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import BuildingModel
 from construction_twin.work.ifc.model_file import VERSION, load
+from construction_twin.work.ifc.step_text import check_form
 
 #: Takes what is being done (`open`, `geometry`, `elements`), how much of it is done, and how much there is.
 Progress = Callable[[str, int, int], None]
 
-_MAGIC = b"ISO-10303-21;"
-_END = b"END-ISO-10303-21;"
 #: Folder that holds this package, for the process that reads.
 _SOURCES = str(Path(__file__).resolve().parents[3])
 #: Longest line that a reading process may send [bytes].
@@ -99,13 +98,7 @@ def _digest(path: Path, bounds: Bounds) -> str:
         raise BuildingError(
             path.name, Sentence("ifc.file"), error.strerror or str(error), Sentence("ifc.readable")
         ) from error
-    if not contents.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(_MAGIC):
-        found = Sentence("ifc.found.begins", contents=repr(contents[:20])) if contents else Sentence("ifc.found.empty")
-        raise BuildingError(path.name, Sentence("ifc.file"), found, Sentence("ifc.begins", magic=_MAGIC.decode()))
-    # ifcopenshell reads what is there and does not miss the rest
-    if _END not in contents[-65536:]:
-        found = Sentence("ifc.found.no_end", end=_END.decode())
-        raise BuildingError(path.name, Sentence("ifc.file"), found, Sentence("ifc.whole_file"))
+    check_form(contents, path.name)
     return hashlib.sha256(contents).hexdigest()
 
 

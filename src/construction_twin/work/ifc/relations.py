@@ -18,12 +18,12 @@ class Relations:
     Attributes:
         whole: What a part is aggregated or nested into.
         container: Spatial element that holds an element.
-        openings: Ids of elements that have an opening.
+        openings: What is cut from an element.
     """
 
     whole: dict[int, ifcopenshell.entity_instance]
     container: dict[int, ifcopenshell.entity_instance]
-    openings: frozenset[int]
+    openings: dict[int, list[ifcopenshell.entity_instance]]
 
     def wholes(self, entity: ifcopenshell.entity_instance) -> list[ifcopenshell.entity_instance]:
         """Return what an entity is part of, the nearest first."""
@@ -62,12 +62,12 @@ def read_relations(file: ifcopenshell.file, name: str) -> Relations:
         with Where(name, relation):
             for part in relation.RelatedElements:
                 container.setdefault(part.id(), relation.RelatingStructure)
-    openings = set()
+    openings: dict[int, list[ifcopenshell.entity_instance]] = {}
     for relation in file.by_type("IfcRelVoidsElement"):
         with Where(name, relation):
-            openings.add(relation.RelatingBuildingElement.id())
+            openings.setdefault(relation.RelatingBuildingElement.id(), []).append(relation.RelatedOpeningElement)
     _refuse_loops(file, name, whole)
-    return Relations(whole, container, frozenset(openings))
+    return Relations(whole, container, openings)
 
 
 def _refuse_loops(file: ifcopenshell.file, name: str, whole: dict[int, ifcopenshell.entity_instance]) -> None:

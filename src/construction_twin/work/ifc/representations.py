@@ -40,6 +40,8 @@ _NO_BODIES = {
     "Surface",
     "Lighting",
 }
+#: What reaches nowhere, or without an end and only cuts.
+_NO_REACH = ("IfcHalfSpaceSolid", "IfcRepresentationContext", "IfcDirection", "IfcPresentationItem")
 #: Copies by mapped items, and operands of booleans, of one element.
 MOST_ITEMS = 100_000
 DEEPEST = 200
@@ -200,6 +202,41 @@ def corners_of(given: Extrusion) -> np.ndarray:
     flat = np.column_stack([given.outline, np.zeros(len(given.outline))])
     corners = np.concatenate([flat, flat + given.direction * given.depth])
     return corners @ given.element_T_profile.rotation.T + given.element_T_profile.position
+
+
+def reach(node: ifcopenshell.entity_instance, known: dict[int, float] | None = None) -> float:
+    """Return how far from its origin a representation or one of its items reaches at most, in the file's units.
+
+    Points, lengths and axes of what is nested are added, of what is side by side the largest counts, a half space only cuts. Far
+    too large for most, too small only for a line that is cut by its parameters.
+    """
+    known = {} if known is None else known
+    if node.id() == 0 or any(node.is_a(kind) for kind in _NO_REACH):
+        return 0.0
+    if node.id() in known:
+        return known[node.id()]
+    found, scale = 0.0, 1.0
+    for name, value in node.get_info(include_identifier=False).items():
+        if isinstance(value, ifcopenshell.entity_instance):
+            if value.is_a("IfcCartesianTransformationOperator"):
+                scale = max(abs(getattr(value, each, None) or 1.0) for each in ("Scale", "Scale2", "Scale3"))
+            # what is turned about an axis reaches beyond it
+            found += reach(value, known) * (2.0 if value.is_a("IfcAxis1Placement") else 1.0)
+        elif isinstance(value, tuple):
+            found += max((_reach_of(each, name, known) for each in value), default=0.0)
+        elif isinstance(value, float) and not any(word in name for word in ("Angle", "Param", "Scale")):
+            found += abs(value)
+    known[node.id()] = found * max(1.0, scale)
+    return known[node.id()]
+
+
+def _reach_of(value: object, name: str, known: dict[int, float]) -> float:
+    if isinstance(value, ifcopenshell.entity_instance):
+        return reach(value, known)
+    if isinstance(value, tuple):
+        return max((_reach_of(each, name, known) for each in value), default=0.0)
+    # the largest coordinate of a point is within its distance
+    return 2.0 * abs(value) if isinstance(value, float) and name.startswith("Coord") else 0.0
 
 
 def crosses_itself(given: Extrusion) -> bool:

@@ -1,0 +1,91 @@
+"""The file in which a stop or fault that nobody has reset outlasts the gateway's program (docs/architecture.md, law 5).
+
+It is written beside the loop, which waits for no disk, and in place: a disk that is full later takes every stop. Standard library
+only.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from pathlib import Path
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.files import read_file, write_in_place
+from construction_twin.core.sentences import Sentence
+
+log = logging.getLogger("rsi_gateway")
+
+#: What the file has from its first start on, and the longest sentence that is kept [bytes].
+ROOM, LONGEST = 4096, 1000
+#: A file that could not be written is tried again after this time [s].
+_AGAIN = 0.5
+
+
+class StopFile:
+    """Keeps why the arm was stopped, until `close`.
+
+    Args:
+        path: A file that is not there is made: nothing was stopped then.
+
+    Attributes:
+        found: Why the arm was stopped when the program before this one ended; "": it was not.
+
+    Raises:
+        ConfigurationError: When it cannot be written: without it a stop would be forgotten.
+    """
+
+    def __init__(self, path: str | Path):
+        self._path = Path(path)
+        try:
+            self.found = self._read()
+            write_in_place(self._path, self.found, ROOM)
+        except OSError as error:
+            expected = Sentence("expected.writable_but", problem=str(error.strerror))
+            raise ConfigurationError("--stop-file", str(path), expected) from error
+        self._wanted = self._written = self.found
+        self._news = threading.Event()
+        self._ends = False
+        self._writer = threading.Thread(target=self._run, name="stop file", daemon=True)
+        self._writer.start()
+
+    def _read(self) -> str:
+        try:
+            return read_file(self._path, ROOM * 4).decode().strip()
+        except FileNotFoundError:
+            return ""
+        except UnicodeDecodeError:
+            # whatever it was, it was not nothing
+            return Sentence("gateway.stop_unreadable", path=str(self._path))
+
+    def keep(self, reason: str) -> None:
+        """Keep why the arm is stopped, "" once somebody has reset it; returns at once."""
+        reason = reason[:LONGEST]
+        if reason != self._wanted:
+            self._wanted = reason
+            self._news.set()
+
+    def close(self) -> None:
+        """Write what is still to be written, as long as that takes no longer than a second."""
+        self._ends = True
+        self._news.set()
+        self._writer.join(1.0)
+
+    def _run(self) -> None:
+        while not self._ends or self._news.is_set():
+            self._news.wait()
+            self._news.clear()
+            wanted = self._wanted
+            while wanted != self._written and not self._write(wanted) and not self._ends:
+                self._news.wait(_AGAIN)
+                self._news.clear()
+                wanted = self._wanted
+
+    def _write(self, reason: str) -> bool:
+        try:
+            write_in_place(self._path, reason, ROOM)
+        except OSError as error:
+            log.error("%s", Sentence("gateway.stop_not_kept", path=str(self._path), problem=str(error.strerror)))
+            return False
+        self._written = reason
+        return True

@@ -1,0 +1,193 @@
+"""Of which elements the parser or the geometry kernel said something: nobody knows then what the file says of them.
+
+What is said of an instance holds for every element that reaches it; if none is found, for the file.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
+
+import ifcopenshell
+
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.work_errors import BuildingError
+
+_LOGGED = re.compile(r"^\[(error|warning)\](?: \[(\w+)\])? \[[^\]]*\] (?:\{([^}]*)\} ?)?(.*)$")
+_NUMBER = re.compile(r"#(\d+)")
+_OFFSET = re.compile(r"at offset (\d+)")
+_MISSING = re.compile(r"Instance reference #(\d+) used by instance #(\d+)")
+_SHOWN = 200
+#: Codes of what says nothing of shapes: no style for a colour, a precision of the whole file, a style that is missing, no unit of
+#: angles (told), the hole of a hollow profile turned round (its volume is compared), a point given twice, a triangle
+#: without area; and texts of what says nothing of instances, or is told by `tasks.unique_id`.
+_ASIDE = ("GEO031", "SYS033", "GEO301", "GEO313", "GEO164", "GEO185", "GEO276")
+_ASIDE_TEXTS = ("header entity", "non-unique GlobalId")
+#: Who made it and how it looks: what is lost there says nothing of elements.
+_ASIDE_KINDS = (
+    "IfcOwnerHistory",
+    "IfcPresentationItem",
+    "IfcPresentationStyleAssignment",
+    "IfcStyledItem",
+    "IfcStyledRepresentation",
+)
+
+
+@dataclass(frozen=True)
+class Said:
+    """One entry of a log.
+
+    Attributes:
+        text: Short.
+        code: Of the kind of message; empty: none.
+        about: GlobalId; empty: of none.
+        numbers: Of the instances that it names.
+        offset: Into the contents; None: it has none.
+    """
+
+    text: str
+    code: str
+    about: str
+    numbers: frozenset[int]
+    offset: int | None
+
+
+def entries(log: str) -> Iterator[Said]:
+    """Give the errors and warnings of a log, those left out that say nothing of elements."""
+    lines = log.splitlines()
+    for line, after in zip(lines, (*lines[1:], "")):
+        logged = _LOGGED.match(line)
+        if logged is None or logged.group(2) in _ASIDE or any(text in line for text in _ASIDE_TEXTS):
+            continue
+        _, code, about, text = logged.groups()
+        # what it is about can stand on the next line
+        if after.startswith("#"):
+            text = f"{text} {after.partition('(')[0]}"
+        offset = _OFFSET.search(text)
+        yield Said(
+            text[:_SHOWN], code or "", about or "", frozenset(map(int, _NUMBER.findall(text))),
+            int(offset.group(1)) if offset else None,
+        )  # fmt: skip
+
+
+def check_complete(said: Iterable[Said], contents: bytes, name: str) -> None:
+    """Check that every instance that is referred to is in the file.
+
+    Raises BuildingError.
+    """
+    dropped = {line_at(contents, entry.offset)[0] for entry in said if entry.offset is not None}
+    for entry in said:
+        if "'ENDSEC'" in entry.text:
+            raise BuildingError(name, Sentence("ifc.file"), Sentence("ifc.found.last_line"), Sentence("ifc.whole_file"))
+        missing = _MISSING.search(entry.text)
+        if missing is not None and int(missing.group(1)) not in dropped:
+            broken = Sentence("ifc.found.missing", line=f"#{missing.group(2)}", missing=missing.group(1))
+            raise BuildingError(name, Sentence("ifc.file"), broken, Sentence("ifc.whole_file"))
+
+
+def line_at(contents: bytes, offset: int) -> tuple[int, frozenset[int]]:
+    """Return the number of the instance whose line holds an offset, and to which others it refers; 0: of none that can be found."""
+    head, _, values = contents[contents.rfind(b";", 0, offset) + 1 : contents.find(b";", offset)].partition(b"=")
+    number = head.rpartition(b"#")[2].strip()
+    return int(number) if number.isdigit() else 0, frozenset(map(int, re.findall(rb"#(\d+)", values)))
+
+
+class Doubts:
+    """What is not known of a file.
+
+    Attributes:
+        everything: Why nothing of it is sure; empty: it is.
+        shapes: Why by the number of the product of which nobody knows what shape it has.
+        related: The same of products of which nobody knows what they have to do with others.
+    """
+
+    def __init__(self, file: ifcopenshell.file):
+        self._file = file
+        self._named: dict[str, set[int]] = {}
+        self.everything = ""
+        self.shapes: dict[int, str] = {}
+        self.related: dict[int, str] = {}
+
+    def take_parser(self, said: Collection[Said], contents: bytes) -> None:
+        """Take what the parser said of the contents that it read."""
+        users: dict[int, set[int]] = {}
+        for entry in said:
+            if (missing := _MISSING.search(entry.text)) is not None:
+                users.setdefault(int(missing.group(1)), set()).add(int(missing.group(2)))
+        for entry in said:
+            numbers = set(entry.numbers)
+            if entry.offset is not None:
+                own, references = line_at(contents, entry.offset)
+                # of a line that was dropped, what it needs and what needs it is left
+                numbers |= {own} if self._has(own) else {own, *references, *users.get(own, ())}
+            self.add(numbers, entry.text)
+
+    def take_kernel(self, entry: Said) -> None:
+        """Take what the kernel said."""
+        if not self._named:
+            for product in self._file.by_type("IfcProduct"):
+                self._named.setdefault(product.GlobalId or "", set()).add(product.id())
+        # a GlobalId can be that of several
+        self.add(entry.numbers | self._named.get(entry.about, set()), entry.text)
+
+    def drop_broken_relations(self, said: Iterable[Said]) -> None:
+        """Remove relations of which a part is missing, that nothing is read from them."""
+        for entry in said:
+            missing = _MISSING.search(entry.text)
+            if missing is not None and self._has(number := int(missing.group(2))):
+                if self._file.by_id(number).is_a("IfcRelationship"):
+                    self._file.remove(self._file.by_id(number))
+
+    def add(self, numbers: Collection[int], why: str) -> None:
+        """Doubt every element that reaches an instance, or everything if none does, or if it says where something is."""
+        said = Sentence("ifc.doubt.said", problem=why)
+        found = False
+        left, seen = list(numbers), set(numbers)
+        while left:
+            number = left.pop()
+            if not self._has(number):
+                continue
+            one = self._file.by_id(number)
+            if one.is_a("IfcProject") or one.is_a("IfcObjectPlacement"):
+                found = False
+                break
+            if one.is_a("IfcProduct"):
+                self.shapes.setdefault(_host(one), said)
+            elif one.is_a("IfcProcess") or one.is_a("IfcRelationship"):
+                products = self._products(one)
+                self.related |= {each: said for each in products if each not in self.related}
+                found = found or bool(products)
+                continue
+            elif not any(one.is_a(kind) for kind in _ASIDE_KINDS):
+                more = {each.id() for each in self._file.get_inverse(one)} - seen
+                seen |= more
+                left += more
+                continue
+            found = True
+        if not found:
+            self.everything = self.everything or Sentence("ifc.doubt.file", problem=why)
+
+    def _has(self, number: int) -> bool:
+        try:
+            return bool(self._file.by_id(number))
+        except RuntimeError:
+            return False
+
+    def _products(self, one: ifcopenshell.entity_instance) -> set[int]:
+        """Return the products that a relation names, itself or by a task, or that a task makes or works on."""
+        if one.is_a("IfcProcess"):
+            near = [each for each in self._file.get_inverse(one) if each.is_a("IfcRelAssigns")]
+        else:
+            near = [one]
+        others = [each for relation in near for each in self._file.traverse(relation, max_levels=1)[1:]]
+        found = {_host(each) for each in others if each.is_a("IfcProduct")}
+        if one.is_a("IfcRelationship"):
+            found.update(*(self._products(each) for each in others if each.is_a("IfcProcess")))
+        return found
+
+
+def _host(product: ifcopenshell.entity_instance) -> int:
+    """Return the number of what an opening is in, and else of the product itself."""
+    voids = getattr(product, "VoidsElements", None) or ()
+    return next((relation.RelatingBuildingElement.id() for relation in voids), product.id())
