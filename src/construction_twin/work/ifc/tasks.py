@@ -28,7 +28,7 @@ from construction_twin.work.ifc.units import Units
 from construction_twin.work.recipe import PROPERTY_SET, RECIPE
 
 _NO_TIME = Sentence("ifc.note.no_time_unit")
-#: A lag of more durations than this is counted in percent.
+#: A ratio above this is counted in percent: nobody waits ten times as long as something took.
 _MOST_RATIO = 10.0
 #: Dates of a task, the first that is said counts.
 _DATES = ("Schedule", "Early", "Late")
@@ -73,9 +73,8 @@ class _Assigned:
     schedules: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
     times: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
     calendars: dict[int, str] = field(default_factory=dict)
-    #: A `Completion` of this is all of a task, a lag of this as ratio all of a duration; above 1: the file counts in percent.
+    #: A `Completion` of this is all of a task: 100 where the file counts in percent.
     whole: float = 1.0
-    whole_lag: float = 1.0
 
 
 class Groups:
@@ -145,7 +144,7 @@ def read_tasks(
     for relation in file.by_type("IfcRelSequence") if tasks else ():
         with Where(name, relation):
             ends = [_end(each, assigned, task_ids, tasks, notes) for each in _ends(relation)]
-            sequence = _sequence(relation, ends, units.time, assigned, tasks, notes)
+            sequence = _sequence(relation, ends, units.time, tasks, notes)
         if sequence is not None:
             sequences.append(sequence)
     return tasks, tuple(sequences)
@@ -207,10 +206,6 @@ def _assigned(file: ifcopenshell.file, name: str, notes: Notes) -> _Assigned:
         if any((_completion(time) or 0.0) > 1.0 for time in times):
             found.whole = 100.0
             notes.add(Sentence("ifc.note.percent"))
-        lags = [getattr(relation.TimeLag, "LagValue", None) for relation in file.by_type("IfcRelSequence")]
-        ratios = [lag.wrappedValue for lag in lags if lag is not None and lag.is_a("IfcRatioMeasure")]
-        # nobody waits ten times as long as something took
-        found.whole_lag = 100.0 if any(ratio > _MOST_RATIO for ratio in ratios) else 1.0
     return found
 
 
@@ -598,7 +593,6 @@ def _sequence(
     relation: ifcopenshell.entity_instance,
     ends: list[str],
     time_unit: float | None,
-    assigned: _Assigned,
     tasks: dict[str, Task],
     notes: Notes,
 ) -> Sequence | None:
@@ -614,16 +608,11 @@ def _sequence(
         sentence = Sentence("ifc.note.order_kind")
         _told(sentence, label(relation), (before, after), notes)
         kind = _KINDS[0]
-    return Sequence(before, after, kind, _lag(relation, tasks[before], after, time_unit, assigned, notes))
+    return Sequence(before, after, kind, _lag(relation, tasks[before], after, time_unit, notes))
 
 
 def _lag(
-    relation: ifcopenshell.entity_instance,
-    before: Task,
-    after: str,
-    time_unit: float | None,
-    assigned: _Assigned,
-    notes: Notes,
+    relation: ifcopenshell.entity_instance, before: Task, after: str, time_unit: float | None, notes: Notes
 ) -> float:
     lag = relation.TimeLag
     if lag is None:
@@ -639,8 +628,9 @@ def _lag(
             if before.duration is None:
                 _told(Sentence("ifc.note.lag_unknown"), about, at, notes)
                 return 0.0
-            seconds = value.wrappedValue / assigned.whole_lag * before.duration
-            _told(Sentence("ifc.note.lag_part" if assigned.whole_lag == 1.0 else "ifc.note.lag_percent"), about, at, notes)
+            percent = value.wrappedValue > _MOST_RATIO
+            seconds = value.wrappedValue * before.duration / (100.0 if percent else 1.0)
+            _told(Sentence("ifc.note.lag_percent" if percent else "ifc.note.lag_part"), about, at, notes)
         else:
             seconds = _seconds(value.wrappedValue, about, at, notes)
         if lag.DurationType == "WORKTIME" and seconds:
