@@ -469,9 +469,11 @@ def test_what_is_on_an_element_is_in_the_scene_when_that_was_placed(tmp_path, cl
     ready = replace(prepared(), standing=(nail,), comes_after={"nail": frozenset({element})})
     one = TaskBoard(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), "kr120", "tool0")
     assert "nail/0" not in one.wanted_scene()[0]
-    build(one, ready.schedule.jobs[0].id, until="gripped")
+    task = ready.schedule.jobs[0].id
+    build(one, task, until="gripped")
     assert "nail/0" not in one.wanted_scene()[0]
-    build(one, ready.schedule.jobs[0].id)
+    for event, pose in (("releasing", ()), ("released", pose_tuple(one.goal(task))), ("finished", ())):
+        one.ledger.add(Entry(event, task, element, plan="p", offer="o", pose=pose))
     assert "nail/0" in one.wanted_scene()[0]
 
 
