@@ -31,8 +31,8 @@ def in_one_piece(
     """Return the wholes that come in one piece, with bodies and mass of all that comes with them, and that without bodies.
 
     Args:
-        factory: Assemblies that are made elsewhere: in one piece unless a task names a part of them. Any other whole is so if it has a
-            body of its own and a task places it; parts that a task names, or that stand already, are not of it.
+        factory: Assemblies that are made elsewhere: in one piece unless a task names a part of them. Any other whole is so if it
+            has a body of its own and a task places it; parts that a task names, or that stand already, are not of it.
     """
     placed = {one for task in tasks.values() if task.kind == "makes" for one in task.products}
     named = {one for task in tasks.values() for one in (*task.products, *task.inputs)}
@@ -63,8 +63,8 @@ def in_one_piece(
 def comes_after(elements: Mapping[str, Element], placed: Collection[str]) -> dict[str, frozenset[str]]:
     """Return the elements that must have been placed before what no task makes is there, of that which waits for any.
 
-    It waits for what it is on or a part of; where that is not placed itself, for all of its parts that are. A workpiece that is a part of
-    what is built of parts waits for none of them: people place it when they like.
+    It waits for what it is on or a part of; where that is not placed itself, for all of its parts that are. A workpiece that is a
+    part of what is built of parts waits for none of them: people place it when they like.
 
     Args:
         placed: GlobalIds of the elements that tasks place.

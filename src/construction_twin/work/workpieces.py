@@ -41,7 +41,9 @@ def is_workpiece(element: Element, has_parts: bool) -> bool:
     if not element.bodies or element.status or kind not in CLASSES:
         return False
     # a wall of several bodies, or what is made of parts, is built and not placed
-    return not (has_parts and kind in ("IfcWall", "IfcElementAssembly")) and (kind != "IfcWall" or len(element.bodies) == 1)
+    return not (has_parts and kind in ("IfcWall", "IfcElementAssembly")) and (
+        kind != "IfcWall" or len(element.bodies) == 1
+    )
 
 
 def workpieces(model: BuildingModel, also: Iterable[str] = (), only: Iterable[str] = ()) -> tuple[str, ...]:

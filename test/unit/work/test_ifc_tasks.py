@@ -178,7 +178,9 @@ def test_without_a_scheduled_start_the_early_one_is_taken_and_else_the_late_one(
 
 
 @pytest.mark.parametrize("nested", [False, True])
-@pytest.mark.parametrize(("schema", "kind"), [("IFC4", "IfcEvent"), ("IFC4X3", "IfcProcedure"), ("IFC2X3", "IfcProcedure")])
+@pytest.mark.parametrize(
+    ("schema", "kind"), [("IFC4", "IfcEvent"), ("IFC4X3", "IfcProcedure"), ("IFC2X3", "IfcProcedure")]
+)
 def test_an_event_between_two_tasks_keeps_their_order_and_lags(read, nested, schema, kind):
     model, _, top, (first, second) = two_tasks(schema)
     event = model.root(kind, Name="inspected")
@@ -227,7 +229,9 @@ def held(model, kind, *elements):
     return floor
 
 
-@pytest.mark.parametrize(("kind", "inputs"), [("IfcGroup", True), ("IfcBuildingStorey", True), ("IfcBuildingStorey", False)])
+@pytest.mark.parametrize(
+    ("kind", "inputs"), [("IfcGroup", True), ("IfcBuildingStorey", True), ("IfcBuildingStorey", False)]
+)
 def test_a_task_of_a_group_or_a_storey_makes_what_is_in_it(read, kind, inputs):
     model = IfcModel()
     upper = model.box("upper", (1.0, 0.1, 0.1), at=(0.0, 0.0, 0.1))

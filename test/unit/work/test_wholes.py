@@ -128,7 +128,9 @@ def test_a_part_with_a_task_of_its_own_and_a_whole_that_nobody_places_are_elemen
 
 
 def part(name, of="", on=(), **changes):
-    return replace(element(name, ifc_class=changes.pop("ifc_class", "IfcMechanicalFastener")), assembly=of, on=on, **changes)
+    return replace(
+        element(name, ifc_class=changes.pop("ifc_class", "IfcMechanicalFastener")), assembly=of, on=on, **changes
+    )
 
 
 def after(*elements, placed):
@@ -138,7 +140,9 @@ def after(*elements, placed):
 def test_a_nail_of_a_panel_comes_when_all_of_the_panel_that_is_placed_stands():
     whole, left, right = part("panel", "house", bodies=()), part("l", "panel"), part("r", "panel")
     other = part("other", "house")
-    found = after(whole, part("house", bodies=()), left, right, other, part("nail", "panel"), placed=["l", "r", "other"])
+    found = after(
+        whole, part("house", bodies=()), left, right, other, part("nail", "panel"), placed=["l", "r", "other"]
+    )
     assert found == {"nail": {"l", "r"}}
 
 

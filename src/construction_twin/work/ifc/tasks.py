@@ -319,7 +319,12 @@ def _task(
         notes.add(sentence, shown, task_id)
     if by_recipe and not products and kind == "makes":
         products, inputs = inputs, []
-    elif not products and inputs and kind == "makes" and (made := [each for each in inputs if each in given or each in groups.elements]):
+    elif (
+        not products
+        and inputs
+        and kind == "makes"
+        and (made := [each for each in inputs if each in given or each in groups.elements])
+    ):
         notes.add(
             Sentence("ifc.note.inputs_only"),
             shown,
