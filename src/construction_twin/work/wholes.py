@@ -1,7 +1,7 @@
 """What comes together, and what is there only when other elements stand: parts, fillings, coverings, projections, fasteners.
 
-In: elements with what each is a part of, in or on. A part comes with its whole, in one piece; what joins, fills or covers comes after
-what it is on. Metres, kilograms.
+In: elements with what each is a part of, in or on. A part comes with its whole, in one piece; what joins, fills or covers comes
+after what it is on. Metres, kilograms.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which object is part of, in or on which: aggregation, nesting, storeys, fillings. Loops are refused before anything follows them."""
+"""Which object is part of, in or on which: aggregation, nesting, storeys, fillings. Loops are refused before anything follows."""
 
 from __future__ import annotations
 
