@@ -89,10 +89,10 @@ def comes_after(elements: Mapping[str, Element], placed: Collection[str]) -> dic
     for name, element in elements.items():
         if not element.bodies or element.status or name in of_whole:
             continue
-        whole = before((element.assembly,), (name,))
+        as_part = before((element.assembly,), (name,))
         if is_workpiece(element, name in wholes):
-            whole &= {*_wholes(elements, name)}
-        if first := whole | before(element.on, (name,)):
+            as_part &= {*_wholes(elements, name)}
+        if first := as_part | before(element.on, (name,)):
             found[name] = frozenset(first)
     return found
 
