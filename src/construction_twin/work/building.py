@@ -68,6 +68,8 @@ class Element:
         mass: [kg], from quantities, or density times volume; None: not known.
         status: ``existing``: it stands already; ``demolish``: it stands and is to be taken down; empty: neither is said.
         doubt: Why its bodies are not what the model says, so that they are an obstacle at most; empty: they are.
+        on: GlobalIds of the elements that it is in or on: what it fills, covers, projects from or fastens.
+        members: Of a group or a part of the site that a task is assigned to: GlobalIds of what it holds; it has no bodies then.
     """
 
     id: str
@@ -84,6 +86,8 @@ class Element:
     mass: float | None
     status: str = ""
     doubt: str = ""
+    on: tuple[str, ...] = ()
+    members: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ Pure but for the ledger's file. Times in ns since 1970, poses in the robot's bas
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -86,6 +86,7 @@ class Prepared:
         standing: What stands where the model has it, and no task makes.
         scheduled: By id of the job.
         standing_at: Where the model has each element of those, by GlobalId.
+        comes_after: Elements that are placed before such an element is there, by its GlobalId, of those that wait for any.
     """
 
     model: str
@@ -102,6 +103,7 @@ class Prepared:
     standing: tuple[SceneObject, ...] = ()
     scheduled: Mapping[str, Scheduled] = field(default_factory=dict)
     standing_at: Mapping[str, Pose] = field(default_factory=dict)
+    comes_after: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
     @property
     def after(self) -> dict[str, tuple[str, ...]]:
@@ -435,10 +437,17 @@ class TaskBoard:
             memory = left.get(element)
             if element in gone or (memory is not None and not memory.placed):
                 continue
+            if not self._stand(self.prepared.comes_after.get(element, ())):
+                continue
             if memory is not None and memory.base_T_element and element in self.prepared.standing_at:
                 moved = product(pose_of_tuple(memory.base_T_element), inverse(self.prepared.standing_at[element]))
                 item = item.moved(product(moved, item.pose))
             yield item
+
+    def _stand(self, elements: Iterable[str]) -> bool:
+        """Return whether all of these elements were placed."""
+        known = (self._placing(element) for element in elements)
+        return all(memory is not None and memory.placed for memory in known)
 
     def forms(self, task: str) -> tuple[tuple[SceneObject, ...], ...]:
         """Return the objects of a task's element as the record can have them: in its stock, in the grip, at its place."""

@@ -132,6 +132,7 @@ def prepare(
         standing=layout.standing,
         scheduled=_scheduled(building, schedule),
         standing_at={element: layout.base_T_goal(element) for element in stands.pieces},
+        comes_after=layout.comes_after,
     )
 
 

@@ -463,6 +463,20 @@ def test_what_is_to_be_taken_down_stands_and_holds_up_until_a_person_says_that_i
         one.removed("D1", "eva", "")
 
 
+def test_what_is_on_an_element_is_in_the_scene_when_that_was_placed(tmp_path, clock):
+    nail = SceneObject("nail/0", "box", (0.1, 0.1, 0.1), fixed=True)
+    element = prepared().schedule.jobs[0].element
+    ready = replace(prepared(), standing=(nail,), comes_after={"nail": frozenset({element})})
+    one = TaskBoard(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), "kr120", "tool0")
+    assert "nail/0" not in one.wanted_scene()[0]
+    task = ready.schedule.jobs[0].id
+    build(one, task, until="gripped")
+    assert "nail/0" not in one.wanted_scene()[0]
+    for event, pose in (("releasing", ()), ("released", pose_tuple(one.goal(task))), ("finished", ())):
+        one.ledger.add(Entry(event, task, element, plan="p", offer="o", pose=pose))
+    assert "nail/0" in one.wanted_scene()[0]
+
+
 def test_that_it_is_gone_is_remembered_whatever_model_comes_and_can_be_taken_back(tmp_path, clock):
     one = with_removal(tmp_path, clock)
     one.removed("D1", "eva", "")
