@@ -220,8 +220,12 @@ def question(memory: TaskMemory, element_name: str) -> str:
         return Sentence(
             "work.question.done", element=element_name, known=_known(f"work.known.stays.{memory.before.value}")
         )
-    # of an element that waits, the state says as little as of one that is ready
+    if memory.source:
+        known = Sentence("work.known.elsewhere", ledger=memory.source)
+        return Sentence("work.question.where", element=element_name, known=known)
+    # of an element that waits, the state says as little as of one that is ready; unless another task has placed it
     before = TaskState.WAITING if memory.before is TaskState.READY else memory.before
+    before = TaskState.DONE if memory.placed and before is TaskState.WAITING else before
     return Sentence("work.question.where", element=element_name, known=_known(f"work.known.{before.value}"))
 
 

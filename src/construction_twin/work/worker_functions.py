@@ -97,6 +97,7 @@ def prepare(
         elements[element] = ElementFacts(
             read.name or read.tag or element, pieces.get(element, ()),
             layout.base_T_goal(element), element_triangles(read), _mass(site, building, schedule, read),
+            read.ifc_class,
         )  # fmt: skip
     notes = [
         *building.notes,
@@ -131,7 +132,6 @@ def prepare(
         unplannable=unplannable,
         standing=layout.standing,
         scheduled=_scheduled(building, schedule),
-        standing_at={element: layout.base_T_goal(element) for element in stands.pieces},
     )
 
 
