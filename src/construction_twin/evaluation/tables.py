@@ -29,6 +29,8 @@ ALIGNMENTS = {
 #: What an alignment needs that not every run has.
 NEEDS = {"expected": "a run with the launch argument servo_model has it"}
 SIMULATION = "This is a simulation: the arm was the mock controller of this package, not a robot."
+#: Columns of what is no terminal.
+_WIDEST = 10_000
 #: Names and fractions of the reported percentiles.
 PERCENTILES = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
 
@@ -120,6 +122,14 @@ def table_csv(tables: Mapping) -> str:
     return text.getvalue()
 
 
+def table_console(stderr: bool = False, markup: bool = True) -> Console:
+    """Return a console for tables: into a pipe or a file they are as wide as they need, on a terminal as wide as that."""
+    console = Console(highlight=False, stderr=stderr, markup=markup)
+    if not console.is_terminal:
+        console.width = _WIDEST
+    return console
+
+
 def render_tables(summary: Mapping, console: Console | None = None) -> None:
     """Print a summary: one table per alignment beside the paper's figures, then lag, counts, rates and times.
 
@@ -127,7 +137,7 @@ def render_tables(summary: Mapping, console: Console | None = None) -> None:
         summary: As `summary.json` holds it.
         console: Default: standard output.
     """
-    console = console or Console(highlight=False)
+    console = console or table_console()
     rows = list(table_rows(summary["tables"]))
     for alignment, meaning in ALIGNMENTS.items():
         if summary["tables"].get(alignment) is None:

@@ -29,16 +29,16 @@ class Entry:
     Attributes:
         event: A `TaskEvent`'s word, or `OPENED`, `ACCEPTED`, `MENDED`, `CHANGED`.
         task, element: GlobalIds; empty where it is about neither.
-        name, ifc_class, body, goal: Of the element, as it was handled: what it needs to stand in the scene without its model. `body` is
-            the digest of its pieces (`Ledger.keep`), `goal` where the model had it.
+        name, ifc_class, body, goal: Of the element, as it was handled: what it needs to stand in the scene without its model.
+            `body`: digest of its pieces (`Ledger.keep`); `goal`: where the model had it.
         former: Of `same` and `found`: the task that placed the element, which this one replaces.
-        source: Of the pose of `released` and `same`: `MEASURED` by the arm's own feedback, or `PLANNED`: as planned, not measured. Of
-            `found`: the ledger that says so.
+        source: Of the pose of `released` and `same`: `MEASURED` by the arm's own feedback, or `PLANNED`: as planned, not measured.
+            Of `found`: the ledger that says so.
         plan, offer: `offer` is named in the plan's `source`, so that a plan whose id was never learnt is known again.
         grip: Of `offered`: how it is done, see `jobs.TaskMotions.method`.
         process: Of `offered`; empty: `recipe.DEFAULT`.
-        pose, goal: Length 7 or 0. How it will be held (`offered`), or where it stands (`released`, `measured`, `same`) or is said to
-            stand (`unknown`, `found`).
+        pose, goal: Length 7 or 0. How it will be held (`offered`), or where it stands (`released`, `measured`, `same`) or is said
+            to stand (`unknown`, `found`).
         answer: One of `task_states.ANSWERS`.
         model, cell, schedule: SHA-256 of the model's file; path of the cell file; SHA-256 of the schedule that was accepted.
         robot: Of `opened`: its name.

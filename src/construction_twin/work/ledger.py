@@ -1,8 +1,8 @@
 """The ledger: the log of what was done of a building model, one event per line, on the disk before anybody acts on it.
 
-A chained file (`review.chained_file`), one per robot and site. From its events `book.fold` computes the state of every task, so that
-a node that was killed at any instant comes back with what is true. Its file is the only memory, with the bodies beside it that its
-lines name by digest. When the model has changed since, a person is asked about everything that was touched.
+A chained file (`review.chained_file`), one per robot and site. From its events `book.fold` computes the state of every task, so
+that a node that was killed at any instant comes back with what is true. Its file is the only memory, with the bodies beside it that
+its lines name by digest. When the model has changed since, a person is asked about everything that was touched.
 """
 
 from __future__ import annotations
@@ -123,9 +123,7 @@ class Ledger:
             for item in bodies:
                 if item.mesh:
                     self._write(_mesh_name(item), Path(item.mesh).read_bytes())
-            contents = [
-                {**{key: getattr(item, key) for key in _OF_BODY}, "mesh": _mesh_name(item)} for item in bodies
-            ]
+            contents = [{**{key: getattr(item, key) for key in _OF_BODY}, "mesh": _mesh_name(item)} for item in bodies]
             text = json.dumps(contents).encode()
             digest = hashlib.sha256(text).hexdigest()
             self._write(f"{digest}.json", text)

@@ -10,6 +10,7 @@ import math
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from construction_twin.work.convex_bodies import Pieces
 from construction_twin.work.events import ACCEPTED, PLANNED, Entry
 from construction_twin.work.following import GripReading, question
 from construction_twin.work.ledger import Ledger, replay
+from construction_twin.work.names import labels, named
 from construction_twin.work.racks import StockPlan
 from construction_twin.work.schedule import Job, Schedule
 from construction_twin.work.task_memory import TaskMemory
@@ -115,6 +117,12 @@ class Prepared:
             job.id: tuple(dict.fromkeys(wait.job for wait in job.after))
             for job in (*self.schedule.removals, *self.schedule.jobs)
         }
+
+    @cached_property
+    def titles(self) -> dict[str, str]:
+        """Return what each job and removal is called in sentences."""
+        every = {job.id: job.name for job in (*self.schedule.jobs, *self.schedule.removals)}
+        return {**{job: job for job in every}, **labels(every)}
 
     @property
     def standing_elements(self) -> frozenset[str]:
@@ -264,7 +272,9 @@ class TaskBoard:
             return Sentence(f"work.is.{state.value}", task=self.title(task))
         if task in self.prepared.removals:
             return Sentence(
-                "work.taken_down_by_people", element=self._element(task).name, command=removed_command(task)
+                "work.taken_down_by_people",
+                element=self._element(task).name,
+                command=removed_command(self._typed(task)),
             )
         robots = self.prepared.schedule.job(task).robots
         if robots and self._robot not in robots:
@@ -336,7 +346,7 @@ class TaskBoard:
         return Sentence(key, task=self.title(task))
 
     def removed(self, task: str, person: str, reason: str) -> str:
-        """Take a person's word that what a removal takes down, or what was placed, is gone, and no obstacle any more; return a sentence.
+        """Take a person's word that what a removal takes down, or what was placed, is gone, and no obstacle; return a sentence.
 
         Raises WorkRefused.
         """
@@ -446,7 +456,9 @@ class TaskBoard:
             return
         if not task:
             here = _box(self._bodies(memory), placed_at(memory, _ORIGIN)) if mine and memory.body else None
-            if here is None or not any(_overlap(here, self._goal_box(one)) for one in self.prepared.schedule.placing.values()):
+            if here is None or not any(
+                _overlap(here, self._goal_box(one)) for one in self.prepared.schedule.placing.values()
+            ):
                 return
             task = memory.element
         elif book.tasks[task].state not in (TaskState.WAITING, TaskState.READY):
@@ -514,13 +526,16 @@ class TaskBoard:
         return _box(facts.bodies, facts.base_T_goal)
 
     def _counterpart(self, task: str) -> str:
-        """Return the task that is to place what has name, class and place of what a task that is no more has placed; empty: none."""
+        """Return the task that is to place what has name, class and place of what one that is no more has placed; empty: none."""
         memory = self.book.tasks[task]
         if task in self.book.after or not (memory.placed and memory.body):
             return ""
         here = _box(self._bodies(memory), placed_at(memory, _ORIGIN))
         for element, heir in self.prepared.schedule.placing.items():
-            facts, free = self.prepared.elements[element], self.book.tasks[heir].state in (TaskState.WAITING, TaskState.READY)
+            facts, free = (
+                self.prepared.elements[element],
+                self.book.tasks[heir].state in (TaskState.WAITING, TaskState.READY),
+            )
             if free and facts.bodies and (facts.name, facts.ifc_class) == (memory.name, memory.ifc_class):
                 if np.abs(here - self._goal_box(heir)).max() <= _SAME_PLACE:
                     return heir
@@ -611,9 +626,17 @@ class TaskBoard:
         )
 
     def title(self, task: str) -> str:
-        """Return a task's name for sentences."""
+        """Return a task's name for sentences; its id where it has none, and behind it where others have the same."""
+        return self.prepared.titles.get(task) or repr(self._element(task).name)
+
+    def _typed(self, task: str) -> str:
+        """Return what a person types for a task: its name, or its id where others have the same name."""
         name = self._job(task).name
-        return f"{name!r} ({task})" if name else task
+        return name if name and self.title(task) == repr(name) else task
+
+    def called(self, sentence: str) -> str:
+        """Return a sentence with the names of what is not in the model any more in place of its ids."""
+        return named(sentence, labels({each.element: each.name for each in self.book.former.values()}))
 
     def summary(self, now: int) -> str:
         """Return one sentence: what the work waits for."""
@@ -694,7 +717,9 @@ class TaskBoard:
         memory = self.book.tasks[task]
         if task in self.book.after or memory.state is not TaskState.ASKS:
             return question(memory, self._element(task).name)
-        known = Sentence("work.known.elsewhere", ledger=memory.source) if memory.source else Sentence("work.known.former")
+        known = (
+            Sentence("work.known.elsewhere", ledger=memory.source) if memory.source else Sentence("work.known.former")
+        )
         first = self._answers(task)[0]
         return Sentence(f"work.question.{first}", element=self._element(task).name, known=known)
 
@@ -723,7 +748,10 @@ class TaskBoard:
         # what was skipped has started, too
         started = {**finished, **started}
         blockers = self.prepared.schedule.blockers(task, started, finished, now / 1e9)
-        return Sentence("work.lag.waits", task=self.title(task), until=blockers[0].text) if blockers else ""
+        if not blockers:
+            return ""
+        until = named(blockers[0].text, self.prepared.titles)
+        return Sentence("work.lag.waits", task=self.title(task), until=until)
 
     def _stock(self, element: str) -> Pose | None:
         """Return where an element lies before it is taken; None: it has no slot."""

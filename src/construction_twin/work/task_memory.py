@@ -17,10 +17,10 @@ from construction_twin.work.task_states import (
     ROWS,
     SAYS,
     SETTLED,
+    UNDER_WAY,
     Action,
     Guard,
     Row,
-    UNDER_WAY,
     TaskEvent,
     TaskState,
 )  # fmt: skip

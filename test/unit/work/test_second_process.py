@@ -283,7 +283,7 @@ def test_people_read_of_it_in_the_list_and_can_have_it_done_again(bench):
     assert "state      done: done" in show_lines(facts, facts.tasks[0])
     board = bench.board
     assert [one.word for one in board.appearances(0)] == ["placed"]
-    assert board.redo(work_bench.TASK, "eva", "") == "'Place stud' (T1) is to be done again"
+    assert board.redo(work_bench.TASK, "eva", "") == "'Place stud' is to be done again"
     assert [one.word for one in board.appearances(0)] == ["next"]
     assert board.skip(work_bench.TASK, "eva", "").endswith("no longer waits")
 

@@ -40,7 +40,7 @@ JOBS = (
     Job("T3", "T3", "Place board", "E3", ("other",), (Wait("T2", True, 0.0),)),
 )
 HELD = at(0.0, 0.0, 0.3)
-STUD = "'Place stud' (T2)"
+STUD = "'Place stud'"
 
 
 class Clock:
@@ -101,14 +101,14 @@ def test_an_accepted_schedule_that_has_changed_is_a_proposal_again(tmp_path, clo
 
 def test_out_of_order_is_refused_with_the_predecessor_named(tmp_path, clock):
     one = board(tmp_path, clock)
-    assert one.obstacle("T2", clock()) == Sentence("work.waits", task=STUD, tasks="'Place plate' (T1)")
+    assert one.obstacle("T2", clock()) == Sentence("work.waits", task=STUD, tasks="'Place plate'")
     assert one.obstacle("T9", clock()) == Sentence("work.no_task", task="'T9'")
 
 
 def test_a_lag_is_waited_for(tmp_path, clock):
     one = board(tmp_path, clock)
     build(one, "T1")
-    lag = Sentence("work.lag.since_finished", seconds=60.0, job="'Place plate' (T1)")
+    lag = Sentence("work.lag.since_finished", seconds=60.0, job="'Place plate'")
     assert one.obstacle("T2", clock()) == Sentence("work.lag.waits", task=STUD, until=lag)
     clock.now += MINUTE + 1
     assert one.obstacle("T2", clock()) == "" and one.next(clock()) == "T2"
@@ -443,9 +443,9 @@ def with_removal(tmp_path: Path, clock: Clock) -> TaskBoard:
 
 def test_what_is_to_be_taken_down_stands_and_holds_up_until_a_person_says_that_it_is_gone(tmp_path, clock):
     one = with_removal(tmp_path, clock)
-    assert one.next(clock()) == "" and one.obstacle("T1", clock()).values["tasks"] == "'Take down wall' (D1)"
-    assert "`twin work removed D1`" in one.obstacle("D1", clock())
-    assert "`twin work removed D1`" in one.summary(clock())
+    assert one.next(clock()) == "" and one.obstacle("T1", clock()).values["tasks"] == "'Take down wall'"
+    assert "`twin work removed 'Take down wall'`" in one.obstacle("D1", clock())
+    assert "`twin work removed 'Take down wall'`" in one.summary(clock())
     assert "W1/0" in one.wanted_scene()[0]
     with pytest.raises(WorkRefused, check=says("work.nameless")):
         one.removed("D1", "", "")

@@ -105,12 +105,16 @@ def test_what_was_deleted_from_the_model_stands_and_is_asked_about_before_anythi
     board = opened(two_placed, model("old", "A", "X", "C", "D", digest="b"))
     of_b(board)
     assert board.next(NOW) == "" and board.book.asking == ("ToldA", "ToldB")
-    assert row(board, "B").question.key == "work.question.stands" and row(board, "B").answers == ("stands", "taken_away")
+    assert row(board, "B").question.key == "work.question.stands" and row(board, "B").answers == (
+        "stands",
+        "taken_away",
+    )
     board.answer("ToldA", "placed", "eva", "")
     assert board.obstacle("ToldX", NOW).key == "work.asks_first" and "B" in board.obstacle("ToldX", NOW)
     board.answer("ToldB", "stands", "eva", "")
     of_b(board)
     assert board.next(NOW) == "ToldX" and row(board, "B").reason.key == "work.task.not_in_model"
+    assert board.called("set down: oldX/0 would touch oldB/0") == "set down: oldX/0 would touch 'B'"
 
 
 def test_it_is_asked_once_for_each_version_and_stands_over_every_start(two_placed):
@@ -194,7 +198,9 @@ def test_a_model_with_other_ids_asks_by_name_whether_it_is_the_same_and_places_n
 
 @pytest.mark.parametrize("difference", ["name", "class", "place"])
 def test_another_name_class_or_place_is_another_element(two_placed, difference):
-    changed = model("new", *("XYCD" if difference == "name" else "ABCD"), digest="b", shifted=0.3 * (difference == "place"))
+    changed = model(
+        "new", *("XYCD" if difference == "name" else "ABCD"), digest="b", shifted=0.3 * (difference == "place")
+    )
     if difference == "class":
         other = {key: replace(facts, ifc_class="IfcPlate") for key, facts in changed.elements.items()}
         changed = replace(changed, elements=other)
@@ -226,7 +232,11 @@ def test_a_kill_after_any_line_of_the_questions_asks_again_and_forgets_nothing(t
         path.write_bytes(b"".join(lines[:left]))
         again = opened(two_placed, changed)
         of_b(again)
-        standing = [element for element in ("oldA", "newA") if stands(again, element) and stands(again, element).position[0] == 0.0]
+        standing = [
+            element
+            for element in ("oldA", "newA")
+            if stands(again, element) and stands(again, element).position[0] == 0.0
+        ]
         assert standing == (["oldA"] if left < len(lines) - 1 else ["newA"])
         assert again.next(NOW) == ("" if left < len(lines) else "TnewB")
         again.ledger.close()

@@ -364,8 +364,8 @@ class WorkNode:
                 "plan", task=task, element=board.element_of(task), start=start, scene=scene, held=held
             )
         except WorkerError as error:
-            board.failures[task] = str(error)
-            raise
+            board.failures[task] = board.called(error.sentence)
+            raise WorkRefused(board.failures[task]) from error
         board.failures.pop(task, None)
         rospy.loginfo("%s: planned with %s in %.2f s", board.title(task), plan.method, time.monotonic() - began)
         return self._offer(task, plan, work)
