@@ -24,7 +24,7 @@ from construction_twin.work.book import Book, placed_elsewhere
 from construction_twin.work.built import Deviation, at, deviation, objects_of, placed_at, pose_of_tuple, pose_tuple
 from construction_twin.work.convex_bodies import Pieces
 from construction_twin.work.events import ACCEPTED, PLANNED, Entry
-from construction_twin.work.following import GripReading, question
+from construction_twin.work.following import GripReading, known_of, question
 from construction_twin.work.ledger import Ledger, replay
 from construction_twin.work.names import labels, named
 from construction_twin.work.racks import StockPlan
@@ -717,11 +717,8 @@ class TaskBoard:
         memory = self.book.tasks[task]
         if task in self.book.after or memory.state is not TaskState.ASKS:
             return question(memory, self._element(task).name)
-        known = (
-            Sentence("work.known.elsewhere", ledger=memory.source) if memory.source else Sentence("work.known.former")
-        )
         first = self._answers(task)[0]
-        return Sentence(f"work.question.{first}", element=self._element(task).name, known=known)
+        return Sentence(f"work.question.{first}", element=self._element(task).name, known=known_of(memory))
 
     def _answers(self, task: str) -> tuple[str, ...]:
         """Return what can be answered to a task's question; of what has no task any more, whether it stands."""

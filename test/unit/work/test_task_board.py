@@ -115,7 +115,7 @@ def test_a_lag_is_waited_for(tmp_path, clock):
 
 
 def test_another_robots_task_is_left_alone(tmp_path, clock):
-    not_mine = Sentence("work.other_robot", task="'Place board' (T3)", robots="other", robot="kr120")
+    not_mine = Sentence("work.other_robot", task="'Place board'", robots="other", robot="kr120")
     for robot, why in (("kr120", not_mine), ("other", "")):
         folder = tmp_path / robot
         folder.mkdir()
