@@ -635,8 +635,9 @@ class TaskBoard:
         return name if name and self.title(task) == repr(name) else task
 
     def called(self, sentence: str) -> str:
-        """Return a sentence with the names of what is not in the model any more in place of its ids."""
-        return named(sentence, labels({each.element: each.name for each in self.book.former.values()}))
+        """Return a sentence with names in place of the ids of tasks, and of elements that are not in the model any more."""
+        former = labels({each.element: each.name for each in self.book.former.values()})
+        return named(sentence, {**self.prepared.titles, **former})
 
     def summary(self, now: int) -> str:
         """Return one sentence: what the work waits for."""
